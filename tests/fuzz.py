@@ -44,6 +44,31 @@ def lobes() -> wd.BakedLobes:
     return wd.bake(HEIGHTFIELD, coherence=wd.Coherence(sigma_um=1.0), delta_e=10.0)
 
 
+def axes():
+    """Return new axes of matplotlib, without a window."""
+    from matplotlib.figure import Figure
+
+    return Figure().add_subplot()
+
+
+@functools.cache
+def simple_plan() -> wd.Plan:
+    """Return a plan for one direction, which needs no kernel."""
+    return wd.plan(HEIGHTFIELD, UP, UP, coherence=SHORT)
+
+
+@functools.cache
+def still() -> wd.Image:
+    """Return a picture that needs no kernel."""
+    grey, all_pixels = np.full((2, 3), 0.5, np.float32), np.ones((2, 3), dtype=bool)
+    return wd.Image(np.ones((2, 3, 3), np.float32), all_pixels, all_pixels, 2.0 * grey, grey, None)
+
+
+@functools.cache
+def efficiencies() -> wd.OrderEfficiencies:
+    return wd.order_efficiencies(HEIGHTFIELD, UP, [400.0, 500.0])
+
+
 @functools.cache
 def renderer() -> wd.Renderer:
     return wd.Renderer(MESH, HEIGHTFIELD, LIGHT, VIEW, plan=plan())
@@ -217,7 +242,11 @@ OBJECTS = {
     **dict.fromkeys(("path", "folder", "animation"), _PATHS),
     **dict.fromkeys(("to_light", "to_view", "wavelengths_nm", "scattering_vectors", "angle_deg"), _VECTORS),
     **dict.fromkeys(("eye", "target", "up", "direction", "sun_direction", "tangents", "background"), _VECTORS),
-    **dict.fromkeys(("n", "k", "values", "radiance_rgb", "pixels"), _VECTORS),
+    **dict.fromkeys(("n", "k", "values", "radiance_rgb", "pixels", "xyz"), _VECTORS),
+    **dict.fromkeys(("theta_deg", "phi_deg", "angles_deg"), _VECTORS), "columns": st.dictionaries(_TEXTS, _VECTORS),
+    "efficiencies": _one_of(lambda: [efficiencies(), picture()]), "labels": st.lists(_TEXTS, max_size=2),
+    "source": _one_of(lambda: [picture(), picture().xyz, [500.0], np.ones((2, 3)), HEIGHTFIELD.periods(), PERIOD]),
+    "ax": _one_of(lambda: [axes()]),
 }  # fmt: skip
 _SETTINGS = describe(SinglePictureSettings)
 
@@ -266,10 +295,11 @@ def _of_its_kind(option: Option) -> st.SearchStrategy:
     return st.one_of(one, pairs) if option.kind == "pair" else pairs
 
 
+PERIOD = wd.Period(2.0, 0.01, 0.0, (0.1,), 1.0, (0.0, 0.5), is_coherent=True)
 WAVY = wd.HeightField(0.05 * np.sin(np.arange(120.0)).reshape(1, -1) + np.zeros((8, 1)), 0.1)
 # Classes that only the library creates are not fuzzed. Errors and warnings are excluded because they accept any text.
 MADE_BY_THE_LIBRARY = {"BakedLobes", "BakedSpectrum", "Comparison", "Image", "OrderEfficiencies", "Period"}
-MADE_BY_THE_LIBRARY |= {"Report", "ToleranceError", "WarpdiffWarning"}
+MADE_BY_THE_LIBRARY |= {"Periods", "ReflectanceSpectra", "Report", "ToleranceError", "WarpdiffWarning"}
 # Methods that only the renderer calls are not fuzzed, because their arguments are already checked.
 CALLED_BY_PICTURES = {"lobes", "parts"}
 # Objects on which methods are called, by class. ``FUZZED_OWNERS`` lists classes with fuzzed objects.
@@ -278,6 +308,9 @@ OWNERS = {
     "Material": lambda: wd.Material.metal("Au"), "Spectrum": lambda: wd.Spectrum.blackbody(3000.0),
     "HeightField": lambda: WAVY, "Image": picture, "Plan": plan, "Renderer": renderer, "View": lambda: VIEW,
     "BakedLobes": lobes, "Comparison": lambda: wd.compare(np.ones((2, 3, 3)), np.ones((2, 3, 3)), tolerance=0.1),
+    "OrderEfficiencies": efficiencies, "Periods": lambda: wd.Periods([PERIOD]),
+    "Table": lambda: wd.Table({"number": [1.0]}),
+    "ReflectanceSpectra": lambda: wd.ReflectanceSpectra(np.ones(1), np.eye(3)[2:], np.eye(3)[2:], np.ones((1, 1))),
     "BakedSpectrum": functools.cache(lambda: wd.bake_spectrum(HEIGHTFIELD, coherence=SHORT, size=16, tolerance=0.1)),
 }  # fmt: skip
 FUZZED_OWNERS = {"HeightField": "heightfield", "View": "view"}
@@ -289,7 +322,7 @@ LEGAL = {
     "pitch_um": 0.1, "size": 4, "tolerance": 0.1, "scale_rows": 5, "ventrals": 8, "segments": 3, "rings": 1,
     "segments_along": 12, "segments_around": 3, "shots": [wd.Shot((LIGHT,), VIEW)], "folder": "frames",
     "scattering_vectors": [[0.1, 0.2, -1.5]], "radiance_rgb": np.ones((2, 4, 3)), "directions": 16,
-    "topography": topography(),
+    "topography": topography(), "xyz": [0.1, 0.2, 0.3], "theta_deg": 30.0, "columns": {"number": [1.0]},
     "position": (0.0, 0.0, 2.0), "delta_e": 10.0, "n": 1.5, "angle_deg": 30.0, "sun_direction": (1.0, 1.0, 0.0),
 }  # fmt: skip
 LEGAL_OF = {
@@ -302,7 +335,18 @@ LEGAL_OF = {
     "Spectrum": {"wavelengths_nm": [300.0, 900.0], "values": [1.0, 2.0]},
     "Material.coated": {"film": wd.Material.dielectric(1.4), "thickness_nm": 100.0},
 }  # fmt: skip
-LEGAL_BY_CALL = {"renderer": renderer, "lobes": lobes}
+LEGAL_OF |= {
+    f"{name}.save": {"path": "a.csv"} for name in ("OrderEfficiencies", "Periods", "ReflectanceSpectra", "Table")
+}
+LEGAL_OF |= {
+    "order_angles": {"source": PERIOD}, "plot.colour_strip": {"source": np.ones((2, 3)), "angles_deg": [0.0, 10.0]},
+    "plot.spectra": {"source": [500.0], "values": [0.5]},
+}  # fmt: skip
+LEGAL_BY_CALL = {"renderer": renderer, "lobes": lobes, "ax": axes, "efficiencies": efficiencies}
+# The same for single functions.
+LEGAL_OF_BY_CALL = {
+    "plot.plan": {"plan": simple_plan}, "plot.error_image": {"image": still}, "plot.reflectance_map": {"source": still},
+}  # fmt: skip
 
 
 def write_files(folder: Path) -> None:
@@ -354,10 +398,10 @@ def call(name, fuzzed):
         elif key in LEGAL_BY_CALL and key not in fuzzed:
             arguments[key] = LEGAL_BY_CALL[key]()
     if "plan" in fuzzed:
-        arguments.pop("coherence")
+        arguments.pop("coherence", None)
     if "extent_um" in fuzzed:
         arguments.pop("pitch_um")
-    arguments |= LEGAL_OF.get(name, {}) | fuzzed
+    arguments |= LEGAL_OF.get(name, {}) | {key: make() for key, make in LEGAL_OF_BY_CALL.get(name, {}).items()} | fuzzed
     if arguments.get("coherence") is MOST_PERIODS and str(arguments.get("method")) == "direct":
         # The float64 direct sum over 100,000 periods requires a minute per direction, so 100 periods are used instead.
         arguments["coherence"] = wd.Coherence("replicas", periods=(1, 100))

@@ -112,20 +112,25 @@ called = {
     "DirectionalLight": light.power, "Environment": wd.Environment(np.ones((2, 4, 3))).scale,
     "HeightField": heightfield.pitch_um, "Image": wd.shade(disc, heightfield, light, view, **settings),
     "Material": wd.Material.metal("Al"), "OrderEfficiencies": wd.order_efficiencies(heightfield, up, 550.0),
+    "Periods": wd.HeightField([np.sin(np.arange(60.0))], 0.1).periods(),
     "Period": wd.HeightField([np.sin(np.arange(60.0))], 0.1).periods()[0],
     "Plan": wd.plan(heightfield, up, up, **settings), "PointLight": wd.PointLight(up).power,
     "Renderer": renderer.image(), "Report": renderer.image().report,
     "Comparison": wd.compare(renderer.image(), renderer.image()), "compare": wd.compare([[up]], [[up]], tolerance=0.1),
-    "Shot": wd.Shot(light, view),
+    "ReflectanceSpectra": wd.reflectance_spectra(heightfield, up, up, 550.0, **settings),
+    "Shot": wd.Shot(light, view), "Table": wd.Table({"number": [1]}),
     "Spectrum": wd.Spectrum.blackbody(2856.0),
     "ToleranceError": wd.ToleranceError("text"), "View": view.width, "WarpdiffWarning": wd.WarpdiffWarning("text"),
     "bake": lobes.bytes, "bake_spectrum": spectrum.coherence, "brdf": wd.brdf(heightfield, up, up, 550.0, **settings),
     "camera_path": wd.camera_path(path, light, view), "datasets": wd.datasets.info("corn_snake_scan"),
-    "export_html": wd.export_html,
+    "direction": wd.direction(0.0), "export_html": wd.export_html,
     "gratings": wd.gratings.lamellar(2.5, 0.1), "light_sweep": wd.light_sweep(light, view, (1.0, 0.0, 1.0)),
     "meshes": disc, "order_efficiencies": wd.order_efficiencies(heightfield, up, 550.0),
+    "order_angles": wd.order_angles(heightfield, up, 550.0), "plot": wd.plot.height_map,
     "plan": wd.plan(heightfield, **settings), "reflectance": wd.reflectance(heightfield, up, up, **settings),
     "reflectance_map": wd.reflectance_map(heightfield, up, size=4, **settings),
+    "reflectance_spectra": wd.reflectance_spectra(heightfield, up, up, 550.0, **settings),
+    "to_srgb": wd.to_srgb([0.1, 0.2, 0.3]),
     "register_mitsuba_bsdf": wd.register_mitsuba_bsdf,
     "sequence": wd.sequence(renderer, wd.turntable(light, view, count=2), folder.name + "/turn"),
     "shade": wd.shade(disc, heightfield, light, view, **settings).rgb,
@@ -133,7 +138,8 @@ called = {
     "turntable": wd.turntable(light, view),
 }
 assert set(called) == set(wd.__all__), set(called) ^ set(wd.__all__)
-for name in ("BakedLobes", "BakedSpectrum", "Comparison", "Image", "OrderEfficiencies", "Period", "Plan", "Report"):
+classes = "BakedLobes", "BakedSpectrum", "Comparison", "Image", "OrderEfficiencies", "Period", "Periods", "Plan"
+for name in (*classes, "ReflectanceSpectra", "Report", "Table"):
     assert type(called[name]) is getattr(wd, name)
 """
 

@@ -11,6 +11,7 @@ Packages, from the lowest layer to the highest; a package imports only packages 
 - ``request``: plans and ranges of directions; ``image``: pictures and their files; ``scene``: meshes and cameras
 - ``tables``: coefficients and colours on a device; ``planner``: from a tolerance to a plan; ``lights``: light sources
 - ``evaluate``: reflectance at arrays of directions; ``baked``: tables for other renderers
+- ``plot``: plots of height fields and results with matplotlib
 - ``render``: pictures of a mesh; ``apps``: command line, viewer, web page, sequences, Mitsuba
 
 ``kernels`` holds the Warp kernels.
@@ -33,12 +34,23 @@ if TYPE_CHECKING:
     from warpdiff.baked.bake_spectrum import bake_spectrum
     from warpdiff.baked.lobe_table import BakedLobes
     from warpdiff.baked.spectrum_table import BakedSpectrum
+    from warpdiff.core.angles import direction
+    from warpdiff.core.table import Table
     from warpdiff.core.wording import ToleranceError, WarpdiffWarning
+    from warpdiff.evaluate.order_angles import order_angles
     from warpdiff.evaluate.orders import OrderEfficiencies, order_efficiencies
-    from warpdiff.evaluate.reflectance import brdf, reflectance, reflectance_map, spectral_reflectance
+    from warpdiff.evaluate.reflectance import (
+        brdf,
+        reflectance,
+        reflectance_map,
+        reflectance_spectra,
+        spectral_reflectance,
+    )
+    from warpdiff.evaluate.reflectance_spectra import ReflectanceSpectra
     from warpdiff.heightfield.field import HeightField
-    from warpdiff.heightfield.periods import Period
+    from warpdiff.heightfield.periods import Period, Periods
     from warpdiff.image.comparison import Comparison, compare
+    from warpdiff.image.display_transform import to_srgb
     from warpdiff.image.image import Image
     from warpdiff.image.report import Report
     from warpdiff.lights.directional import DirectionalLight
@@ -55,7 +67,7 @@ if TYPE_CHECKING:
     from warpdiff.samples import gratings
     from warpdiff.scene.camera import View
 
-    from . import datasets
+    from . import datasets, plot
 
     __version__: str
 
@@ -65,10 +77,12 @@ if not Path(__path__[0], "kernels").is_dir():
 
 __all__ = [
     "BakedLobes", "BakedSpectrum", "Coherence", "Comparison", "DirectionalLight", "Environment", "HeightField",
-    "Image", "Material", "OrderEfficiencies", "Period", "Plan", "PointLight", "Renderer", "Report", "Shot", "Spectrum",
-    "ToleranceError", "View", "WarpdiffWarning", "bake", "bake_spectrum", "brdf", "camera_path", "compare", "datasets",
-    "export_html", "gratings", "light_sweep", "meshes", "order_efficiencies", "plan", "reflectance", "reflectance_map",
-    "register_mitsuba_bsdf", "sequence", "shade", "spectral_reflectance", "turntable",
+    "Image", "Material", "OrderEfficiencies", "Period", "Periods", "Plan", "PointLight", "ReflectanceSpectra",
+    "Renderer", "Report", "Shot", "Spectrum", "Table", "ToleranceError", "View", "WarpdiffWarning", "bake",
+    "bake_spectrum", "brdf", "camera_path", "compare", "datasets", "direction", "export_html", "gratings",
+    "light_sweep", "meshes", "order_angles", "order_efficiencies", "plan", "plot", "reflectance", "reflectance_map",
+    "reflectance_spectra", "register_mitsuba_bsdf", "sequence", "shade", "spectral_reflectance", "to_srgb",
+    "turntable",
 ]  # fmt: skip
 
 _MODULES = {
@@ -76,9 +90,13 @@ _MODULES = {
     "baked.spectrum_table": ("BakedSpectrum",), "apps.mitsuba.bsdf": ("register_mitsuba_bsdf",),
     "optics.coherence": ("Coherence",), "optics.materials": ("Material",), "optics.spectra": ("Spectrum",),
     "core.wording": ("ToleranceError", "WarpdiffWarning"),
-    "evaluate.reflectance": ("brdf", "reflectance_map", "reflectance", "spectral_reflectance"),
-    "heightfield.field": ("HeightField",), "heightfield.periods": ("Period",), "image.image": ("Image",),
-    "image.comparison": ("Comparison", "compare"),
+    "evaluate.reflectance": (
+        "brdf", "reflectance_map", "reflectance", "reflectance_spectra", "spectral_reflectance",
+    ),
+    "evaluate.reflectance_spectra": ("ReflectanceSpectra",), "core.table": ("Table",),
+    "core.angles": ("direction",), "evaluate.order_angles": ("order_angles",),
+    "heightfield.field": ("HeightField",), "heightfield.periods": ("Period", "Periods"), "image.image": ("Image",),
+    "image.display_transform": ("to_srgb",), "image.comparison": ("Comparison", "compare"),
     "image.report": ("Report",),
     "lights.environment": ("Environment",), "lights.directional": ("DirectionalLight",),
     "lights.point": ("PointLight",), "evaluate.orders": ("OrderEfficiencies", "order_efficiencies"),
@@ -87,7 +105,7 @@ _MODULES = {
     "apps.sequences.shots": ("Shot", "camera_path", "light_sweep", "turntable"),
     "apps.web_page.export_html": ("export_html",),
 }  # fmt: skip
-_ALIASES = {"datasets": "datasets", "gratings": "samples.gratings", "meshes": "samples.bodies"}
+_ALIASES = {"datasets": "datasets", "plot": "plot", "gratings": "samples.gratings", "meshes": "samples.bodies"}
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 

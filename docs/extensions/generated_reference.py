@@ -15,19 +15,21 @@ from warpdiff.request import settings
 SETTINGS = {
     "PlanSettings": "warpdiff.plan",
     "EvaluationSettings": "warpdiff.reflectance, warpdiff.reflectance_map",
-    "SpectralSettings": "warpdiff.spectral_reflectance, warpdiff.brdf",
+    "SpectralSettings": "warpdiff.spectral_reflectance, warpdiff.reflectance_spectra, warpdiff.brdf",
     "PictureSettings": "warpdiff.shade, warpdiff.Renderer",
     "SinglePictureSettings": "warpdiff.shade",
 }
 GROUPS = {
-    "Surfaces": ["HeightField", "Period", "gratings", "datasets"],
+    "Surfaces": ["HeightField", "Period", "Periods", "gratings", "datasets"],
     "Bodies and cameras": ["meshes", "View"],
     "Lights": ["DirectionalLight", "PointLight", "Environment", "Spectrum"],
     "Materials and coherence": ["Material", "Coherence"],
     "Pictures": ["shade", "Renderer", "Image", "Report", "compare", "Comparison"],
     "Reflectance without a picture": [
-        "reflectance", "spectral_reflectance", "brdf", "reflectance_map", "order_efficiencies", "OrderEfficiencies",
+        "reflectance", "spectral_reflectance", "reflectance_spectra", "ReflectanceSpectra", "brdf", "reflectance_map",
+        "order_efficiencies", "OrderEfficiencies", "order_angles", "direction",
     ],
+    "Plots, tables and colours": ["plot", "Table", "to_srgb"],
     "Plans and errors": ["plan", "Plan", "ToleranceError", "WarpdiffWarning"],
     "Sequences": ["sequence", "Shot", "turntable", "light_sweep", "camera_path"],
     "Export": [

@@ -13,10 +13,6 @@ import warpdiff as wd
 grating, gold = wd.gratings.blazed(2.5, 0.25), wd.Material.metal("Au")
 wavelengths_nm = np.linspace(400.0, 750.0, 71)
 orders = wd.order_efficiencies(grating, (0.2, 0, 1), wavelengths_nm, material=gold)
-for m in range(-3, 3):
-    plt.plot(wavelengths_nm, orders[0, m], label=f"order {m}")
-plt.xlabel("wavelength [nm]")
-plt.ylabel("fraction of the incident power")
-plt.legend()
-plt.savefig("orders.png", dpi=100)
-plt.close()
+axes = wd.plot.orders(orders)
+axes.figure.savefig("orders.png", dpi=100)
+plt.close(axes.figure)

@@ -162,7 +162,9 @@ def test_orders_beyond_the_samples_are_reported():
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [({"heightfield": np.zeros((4, 4))}, TypeError, r"heightfield must be a warpdiff\.HeightField, got ndarray"),
-     ({"to_light": [[0, 0, 1]]}, ValueError, r"to_light must be a vector of 3 numbers, got shape \(1, 3\)"),
+     ({"to_light": [[0, 1]]}, ValueError, r"to_light must have shape \(3,\) or \(n, 3\), got \(1, 2\)"),
+     ({"to_light": [(0, 0, 1), (1, 0, 0)]}, ValueError, r"to_light must be above the horizon .z > 0., got \[\(0, 0, 1"),
+     ({"to_light": np.zeros((0, 3))}, ValueError, r"to_light must hold at least one direction, got shape \(0, 3\)"),
      ({"to_light": (1, 0, 0)}, ValueError, r"to_light must be above the horizon .z > 0., got \(1, 0, 0\)"),
      ({"to_light": (0, 0, 0)}, ValueError, "to_light must not contain zero vectors"),
      ({"wavelengths_nm": [0.5]}, ValueError, "wavelengths_nm")],
@@ -310,3 +312,66 @@ def test_the_normalised_brdf_of_many_orders_conserves_energy():
 def test_efficiencies_print_their_orders_and_wavelengths():
     orders = wd.order_efficiencies(wd.gratings.sinusoidal(PERIOD, 0.3), (0, 0, 1), [400.0, 700.0, 550.0])
     assert repr(orders) == f"OrderEfficiencies({len(orders.orders)} orders, 3 wavelengths, 400 to 700 nm)"
+
+
+LIGHTS = wd.direction([-55.0, 0.0, 20.0, 70.0])
+
+
+def read_columns(path):
+    return np.genfromtxt(path, delimiter=",", names=True)
+
+
+def test_a_saved_table_of_several_lights_has_closed_forms(tmp_path):
+    """Rows of a lamellar grating: the grating equation gives the angle, Fourier coefficients give the efficiency."""
+    heightfield, closed, error = PROFILES["lamellar"]
+    result = wd.order_efficiencies(heightfield, LIGHTS, WAVELENGTHS, ior=math.inf, energy="stam")
+    assert result.efficiencies.shape == (4, 3, len(result.orders))
+    rows = read_columns(result.save(tmp_path / "orders.csv"))
+    assert len(rows) == np.count_nonzero(np.isfinite(result.to_view[..., 0]))
+    sin_i = np.sin(np.radians(rows["light_theta_deg"])) * np.cos(np.radians(rows["light_phi_deg"]))
+    sin_r = rows["m_x"] * rows["wavelength_nm"] * 1e-3 / PERIOD - sin_i
+    np.testing.assert_allclose(
+        np.sin(np.radians(rows["view_theta_deg"])) * np.cos(np.radians(rows["view_phi_deg"])), sin_r, atol=1e-12
+    )
+    cos_i, cos_r = np.sqrt(1.0 - sin_i**2), np.sqrt(1.0 - sin_r**2)
+    kappas = (cos_i + cos_r) / (rows["wavelength_nm"] * 1e-3)
+    powers = [closed(kappa, 0.3, m) for kappa, m in zip(kappas, rows["m_x"], strict=True)]
+    geometry = (1.0 + sin_i * sin_r + cos_i * cos_r) ** 2 / (cos_i * cos_r * (cos_i + cos_r) ** 2)
+    assert np.all(np.abs(rows["efficiency"] / geometry - powers) < error)
+
+
+@pytest.mark.parametrize("energy", ["stam", "normalised"])
+def test_results_of_several_lights_are_those_of_single_lights(energy, monkeypatch):
+    # A small limit makes groups of lights that share transforms, of one and of several lights.
+    monkeypatch.setattr(order_module, "_MOST_TOGETHER", 60)
+    heightfield, gold = wd.gratings.lamellar(PERIOD, 0.3, samples=400), wd.Material.metal("Au")
+    together = wd.order_efficiencies(heightfield, LIGHTS, WAVELENGTHS, material=gold, energy=energy)
+    singles = [wd.order_efficiencies(heightfield, light, WAVELENGTHS, material=gold, energy=energy) for light in LIGHTS]
+    for number, single in enumerate(singles):
+        for m_y, m_x in together.orders:
+            np.testing.assert_allclose(together[m_y, m_x][number], single[m_y, m_x], atol=1e-12)
+    assert together.verdict.error == pytest.approx(max(single.verdict.error for single in singles), rel=1e-9)
+    assert repr(together).endswith("400 to 780 nm, 4 lights)")
+    assert wd.order_efficiencies(heightfield, LIGHTS[:1], 550.0).efficiencies.ndim == 3
+
+
+def test_interpolated_factors_serve_several_lights(monkeypatch):
+    """With many orders, a light has no matrix of its own; the lower limit makes that so for this grating."""
+    monkeypatch.setattr(energy_normalisation, "MOST_EXACT", 10)
+    heightfield = wd.gratings.sinusoidal(PERIOD, 0.3)
+    options = {"material": wd.Material.metal("Au"), "energy": "normalised"}
+    together = wd.order_efficiencies(heightfield, LIGHTS[:2], 400.0, **options)
+    for number, light in enumerate(LIGHTS[:2]):
+        single = wd.order_efficiencies(heightfield, light, 400.0, **options)
+        np.testing.assert_allclose(together[0, 1][number], single[0, 1], rtol=1e-10)
+
+
+def test_a_table_of_the_strongest_orders_of_each_wavelength():
+    result = wd.order_efficiencies(wd.gratings.blazed(PERIOD, 0.25), (0, 0, 1), WAVELENGTHS)
+    table = result.table(2)
+    assert table["wavelength_nm"].tolist() == [400.0, 400.0, 550.0, 550.0, 780.0, 780.0]
+    for wavelength, values in zip(WAVELENGTHS, result.efficiencies, strict=True):
+        strongest = table["efficiency"][table["wavelength_nm"] == wavelength]
+        assert sorted(strongest) == sorted(values)[-2:]
+    with pytest.raises(ValueError, match="count must be an integer, at least 1, got 0"):
+        result.table(0)

@@ -138,3 +138,20 @@ def test_spectra_reach_from_the_ultraviolet_to_the_infrared(kind):
     np.testing.assert_allclose(orders[0, 0], expected * aluminium.reflectance(wavelengths, 0.0), rtol=1e-9)
     with pytest.raises(ValueError, match="material must cover 190 to 300 nm, but 'aluminium' is tabulated from 200 to"):
         wd.spectral_reflectance(grating, UP, UP, [190.0, 300.0], material=aluminium, **options)
+
+
+def test_saved_spectra_have_the_values_of_the_spectral_reflectance(tmp_path):
+    grating, wavelengths = wd.gratings.sinusoidal(2.0, 0.2), [250.0, 500.0, 560.0]
+    light, views = wd.direction(30.0, -140.0), wd.direction([-15.0, 15.0], 40.0)
+    spectra = wd.reflectance_spectra(grating, light, views, wavelengths)
+    values = wd.spectral_reflectance(grating, light, views, wavelengths)
+    np.testing.assert_array_equal(spectra.values, values)
+    rows = np.genfromtxt(spectra.save(tmp_path / "spectra.csv"), delimiter=",", names=True)
+    np.testing.assert_array_equal(rows["reflectance"].astype(np.float32).reshape(2, 3), values)
+    np.testing.assert_array_equal(rows["wavelength_nm"].reshape(2, 3), [wavelengths] * 2)
+    np.testing.assert_allclose(rows["view_theta_deg"], 15.0)
+    np.testing.assert_allclose(rows["view_phi_deg"], [-140.0] * 3 + [40.0] * 3)
+    np.testing.assert_allclose(rows["light_theta_deg"], 30.0)
+    np.testing.assert_allclose(rows["light_phi_deg"], -140.0)
+    assert repr(spectra) == "ReflectanceSpectra(2 spectra, 3 wavelengths, 250 to 560 nm)"
+    assert repr(wd.reflectance_spectra(grating, light, views[0], 550.0)).startswith("ReflectanceSpectra(1 spectrum, ")

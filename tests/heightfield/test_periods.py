@@ -185,3 +185,17 @@ def test_making_few_periods_periodic_causes_a_warning():
         frequency = np.hypot(np.fft.fftfreq(400, PITCH)[:, None], np.fft.rfftfreq(400, PITCH))
         rough = np.fft.irfft2(spectrum * np.exp(-((0.5 * frequency) ** 2)), (400, 400))
         wd.HeightField(0.05 * rough / np.std(rough), PITCH).cropped(13.7).levelled(1).periodic()
+
+
+def test_periods_are_a_tuple_that_is_saved_as_a_table(tmp_path):
+    x = 0.02 * np.arange(900)
+    heights = 0.1 * np.cos(2.0 * np.pi * x / 0.61) + 0.03 * np.cos(2.0 * np.pi * x / 1.7)
+    periods = wd.HeightField(heights[None], 0.02).periods()
+    assert isinstance(periods, tuple)
+    path = periods.save(tmp_path / "periods.csv")
+    rows = np.genfromtxt(path, delimiter=",", names=True, dtype=None, encoding="utf-8")
+    np.testing.assert_allclose(rows["period_um"], [0.61, 1.7], rtol=1e-3)
+    np.testing.assert_allclose(rows["amplitude_um"], [0.1, 0.03], rtol=1e-2)
+    assert rows["standard_error_um"].tolist() == [period.standard_error_um for period in periods]
+    assert rows["is_coherent"].tolist() == [True, True]
+    assert len(wd.HeightField([[0.1]], PITCH).periods().table()) == 0

@@ -8,6 +8,7 @@ import warnings
 import numpy as np
 import pytest
 
+import warpdiff as wd
 from warpdiff.image import display_transform as transform
 from warpdiff.optics import colorimetry
 
@@ -139,3 +140,34 @@ def test_another_configuration_of_the_environment_is_not_read(tmp_path):
     subprocess.run(
         [sys.executable, "-c", code], check=True, timeout=120, env=os.environ | {"OCIO": str(tmp_path / "other.ocio")}
     )
+
+
+def test_colours_within_the_gamut_are_those_of_the_standard(rng):
+    """The standard IEC 61966-2-1 by its own formula, for XYZ of random linear sRGB."""
+    linear = rng.uniform(0.0, 1.0, (3, 5, 3))
+    xyz = linear @ np.linalg.inv([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]]).T
+    expected = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
+    np.testing.assert_allclose(wd.to_srgb(xyz, "colorimetric", exposure=1.0), expected, atol=1e-9)
+    np.testing.assert_allclose(wd.to_srgb(xyz / 2, "clip", exposure=1.0, exposure_stops=1.0), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("display", ["aces", "colorimetric", "clip"])
+def test_colours_of_an_array_are_those_of_a_picture(display):
+    image = wd.reflectance_map(wd.gratings.sinusoidal(2.0, 0.1), (0, 0, 1), size=16, tolerance=0.3)
+    shown = wd.to_srgb(image.xyz[image.mask], display)
+    np.testing.assert_allclose(image.display(display)[image.mask][:, :3], shown, atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [({"xyz": [0.5, 0.5]}, r"xyz must have shape \(..., 3\), got \(2,\)"),
+     ({"display": "srgb"}, "display must be one of"),
+     ({"exposure": 0.0}, "exposure must be"), ({"exposure_stops": 31.0}, "exposure_stops must be")],
+)  # fmt: skip
+def test_colours_and_settings_that_are_not_accepted_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        wd.to_srgb(**{"xyz": [0.1, 0.2, 0.3]} | arguments)
+
+
+def test_black_colours_stay_black():
+    np.testing.assert_array_equal(wd.to_srgb(np.zeros((2, 3))), 0.0)

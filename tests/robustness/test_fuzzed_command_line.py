@@ -20,7 +20,7 @@ FRAME = ["disc.ply", *SMALL, "--width", "4", "--height", "3"]
 COMMANDS = {
     "render": [*FRAME, "-o", "a.png"], "brdf": [*SMALL, "--size", "4", "-o", "a.png"],
     "sequence": [*FRAME, "--count", "2", "-o", "frames"], "info": ["--heightfield", "blazed", "--tolerance", "0.1"],
-    "cache": [],
+    "orders": ["blazed"], "angles": ["blazed"], "spectrum": [*SMALL, "--step-nm", "100"], "cache": [],
 }  # fmt: skip
 VALUES = [
     *("", "x", "nan", "inf", "-inf", "-1", "0", "-0", "1e300", "1e-300", "5e-324", "9" * 400, "1e15", "1e-15", "0x10"),

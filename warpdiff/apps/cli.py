@@ -1,4 +1,4 @@
-"""The command line: ``demo``, ``render``, ``sequence``, ``brdf``, ``export-html``, ``info``, ``view`` and ``cache``.
+"""The command line: its commands, their flags, and the messages and exit codes of errors.
 
 Exit codes: 0 success, 1 failure, 2 bad input, 129 SIGHUP, 130 SIGINT (Ctrl+C), 143 SIGTERM.
 """
@@ -13,13 +13,13 @@ import warnings
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import warpdiff as wd
-from warpdiff.apps import cli_commands, cli_inputs
+from warpdiff.apps import cli_commands, cli_inputs, cli_tables
 from warpdiff.apps.cli_options import CLEANING, COHERENCE_FLAGS, Flags, integer, number, word
 from warpdiff.apps.cli_progress import CommandProgress
 from warpdiff.core.options import describe
 from warpdiff.core.wording import did_you_mean, spelled
 from warpdiff.optics.coherence import Coherence
-from warpdiff.request.settings import EvaluationSettings, PictureSettings, SinglePictureSettings
+from warpdiff.request.settings import EvaluationSettings, PictureSettings, SinglePictureSettings, SpectralSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -203,9 +203,65 @@ def _add_brdf(flags: Flags) -> None:
     _add_saving(flags)
     _add_output(flags)
     group = flags.group("map")
+    _add_incidence(group)
+    flags.add(group, describe(wd.reflectance_map), only=("size", "samples_per_pixel"))
+
+
+def _add_incidence(group: Any) -> None:
     group.add_argument("--incidence-deg", type=number, default=0.0, help="light's angle from the normal (default: 0)")
     group.add_argument("--azimuth-deg", type=number, default=0.0, help="light's angle from the x axis (default: 0)")
-    flags.add(group, describe(wd.reflectance_map), only=("size", "samples_per_pixel"))
+
+
+def _add_orders(flags: Flags) -> None:
+    _add_height_field(flags, has_position=True)
+    group = flags.group("orders")
+    _add_incidence(group)
+    _add_wavelengths(group, [550.0])
+    group.add_argument(
+        "--count", type=integer, default=20,
+        help="number of orders per wavelength that are printed, the strongest ones (default: 20)",
+    )  # fmt: skip
+    flags.add(group, describe(wd.order_efficiencies), only=("ior", "energy"))
+    _add_material(group)
+    _add_csv(flags)
+
+
+def _add_angles(flags: Flags) -> None:
+    _add_height_field(flags, has_position=True)
+    group = flags.group("orders")
+    _add_incidence(group)
+    _add_wavelengths(group, [450.0, 550.0, 650.0])
+    flags.add(group, describe(wd.order_angles), only=("most_order",))
+    _add_csv(flags)
+
+
+def _add_spectrum(flags: Flags) -> None:
+    _add_height_field(flags, has_position=True)
+    group = flags.group("evaluation")
+    flags.add(group, describe(SpectralSettings))
+    flags.add(group, describe(Coherence), names=COHERENCE_FLAGS)
+    _add_material(group)
+    group = flags.group("spectrum")
+    _add_incidence(group)
+    group.add_argument("--view-deg", type=number, default=0.0, help="viewer's angle from the normal (default: 0)")
+    group.add_argument(
+        "--view-azimuth-deg", type=number, default=0.0, help="viewer's angle from the x axis (default: 0)"
+    )
+    group.add_argument("--from-nm", type=number, default=380.0, help="first wavelength, from 200 nm (default: 380)")
+    group.add_argument("--to-nm", type=number, default=780.0, help="last wavelength (default: 780)")
+    group.add_argument("--step-nm", type=number, default=5.0, help="step of the wavelengths (default: 5)")
+    _add_csv(flags)
+
+
+def _add_wavelengths(group: Any, default: list[float]) -> None:
+    group.add_argument(
+        "--wavelengths-nm", type=number, nargs="+", default=default, metavar="NM",
+        help=f"wavelengths, from 200 nm (default: {' '.join(f'{wavelength:g}' for wavelength in default)})",
+    )  # fmt: skip
+
+
+def _add_csv(flags: Flags) -> None:
+    flags.parser.add_argument("--csv", metavar="FILE", help="also write all rows to a CSV file, with all digits")
 
 
 def _add_export_html(flags: Flags) -> None:
@@ -384,6 +440,27 @@ _COMMANDS = {
         "save a map of the reflectance over all view directions",
         "warpdiff brdf --heightfield blazed:period_um=2.5,depth_um=0.25 --incidence-deg 20 -o blazed.png",
         _add_brdf, cli_commands.brdf, _WORDS | {"to_light": "--incidence-deg"},
+    ),
+    "orders": _Command(
+        "print the efficiencies of the diffraction orders",
+        "warpdiff orders blazed:period_um=2.5,depth_um=0.25 --material Au --incidence-deg 10 --csv orders.csv\n"
+        "  warpdiff orders scan.x3p --level 1 --periodic --wavelengths-nm 450 550 650 --count 10",
+        _add_orders, cli_tables.orders,
+        _WORDS | {"to_light": "--incidence-deg", "wavelengths_nm": "--wavelengths-nm", "path": "--csv"},
+    ),
+    "angles": _Command(
+        "print the angles of the orders of the periods of a height field",
+        "warpdiff angles scan.x3p --level 1 --incidence-deg 20 --wavelengths-nm 450 550 650\n"
+        "  warpdiff angles cd --most-order 2 --csv angles.csv",
+        _add_angles, cli_tables.angles,
+        _WORDS | {"to_light": "--incidence-deg", "wavelengths_nm": "--wavelengths-nm", "source": "--heightfield"},
+    ),
+    "spectrum": _Command(
+        "print the reflectance spectrum in a view direction",
+        "warpdiff spectrum sinusoidal:period_um=2,depth_um=0.2 --view-deg 15 --from-nm 300 --csv spectrum.csv\n"
+        "  warpdiff spectrum scan.x3p --level 1 --periodic --incidence-deg 30 --view-deg -10",
+        _add_spectrum, cli_tables.spectrum,
+        _WORDS | {"to_light": "--incidence-deg", "to_view": "--view-deg", "wavelengths_nm": "--from-nm"},
     ),
     "export-html": _Command(
         "write a page that shows a mesh in any browser",

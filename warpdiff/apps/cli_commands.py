@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib.util
-import math
 import sys
 import time
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 import warpdiff as wd
 from warpdiff.apps import cli_inputs
 from warpdiff.apps.cli_options import given
+from warpdiff.apps.cli_tables import direction_of
 from warpdiff.core import disk_cache, files, validation
 from warpdiff.core.options import describe
 from warpdiff.core.wording import ArgumentValueError, marked, ref, renaming
@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-_MOST_PORT, _GRAZING_DEG = 65_535, 90.0
+# Largest number of a port, by the protocol TCP.
+_MOST_PORT = 65_535
 
 
 def render(options: argparse.Namespace) -> None:
@@ -127,12 +128,7 @@ def export_html(options: argparse.Namespace) -> None:
 def brdf(options: argparse.Namespace) -> None:
     """Compute a map of the reflectance over all view directions, and save the map."""
     _check_output(options)
-    if not abs(options.incidence_deg) < _GRAZING_DEG:
-        raise ArgumentValueError(
-            f"--incidence-deg must be more than -90 and less than 90, got {options.incidence_deg:g}"
-        )
-    theta, phi = math.radians(options.incidence_deg), math.radians(options.azimuth_deg)
-    to_light = (math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta))
+    to_light = direction_of(options.incidence_deg, options.azimuth_deg, "--incidence-deg")
     image = wd.reflectance_map(
         cli_inputs.height_field_of(options), to_light, illuminant=cli_inputs.illuminant_of(options.illuminant),
         **cli_inputs.settings_of(options, wd.reflectance_map), progress=options.progress,

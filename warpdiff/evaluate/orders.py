@@ -7,6 +7,7 @@ therefore requires H at its own κ = w/λ. FFTs are computed at a few κ only, a
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
@@ -15,6 +16,8 @@ import numpy as np
 from annotated_types import Interval
 
 from warpdiff.core import memory, validation
+from warpdiff.core.angles import angles_deg
+from warpdiff.core.table import Table
 from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
@@ -28,6 +31,9 @@ from warpdiff.request.settings import Energy  # noqa: TC001 (its values are desc
 from warpdiff.request.signatures import checked
 
 if TYPE_CHECKING:
+    import os
+    from pathlib import Path
+
     from numpy.typing import ArrayLike, NDArray
 
     from warpdiff.heightfield.field import HeightField
@@ -45,19 +51,25 @@ _LEAST_REFLECTANCE = 1e-12
 # Measured memory of a call [bytes]: per height sample; per order and wavelength; and per order and term of the
 # polynomials that interpolate over κ.
 _BYTES_A_SAMPLE, _BYTES_A_LINE, _BYTES_A_TERM = 100, 120, 16
+# Number of matrix elements above which no further light shares the transforms of the height field. Limit: memory.
+_MOST_TOGETHER = 100_000
 
 
 @dataclass(frozen=True, eq=False)
 class OrderEfficiencies:
     """Efficiencies of diffraction orders; indexing by ``[m_y, m_x]`` gives those of one order, shape (m,).
 
+    Arrays of a call with k directions to the light have a leading axis of length k.
+
     Attributes:
         wavelengths_nm: Wavelengths [nm], shape (m,).
-        orders: Pairs (m_y, m_x) of all orders that propagate at one wavelength or more, shape (n, 2), sorted.
-        to_view: Unit vectors ωr of the reflected orders, shape (m, n, 3); NaN where an order is evanescent.
-        efficiencies: Reflected power of each order relative to the incident power, shape (m, n); 0 where an order is
+        to_light: Unit vector to the light, shape (3,), or unit vectors, shape (k, 3).
+        orders: Pairs (m_y, m_x) of all orders that propagate at one wavelength and light or more, shape (n, 2), sorted.
+        to_view: Unit vectors ωr of the reflected orders, shape (m, n, 3) or (k, m, n, 3); NaN where an order is
             evanescent.
-        verdict: Verdict on how wrong scalar diffraction may be for the height field and the light, at the worst of the
+        efficiencies: Reflected power of each order relative to the incident power, shape (m, n) or (k, m, n); 0 where
+            an order is evanescent.
+        verdict: Verdict on how wrong scalar diffraction may be for the height field, at the worst of the lights and
             wavelengths.
 
     Examples:
@@ -71,6 +83,7 @@ class OrderEfficiencies:
     """
 
     wavelengths_nm: NDArray[np.float64]
+    to_light: NDArray[np.float64]
     orders: NDArray[np.int64]
     to_view: NDArray[np.float64]
     efficiencies: NDArray[np.float64]
@@ -79,12 +92,70 @@ class OrderEfficiencies:
     def __repr__(self) -> str:
         low, high = self.wavelengths_nm.min(), self.wavelengths_nm.max()
         wavelengths = f"{len(self.wavelengths_nm)} wavelengths, {low:g} to {high:g} nm"
-        return f"OrderEfficiencies({len(self.orders)} orders, {wavelengths})"
+        lights = f", {len(self.to_light)} lights" if self.to_light.ndim > 1 else ""
+        return f"OrderEfficiencies({len(self.orders)} orders, {wavelengths}{lights})"
 
     def __getitem__(self, order: tuple[int, int]) -> NDArray[np.float64]:
-        """Return the efficiency of order (m_y, m_x) at each wavelength, shape (m,); 0 for evanescent orders."""
+        """Return the efficiency of order (m_y, m_x), shape (m,) or (k, m); 0 for evanescent orders."""
         pair = [validation.count(m, "order", least=-(2**31)) for m in order]
-        return np.asarray(self.efficiencies[:, np.all(self.orders == pair, axis=1)].sum(axis=1))
+        return np.asarray(self.efficiencies[..., np.all(self.orders == pair, axis=1)].sum(axis=-1))
+
+    def table(self, count: int | None = None) -> Table:
+        """Return a table with a row per light, wavelength and order that propagates.
+
+        Its columns are the angles of the light and of the order from the normal (``theta``, 0 to 90) and around it from
+        the x axis (``phi``, −180 to 180) in degrees, the wavelength, the numbers of the order, and its efficiency.
+
+        Args:
+            count: Number of orders of each light and wavelength, the strongest ones, at least 1; None is all.
+
+        Raises:
+            ValueError: ``count`` is less than 1.
+
+        Examples:
+            >>> grating = wd.gratings.sinusoidal(1.0, 0.1)
+            >>> print(wd.order_efficiencies(grating, (0, 0, 1), 600.0).table())
+            light_theta_deg  light_phi_deg  wavelength_nm  m_y  m_x  view_theta_deg  view_phi_deg  efficiency
+                          0              0            600    0   -1           36.87           180   0.0088...
+                          0              0            600    0    0               0             0    0.022...
+                          0              0            600    0    1           36.87             0   0.0088...
+        """
+        lights, views = np.atleast_2d(self.to_light), self.to_view.reshape(-1, *self.to_view.shape[-3:])
+        values = self.efficiencies.reshape(views.shape[:-1])
+        lives = ~np.isnan(views[..., 0])
+        if count is not None:
+            # The rank of an order is its place among those of its light and wavelength, by decreasing efficiency.
+            strongest = np.argsort(np.where(lives, -values, np.inf), axis=-1, kind="stable")
+            lives &= np.argsort(strongest, axis=-1) < validation.count(count, "count")
+        light, wavelength, order = np.nonzero(lives)
+        (light_theta, light_phi), (theta, phi) = angles_deg(lights), angles_deg(views[light, wavelength, order])
+        return Table(
+            {
+                "light_theta_deg": light_theta[light], "light_phi_deg": light_phi[light],
+                "wavelength_nm": self.wavelengths_nm[wavelength], "m_y": self.orders[order, 0],
+                "m_x": self.orders[order, 1], "view_theta_deg": theta, "view_phi_deg": phi,
+                "efficiency": values[light, wavelength, order],
+            }
+        )  # fmt: skip
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write `table` to a CSV file; an existing file is replaced once the new one is complete.
+
+        Args:
+            path: File to write; its name ends in ``.csv``.
+
+        Returns:
+            The path of the file.
+
+        Raises:
+            ValueError: The name does not end in ``.csv``.
+            OSError: The folder does not exist, or the file cannot be written.
+
+        Examples:
+            >>> wd.order_efficiencies(wd.gratings.sinusoidal(1.0, 0.1), (0, 0, 1), 600.0).save("orders.csv").name
+            'orders.csv'
+        """
+        return self.table().save(path)
 
 
 @checked
@@ -108,7 +179,8 @@ def order_efficiencies(
 
     Args:
         heightfield: One period of the surface; a constant axis, which has a single sample, has order 0 only.
-        to_light: Direction to the light in the local frame, above the horizon, shape (3,).
+        to_light: Directions to the light in the local frame, above the horizon, shape (3,) or (k, 3); with (k, 3) the
+            arrays of the result have a leading axis.
         wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
         ior: Index of refraction; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given.
         material: Material of the surface instead of ``ior``.
@@ -135,8 +207,10 @@ def order_efficiencies(
         array([0.0119, 0.0095])
     """
     check_whole(heightfield)
-    light = validation.unit_directions(validation.vector(to_light, "to_light"), "to_light")[0]
-    if light[0, 2] <= HORIZON:
+    lights, is_single = validation.unit_directions(to_light, "to_light")
+    if not len(lights):
+        raise ArgumentValueError(f"{ref('to_light')} must hold at least one direction, got shape {lights.shape}")
+    if lights[:, 2].min() <= HORIZON:
         raise ArgumentValueError(f"{ref('to_light')} must be above the horizon (z > 0), got {to_light!r}")
     wavelengths = colorimetry.check_wavelengths(wavelengths_nm)
     normal, material = check_reflection(ior, material)
@@ -144,54 +218,85 @@ def order_efficiencies(
         check_covers(material, float(wavelengths.min()), float(wavelengths.max()))
     if energy is None:
         energy = "normalised" if (normal == 1.0 if material is None else material.is_opaque) else "stam"
+    orders, to_view = _propagating(heightfield, lights, wavelengths)
+    lives = ~np.isnan(to_view[..., 0])
+    _warn_of_aliasing(heightfield, orders)
+    efficiencies = np.zeros(lives.shape)
+    energy_sums = np.ones(lives.shape[:2])
+    for column, wavelength in enumerate(wavelengths * 1e-3):
+        # Pairs of a light and an order that propagates. All lights share the transforms.
+        which, order = np.nonzero(lives[:, column])
+        entering, views = lights[which], to_view[which, column, order]
+        kappas = -(entering[:, 2] + views[:, 2]) / wavelength
+        powers = np.abs(_coefficients(heightfield, -orders[order], kappas)) ** 2
+        mirrors = powers * reflectance_factors.gain(entering, views, normal=1.0, masking=False, per_light_cosine=True)
+        stam = mirrors
+        if energy == "normalised":
+            mirrors = _normalised(heightfield, lights, which, orders[order], views, mirrors, wavelength)
+        flat = -2.0 * lights * [0.0, 0.0, 1.0]
+        if material is not None:
+            scattering_vectors = np.concatenate([-entering - views, flat])
+            reflected = reflectances(material, scattering_vectors, 1e3 * wavelength * np.ones(1))[:, 0]
+        else:
+            cosines = np.append(np.linalg.norm(entering + views, axis=1) / 2.0, lights[:, 2])
+            reflected = reflectance_factors.schlick(np.minimum(cosines, 1.0), normal)
+        # The last entries of `reflected` are the reflectances of a flat surface for the same lights.
+        reflected, of_flat = np.split(reflected, [len(order)])
+        efficiencies[which, column, order] = reflected * mirrors
+        sums = np.bincount(which, reflected * stam, len(lights))
+        energy_sums[:, column] = sums / np.maximum(of_flat, _LEAST_REFLECTANCE)
+    is_opaque = normal == 1.0 if material is None else material.is_opaque
+    # The verdict considers the worst light of each wavelength.
+    worst = np.argmax(np.abs(energy_sums - 1.0), axis=0)
+    energy_sums = energy_sums[worst, np.arange(len(wavelengths))]
+    verdict = _verdict(heightfield, wavelengths, energy_sums, conserves=energy == "normalised" and is_opaque)
+    _warn_of_theory(verdict, energy_sums, energy=energy)
+    if is_single:
+        return OrderEfficiencies(wavelengths, lights[0], orders, to_view[0], efficiencies[0], verdict)
+    return OrderEfficiencies(wavelengths, lights, orders, to_view, efficiencies, verdict)
+
+
+def _propagating(
+    heightfield: HeightField, lights: NDArray[np.float64], wavelengths: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the orders that propagate for a light and wavelength or more, and their directions.
+
+    Args:
+        heightfield: One period of the surface.
+        lights: Unit vectors to the lights, shape (k, 3).
+        wavelengths: Wavelengths [nm], shape (m,).
+
+    Returns:
+        Pairs (m_y, m_x), shape (n, 2), and unit vectors, shape (k, m, n, 3), NaN where an order is evanescent.
+    """
     # An order m propagates only if |mλ/L − c| < 1 along each axis, where c is the component of ωi along the axis. This
     # limits the orders at the shortest wavelength. Pairs are in the order (y, x).
     ranges = []
-    for length, n, component in zip(heightfield.size_um, heightfield.shape, light[0, 1::-1], strict=True):
+    for length, n, components in zip(heightfield.size_um, heightfield.shape, lights[:, 1::-1].T, strict=True):
         most_orders = length / (np.min(wavelengths, initial=math.inf) * 1e-3) if n > 1 else 0.0
-        ranges.append((math.ceil((component - 1.0) * most_orders), math.floor((component + 1.0) * most_orders) + 1))
+        ranges.append((
+            math.ceil((components.min() - 1.0) * most_orders), math.floor((components.max() + 1.0) * most_orders) + 1
+        ))  # fmt: skip
     samples, lines = heightfield.shape[0] * heightfield.shape[1], math.prod(end - begin for begin, end in ranges)
     terms = _term_count(math.pi * heightfield.height_range_um / (np.min(wavelengths, initial=math.inf) * 1e-3))
     memory.require_memory(
-        _BYTES_A_SAMPLE * samples + lines * (_BYTES_A_LINE * len(wavelengths) + _BYTES_A_TERM * terms),
+        _BYTES_A_SAMPLE * samples + len(lights) * lines * (_BYTES_A_LINE * len(wavelengths) + _BYTES_A_TERM * terms),
         f"a cell of {heightfield.shape[0]} × {heightfield.shape[1]} samples with {lines} orders at "
-        f"{len(wavelengths)} wavelengths",
-        "take at most {share} of the area, or fewer wavelengths at a time",
+        f"{len(wavelengths)} wavelengths" + f" for {len(lights)} lights" * (len(lights) > 1),
+        "take at most {share} of the area, or fewer wavelengths or lights at a time",
     )
     orders = np.stack(np.meshgrid(*(np.arange(*bounds) for bounds in ranges), indexing="ij"), axis=-1).reshape(-1, 2)
-    tangential = orders[:, ::-1] * (wavelengths[:, None, None] * 1e-3 / heightfield.size_um[::-1]) - light[0, :2]
+    steps = orders[:, ::-1] * (wavelengths[:, None, None] * 1e-3 / heightfield.size_um[::-1])
+    # Shape (lights, wavelengths, orders, 2).
+    tangential = steps - lights[:, None, None, :2]
     upward = 1.0 - np.sum(tangential**2, axis=-1)
     lives = upward > HORIZON**2
-    propagates = lives.any(axis=0)
-    orders, tangential = orders[propagates], tangential[:, propagates]
-    upward, lives = upward[:, propagates], lives[:, propagates]
-    _warn_of_aliasing(heightfield, orders)
+    propagates = lives.any(axis=(0, 1))
+    orders, tangential = orders[propagates], tangential[..., propagates, :]
+    upward, lives = upward[..., propagates], lives[..., propagates]
     to_view = np.full((*lives.shape, 3), np.nan)
     to_view[lives] = np.column_stack([tangential[lives], np.sqrt(upward[lives])])
-    efficiencies = np.zeros(lives.shape)
-    energy_sums = np.ones(len(wavelengths))
-    for row, wavelength in enumerate(wavelengths * 1e-3):
-        live = lives[row]
-        views = to_view[row, live]
-        lights = np.broadcast_to(light, views.shape)
-        powers = np.abs(_coefficients(heightfield, -orders[live], -(light[0, 2] + views[:, 2]) / wavelength)) ** 2
-        mirrors = powers * reflectance_factors.gain(lights, views, normal=1.0, masking=False, per_light_cosine=True)
-        stam = mirrors
-        if energy == "normalised":
-            mirrors = _normalised(heightfield, light[0], orders[live], views, mirrors, wavelength)
-        if material is not None:
-            scattering_vectors = np.concatenate([-lights - views, [[0.0, 0.0, -2.0 * light[0, 2]]]])
-            reflected = reflectances(material, scattering_vectors, 1e3 * wavelength * np.ones(1))[:, 0]
-        else:
-            cosines = np.append(np.linalg.norm(lights + views, axis=1) / 2.0, light[0, 2])
-            reflected = reflectance_factors.schlick(np.minimum(cosines, 1.0), normal)
-        efficiencies[row, live] = reflected[:-1] * mirrors
-        # The last entry of `reflected` is the reflectance of a flat surface for the same light.
-        energy_sums[row] = np.sum(reflected[:-1] * stam) / max(reflected[-1], _LEAST_REFLECTANCE)
-    is_opaque = normal == 1.0 if material is None else material.is_opaque
-    verdict = _verdict(heightfield, wavelengths, energy_sums, conserves=energy == "normalised" and is_opaque)
-    _warn_of_theory(verdict, energy_sums, energy=energy)
-    return OrderEfficiencies(wavelengths, orders, to_view, efficiencies, verdict)
+    return orders, to_view
 
 
 def _verdict(
@@ -220,39 +325,95 @@ def _warn_of_theory(verdict: TheoryVerdict, energy_sums: NDArray[np.float64], *,
 
 
 def _normalised(
-    heightfield: HeightField, light: NDArray[np.float64], orders: NDArray[np.int64], views: NDArray[np.float64],
-    mirrors: NDArray[np.float64], wavelength_um: float,
+    heightfield: HeightField, lights: NDArray[np.float64], which: NDArray[np.int64], orders: NDArray[np.int64],
+    views: NDArray[np.float64], mirrors: NDArray[np.float64], wavelength_um: float,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return the normalised efficiencies of a mirror's propagating orders for one light, from those of Stam, (n,)."""
-    if len(orders) > energy_normalisation.MOST_EXACT:
-        wavelength_nm = 1e3 * wavelength_um
-        factors = energy_normalisation.factors_around(heightfield, wavelength_nm).risen(views, wavelength_nm)
-        return np.asarray(mirrors * factors / (mirrors @ factors))
-    # The energy normalisation balances a matrix of efficiencies. Its rows are all incident directions whose orders
-    # leave in the same directions as those of the light: they differ from the light by whole orders. Its columns are
-    # these outgoing directions.
-    steps = wavelength_um / np.asarray(heightfield.size_um[::-1])
-    shift_ranges = [
-        range(-math.ceil(2.0 / step) - 1, math.ceil(2.0 / step) + 2) if n > 1 else range(1)
-        for step, n in zip(steps, heightfield.shape[::-1], strict=True)
-    ]
-    shifts = np.stack(np.meshgrid(*shift_ranges, indexing="ij"), axis=-1).reshape(-1, 2)
-    entering = light[:2] + shifts * steps
-    upward = 1.0 - np.sum(entering**2, axis=1)
-    lives = upward > HORIZON**2
-    shifts, entering, cosines = shifts[lives], entering[lives], np.sqrt(upward[lives])
-    indices = -(shifts[:, None, ::-1] + orders[None, :, :]).reshape(-1, 2)
-    w = cosines[:, None] + views[:, 2]
-    powers = np.abs(_coefficients(heightfield, indices, -w.ravel() / wavelength_um)).reshape(w.shape) ** 2
-    matrix = powers * energy_normalisation.stam(cosines[:, None], views[:, 2], entering @ views[:, :2].T)
-    rows, columns = energy_normalisation.rise(cosines), energy_normalisation.rise(views[:, 2])
-    first, second = energy_normalisation.balanced(matrix, rows, columns)
-    own = np.flatnonzero(~shifts.any(axis=1))[0]
-    result = first[own] * second * matrix[own]
-    # For a light near the horizon, the normalised orders sum to less than 1. The rest of its power goes to the mirror
-    # direction, order 0.
-    result[~orders.any(axis=1)] += 1.0 - rows[own]
-    return np.asarray(result)
+    """Return the normalised efficiencies of a mirror's propagating orders from those of Stam.
+
+    Args:
+        heightfield: One period of the surface.
+        lights: Unit vectors to the lights, shape (k, 3).
+        which: Index of the light of each order, increasing, shape (n,).
+        orders: Pairs (m_y, m_x), shape (n, 2).
+        views: Unit vectors of the orders, shape (n, 3).
+        mirrors: Efficiencies of Stam, shape (n,).
+        wavelength_um: Wavelength [µm].
+
+    Returns:
+        Shape (n,).
+    """
+    starts = np.searchsorted(which, np.arange(len(lights) + 1))
+    parts = [slice(begin, end) for begin, end in itertools.pairwise(starts.tolist())]
+    result = np.empty(len(which))
+    matrices: list[_OrderMatrix] = []
+    for light, part in zip(lights, parts, strict=True):
+        if part.stop - part.start > energy_normalisation.MOST_EXACT:
+            wavelength_nm = 1e3 * wavelength_um
+            factors = energy_normalisation.factors_around(heightfield, wavelength_nm)
+            weights = factors.risen(views[part], wavelength_nm)
+            result[part] = mirrors[part] * weights / (mirrors[part] @ weights)
+        else:
+            matrices.append(_OrderMatrix(heightfield, light, part, orders[part], views[part], wavelength_um))
+        # Matrices of many lights share the transforms of the height field.
+        if matrices and (part is parts[-1] or sum(matrix.size for matrix in matrices) > _MOST_TOGETHER):
+            indices = np.concatenate([matrix.indices for matrix in matrices])
+            w = np.concatenate([matrix.w.ravel() for matrix in matrices])
+            powers = np.abs(_coefficients(heightfield, indices, -w / wavelength_um)) ** 2
+            ends = np.cumsum([matrix.size for matrix in matrices])[:-1]
+            for matrix, own in zip(matrices, np.split(powers, ends), strict=True):
+                result[matrix.part] = matrix.efficiencies(own)
+            matrices = []
+    return result
+
+
+class _OrderMatrix:
+    """Matrix of efficiencies for one light, which the energy normalisation balances.
+
+    Its rows are all incident directions whose orders leave in the same directions as those of the light: they differ
+    from the light by whole orders. Its columns are these outgoing directions.
+
+    Attributes:
+        part: Place of the orders among those of all lights.
+        indices: Pairs of the coefficient of each element, shape (rows · columns, 2).
+        w: Sum of both cosines of each element, shape (rows, columns).
+    """
+
+    def __init__(
+        self, heightfield: HeightField, light: NDArray[np.float64], part: slice, orders: NDArray[np.int64],
+        views: NDArray[np.float64], wavelength_um: float,
+    ) -> None:  # fmt: skip
+        steps = wavelength_um / np.asarray(heightfield.size_um[::-1])
+        shift_ranges = [
+            range(-math.ceil(2.0 / step) - 1, math.ceil(2.0 / step) + 2) if n > 1 else range(1)
+            for step, n in zip(steps, heightfield.shape[::-1], strict=True)
+        ]
+        shifts = np.stack(np.meshgrid(*shift_ranges, indexing="ij"), axis=-1).reshape(-1, 2)
+        entering = light[:2] + shifts * steps
+        upward = 1.0 - np.sum(entering**2, axis=1)
+        lives = upward > HORIZON**2
+        shifts, self._entering, self._cosines = shifts[lives], entering[lives], np.sqrt(upward[lives])
+        self._own = np.flatnonzero(~shifts.any(axis=1))[0]
+        self._is_mirror, self._views, self.part = ~orders.any(axis=1), views, part
+        self.indices = -(shifts[:, None, ::-1] + orders[None, :, :]).reshape(-1, 2)
+        self.w = self._cosines[:, None] + views[:, 2]
+
+    @property
+    def size(self) -> int:
+        """Number of elements of the matrix."""
+        return int(self.w.size)
+
+    def efficiencies(self, powers: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the normalised efficiencies of a mirror, for the powers of all elements, shape (rows · columns,)."""
+        cosines, views = self._cosines, self._views
+        stam = energy_normalisation.stam(cosines[:, None], views[:, 2], self._entering @ views[:, :2].T)
+        matrix = powers.reshape(self.w.shape) * stam
+        rows, columns = energy_normalisation.rise(cosines), energy_normalisation.rise(views[:, 2])
+        first, second = energy_normalisation.balanced(matrix, rows, columns)
+        result = first[self._own] * second * matrix[self._own]
+        # For a light near the horizon, the normalised orders sum to less than 1. The rest of its power goes to the
+        # mirror direction, order 0.
+        result[self._is_mirror] += 1.0 - rows[self._own]
+        return np.asarray(result)
 
 
 @single_threaded_blas()

@@ -16,6 +16,7 @@ from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.device.kernel_calls import launch
 from warpdiff.diffraction import direct_sum, energy_normalisation
+from warpdiff.evaluate.reflectance_spectra import ReflectanceSpectra
 from warpdiff.image.error_model import lengths, relative_errors
 from warpdiff.image.image import Image
 from warpdiff.image.report import report_of
@@ -88,6 +89,40 @@ def spectral_reflectance(
     with memory.as_memory_error("spectral_reflectance()", _REMEDY):
         call = _Call(request, to_light, to_view)
         return call.single(call.spectra(progress=progress))
+
+
+@accepts(SpectralSettings)
+def reflectance_spectra(
+    heightfield: HeightField, to_light: ArrayLike, to_view: ArrayLike, wavelengths_nm: ArrayLike, *,
+    progress: Progress = None, **settings: Unpack[SpectralKeywords],
+) -> ReflectanceSpectra:  # fmt: skip
+    """Return the spectra of :func:`warpdiff.spectral_reflectance` with their directions, as a table that can be saved.
+
+    Args:
+        heightfield: Height field.
+        to_light: Directions to the light in the local frame, shape (3,) or (n, 3), of any length.
+        to_view: Directions to the viewer in the local frame, shape (3,) or (n, 3), of any length; a single direction
+            broadcasts.
+        wavelengths_nm: Wavelengths [nm], 200 and more, shape (m,) or one number.
+        progress: Function that is called with the finished share, 0 to 1, by one thread at a time; True shows a
+            progress bar.
+
+    Returns:
+        Spectra; :func:`warpdiff.plot.spectra` draws them.
+
+    Raises:
+        ValueError: An argument is out of its range.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> grating = wd.gratings.sinusoidal(2.0, 0.1)
+        >>> wd.reflectance_spectra(grating, (0, 0, 1), (0, 0, 1), [450.0, 550.0]).save("spectrum.csv").name
+        'spectrum.csv'
+    """
+    values = spectral_reflectance(heightfield, to_light, to_view, wavelengths_nm, progress=progress, **settings)
+    lights, views, _ = validation.light_and_view(to_light, to_view)
+    wavelengths = colorimetry.check_wavelengths(wavelengths_nm)
+    return ReflectanceSpectra(wavelengths, lights, views, np.atleast_2d(values))
 
 
 @accepts(EvaluationSettings)

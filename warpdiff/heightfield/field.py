@@ -585,7 +585,7 @@ class HeightField:
         (ly, lx) = result.size_um
         return result._after(self, f"Cut to {ly:.4g} × {lx:.4g} µm (y × x), whole periods of {period}.")
 
-    def periods(self, count: int = 3) -> tuple[periods.Period, ...]:
+    def periods(self, count: int = 3) -> periods.Periods:
         """Find the strongest periods: waves of any direction that repeat at least three times, with their harmonics.
 
         A period is a line of the spectrum that noise reaches with a probability of less than 0.5 %. Its power must
@@ -602,7 +602,8 @@ class HeightField:
                 are excluded.
 
         Returns:
-            Periods, sorted by the variance that they explain; empty if nothing repeats.
+            Periods, a tuple sorted by the variance that they explain; empty if nothing repeats. Its ``table()`` prints
+            them, and ``save("periods.csv")`` writes them to a file.
 
         Raises:
             ValueError: ``count`` is less than 1.
@@ -614,7 +615,7 @@ class HeightField:
         """
         count = validation.count(count, "count")
         cleaning.require_memory("periods", self.shape)
-        return periods.fit(self, count)
+        return periods.Periods(periods.fit(self, count))
 
     def summary(self) -> diagnostics.HeightFieldSummary:
         """Describe the field: size, pitch, range, roughness, slope, periods, and validity of scalar diffraction.

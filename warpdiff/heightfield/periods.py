@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff.core.table import Table
 from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.heightfield import cleaning
@@ -15,6 +16,9 @@ from warpdiff.heightfield.harmonic_fit import FEWEST_PERIODS, MOST_HARMONICS, Ha
 from warpdiff.heightfield.spectral_lines import Line, WindowedSpectrum
 
 if TYPE_CHECKING:
+    import os
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
     from warpdiff.heightfield.field import HeightField
@@ -114,6 +118,64 @@ class Period:
 
     def __repr__(self) -> str:
         return f"Period({self}, share {self.share:.3g})"
+
+
+class Periods(tuple[Period, ...]):
+    """Periods of a height field, a tuple of :class:`warpdiff.Period`, strongest first, which also is a table.
+
+    Examples:
+        >>> import numpy as np
+        >>> import warpdiff as wd
+        >>> x = np.arange(730) * 0.02
+        >>> ripples = 0.1 * np.cos(np.pi * x) + np.random.default_rng(0).normal(0.0, 0.01, (40, 730))
+        >>> periods = wd.HeightField(ripples, pitch_um=0.02).periods()
+        >>> isinstance(periods, wd.Periods), len(periods)
+        (True, 1)
+    """
+
+    __slots__ = ()
+
+    def table(self) -> Table:
+        """Return a table with a row per period: the attributes of :class:`warpdiff.Period`.
+
+        ``amplitude_um`` is the amplitude of the fundamental.
+
+        Examples:
+            >>> x = np.arange(730) * 0.02
+            >>> ripples = 0.1 * np.cos(np.pi * x) + np.random.default_rng(0).normal(0.0, 0.01, (40, 730))
+            >>> print(wd.HeightField(ripples, pitch_um=0.02).periods().table())
+            period_um  standard_error_um  direction_deg  amplitude_um    share  is_coherent
+               2.0001 ...
+        """
+        return Table(
+            {
+                "period_um": np.array([period.period_um for period in self]),
+                "standard_error_um": np.array([period.standard_error_um for period in self]),
+                "direction_deg": np.array([period.direction_deg for period in self]),
+                "amplitude_um": np.array([period.harmonics_um[0] for period in self]),
+                "share": np.array([period.share for period in self]),
+                "is_coherent": np.array([period.is_coherent for period in self], dtype=bool),
+            }
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write `table` to a CSV file; an existing file is replaced once the new one is complete.
+
+        Args:
+            path: File to write; its name ends in ``.csv``.
+
+        Returns:
+            The path of the file.
+
+        Raises:
+            ValueError: The name does not end in ``.csv``.
+            OSError: The folder does not exist, or the file cannot be written.
+
+        Examples:
+            >>> wd.gratings.fingers(size_um=12.8).periods().save("periods.csv").name
+            'periods.csv'
+        """
+        return self.table().save(path)
 
 
 def fit(heightfield: HeightField, count: int) -> tuple[Period, ...]:

@@ -10,13 +10,16 @@ Compression with a power of 1.
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import numpy as np
+from annotated_types import Gt, Interval, Unit
 
-from warpdiff.core import openimageio
+from warpdiff.core import openimageio, validation
 from warpdiff.core.threads import cores, parallel_for, single_threaded_blas
+from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.optics import colorimetry
 
 if TYPE_CHECKING:
@@ -33,6 +36,11 @@ SCENE = "CIE XYZ-D65 - Scene-referred"
 # display. The value for ACES is larger, because ACES displays middle tones 0.8 stops darker and can display values
 # above 1. Limit: chosen by eye; twice the value makes pictures a stop brighter.
 MEAN_SHOWN: dict[Display, float] = {"aces": 0.7, "colorimetric": 0.5, "clip": 0.5}
+# Fraction of the illuminated pixels that automatic exposure excludes; they are the brightest ones. Limit: mirror
+# reflections of a light may be a thousand times as bright as diffraction orders.
+_TOO_BRIGHT = 1e-4
+# Largest correction of an exposure [stops]. Limit: a factor of 1e9 is more than any picture needs.
+MOST_STOPS = 30.0
 
 # Matrix from CIE XYZ to linear Display P3 with the white point D65, from CSS Color Module Level 4.
 _XYZ_TO_P3 = np.array([
@@ -107,6 +115,56 @@ GAMUTS: dict[GamutName, Gamut] = {
         _XYZ_TO_P3, "Display P3 - Display", "ACES 2.0 - SDR 100 nits (P3 D65)", "Display P3", (12, 13, 0, 1)
     ),
 }
+
+
+def auto_exposure(luminances: ArrayLike, display: Display) -> float:
+    """Return the factor that maps the mean of luminances to `MEAN_SHOWN`, without the brightest 0.01 %; 1 for black."""
+    luminance = np.sort(np.asarray(luminances, dtype=np.float64).ravel())
+    most = luminance[: len(luminance) - math.ceil(_TOO_BRIGHT * len(luminance))]
+    # With very few luminances, excluding the brightest would exclude all. In that case the mean includes all of them.
+    mean = float(np.mean(most if most.size else luminance)) if luminance.size else 0.0
+    return MEAN_SHOWN[display] / mean if mean > 0.0 else 1.0
+
+
+@np.errstate(under="ignore")
+def to_srgb(
+    xyz: ArrayLike, display: Display = "aces", *, exposure: Annotated[float, Gt(0.0)] | None = None,
+    exposure_stops: Annotated[float, Interval(ge=-MOST_STOPS, le=MOST_STOPS), Unit("stops")] = 0.0,
+) -> NDArray[np.float64]:  # fmt: skip
+    """Transform linear CIE XYZ to display colours, sRGB with its transfer function.
+
+    Automatic exposure depends on all colours of the call. Pass ``exposure=`` to compare colours of several calls.
+
+    Args:
+        xyz: Linear CIE XYZ, shape (..., 3), for example from :func:`warpdiff.reflectance`.
+        display: Display transform, as in :meth:`warpdiff.Image.display`: ``"aces"`` shows bright colours as continuous
+            spectra, ``"colorimetric"`` is exact for colours within the gamut, ``"clip"`` clips each channel.
+        exposure: Linear factor of the light; None is automatic, from the mean luminance of the colours that are not
+            black. With 1 and ``"colorimetric"``, a perfect mirror at normal incidence is white.
+        exposure_stops: Correction of the exposure, a factor of 2 per stop.
+
+    Returns:
+        R, G and B, each 0 to 1, shape (..., 3).
+
+    Raises:
+        ValueError: An argument is out of its range, or the last axis of ``xyz`` has not three elements.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> wd.to_srgb([0.2, 0.1, 0.02], "colorimetric", exposure=1.0).round(2)
+        array([0.71, 0.  , 0.13])
+    """
+    validation.choice(display, "display", DISPLAYS)
+    colours = validation.finite_array(xyz, "xyz", most=validation.MOST)
+    if colours.ndim < 1 or colours.shape[-1] != 3:
+        raise ArgumentValueError(f"{ref('xyz')} must have shape (..., 3), got {colours.shape}")
+    stops = validation.number(exposure_stops, "exposure_stops", least=-MOST_STOPS, most=MOST_STOPS)
+    if exposure is None:
+        luminances = colours[..., 1]
+        factor = min(auto_exposure(luminances[luminances > 0.0], display), validation.MOST)
+    else:
+        factor = validation.positive(exposure, "exposure")
+    return encode(factor * 2.0**stops * colours, display, "srgb")
 
 
 # Linear algebra is restricted to one thread here: more threads do not make products with 3 × 3 matrices faster.

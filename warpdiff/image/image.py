@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import math
 import sys
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -15,6 +14,7 @@ from annotated_types import Gt, Interval, Unit
 from warpdiff.core import files, memory, openimageio, validation
 from warpdiff.core.wording import ArgumentValueError, marked, ref
 from warpdiff.image import display_transform
+from warpdiff.image.display_transform import MOST_STOPS
 from warpdiff.optics import colorimetry
 
 if TYPE_CHECKING:
@@ -37,11 +37,6 @@ _FORMATS = (".exr", ".png")
 # Last bytes of a complete PNG file: the chunk IEND with length, name and checksum. A file without them is incomplete,
 # but many readers accept it.
 PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
-# Fraction of the illuminated pixels that automatic exposure excludes; they are the brightest ones. Limit: mirror
-# reflections of a light may be a thousand times as bright as diffraction orders.
-_TOO_BRIGHT = 1e-4
-# Largest correction of an exposure [stops]. Limit: a factor of 1e9 is more than any picture needs.
-MOST_STOPS = 30.0
 # Memory for reading an EXR file [bytes per sample]: four for a float32 sample, and four for a copy in which each
 # channel is contiguous.
 _BYTES_PER_SAMPLE = 8
@@ -143,12 +138,7 @@ class Image:
 
     @np.errstate(under="ignore")
     def _auto_exposure(self, display: display_transform.Display) -> float:
-        luminance = np.sort(self.xyz[..., 1][self.illuminated].astype(np.float64))
-        most = luminance[: len(luminance) - math.ceil(_TOO_BRIGHT * len(luminance))]
-        # With very few illuminated pixels, excluding the brightest would exclude all. In that case the mean includes
-        # all of them.
-        mean = float(np.mean(most if most.size else luminance)) if luminance.size else 0.0
-        return display_transform.MEAN_SHOWN[display] / mean if mean > 0.0 else 1.0
+        return display_transform.auto_exposure(self.xyz[..., 1][self.illuminated], display)
 
     @np.errstate(under="ignore")
     def display(

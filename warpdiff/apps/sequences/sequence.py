@@ -18,8 +18,8 @@ from warpdiff.apps.sequences.shots import Shot
 from warpdiff.core import files, openimageio, validation
 from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, marked, ref
-from warpdiff.image.display_transform import MEAN_SHOWN, Display, GamutName
-from warpdiff.image.image import MOST_STOPS, PNG_END, Bits
+from warpdiff.image.display_transform import MEAN_SHOWN, MOST_STOPS, Display, GamutName
+from warpdiff.image.image import PNG_END, Bits
 from warpdiff.lights.base import LobeLight
 from warpdiff.lights.environment import Environment
 from warpdiff.render.renderer import Renderer  # noqa: TC001 (the decorator ``checked`` needs the class at run time)

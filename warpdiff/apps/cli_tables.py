@@ -1,0 +1,95 @@
+"""Commands that print tables and write CSV files: ``orders``, ``angles`` and ``spectrum``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import warpdiff as wd
+from warpdiff.apps import cli_inputs
+from warpdiff.apps.cli_options import given
+from warpdiff.core.options import describe
+from warpdiff.core.table import check_csv
+from warpdiff.core.wording import ArgumentValueError, renaming
+from warpdiff.request.settings import SpectralSettings
+
+if TYPE_CHECKING:
+    import argparse
+
+    from numpy.typing import NDArray
+
+    from warpdiff.core.table import Table
+
+# Angle from the normal from which a light is not above the horizon [degrees].
+_GRAZING_DEG = 90.0
+# Largest number of wavelengths of a spectrum. Limit: a smaller step is a mistake of the unit.
+_MOST_WAVELENGTHS = 100_000
+
+
+def direction_of(theta_deg: float, phi_deg: float, flag: str) -> NDArray[np.float64]:
+    """Return the unit vector of two angles [degrees]; the error of an angle at the horizon names its flag."""
+    if not abs(theta_deg) < _GRAZING_DEG:
+        raise ArgumentValueError(f"{flag} must be more than -90 and less than 90, got {theta_deg:g}")
+    with renaming({"phi_deg": flag.replace("--incidence", "--azimuth").replace("--view-deg", "--view-azimuth-deg")}):
+        return wd.direction(theta_deg, phi_deg)
+
+
+def orders(options: argparse.Namespace) -> None:
+    """Print the efficiencies of the strongest orders."""
+    _check_csv(options)
+    heightfield = cli_inputs.height_field_of(options)
+    to_light = direction_of(options.incidence_deg, options.azimuth_deg, "--incidence-deg")
+    result = wd.order_efficiencies(
+        heightfield, to_light, options.wavelengths_nm, material=cli_inputs.material_of(options),
+        **given(options, describe(wd.order_efficiencies)),
+    )  # fmt: skip
+    with renaming({"count": "--count"}):
+        table = result.table(options.count)
+    _print(table, options, result.table())
+    print(f"The orders are {result.verdict}.")
+
+
+def angles(options: argparse.Namespace) -> None:
+    """Print the angles of the orders of the periods."""
+    _check_csv(options)
+    heightfield = cli_inputs.height_field_of(options)
+    to_light = direction_of(options.incidence_deg, options.azimuth_deg, "--incidence-deg")
+    _print(
+        wd.order_angles(heightfield, to_light, options.wavelengths_nm, **given(options, describe(wd.order_angles))),
+        options,
+    )
+
+
+def spectrum(options: argparse.Namespace) -> None:
+    """Print the reflectance spectrum in a direction."""
+    _check_csv(options)
+    if not options.step_nm > 0.0:
+        raise ArgumentValueError(f"--step-nm must be more than 0, got {options.step_nm:g}")
+    if not 0.0 <= options.to_nm - options.from_nm <= _MOST_WAVELENGTHS * options.step_nm:
+        raise ArgumentValueError(
+            f"--to-nm must be at least --from-nm, and {_MOST_WAVELENGTHS} steps at most, got {options.from_nm:g} to "
+            f"{options.to_nm:g} in steps of {options.step_nm:g}"
+        )
+    # A millionth of a step is added so that the last wavelength does not depend on rounding.
+    wavelengths = np.arange(options.from_nm, options.to_nm + 1e-6 * options.step_nm, options.step_nm)
+    settings = cli_inputs.settings_of(options, SpectralSettings)
+    to_light = direction_of(options.incidence_deg, options.azimuth_deg, "--incidence-deg")
+    to_view = direction_of(options.view_deg, options.view_azimuth_deg, "--view-deg")
+    heightfield = cli_inputs.height_field_of(options)
+    result = wd.reflectance_spectra(heightfield, to_light, to_view, wavelengths, **settings, progress=options.progress)
+    _print(result.table(), options)
+
+
+def _check_csv(options: argparse.Namespace) -> None:
+    """Raise an error if the CSV file cannot be written, before the result is computed."""
+    if options.csv is not None:
+        with renaming({"path": "--csv"}):
+            check_csv(options.csv)
+
+
+def _print(table: Table, options: argparse.Namespace, whole: Table | None = None) -> None:
+    """Print a table, and write it, or the whole result, to the file of ``--csv``."""
+    print(table)
+    if options.csv is not None:
+        print((table if whole is None else whole).save(options.csv))

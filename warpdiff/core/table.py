@@ -1,0 +1,173 @@
+"""``Table``: named columns of a result, printed as text and written to CSV files."""
+
+from __future__ import annotations
+
+import csv
+import html
+import io
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+
+from warpdiff.core import files, validation
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, did_you_mean, ref
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from numpy.typing import ArrayLike, NDArray
+
+# Largest number of rows that `str` prints, half of them from the beginning and half from the end.
+_MOST_PRINTED = 40
+# Number of significant digits that `str` prints.
+_DIGITS = 5
+
+
+class Table:
+    """Rows of a result with named columns; ``print`` shows it, `save` writes a CSV file.
+
+    Names of columns end in their unit, as in ``wavelength_nm``; a name without a unit is a ratio or a number. A table
+    is a sequence of rows: ``table[0]`` is a row, and ``table["efficiency"]`` is a column.
+
+    Args:
+        columns: Columns by name, each of shape (n,).
+
+    Raises:
+        TypeError: A column is no array of numbers or texts.
+        ValueError: There is no column, or the columns differ in length.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> table = wd.Table({"wavelength_nm": [450.0, 550.0], "reflectance": [0.25, 0.125]})
+        >>> print(table)
+        wavelength_nm  reflectance
+                  450         0.25
+                  550        0.125
+        >>> table["reflectance"]
+        array([0.25 , 0.125])
+        >>> table.save("spectrum.csv").read_text().splitlines()
+        ['wavelength_nm,reflectance', '450.0,0.25', '550.0,0.125']
+    """
+
+    def __init__(self, columns: Mapping[str, ArrayLike]) -> None:
+        if not isinstance(columns, Mapping):
+            raise ArgumentTypeError(f"{ref('columns')} must be a dictionary of arrays, got {type(columns).__name__}")
+        self._columns: dict[str, NDArray[Any]] = {}
+        for name, values in columns.items():
+            try:
+                column = np.array(values)
+            except (TypeError, ValueError):
+                # NumPy raises an error for rows of different lengths.
+                column = np.array(None)
+            if column.dtype.kind not in "biufU":
+                raise ArgumentTypeError(f"{ref('columns')}: {name!r} must be numbers or texts, got {column.dtype}")
+            if column.ndim != 1:
+                raise ArgumentValueError(f"{ref('columns')}: {name!r} must have shape (n,), got {column.shape}")
+            column.setflags(write=False)
+            self._columns[name] = column
+        lengths = {len(column) for column in self._columns.values()}
+        if len(lengths) != 1:
+            raise ArgumentValueError(f"{ref('columns')} must have the same length, got {sorted(lengths)}")
+        self._length = lengths.pop()
+
+    @property
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Columns by name, read-only arrays of shape (n,)."""
+        return dict(self._columns)
+
+    @property
+    def rows(self) -> list[tuple[Any, ...]]:
+        """Rows as tuples of Python's numbers and texts."""
+        return list(zip(*(column.tolist() for column in self._columns.values()), strict=True))
+
+    @overload
+    def __getitem__(self, key: str) -> NDArray[Any]: ...
+
+    @overload
+    def __getitem__(self, key: int) -> tuple[Any, ...]: ...
+
+    def __getitem__(self, key: str | int) -> NDArray[Any] | tuple[Any, ...]:
+        """Return the column of a name, or the row of an index."""
+        if isinstance(key, (int, np.integer)):
+            return tuple(column[key].item() for column in self._columns.values())
+        if key not in self._columns:
+            known = ", ".join(map(repr, self._columns))
+            raise KeyError(f"a table has the columns {known}, got {key!r}{did_you_mean(key, self._columns)}")
+        return self._columns[key]
+
+    def __len__(self) -> int:
+        return self._length
+
+    def __iter__(self) -> Iterator[tuple[Any, ...]]:
+        return iter(self.rows)
+
+    def __repr__(self) -> str:
+        return f"Table({self._length} rows: {', '.join(self._columns)})"
+
+    def __str__(self) -> str:
+        """Return the table as text, in aligned columns; long tables without the rows in the middle."""
+        half = _MOST_PRINTED // 2
+        shown = range(self._length)
+        places = [*shown[:half], *shown[-half:]] if self._length > _MOST_PRINTED else [*shown]
+        texts = [[name, *(_text(column[k]) for k in places)] for name, column in self._columns.items()]
+        widths = [max(map(len, column)) for column in texts]
+        lines = [
+            "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+            for row in zip(*texts, strict=True)
+        ]
+        if len(places) < self._length:
+            lines.insert(
+                1 + half, f"… {self._length - len(places)} rows …".center(sum(widths) + 2 * len(widths) - 2).rstrip()
+            )
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(str(self))}</pre>"
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the table to a CSV file with a header; an existing file is replaced once the new one is complete.
+
+        Numbers have all of their digits, so that reading the file restores them exactly. The text is UTF-8.
+
+        Args:
+            path: File to write; its name ends in ``.csv``.
+
+        Returns:
+            The path of the file.
+
+        Raises:
+            ValueError: The name does not end in ``.csv``.
+            OSError: The folder does not exist, or the file cannot be written.
+
+        Examples:
+            >>> import warpdiff as wd
+            >>> wd.Table({"order": [0, 1]}).save("orders.csv").name
+            'orders.csv'
+        """
+        target = check_csv(path)
+        text = io.StringIO(newline="")
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(self._columns)
+        writer.writerows(self.rows)
+        with files.atomic_write(target) as temporary:
+            temporary.write_text(text.getvalue(), encoding="utf-8", newline="")
+        return target
+
+
+def check_csv(path: str | os.PathLike[str]) -> Path:
+    """Return the path of a CSV file to write; raise an error if its name or its folder is not accepted."""
+    target = validation.path(path, "path")
+    if target.suffix.lower() != ".csv":
+        raise ArgumentValueError(f"{ref('path')} must end in .csv, got {str(path)!r}")
+    files.check_folder(target.parent, "path")
+    return target
+
+
+def _text(value: Any) -> str:
+    """Return an element of a column for print."""
+    if isinstance(value, np.floating):
+        return "" if np.isnan(value) else f"{value:.{_DIGITS}g}"
+    return str(value)

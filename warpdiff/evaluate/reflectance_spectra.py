@@ -1,0 +1,92 @@
+"""``ReflectanceSpectra``: reflectance spectra with their wavelengths and directions, as a table and as a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.core.angles import angles_deg
+from warpdiff.core.table import Table
+
+if TYPE_CHECKING:
+    import os
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class ReflectanceSpectra:
+    """Reflectance spectra of pairs of light and view directions, the result of :func:`warpdiff.reflectance_spectra`.
+
+    Attributes:
+        wavelengths_nm: Wavelengths [nm], shape (m,).
+        to_light: Unit vectors to the light in the local frame, shape (n, 3).
+        to_view: Unit vectors to the viewer in the local frame, shape (n, 3).
+        values: Relative reflectance ρ as of :func:`warpdiff.spectral_reflectance`, shape (n, m).
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> grating = wd.gratings.sinusoidal(2.0, 0.1)
+        >>> spectra = wd.reflectance_spectra(grating, (0, 0, 1), [(0, 0, 1), (0.3, 0, 1)], [450.0, 550.0, 650.0])
+        >>> spectra
+        ReflectanceSpectra(2 spectra, 3 wavelengths, 450 to 650 nm)
+        >>> spectra.values.shape
+        (2, 3)
+    """
+
+    wavelengths_nm: NDArray[np.float64]
+    to_light: NDArray[np.float64]
+    to_view: NDArray[np.float64]
+    values: NDArray[Any]
+
+    def __repr__(self) -> str:
+        low, high = self.wavelengths_nm.min(), self.wavelengths_nm.max()
+        spectra = f"{len(self.values)} spectr{'um' if len(self.values) == 1 else 'a'}"
+        return f"ReflectanceSpectra({spectra}, {len(self.wavelengths_nm)} wavelengths, {low:g} to {high:g} nm)"
+
+    def table(self) -> Table:
+        """Return a table with a row per direction and wavelength.
+
+        Its columns are the angles of light and view from the normal (``theta``, 0 to 90) and around it from the x axis
+        (``phi``, −180 to 180) in degrees, the wavelength and the reflectance.
+
+        Examples:
+            >>> grating = wd.gratings.sinusoidal(2.0, 0.1)
+            >>> print(wd.reflectance_spectra(grating, (0, 0, 1), (0, 0, 1), [450.0, 650.0]).table())
+            light_theta_deg  light_phi_deg  view_theta_deg  view_phi_deg  wavelength_nm  reflectance
+                          0              0               0             0            450      0.32...
+                          0              0               0             0            650      0.6...
+        """
+        count = len(self.wavelengths_nm)
+        angles = {
+            f"{name}_{angle}_deg": np.repeat(values, count)
+            for name, directions in (("light", self.to_light), ("view", self.to_view))
+            for angle, values in zip(("theta", "phi"), angles_deg(directions), strict=True)
+        }
+        return Table(
+            angles
+            | {"wavelength_nm": np.tile(self.wavelengths_nm, len(self.values)), "reflectance": self.values.ravel()}
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write `table` to a CSV file; an existing file is replaced once the new one is complete.
+
+        Args:
+            path: File to write; its name ends in ``.csv``.
+
+        Returns:
+            The path of the file.
+
+        Raises:
+            ValueError: The name does not end in ``.csv``.
+            OSError: The folder does not exist, or the file cannot be written.
+
+        Examples:
+            >>> grating = wd.gratings.sinusoidal(2.0, 0.1)
+            >>> wd.reflectance_spectra(grating, (0, 0, 1), (0, 0, 1), [450.0, 650.0]).save("spectrum.csv").name
+            'spectrum.csv'
+        """
+        return self.table().save(path)

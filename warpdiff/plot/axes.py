@@ -1,0 +1,128 @@
+"""Common parts of all plots: new axes, colours, units of lengths, scale bars and colour bars."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from warpdiff.core.wording import ArgumentTypeError, ref
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Colours of lines by Okabe and Ito (2008), which colour-blind readers distinguish, without their yellow, which is too
+# pale on white.
+LINE_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
+# Second mark of lines, for prints without colours and after all colours are used.
+LINE_STYLES = ("-", "--", ":", "-.")
+# Colour of grid lines, and of samples without a value.
+FAINT, MISSING = "0.85", "0.75"
+# Largest length of a scale bar, as a share of the width of the plot. Limit: it is a mark, not an axis.
+_LONGEST_BAR = 0.25
+# Length of the longer side of a map in a new figure [inches].
+_MAP_INCHES = 4.3
+# Mantissas of the lengths of scale bars.
+_ROUND_LENGTHS = (1.0, 2.0, 5.0)
+# Height range [µm] from which heights are shown in µm, and nanometres per micrometre.
+_LEAST_MICROMETRES, _NM_PER_UM = 1.0, 1e3
+
+
+def axes_for(ax: Axes | None, *, width: float, height: float) -> Axes:
+    """Return the axes that a plot draws into.
+
+    Args:
+        ax: Axes of the caller; None makes a figure.
+        width: Width of the new figure [inches].
+        height: Height of the new figure [inches].
+
+    Raises:
+        ImportError: matplotlib is not installed.
+        TypeError: ``ax`` is no axes of matplotlib.
+    """
+    try:
+        from matplotlib.axes import Axes
+    except ImportError as error:
+        raise ImportError(f"plots require matplotlib ({error}): pip install 'warpdiff[plot]'") from error
+    if ax is None:
+        # pyplot shows the figure in notebooks, and chooses a backend without windows where there is no display.
+        import matplotlib.pyplot as plt
+
+        ax = plt.subplots(figsize=(width, height), dpi=120, layout="constrained")[1]
+    elif not isinstance(ax, Axes):
+        raise ArgumentTypeError(
+            f"{ref('ax')} must be matplotlib axes, got {type(ax).__name__}: pass one element of plt.subplots()[1]"
+        )
+    return ax
+
+
+def line_style(index: int) -> dict[str, Any]:
+    """Return matplotlib's keywords for the colour and the style of a line, by its index."""
+    count = len(LINE_COLOURS)
+    return {
+        "color": LINE_COLOURS[index % count], "linestyle": LINE_STYLES[(index // count) % len(LINE_STYLES)],
+    }  # fmt: skip
+
+
+def length_unit(range_um: float) -> tuple[str, float]:
+    """Return the unit in which a range of heights is shown, and its number per micrometre."""
+    return ("µm", 1.0) if range_um >= _LEAST_MICROMETRES else ("nm", _NM_PER_UM)
+
+
+def round_length(most: float) -> float:
+    """Return the largest length 1, 2 or 5 × 10ⁿ that is at most ``most``, which is positive."""
+    power = 10.0 ** math.floor(math.log10(most))
+    return max(mantissa * power for mantissa in _ROUND_LENGTHS if mantissa * power <= most * (1.0 + 1e-9))
+
+
+def clean_grid(ax: Axes) -> None:
+    """Show faint grid lines behind the data, and no frame at the top and on the right."""
+    ax.grid(color=FAINT, linewidth=0.6)
+    ax.set_axisbelow(True)
+    ax.spines[["top", "right"]].set_visible(False)
+
+
+def add_scale_bar(ax: Axes, width_um: float) -> None:
+    """Draw a scale bar into the lower left corner of a map.
+
+    Args:
+        ax: Axes whose x axis is in µm.
+        width_um: Width of the map [µm].
+    """
+    from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
+
+    length = round_length(_LONGEST_BAR * width_um)
+    unit, factor = length_unit(length)
+    bar = AnchoredSizeBar(
+        ax.transData, length, f"{factor * length:g} {unit}", "lower left", pad=0.4, borderpad=0.7, sep=4.0,
+        frameon=True, color="black", size_vertical=0.012 * width_um, label_top=True,
+    )  # fmt: skip
+    bar.patch.set(alpha=0.85, linewidth=0.0)
+    ax.add_artist(bar)
+
+
+def add_colour_bar(ax: Axes, picture: Any, label: str, *, extend: str = "neither") -> Any:
+    """Draw a colour bar to the right of a map, as high as the map, and return it.
+
+    Args:
+        ax: Axes of the map.
+        picture: Picture of ``ax.imshow``.
+        label: Quantity with its unit.
+        extend: Ends of the bar beyond which values exist, as matplotlib names them.
+    """
+    bar = ax.figure.colorbar(picture, cax=ax.inset_axes((1.025, 0.0, 0.045, 1.0)), extend=extend)
+    bar.set_label(label)
+    bar.outline.set_visible(False)
+    return bar
+
+
+def map_size(extent_y: float, extent_x: float) -> tuple[float, float]:
+    """Return width and height of a map [inches] for the extents of its axes."""
+    ratio = min(max(extent_y / extent_x, 0.25), 4.0)
+    return (_MAP_INCHES, _MAP_INCHES * ratio) if ratio <= 1.0 else (_MAP_INCHES / ratio, _MAP_INCHES)
+
+
+def outlined(colour: str = "white", behind: str = "black") -> dict[str, Any]:
+    """Return matplotlib's keywords of a text that is legible on any colour."""
+    from matplotlib.patheffects import withStroke
+
+    return {"color": colour, "path_effects": [withStroke(linewidth=2.0, foreground=behind)]}

@@ -1,0 +1,332 @@
+"""Plots of height fields: map, profile and power spectrum."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from annotated_types import Ge
+
+from warpdiff.core import validation
+from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.heightfield.field import Axis, HeightField  # noqa: TC001 (the decorator checks its instances)
+from warpdiff.heightfield.spectral_lines import WindowedSpectrum
+from warpdiff.plot.axes import (
+    LINE_COLOURS,
+    MISSING,
+    add_colour_bar,
+    add_scale_bar,
+    axes_for,
+    clean_grid,
+    length_unit,
+    map_size,
+)
+from warpdiff.request.signatures import checked
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from warpdiff.heightfield.periods import Period
+
+# Share of the power of a spectrum that its plot contains. Limit: the highest frequencies contain noise only.
+_SHOWN_POWER = 0.999
+# Frequency range of a spectrum relative to its highest period, so that marks are not at the edge.
+_AROUND_PERIODS = 1.4
+# Share of the frequencies whose power is below the range of the colours, and the smallest range, a ratio of powers.
+_DARKEST, _POWER_RANGE = 0.3, 1e-2
+# Ratio of the smallest power in the plot of a profile's spectrum to the largest one.
+_LINE_RANGE = 1e-7
+# Heights of a profile below a map, and of the gap between both, relative to the width of the map.
+_PROFILE, _GAP = 0.3, 0.24
+# Smallest power density, which prevents logarithms of 0.
+_LEAST_POWER = 1e-30
+# Markers of periods, from the strongest on.
+_MARKERS = "osD^vph*"
+
+
+@checked
+def height_map(
+    heightfield: HeightField, *, ax: Axes | None = None, profile_along: Axis | None = None,
+    at_um: float | None = None, cmap: str = "cividis", title: str | None = None,
+) -> Axes:  # fmt: skip
+    """Plot the heights as a map with a scale bar and a colour bar, x to the right and y up.
+
+    Heights are in nm, or in µm from a height range of 1 µm on. Missing samples are grey.
+
+    Args:
+        heightfield: Height field.
+        ax: Axes to draw into; None makes a figure.
+        profile_along: Axis of a profile below the map, ``"x"`` or ``"y"``; None draws no profile. With ``ax``, leave
+            space below it, or draw :func:`warpdiff.plot.profile` into axes of its own.
+        at_um: Position of the profile on the other axis [µm]; None is the middle.
+        cmap: Name of a colour map of matplotlib.
+        title: Title; None states the size of the field.
+
+    Returns:
+        The axes of the map.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+        ValueError: ``at_um`` is outside of the field.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> axes = wd.plot.height_map(wd.gratings.fingers(size_um=12.8), profile_along="x")
+        >>> axes.get_title()
+        'Heights, 12.8 × 12.8 µm'
+    """
+    unit, factor = length_unit(heightfield.height_range_um)
+    line = None if profile_along is None else _Line.of(heightfield, profile_along, at_um)
+    (ly, lx), (ny, nx) = heightfield.size_um, heightfield.shape
+    # A field that is constant along an axis has one sample there, and is drawn as a band.
+    is_band = min(ny, nx) == 1 < max(ny, nx)
+    extent_y, extent_x = (lx / 4.0 if is_band and ny == 1 else ly), (ly / 4.0 if is_band and nx == 1 else lx)
+    width, height = map_size(extent_y, extent_x)
+    below = 0.0 if line is None else (_PROFILE + _GAP) * width + 0.4
+    ax = axes_for(ax, width=max(width + 2.0, 3.6), height=height + below + 0.9)
+    picture = ax.imshow(
+        factor * np.ma.masked_invalid(heightfield.heights_um), origin="lower", extent=(0.0, extent_x, 0.0, extent_y),
+        cmap=_with_grey(cmap), interpolation="nearest", aspect="equal",
+    )  # fmt: skip
+    ax.set_xlabel("x [µm]" if nx > 1 or not is_band else "constant along x")
+    ax.set_ylabel("y [µm]" if ny > 1 or not is_band else "constant along y")
+    if is_band:
+        (ax.set_yticks if ny == 1 else ax.set_xticks)([])
+    gaps = int(np.count_nonzero(heightfield.missing))
+    size = f"{lx:.3g} µm" if is_band and ny == 1 else f"{ly:.3g} µm" if is_band else f"{lx:.3g} × {ly:.3g} µm"
+    ax.set_title(
+        (f"Heights, {size}" + (f", {gaps} samples missing (grey)" if gaps else "")) if title is None else title
+    )
+    add_colour_bar(ax, picture, f"height [{unit}]")
+    if not is_band:
+        add_scale_bar(ax, extent_x)
+    if line is not None:
+        _add_profile(ax, line, unit, factor, extent_x / extent_y)
+    return ax
+
+
+@checked
+def profile(
+    heightfield: HeightField, *, ax: Axes | None = None, along: Axis = "x", at_um: float | None = None,
+    label: str | None = None, title: str | None = None,
+) -> Axes:  # fmt: skip
+    """Plot the heights along a line that is parallel to an axis; calls with the same ``ax`` compare profiles.
+
+    Args:
+        heightfield: Height field.
+        ax: Axes to draw into; None makes a figure.
+        along: Axis of the profile: ``"x"`` (a row of samples) or ``"y"`` (a column).
+        at_um: Position of the profile on the other axis [µm]; None is the middle.
+        label: Name of the line in the legend; None draws no legend.
+        title: Title; None states the position.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+        ValueError: ``at_um`` is outside of the field.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> axes = wd.plot.profile(wd.gratings.blazed(2.0, 0.2), label="blazed")
+        >>> axes = wd.plot.profile(wd.gratings.sinusoidal(2.0, 0.2), ax=axes, label="sine")
+        >>> axes.get_ylabel()
+        'height [nm]'
+    """
+    line = _Line.of(heightfield, along, at_um)
+    ax = axes_for(ax, width=6.4, height=3.2)
+    # Lines that are added to a plot have the unit of its axis.
+    unit, factor = length_unit(heightfield.height_range_um)
+    if ax.get_ylabel() in ("height [nm]", "height [µm]"):
+        unit, factor = length_unit(0.0 if ax.get_ylabel() == "height [nm]" else 1.0)
+    ax.plot(
+        line.positions_um, factor * line.heights_um, color=LINE_COLOURS[len(ax.lines) % len(LINE_COLOURS)], label=label
+    )
+    ax.set_xlabel(f"{along} [µm]")
+    ax.set_ylabel(f"height [{unit}]")
+    ax.set_title(line.title if title is None else title)
+    ax.margins(x=0.0)
+    clean_grid(ax)
+    if label is not None:
+        ax.legend(frameon=False)
+    return ax
+
+
+@checked
+def power_spectrum(
+    heightfield: HeightField, *, ax: Axes | None = None, count: Annotated[int, Ge(1)] = 3, cmap: str = "magma",
+    title: str | None = None,
+) -> Axes:  # fmt: skip
+    """Plot the power spectrum of the heights and mark the periods that :meth:`~warpdiff.HeightField.periods` finds.
+
+    The field is levelled, missing samples are filled, and a Hann window is applied. A field with two axes is drawn over
+    the plane of spatial frequencies; each period is marked at its frequency and at the opposite one. A field that is
+    constant along an axis is drawn as a line.
+
+    Args:
+        heightfield: Height field.
+        ax: Axes to draw into; None makes a figure.
+        count: Largest number of periods that are marked, at least 1.
+        cmap: Name of a colour map of matplotlib.
+        title: Title; None states the number of periods.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> axes = wd.plot.power_spectrum(wd.gratings.fingers(size_um=12.8))
+        >>> axes.get_xlabel()
+        'spatial frequency along x [1/µm]'
+    """
+    periods = heightfield.periods(count)
+    levelled = heightfield.levelled(1)
+    levelled = levelled.filled() if levelled.missing.any() else levelled
+    spectrum = WindowedSpectrum(levelled.heights_um)
+    density = spectrum.power * float(
+        np.prod([p for n, p in zip(levelled.shape, levelled.pitch_um, strict=True) if n > 1])
+    )
+    frequencies = [
+        np.fft.fftshift(np.fft.fftfreq(n, pitch))
+        for n, pitch in zip(levelled.shape, levelled.pitch_um, strict=True)
+    ]  # fmt: skip
+    name = f"{len(periods)} period{'s' * (len(periods) > 1)} marked" if periods else "no period"
+    if min(levelled.shape) > 1:
+        ax = axes_for(ax, width=6.0, height=5.0)
+        _draw_plane(ax, density, frequencies, periods, cmap)
+    else:
+        ax = axes_for(ax, width=6.4, height=3.6)
+        axis = int(levelled.shape[1] > 1)
+        _draw_line(ax, density.ravel(), frequencies[axis], periods, "yx"[axis])
+    ax.set_title(f"Power spectrum, {name}" if title is None else title)
+    if periods:
+        ax.legend(loc="upper right", framealpha=0.9, fontsize="small")
+    return ax
+
+
+def _draw_plane(
+    ax: Axes, density: NDArray[np.float64], frequencies: list[NDArray[np.float64]], periods: tuple[Period, ...],
+    cmap: str,
+) -> None:  # fmt: skip
+    """Draw the spectrum of a field with two axes, with marks of the periods."""
+    from matplotlib.colors import LogNorm
+
+    fy, fx = frequencies
+    half = [0.5 * (f[1] - f[0]) for f in frequencies]
+    radius = np.hypot(fy[:, None], fx[None, :]).ravel()
+    order = np.argsort(radius)
+    shares = np.cumsum(density.ravel()[order])
+    limit = float(radius[order][min(np.searchsorted(shares, _SHOWN_POWER * shares[-1]), len(order) - 1)])
+    limit = max(limit, _AROUND_PERIODS * max((np.hypot(*period.frequency) for period in periods), default=0.0))
+    if not limit > 0.0:
+        # The spectrum of a flat field has no power, and is drawn up to its ends.
+        limit = float(radius[order][-1])
+    shown = density.ravel()[radius <= limit]
+    most = max(float(shown.max()), _LEAST_POWER)
+    least = min(max(float(np.quantile(shown, _DARKEST)), _LEAST_POWER), _POWER_RANGE * most)
+    picture = ax.imshow(
+        np.maximum(density, least), origin="lower", cmap=cmap, norm=LogNorm(least, most), interpolation="nearest",
+        extent=(fx[0] - half[1], fx[-1] + half[1], fy[0] - half[0], fy[-1] + half[0]),
+    )  # fmt: skip
+    # Axes of equal length with few frequencies are drawn up to their ends.
+    for set_limits, f, step in ((ax.set_xlim, fx, half[1]), (ax.set_ylim, fy, half[0])):
+        edge = min(limit, float(step - f[0]))
+        set_limits(-edge, edge)
+    for index, period in enumerate(periods):
+        qy, qx = period.frequency
+        ax.plot(
+            [qx, -qx], [qy, -qy], linestyle="", marker=_MARKERS[index % len(_MARKERS)], markersize=13.0,
+            markerfacecolor="none", markeredgecolor="#56B4E9", markeredgewidth=1.8, label=_words(period),
+        )  # fmt: skip
+    ax.set_facecolor("black")
+    ax.set_xlabel("spatial frequency along x [1/µm]")
+    ax.set_ylabel("spatial frequency along y [1/µm]")
+    add_colour_bar(ax, picture, "power spectral density [µm⁴]", extend="min")
+
+
+def _words(period: Period) -> str:
+    """Return the text of a period in a legend."""
+    return f"period {period}"
+
+
+def _draw_line(
+    ax: Axes, density: NDArray[np.float64], frequencies: NDArray[np.float64], periods: tuple[Period, ...], axis: str
+) -> None:
+    """Draw the spectrum of a field that is constant along an axis."""
+    positive = frequencies > 0.0
+    # The power at negative frequencies is added, so that the integral over positive ones is the variance.
+    ax.loglog(frequencies[positive], 2.0 * np.maximum(density[positive], _LEAST_POWER), color=LINE_COLOURS[0])
+    for index, period in enumerate(periods):
+        ax.axvline(
+            float(np.hypot(*period.frequency)), color=LINE_COLOURS[1 + index], linestyle="--", label=_words(period)
+        )
+    top = 2.0 * max(float(density.max()), _LEAST_POWER)
+    ax.set_ylim(_LINE_RANGE * top, 3.0 * top)
+    ax.margins(x=0.0)
+    clean_grid(ax)
+    ax.set_xlabel(f"spatial frequency along {axis} [1/µm]")
+    ax.set_ylabel("power spectral density [µm³]")
+
+
+class _Line:
+    """Profile of a height field parallel to an axis.
+
+    Attributes:
+        along: Axis of the profile.
+        positions_um: Positions of the samples on that axis [µm], shape (n,).
+        heights_um: Heights [µm], shape (n,); NaN where a sample is missing.
+        at_um: Position on the other axis [µm]; None for a field that is constant along it.
+    """
+
+    def __init__(
+        self, along: Axis, positions_um: NDArray[np.float64], heights_um: NDArray[np.float64], at_um: float | None
+    ) -> None:
+        self.along, self.positions_um, self.heights_um, self.at_um = along, positions_um, heights_um, at_um
+
+    @classmethod
+    def of(cls, heightfield: HeightField, along: Axis, at_um: float | None) -> _Line:
+        """Return the profile at the sample that is nearest to a position."""
+        other = 0 if along == "x" else 1
+        count, pitch = heightfield.shape[other], heightfield.pitch_um[other]
+        size = heightfield.size_um[other]
+        if at_um is not None and not 0.0 <= validation.number(at_um, "at_um") <= size:
+            raise ArgumentValueError(f"{ref('at_um')} must be 0 to {size:.4g}, the size of the field, got {at_um:g}")
+        index = count // 2 if at_um is None else min(round(at_um / pitch), count - 1)
+        heights = heightfield.heights_um[index] if other == 0 else heightfield.heights_um[:, index]
+        positions = heightfield.pitch_um[1 - other] * np.arange(len(heights), dtype=np.float64)
+        return cls(along, positions, heights, index * pitch if count > 1 else None)
+
+    @property
+    def title(self) -> str:
+        """Title of a plot of the profile."""
+        other = "y" if self.along == "x" else "x"
+        return f"Profile along {self.along}" + ("" if self.at_um is None else f" at {other} = {self.at_um:.3g} µm")
+
+
+def _add_profile(ax: Axes, line: _Line, unit: str, factor: float, ratio: float) -> None:
+    """Draw a profile below a map whose width is ``ratio`` times its height, and its line in the map."""
+    if line.at_um is not None:
+        draw = ax.axhline if line.along == "x" else ax.axvline
+        draw(line.at_um, color="white", linewidth=2.4)
+        draw(line.at_um, color="black", linewidth=1.2, linestyle="--")
+    below = ax.inset_axes((0.0, -(_PROFILE + _GAP) * ratio, 1.0, _PROFILE * ratio))
+    below.plot(line.positions_um, factor * line.heights_um, color=LINE_COLOURS[0])
+    below.set_xlim(ax.get_xlim() if line.along == "x" else ax.get_ylim())
+    below.set_xlabel(f"{line.along} [µm]")
+    below.set_ylabel(f"height [{unit}]")
+    below.set_title(line.title, fontsize="medium")
+    clean_grid(below)
+
+
+def _with_grey(cmap: str) -> Any:
+    """Return a colour map by its name, in which samples without a value are grey."""
+    import matplotlib as mpl
+
+    if cmap not in mpl.colormaps:
+        raise ArgumentValueError(f"{ref('cmap')} must be the name of a colour map of matplotlib, got {cmap!r}")
+    return mpl.colormaps[cmap].with_extremes(bad=MISSING)
