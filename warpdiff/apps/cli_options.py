@@ -45,7 +45,7 @@ _METAVARS = {"number": "X", "integer": "N", "text": "TEXT", "choice": "NAME", "c
 
 
 # Options whose Python value is an array, but which the command line accepts as three numbers.
-VECTORS = ("tangents", "background")
+VECTORS = ("tangents",)
 # Flags for those arguments of ``Coherence`` whose flag is not the argument's name with dashes.
 COHERENCE_FLAGS = {"kind": "--coherence", "angular_diameter_deg": "--source-diameter-deg"}
 # Cleaning methods of ``HeightField``: the flag that calls the method, and the argument that gets the flag's value.
