@@ -19,13 +19,7 @@ from warpdiff.apps.cli_progress import CommandProgress
 from warpdiff.core.options import describe
 from warpdiff.core.wording import did_you_mean, spelled
 from warpdiff.optics.coherence import Coherence
-from warpdiff.request.settings import (
-    DisplaySettings,
-    EvaluationSettings,
-    PictureSettings,
-    SinglePictureSettings,
-    SpectralSettings,
-)
+from warpdiff.request.settings import EvaluationSettings, PictureSettings, SinglePictureSettings, SpectralSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -153,7 +147,7 @@ def _add_demo(flags: Flags) -> None:
         "--data", metavar="FOLDER", help="folder with the real scan (default: $WARPDIFF_DATA, ../shared/data)"
     )
     demo.add_argument("--scale", type=number, default=1.0, help="factor on the pictures' sizes (default: 1)")
-    flags.add(demo, describe(DisplaySettings))
+    flags.add(demo, describe(wd.Image.save))
 
 
 def _add_render(flags: Flags) -> None:
@@ -391,7 +385,7 @@ def _add_scene(flags: Flags) -> None:
 
 def _add_saving(flags: Flags) -> None:
     group = flags.group("picture file")
-    flags.add(group, describe(DisplaySettings))
+    flags.add(group, describe(wd.Image.save))
     flags.add(group, describe(wd.sequence), only=("background",))
 
 
