@@ -20,7 +20,7 @@ from warpdiff.core import openimageio, validation
 from warpdiff.core.threads import cores, parallel_for, single_threaded_blas
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.optics import colorimetry
-from warpdiff.request.settings import ColourSettings, Display, DisplaySettings
+from warpdiff.request.settings import ColourSettings, Display, DisplaySettings, GamutName
 from warpdiff.request.signatures import accepts
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from warpdiff.request.keywords import ColourKeywords
-    from warpdiff.request.settings import GamutName
 
 CONFIGURATION = "ocio://cg-config-v4.0.0_aces-v2.0_ocio-v2.5"
 SCENE = "CIE XYZ-D65 - Scene-referred"
@@ -125,6 +124,13 @@ def auto_exposure(luminances: ArrayLike, display: Display) -> float:
     return MEAN_SHOWN[display] / mean if mean > 0.0 else 1.0
 
 
+def exposure_factor(shown: DisplaySettings, luminances: ArrayLike) -> float:
+    """Return the linear factor of the options of a display, for colours with the given luminances."""
+    # The automatic factor of nearly black colours may be so large that float32 overflows. It is therefore limited.
+    factor = shown.exposure or min(auto_exposure(luminances, shown.display), validation.MOST)
+    return float(factor * 2.0**shown.exposure_stops)
+
+
 @accepts(ColourSettings)
 @np.errstate(under="ignore")
 def to_srgb(xyz: ArrayLike, display: Display = "aces", **settings: Unpack[ColourKeywords]) -> NDArray[np.float64]:
@@ -152,10 +158,8 @@ def to_srgb(xyz: ArrayLike, display: Display = "aces", **settings: Unpack[Colour
     colours = validation.finite_array(xyz, "xyz", most=validation.MOST)
     if colours.ndim < 1 or colours.shape[-1] != 3:
         raise ArgumentValueError(f"{ref('xyz')} must have shape (..., 3), got {colours.shape}")
-    if (factor := shown.exposure) is None:
-        luminances = colours[..., 1]
-        factor = min(auto_exposure(luminances[luminances > 0.0], shown.display), validation.MOST)
-    return encode(factor * 2.0**shown.exposure_stops * colours, shown)
+    luminances = colours[..., 1]
+    return encode(exposure_factor(shown, luminances[luminances > 0.0]) * colours, shown)
 
 
 # Linear algebra is restricted to one thread here: more threads do not make products with 3 × 3 matrices faster.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
@@ -126,6 +126,7 @@ class Image:
         return colorimetry.xyz_to_rgb(self.xyz).astype(np.float32)
 
     @property
+    @np.errstate(under="ignore")
     def auto_exposure(self) -> float:
         """Automatic exposure factor of ``display="aces"``; 1 for a black picture.
 
@@ -134,11 +135,7 @@ class Image:
         as bright as the diffraction orders. A mean is used because orders may cover between 0.1 % and all of a picture,
         so that no percentile suits every picture.
         """
-        return self._auto_exposure("aces")
-
-    @np.errstate(under="ignore")
-    def _auto_exposure(self, display: Display) -> float:
-        return display_transform.auto_exposure(self.xyz[..., 1][self.illuminated], display)
+        return display_transform.auto_exposure(self.xyz[..., 1][self.illuminated], "aces")
 
     @accepts(GamutSettings)
     @np.errstate(under="ignore")
@@ -199,17 +196,12 @@ class Image:
             scales: Whether exposure is automatic by default; otherwise the default factor is 1.
         """
         validation.instance(source, Image, "exposure_from", optional=True)
-        if shown.exposure is not None:
-            if source is not None:
-                raise ArgumentValueError(f"{ref('exposure')} and {ref('exposure_from')} exclude each other, got both")
-            factor = shown.exposure
-        elif source is not None or scales:
-            # The automatic factor of a nearly black picture may be so large that float32 overflows. It is therefore
-            # limited.
-            factor = min((source or self)._auto_exposure(shown.display), validation.MOST)
-        else:
-            factor = 1.0
-        return float(factor * 2.0**shown.exposure_stops)
+        if shown.exposure is not None and source is not None:
+            raise ArgumentValueError(f"{ref('exposure')} and {ref('exposure_from')} exclude each other, got both")
+        if shown.exposure is None and source is None and not scales:
+            shown = replace(shown, exposure=1.0)
+        picture = source or self
+        return display_transform.exposure_factor(shown, picture.xyz[..., 1][picture.illuminated])
 
     def _encoded(self, shown: DisplaySettings, factor: float, *, exact: bool) -> NDArray[np.float64]:
         """Return display RGB with the display's transfer function, not multiplied by alpha; 0 in the background."""

@@ -23,7 +23,7 @@ from warpdiff.image.image import PNG_END
 from warpdiff.lights.base import LobeLight
 from warpdiff.lights.environment import Environment
 from warpdiff.render.renderer import Renderer  # noqa: TC001 (the decorator ``checked`` needs the class at run time)
-from warpdiff.request.settings import DisplaySettings
+from warpdiff.request.settings import Display, DisplaySettings
 from warpdiff.request.signatures import accepts, checked
 
 if TYPE_CHECKING:
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from warpdiff.request.keywords import DisplayKeywords
-    from warpdiff.request.settings import Display
 
 Format = Literal[".png", ".exr"]
 FORMATS: tuple[Format, ...] = get_args(Format)
