@@ -11,13 +11,16 @@ from warpdiff.core.options import REQUIRED, describe
 from warpdiff.heightfield.readers import reader_registry
 from warpdiff.request import settings
 
-# Classes of settings with the public functions that accept them, from general settings to those of pictures.
+# Classes of settings with the public functions that accept them, from general settings to those of display colours.
 SETTINGS = {
     "PlanSettings": "warpdiff.plan",
     "EvaluationSettings": "warpdiff.reflectance, warpdiff.reflectance_map, warpdiff.report",
     "SpectralSettings": "warpdiff.spectral_reflectance, warpdiff.reflectance_spectra, warpdiff.brdf",
     "PictureSettings": "warpdiff.shade, warpdiff.Renderer",
     "SinglePictureSettings": "warpdiff.shade",
+    "ColourSettings": "warpdiff.to_srgb, warpdiff.plot.reflectance_map, warpdiff.plot.colour_strip",
+    "GamutSettings": "warpdiff.Image.display",
+    "DisplaySettings": "warpdiff.Image.save, warpdiff.sequence",
 }
 GROUPS = {
     "Surfaces": ["HeightField", "Period", "Periods", "Roughness", "gratings", "datasets"],

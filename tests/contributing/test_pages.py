@@ -1,6 +1,8 @@
 """Pages for contributors: the code on these pages works as printed."""
 
+import contextlib
 import importlib.util
+import io
 import re
 import sys
 from pathlib import Path
@@ -9,8 +11,11 @@ import numpy as np
 import pytest
 
 import warpdiff as wd
+from warpdiff.apps import cli
+from warpdiff.core.options import describe
 from warpdiff.diffraction.phase_series import EXPANSIONS
 from warpdiff.heightfield.readers import reader_registry
+from warpdiff.request import settings
 
 FOLDER = Path(__file__).parents[2] / "docs" / "contributing"
 
@@ -65,6 +70,28 @@ def test_the_option_of_the_page_about_options_works(module_of, capsys):
     assert capsys.readouterr().out == "Strength of the sparkle, relative to the surface. at least 0 and at most 2 0.5\n"
     with pytest.raises(ValueError, match=r"^sparkle must be a finite number, at least 0 and at most 2, got 3\.0$"):
         page.ProbeSettings(sparkle=3.0)
+
+
+def test_the_table_of_the_page_about_options_names_every_class_its_functions_and_its_commands():
+    page = (FOLDER / "add_an_option.md").read_text(encoding="utf-8")
+    rows = [[re.findall(r"`([\w.]+)`", cell) for cell in line.split("|")[1:-1]] for line in page.splitlines()]
+    rows = {row[0][0]: row[1:] for row in rows if len(row) == 4 and row[0]}
+    classes = {name: value for name, value in vars(settings).items() if name.endswith("Settings")}
+    assert set(rows) == set(classes)
+    accepting = {name: getattr(wd, name) for name in wd.__all__ if callable(getattr(wd, name))} | {
+        f"{owner.__name__.removeprefix('warpdiff.')}.{name}": member
+        for owner in (wd.Image, wd.plot) for name, member in vars(owner).items() if callable(member)
+    } | {"Renderer": wd.Renderer.__init__}  # fmt: skip
+    for name, (fields, functions, commands) in rows.items():
+        used = {key for key, value in accepting.items() if getattr(value, "__settings__", None) is classes[name]}
+        assert used == set(functions), name
+        assert set(fields) <= set(classes[name].__annotations__), name
+        for command in commands:
+            with pytest.raises(SystemExit), contextlib.redirect_stdout(io.StringIO()) as text:
+                cli.main([command, "--help"])
+            for option in describe(classes[name]).values():
+                no = "no-" if option.kind == "flag" and option.default else ""
+                assert option.kind == "object" or f"--{no}{option.dashed}" in text.getvalue(), (command, option.name)
 
 
 def test_the_expansion_of_the_page_about_expansions_works(module_of, monkeypatch):

@@ -134,6 +134,7 @@ ACCEPTED = [
     ("layers", ["depth", "normal", "depth"], ("depth", "normal")),
     ("formats", (), ()),
     ("bits", 16, 16),
+    ("bits", np.int64(16), 16),
     ("strict", np.bool_(False), False),
     ("title", "a", "a"),
     ("anything", math, math),

@@ -19,7 +19,7 @@ from PIL import Image, ImageShow
 
 import warpdiff as wd
 from warpdiff.core.options import describe
-from warpdiff.image.display_transform import DISPLAYS, GAMUTS
+from warpdiff.image.display_transform import GAMUTS, MEAN_SHOWN
 from warpdiff.optics import colorimetry
 
 ROW = "pictures saved on full disks, under file size limits, interrupted"
@@ -413,7 +413,7 @@ def test_notebooks_and_viewers_show_the_pixels_of_a_png_file(image, tmp_path, mo
 
 def test_the_arguments_of_save_are_described_for_the_command_line():
     options = describe(wd.Image.save)
-    assert options["display"].choices == DISPLAYS
+    assert options["display"].choices == tuple(MEAN_SHOWN)
     assert options["gamut"].choices == tuple(GAMUTS)
     assert options["bits"].choices == (8, 16)
     assert options["exposure"].range == "more than 0"

@@ -22,12 +22,17 @@ GROUPS = {
     wd.spectral_reflectance: settings.SpectralSettings, wd.reflectance: settings.EvaluationSettings,
     wd.reflectance_map: settings.EvaluationSettings, wd.brdf: settings.BrdfSettings, wd.plan: settings.PlanSettings,
     wd.shade: settings.SinglePictureSettings, wd.Renderer.__init__: settings.PictureSettings,
+    wd.to_srgb: settings.ColourSettings, wd.plot.reflectance_map: settings.ColourSettings,
+    wd.plot.colour_strip: settings.ColourSettings, wd.Image.display: settings.GamutSettings,
+    wd.Image.save: settings.DisplaySettings, wd.sequence: settings.DisplaySettings,
 }  # fmt: skip
 UP = (0.0, 0.0, 1.0)
 FIELD = """    sparkle: Annotated[float, Interval(ge=0.0, le=2.0)] = 0.5
 """
 MEANING = """        sparkle: Strength of a probe.
 """
+FACTS = "sparkle: Strength of a probe. (at least 0 and at most 2; default 0.5)"
+REFUSED = "sparkle must be a finite number, at least 0 and at most 2, got 3.0"
 PROBE = """
 import inspect, json, warpdiff as wd
 from warpdiff.apps.viewer import controls
@@ -42,15 +47,73 @@ print(json.dumps({
     "viewer": [each for each in schema if each["name"] == "sparkle"],
 }))
 """
+# Each call must pass the option to the display transform.
+DISPLAY_PROBE = """
+import inspect, json, types, warpdiff as wd
+from warpdiff.apps.cli import main
+from warpdiff.apps.viewer import controls, page_calls
+from warpdiff.apps.viewer.session import Studio
+from warpdiff.image import display_transform
+
+body, surface, window = wd.meshes.disc(segments=8, rings=1), wd.gratings.bumps(), wd.Coherence(sigma_um=2.0)
+light, view = wd.DirectionalLight((0, 0, 1)), wd.View((0, 0, 3), (0, 0, 0), width=4, height=3)
+renderer = wd.Renderer(body, surface, light, view, coherence=window, tolerance=0.3, refine=False)
+renderer.draw()
+image = renderer.image()
+calls = {
+    "to_srgb": (wd.to_srgb, lambda **options: wd.to_srgb([0.2, 0.1, 0.1], **options)),
+    "display": (wd.Image.display, image.display),
+    "save": (wd.Image.save, lambda **options: image.save("a.png", **options)),
+    "reflectance_map": (wd.plot.reflectance_map, lambda **options: wd.plot.reflectance_map(image, **options)),
+    "colour_strip": (
+        wd.plot.colour_strip,
+        lambda **options: wd.plot.colour_strip([[0.2, 0.1, 0.1]] * 2, angles_deg=[0.0, 1.0], **options),
+    ),
+    "sequence": (
+        wd.sequence,
+        lambda **options: wd.sequence(renderer, wd.turntable(light, view, count=1), "turn", overwrite=True, **options),
+    ),
+}
+used = []
+encode = display_transform.encode
+display_transform.encode = lambda xyz, shown, **more: used.append(shown.sparkle) or encode(xyz, shown, **more)
+result = {}
+for name, (function, call) in calls.items():
+    used.clear()
+    call(sparkle=1.5)
+    try:
+        call(sparkle=3.0)
+    except ValueError as error:
+        refused = str(error)
+    signature = str(inspect.signature(function).parameters["sparkle"])
+    result[name] = {"signature": signature, "help": function.__doc__, "refused": refused, "used": list(used)}
+
+used.clear()
+command = "brdf --heightfield bumps --size 4 --sigma-um 2 --tolerance 0.3 -o map.png --sparkle 1.5"
+assert main(command.split()) == 0
+result["command"] = list(used)
+files = page_calls.NamedFiles()
+values = controls.checked(files.controls, {"sparkle": 1.5})
+session, request = types.SimpleNamespace(exposure=None), types.SimpleNamespace(values=values)
+studio = types.SimpleNamespace(files=files)
+result["page"] = Studio._display_options(studio, session, request, image, moving=False)["sparkle"]
+print(json.dumps(result))
+"""
 
 
-def copied(folder):
-    """Copy the package with one additional field in the settings of pictures."""
+def copied(folder, first="pigment: Strength", field="pigment: Annotated"):
+    """Copy the package with one additional field in a class of settings.
+
+    Args:
+        folder: Folder of the copy.
+        first: Start of the entry in the docstring before which the meaning of the new field is inserted.
+        field: Start of the field before which the new field is inserted.
+    """
     shutil.copytree(ROOT / "warpdiff", folder / "warpdiff", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copytree(ROOT / "kernels", folder / "warpdiff" / "kernels", ignore=shutil.ignore_patterns("__pycache__"))
     path = folder / "warpdiff" / "request" / "settings.py"
     source = path.read_text(encoding="utf-8")
-    for mark, text in (("        pigment: Strength", MEANING), ("    pigment: Annotated", FIELD)):
+    for mark, text in ((f"        {first}", MEANING), (f"    {field}", FIELD)):
         assert source.count(mark) == 1
         source = source.replace(mark, text + mark)
     path.write_text(source, encoding="utf-8")
@@ -61,7 +124,7 @@ def run(folder, *arguments):
     code = "import sys; sys.path.insert(0, sys.argv.pop(1)); "
     done = subprocess.run(
         [sys.executable, "-c", code + arguments[0], str(folder), *arguments[1:]], capture_output=True, text=True,
-        timeout=300, check=False,
+        timeout=300, check=False, cwd=folder,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -73,14 +136,30 @@ def test_a_field_is_an_option_everywhere(tmp_path):
     source = copied(tmp_path)
     result = json.loads(run(tmp_path, PROBE))
     assert result["signature"] == "sparkle=0.5"
-    assert "sparkle: Strength of a probe. (at least 0 and at most 2; default 0.5)" in result["help"]
-    assert result["refused"] == "sparkle must be a finite number, at least 0 and at most 2, got 3.0"
+    assert FACTS in result["help"]
+    assert result["refused"] == REFUSED
     (control,) = result["viewer"]
     assert (control["minimum"], control["maximum"], control["default"]) == (0.0, 2.0, 0.5)
     shown = run(tmp_path, "from warpdiff.apps.cli import main; main(sys.argv[1:])", "render", "--help")
     assert "--sparkle X" in shown
     assert "Strength of a probe. (at least 0 and at most 2; default:" in " ".join(shown.split())
     assert "    sparkle: float\n" in keywords(source)
+
+
+def test_a_field_of_the_display_is_an_option_everywhere(tmp_path):
+    copied(tmp_path, "exposure: Linear factor", "exposure: Annotated")
+    *_, result = run(tmp_path, DISPLAY_PROBE).splitlines()
+    result = json.loads(result)
+    for name in ("to_srgb", "display", "save", "reflectance_map", "colour_strip", "sequence"):
+        assert result[name] == {
+            "signature": "sparkle=0.5", "help": result[name]["help"], "refused": REFUSED, "used": [1.5],
+        }  # fmt: skip
+        assert FACTS in result[name]["help"]
+    assert result["command"] == [1.5]
+    assert result["page"] == 1.5
+    for command in ("render", "sequence", "brdf", "demo"):
+        shown = run(tmp_path, "from warpdiff.apps.cli import main; main(sys.argv[1:])", command, "--help")
+        assert "--sparkle X" in shown
 
 
 def test_generated_keywords_equal_the_settings():

@@ -147,7 +147,7 @@ def _add_demo(flags: Flags) -> None:
         "--data", metavar="FOLDER", help="folder with the real scan (default: $WARPDIFF_DATA, ../shared/data)"
     )
     demo.add_argument("--scale", type=number, default=1.0, help="factor on the pictures' sizes (default: 1)")
-    flags.add(demo, describe(wd.Image.save), only=("display", "gamut"))
+    flags.add(demo, describe(wd.Image.save))
 
 
 def _add_render(flags: Flags) -> None:
@@ -411,8 +411,9 @@ def _add_scene(flags: Flags) -> None:
 
 
 def _add_saving(flags: Flags) -> None:
-    saving = ("exposure", "exposure_stops", "display", "gamut", "background", "bits")
-    flags.add(flags.group("picture file"), describe(wd.Image.save), only=saving)
+    group = flags.group("picture file")
+    flags.add(group, describe(wd.Image.save))
+    flags.add(group, describe(wd.sequence), only=("background",))
 
 
 def _add_output(flags: Flags) -> None:

@@ -44,8 +44,6 @@ _TYPES: dict[str, Callable[[str], Any]] = {
 _METAVARS = {"number": "X", "integer": "N", "text": "TEXT", "choice": "NAME", "choices": "NAME", "object": "VALUE"}
 
 
-# Options whose Python value is an array, but which the command line accepts as three numbers.
-VECTORS = ("tangents", "background")
 # Flags for those arguments of ``Coherence`` whose flag is not the argument's name with dashes.
 COHERENCE_FLAGS = {"kind": "--coherence", "angular_diameter_deg": "--source-diameter-deg"}
 # Cleaning methods of ``HeightField``: the flag that calls the method, and the argument that gets the flag's value.
@@ -119,7 +117,8 @@ class Flags:
 
 def _shape(option: Option) -> dict[str, Any]:
     """Return the arguments of ``add_argument`` of argparse for a flag: type, number and placeholder of its values."""
-    if option.name in VECTORS:
+    if option.name == "tangents":
+        # The Python value is an array, but the command line accepts three numbers.
         return {"type": number, "nargs": 3, "metavar": ("X", "Y", "Z")}
     kind = integer if isinstance((option.choices or [""])[0], int) else _TYPES.get(option.kind, str)
     placeholder: Any = _METAVARS.get(option.kind, "X")

@@ -6,7 +6,7 @@ import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import trimesh
 
@@ -16,10 +16,11 @@ from warpdiff.core.wording import marked, ref
 from warpdiff.datasets.download import read
 from warpdiff.datasets.registry import info
 from warpdiff.evaluate.reflectance import reflectance_map
-from warpdiff.image.display_transform import DISPLAYS, GAMUTS
 from warpdiff.lights.directional import DirectionalLight
 from warpdiff.optics.materials import Material
 from warpdiff.render.shade import shade
+from warpdiff.request.settings import DisplaySettings
+from warpdiff.request.signatures import accepts
 from warpdiff.scene.camera import View
 
 if TYPE_CHECKING:
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
 
     from warpdiff.core.progress import Progress
     from warpdiff.heightfield.field import HeightField
-    from warpdiff.image.display_transform import Display, GamutName
     from warpdiff.image.image import Image
+    from warpdiff.request.keywords import DisplayKeywords
     from warpdiff.samples.corn_snake import Tangent
 
 _SCAN = info("corn_snake_scan")
@@ -166,10 +167,10 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[DemoPicture]:
     return result
 
 
+@accepts(DisplaySettings)
 def run(
     output: str | os.PathLike[str], *, data: str | os.PathLike[str] | None = None, scale: float = 1.0,
-    display: Display = "aces", gamut: GamutName = "srgb", say: Callable[[str], None] = lambda _line: None,
-    progress: Progress = None,
+    say: Callable[[str], None] = lambda _line: None, progress: Progress = None, **settings: Unpack[DisplayKeywords],
 ) -> list[Path]:  # fmt: skip
     """Render the demonstration pictures into a folder.
 
@@ -177,8 +178,6 @@ def run(
         output: Folder of the pictures; it is created if it does not exist.
         data: Folder with the real scan and mesh; None is ``WARPDIFF_DATA``, or ``../shared/data`` next to a checkout.
         scale: Factor on the width and height of each picture.
-        display: Display transform, as for :meth:`warpdiff.Image.save`.
-        gamut: Gamut of the display.
         say: Callable that gets one line of text per picture.
         progress: Callable that gets the finished fraction of each picture, 0 to 1; True shows a bar per picture.
 
@@ -187,8 +186,7 @@ def run(
     """
     folder = Path(output)
     validation.positive(scale, "scale")
-    validation.choice(display, "display", DISPLAYS)
-    validation.choice(gamut, "gamut", tuple(GAMUTS))
+    DisplaySettings(**settings)
     inputs = data_folder(data)
     folder.mkdir(parents=True, exist_ok=True)
     files.check_folder(folder, "output")
@@ -198,10 +196,10 @@ def run(
     for picture in pictures(inputs, scale=scale):
         started = time.perf_counter()
         image = picture.make(progress)
+        stops = picture.stops + settings.get("exposure_stops", 0.0)
         path = image.save(
-            folder / f"{picture.name}.png", display=display, gamut=gamut, exposure_stops=picture.stops,
-            background=picture.background,
-        )  # fmt: skip
+            folder / f"{picture.name}.png", background=picture.background, **settings | {"exposure_stops": stops}
+        )
         paths.append(path)
         say(f"{path}  {picture.title}  ({time.perf_counter() - started:.1f} s)")
     return paths

@@ -228,7 +228,11 @@ def documented(owner: type | Callable[..., object]) -> dict[str, str]:
 
 @functools.cache
 def describe(owner: type | Callable[..., object]) -> dict[str, Option]:
-    """Return the options of a dataclass (its fields) or of a function (its arguments), by name."""
+    """Return the options of a dataclass (its fields) or of a function (its arguments), by name.
+
+    A function's arguments include the fields of the class in its attribute ``__settings__``, which the decorator
+    :func:`warpdiff.request.signatures.accepts` sets.
+    """
     hints = typing.get_type_hints(owner, include_extras=True, localns=_Names(owner))
     texts = documented(owner)
     if is_dataclass(owner):
@@ -242,8 +246,10 @@ def describe(owner: type | Callable[..., object]) -> dict[str, Option]:
             if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
             and name not in ("self", "cls")
         }
+    settings = getattr(owner, "__settings__", None)
+    shared = {name: option for name, option in (describe(settings) if settings else {}).items() if name not in hints}
     return {
-        name: _describe_annotation(name, hints.get(name, object), default, texts.get(name, ""))
+        name: shared.get(name) or _describe_annotation(name, hints.get(name, object), default, texts.get(name, ""))
         for name, default in defaults.items()
     }
 

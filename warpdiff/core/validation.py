@@ -209,6 +209,7 @@ def light_and_view(to_light: object, to_view: object) -> tuple[NDArray[np.float6
 
 def choice(value: object, name: str, options: Collection[_Choice]) -> _Choice:
     """Return ``value`` if it is one of ``options``."""
+    value = int(value) if isinstance(value, np.integer) else value
     if not isinstance(value, (str, int)) or isinstance(value, bool) or value not in options:
         near = did_you_mean(value, [option for option in options if isinstance(option, str)])
         raise ArgumentValueError(f"{ref(name)} must be one of {', '.join(map(repr, options))}, got {value!r}{near}")

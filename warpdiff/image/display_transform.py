@@ -12,24 +12,24 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
-from annotated_types import Gt, Interval, Unit
 
 from warpdiff.core import openimageio, validation
 from warpdiff.core.threads import cores, parallel_for, single_threaded_blas
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.optics import colorimetry
+from warpdiff.request.settings import ColourSettings, Display, DisplaySettings, GamutName
+from warpdiff.request.signatures import accepts
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import ArrayLike, NDArray
 
-Display = Literal["aces", "colorimetric", "clip"]
-GamutName = Literal["srgb", "display-p3"]
-DISPLAYS: tuple[Display, ...] = get_args(Display)
+    from warpdiff.request.keywords import ColourKeywords
+
 CONFIGURATION = "ocio://cg-config-v4.0.0_aces-v2.0_ocio-v2.5"
 SCENE = "CIE XYZ-D65 - Scene-referred"
 # Mean luminance to which automatic exposure scales the illuminated pixels, by display transform; 1 is the white of the
@@ -39,8 +39,6 @@ MEAN_SHOWN: dict[Display, float] = {"aces": 0.7, "colorimetric": 0.5, "clip": 0.
 # Fraction of the illuminated pixels that automatic exposure excludes; they are the brightest ones. Limit: mirror
 # reflections of a light may be a thousand times as bright as diffraction orders.
 _TOO_BRIGHT = 1e-4
-# Largest correction of an exposure [stops]. Limit: a factor of 1e9 is more than any picture needs.
-MOST_STOPS = 30.0
 
 # Matrix from CIE XYZ to linear Display P3 with the white point D65, from CSS Color Module Level 4.
 _XYZ_TO_P3 = np.array([
@@ -133,11 +131,16 @@ def auto_exposure(luminances: ArrayLike, display: Display) -> float:
     return MEAN_SHOWN[display] / mean if mean > 0.0 else 1.0
 
 
+def exposure_factor(shown: DisplaySettings, luminances: ArrayLike) -> float:
+    """Return the linear factor of the options of a display, for colours with the given luminances."""
+    # The automatic factor of nearly black colours may be so large that float32 overflows. It is therefore limited.
+    factor = shown.exposure or min(auto_exposure(luminances, shown.display), validation.MOST)
+    return float(factor * 2.0**shown.exposure_stops)
+
+
+@accepts(ColourSettings)
 @np.errstate(under="ignore")
-def to_srgb(
-    xyz: ArrayLike, display: Display = "aces", *, exposure: Annotated[float, Gt(0.0)] | None = None,
-    exposure_stops: Annotated[float, Interval(ge=-MOST_STOPS, le=MOST_STOPS), Unit("stops")] = 0.0,
-) -> NDArray[np.float64]:  # fmt: skip
+def to_srgb(xyz: ArrayLike, display: Display = "aces", **settings: Unpack[ColourKeywords]) -> NDArray[np.float64]:
     """Transform linear CIE XYZ to display colours, sRGB with its transfer function.
 
     Automatic exposure depends on all colours of the call. Pass ``exposure=`` to compare colours of several calls.
@@ -146,9 +149,6 @@ def to_srgb(
         xyz: Linear CIE XYZ, shape (..., 3), for example from :func:`warpdiff.reflectance`.
         display: Display transform, as in :meth:`warpdiff.Image.display`: ``"aces"`` shows bright colours as continuous
             spectra, ``"colorimetric"`` is exact for colours within the gamut, ``"clip"`` clips each channel.
-        exposure: Linear factor of the light; None is automatic, from the mean luminance of the colours that are not
-            black. With 1 and ``"colorimetric"``, a perfect mirror at normal incidence is white.
-        exposure_stops: Correction of the exposure, a factor of 2 per stop.
 
     Returns:
         R, G and B, each 0 to 1, shape (..., 3).
@@ -161,29 +161,23 @@ def to_srgb(
         >>> wd.to_srgb([0.2, 0.1, 0.02], "colorimetric", exposure=1.0).round(2)
         array([0.71, 0.  , 0.13])
     """
-    validation.choice(display, "display", DISPLAYS)
+    shown = DisplaySettings(display=display, **settings)
     colours = validation.finite_array(xyz, "xyz", most=validation.MOST)
     if colours.ndim < 1 or colours.shape[-1] != 3:
         raise ArgumentValueError(f"{ref('xyz')} must have shape (..., 3), got {colours.shape}")
-    stops = validation.number(exposure_stops, "exposure_stops", least=-MOST_STOPS, most=MOST_STOPS)
-    if exposure is None:
-        luminances = colours[..., 1]
-        factor = min(auto_exposure(luminances[luminances > 0.0], display), validation.MOST)
-    else:
-        factor = validation.positive(exposure, "exposure")
-    return encode(factor * 2.0**stops * colours, display, "srgb")
+    luminances = colours[..., 1]
+    return encode(exposure_factor(shown, luminances[luminances > 0.0]) * colours, shown)
 
 
 # The linear algebra library is restricted to one thread here: more threads do not make products with 3 × 3 matrices
 # faster.
 @single_threaded_blas()
-def encode(xyz: ArrayLike, display: Display, gamut: GamutName, *, exact: bool = True) -> NDArray[np.float64]:
+def encode(xyz: ArrayLike, shown: DisplaySettings, *, exact: bool = True) -> NDArray[np.float64]:
     """Transform colours to display RGB from 0 to 1, with the transfer function of sRGB.
 
     Args:
         xyz: Linear CIE XYZ after exposure, shape (..., 3).
-        display: Display transform, one of ``DISPLAYS``.
-        gamut: Gamut of the display, one of ``GAMUTS``.
+        shown: Options of the display, of which those of the exposure are not used.
         exact: Whether ACES is computed for each colour. Otherwise its result is interpolated in a table.
 
     Returns:
@@ -192,35 +186,35 @@ def encode(xyz: ArrayLike, display: Display, gamut: GamutName, *, exact: bool = 
     colours = np.asarray(xyz, dtype=np.float64)
     flat = colours.reshape(-1, 3)
     if exact or len(flat) <= _TOGETHER:
-        return _encode(flat, display, gamut, exact=exact).reshape(colours.shape)
+        return _encode(flat, shown, exact=exact).reshape(colours.shape)
     encoded = np.empty_like(flat)
 
     def encode_part(first: int) -> None:
         part = slice(first, first + _TOGETHER)
-        encoded[part] = _encode(flat[part], display, gamut, exact=False)
+        encoded[part] = _encode(flat[part], shown, exact=False)
 
     parallel_for(encode_part, range(0, len(flat), _TOGETHER), threads=cores())
     return encoded.reshape(colours.shape)
 
 
-def _encode(flat: NDArray[np.float64], display: Display, gamut: GamutName, *, exact: bool) -> NDArray[np.float64]:
+def _encode(flat: NDArray[np.float64], shown: DisplaySettings, *, exact: bool) -> NDArray[np.float64]:
     """Return the display RGB of XYZ colours (n, 3); the arguments are those of :func:`encode`."""
-    to_rgb = GAMUTS[gamut].xyz_to_rgb
-    if display == "clip":
+    to_rgb = GAMUTS[shown.gamut].xyz_to_rgb
+    if shown.display == "clip":
         return colorimetry.srgb_encode(flat @ to_rgb.T)
-    if display == "colorimetric":
+    if shown.display == "colorimetric":
         return colorimetry.srgb_encode(_reduce_chroma(flat, to_rgb))
     compressed = compress_chroma(flat)
-    return aces(compressed, gamut) if exact else _interpolate(compressed, gamut)
+    return aces(compressed, shown.gamut) if exact else _interpolate(compressed, shown.gamut)
 
 
-def description(display: Display, gamut: GamutName) -> str:
+def description(shown: DisplaySettings) -> str:
     """Return a text that describes a display transform, for the metadata of a file."""
-    target = GAMUTS[gamut]
-    if display == "aces":
+    target = GAMUTS[shown.gamut]
+    if shown.display == "aces":
         return f"{target.view}, {target.display}, {CONFIGURATION}, after compression of OKLab chroma towards Display P3"
-    method = {"colorimetric": "what is out of gamut at constant OKLab hue", "clip": "each channel cut off"}[display]
-    return f"{display}, {target.name}, {method}"
+    methods = {"colorimetric": "what is out of gamut at constant OKLab hue", "clip": "each channel cut off"}
+    return f"{shown.display}, {target.name}, {methods[shown.display]}"
 
 
 def aces(xyz: NDArray[np.float64], gamut: GamutName) -> NDArray[np.float64]:

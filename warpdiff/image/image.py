@@ -5,17 +5,17 @@ from __future__ import annotations
 import contextlib
 import io
 import sys
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
-from annotated_types import Gt, Interval, Unit
 
 from warpdiff.core import files, memory, openimageio, validation
 from warpdiff.core.wording import ArgumentValueError, marked, ref
 from warpdiff.image import display_transform
-from warpdiff.image.display_transform import MOST_STOPS
 from warpdiff.optics import colorimetry
+from warpdiff.request.settings import Display, DisplaySettings, GamutSettings
+from warpdiff.request.signatures import accepts
 
 if TYPE_CHECKING:
     import os
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from warpdiff.image.report import Report
+    from warpdiff.request.keywords import DisplayKeywords, GamutKeywords
     from warpdiff.request.plan import Plan
 
-Bits = Literal[8, 16]
 # Channels of every EXR file, followed by the channels of each layer: "normal", for example, has the channels normal.X,
 # normal.Y and normal.Z.
 _CHANNELS = ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z", "error.Y")
@@ -126,6 +126,7 @@ class Image:
         return colorimetry.xyz_to_rgb(self.xyz).astype(np.float32)
 
     @property
+    @np.errstate(under="ignore")
     def auto_exposure(self) -> float:
         """Automatic exposure factor of ``display="aces"``; 1 for a black picture.
 
@@ -134,18 +135,13 @@ class Image:
         as bright as the diffraction orders. A mean is used because orders may cover between 0.1 % and all of a picture,
         so that no percentile suits every picture.
         """
-        return self._auto_exposure("aces")
+        return display_transform.auto_exposure(self.xyz[..., 1][self.illuminated], "aces")
 
-    @np.errstate(under="ignore")
-    def _auto_exposure(self, display: display_transform.Display) -> float:
-        return display_transform.auto_exposure(self.xyz[..., 1][self.illuminated], display)
-
+    @accepts(GamutSettings)
     @np.errstate(under="ignore")
     def display(
-        self, display: display_transform.Display = "aces", *, exposure: Annotated[float, Gt(0.0)] | None = None,
-        exposure_stops: Annotated[float, Interval(ge=-MOST_STOPS, le=MOST_STOPS), Unit("stops")] = 0.0,
-        exposure_from: Image | None = None, gamut: display_transform.GamutName = "srgb",
-        background: Image | ArrayLike | None = None, exact: bool = True,
+        self, display: Display = "aces", *, exposure_from: Image | None = None,
+        background: Image | ArrayLike | None = None, exact: bool = True, **settings: Unpack[GamutKeywords],
     ) -> NDArray[np.float32]:  # fmt: skip
         """Transform the picture to display RGB, with the transfer function of sRGB.
 
@@ -154,10 +150,7 @@ class Image:
                 chroma, which shows bright orders as continuous spectra. ``"colorimetric"`` is exact for colours within
                 the gamut, reduces the chroma of others at constant hue, and shows everything brighter than white as
                 white. ``"clip"`` clips each channel.
-            exposure: Linear factor of the light; None is automatic.
-            exposure_stops: Correction of the exposure, a factor of 2 per stop.
             exposure_from: Picture whose automatic exposure is used, so that several pictures get the same exposure.
-            gamut: Gamut of the display.
             background: Background, mixed in the display's linear light: an encoded colour (R, G, B) with components
                 from 0 to 1, a picture of the same size, or linear sRGB of shape (height, width, 3), as from
                 :meth:`warpdiff.Environment.background`. None leaves it transparent.
@@ -171,19 +164,16 @@ class Image:
         Raises:
             ValueError: An argument is not accepted.
         """
-        validation.choice(display, "display", display_transform.DISPLAYS)
-        validation.choice(gamut, "gamut", tuple(display_transform.GAMUTS))
         validation.flag(exact, "exact")
-        factor = self._exposure(display, exposure, exposure_stops, exposure_from)
-        return self._displayed(display, factor, gamut, background, exact=exact)
+        shown = DisplaySettings(display=display, **settings)
+        return self._displayed(shown, self._exposure(shown, exposure_from), background, exact=exact)
 
     def _displayed(
-        self, display: display_transform.Display, factor: float, gamut: display_transform.GamutName,
-        background: Image | ArrayLike | None, *, exact: bool = True,
-    ) -> NDArray[np.float32]:  # fmt: skip
+        self, shown: DisplaySettings, factor: float, background: Image | ArrayLike | None, *, exact: bool = True
+    ) -> NDArray[np.float32]:
         """Return display RGB for a linear exposure factor; the other arguments are those of :meth:`display`."""
-        behind = self._behind(background, display, factor, gamut, exact=exact)
-        encoded = self._encoded(display, factor, gamut, exact=exact)
+        behind = self._behind(background, shown, factor, exact=exact)
+        encoded = self._encoded(shown, factor, exact=exact)
         if behind is None:
             return np.concatenate([encoded, self.coverage[..., None]], axis=2, dtype=np.float32)
         result = np.empty(encoded.shape, dtype=np.float32)
@@ -197,47 +187,33 @@ class Image:
         result[part] = colorimetry.srgb_encode(light)
         return result
 
-    def _exposure(
-        self, display: display_transform.Display, exposure: float | None, stops: float, source: Image | None, *,
-        scales: bool = True,
-    ) -> float:  # fmt: skip
+    def _exposure(self, shown: DisplaySettings, source: Image | None, *, scales: bool = True) -> float:
         """Return the linear exposure factor from the arguments of :meth:`display`.
 
         Args:
-            display: Display transform, on which automatic exposure depends.
-            exposure: Linear factor, or None.
-            stops: Correction of the factor [stops].
+            shown: Options of the display.
             source: Picture whose automatic exposure is used, or None.
             scales: Whether exposure is automatic by default; otherwise the default factor is 1.
         """
-        stops = validation.number(stops, "exposure_stops", least=-MOST_STOPS, most=MOST_STOPS)
         validation.instance(source, Image, "exposure_from", optional=True)
-        if exposure is not None:
-            if source is not None:
-                raise ArgumentValueError(f"{ref('exposure')} and {ref('exposure_from')} exclude each other, got both")
-            factor = validation.positive(exposure, "exposure")
-        elif source is not None or scales:
-            # The automatic factor of a nearly black picture may be so large that float32 overflows. It is therefore
-            # limited.
-            factor = min((source or self)._auto_exposure(display), validation.MOST)
-        else:
-            factor = 1.0
-        return float(factor * 2.0**stops)
+        if shown.exposure is not None and source is not None:
+            raise ArgumentValueError(f"{ref('exposure')} and {ref('exposure_from')} exclude each other, got both")
+        if shown.exposure is None and source is None and not scales:
+            shown = replace(shown, exposure=1.0)
+        picture = source or self
+        return display_transform.exposure_factor(shown, picture.xyz[..., 1][picture.illuminated])
 
-    def _encoded(
-        self, display: display_transform.Display, factor: float, gamut: display_transform.GamutName, *, exact: bool
-    ) -> NDArray[np.float64]:
+    def _encoded(self, shown: DisplaySettings, factor: float, *, exact: bool) -> NDArray[np.float64]:
         """Return display RGB with the display's transfer function, not multiplied by alpha; 0 in the background."""
         covered = self.coverage > 0.0
         straight = self.xyz[covered] / self.coverage[covered][:, None].astype(np.float64)
         encoded = np.zeros(self.xyz.shape)
-        encoded[covered] = display_transform.encode(factor * straight, display, gamut, exact=exact)
+        encoded[covered] = display_transform.encode(factor * straight, shown, exact=exact)
         return encoded
 
     def _behind(
-        self, background: Image | ArrayLike | None, display: display_transform.Display, factor: float,
-        gamut: display_transform.GamutName, *, exact: bool,
-    ) -> NDArray[np.float64] | None:  # fmt: skip
+        self, background: Image | ArrayLike | None, shown: DisplaySettings, factor: float, *, exact: bool
+    ) -> NDArray[np.float64] | None:
         """Return the background in the display's linear light, shape (3,) or (height, width, 3); None without one."""
         if background is None:
             return None
@@ -248,11 +224,11 @@ class Image:
                     f"{ref('background')} must be a picture of {width} × {height} pixels, "
                     f"got {background.mask.shape[1]} × {background.mask.shape[0]}"
                 )
-            encoded = background._encoded(display, factor, gamut, exact=exact)
+            encoded = background._encoded(shown, factor, exact=exact)
             return background.coverage[..., None] * colorimetry.srgb_decode(encoded)
         colour = validation.finite_array(background, "background", most=validation.MOST)
         if colour.shape == self.xyz.shape:
-            encoded = display_transform.encode(factor * colorimetry.rgb_to_xyz(colour), display, gamut, exact=exact)
+            encoded = display_transform.encode(factor * colorimetry.rgb_to_xyz(colour), shown, exact=exact)
             return colorimetry.srgb_decode(encoded)
         if colour.shape != (3,):
             raise ArgumentValueError(
@@ -265,13 +241,11 @@ class Image:
             )
         return colorimetry.srgb_decode(colour)
 
+    @accepts(DisplaySettings)
     @np.errstate(under="ignore")
     def save(
-        self, path: str | os.PathLike[str], *, display: display_transform.Display = "aces",
-        exposure: Annotated[float, Gt(0.0)] | None = None,
-        exposure_stops: Annotated[float, Interval(ge=-MOST_STOPS, le=MOST_STOPS), Unit("stops")] = 0.0,
-        exposure_from: Image | None = None, gamut: display_transform.GamutName = "srgb",
-        background: Image | ArrayLike | None = None, bits: Bits = 8,
+        self, path: str | os.PathLike[str], *, exposure_from: Image | None = None,
+        background: Image | ArrayLike | None = None, **settings: Unpack[DisplayKeywords],
     ) -> Path:  # fmt: skip
         """Write the picture to a file; an existing file is replaced once the new one is complete.
 
@@ -280,17 +254,10 @@ class Image:
                 G, B, A, XYZ.X, XYZ.Y, XYZ.Z, the estimated error as error.Y, and the layers of the picture as normal.X,
                 normal.Y, normal.Z, depth.Z and geometry.Y. PNG holds display RGB, not multiplied by alpha, and alpha
                 unless there is a background. The file's metadata states the transform and the exposure.
-            display: Display transform of PNG files. ``"aces"`` is the ACES 2.0 view for standard dynamic range, which
-                shows bright orders as continuous spectra. ``"colorimetric"`` is exact for colours within the gamut and
-                reduces the chroma of others. ``"clip"`` clips each channel. EXR files are linear.
-            exposure: Linear factor of the light; None is automatic for PNG, and 1 for EXR.
-            exposure_stops: Correction of the exposure, a factor of 2 per stop.
             exposure_from: Picture whose automatic exposure is used, so that several pictures get the same exposure.
-            gamut: Gamut of the display, for PNG.
             background: Background of PNG files, mixed in the display's linear light: an encoded colour (R, G, B) with
                 components from 0 to 1, a picture of the same size, or linear sRGB of shape (height, width, 3). None
                 leaves it transparent.
-            bits: Bits per channel of PNG files.
 
         Returns:
             The path of the file.
@@ -303,24 +270,21 @@ class Image:
 
         target = check_target(path)
         is_png = target.suffix.lower() == ".png"
-        if validation.count(bits, "bits") not in (8, 16):
-            raise ArgumentValueError(f"{ref('bits')} must be 8 or 16, got {bits!r}")
-        validation.choice(display, "display", display_transform.DISPLAYS)
-        validation.choice(gamut, "gamut", tuple(display_transform.GAMUTS))
-        factor = self._exposure(display, exposure, exposure_stops, exposure_from, scales=is_png)
+        shown = DisplaySettings(**settings)
+        factor = self._exposure(shown, exposure_from, scales=is_png)
 
         height, width = self.mask.shape
         if is_png:
-            encoded = self._displayed(display, factor, gamut, background)
+            encoded = self._displayed(shown, factor, background)
             channels: tuple[str, ...] = ("R", "G", "B", "A")[: encoded.shape[2]]
-            pixels = _quantised(encoded, bits)
-            spec = oiio.ImageSpec(width, height, len(channels), oiio.UINT8 if bits == 8 else oiio.UINT16)
+            pixels = _quantised(encoded, shown.bits)
+            spec = oiio.ImageSpec(width, height, len(channels), oiio.UINT8 if shown.bits == 8 else oiio.UINT16)
             spec.attribute("oiio:UnassociatedAlpha", 1)
             spec.attribute("oiio:ColorSpace", "sRGB")
-            if (cicp := display_transform.GAMUTS[gamut].cicp) is not None:
+            if (cicp := display_transform.GAMUTS[shown.gamut].cicp) is not None:
                 spec.erase_attribute("oiio:ColorSpace")
                 spec.attribute("CICP", oiio.TypeDesc("int[4]"), cicp)
-            transform = f"{display_transform.description(display, gamut)}; exposure {factor:.6g}"
+            transform = f"{display_transform.description(shown)}; exposure {factor:.6g}"
         else:
             if background is not None:
                 raise ArgumentValueError(

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
-from annotated_types import Gt, Interval, Unit
 
 from warpdiff.core import validation
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.heightfield.field import HeightField
-from warpdiff.image.display_transform import MOST_STOPS, Display, to_srgb
+from warpdiff.image.display_transform import to_srgb
 from warpdiff.image.image import Image
 from warpdiff.plot.axes import axes_for, outlined
-from warpdiff.request.signatures import checked
+from warpdiff.request.settings import ColourSettings, Display
+from warpdiff.request.signatures import accepts, checked
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import ArrayLike, NDArray
+
+    from warpdiff.request.keywords import ColourKeywords
 
 # Width and height of the reflectance map that is computed to plot a height field [pixels].
 _MAP_PIXELS = 480
@@ -30,11 +32,10 @@ _CIRCLES_DEG = (30.0, 60.0)
 
 
 @checked
+@accepts(ColourSettings)
 def reflectance_map(
     source: HeightField | Image, to_light: ArrayLike | None = None, *, ax: Axes | None = None,
-    display: Display = "aces", exposure: Annotated[float, Gt(0.0)] | None = None,
-    exposure_stops: Annotated[float, Interval(ge=-MOST_STOPS, le=MOST_STOPS), Unit("stops")] = 0.0,
-    title: str | None = None,
+    display: Display = "aces", title: str | None = None, **settings: Unpack[ColourKeywords],
 ) -> Axes:  # fmt: skip
     """Plot the display colours of the reflectance over all view directions, for one direction to the light.
 
@@ -48,8 +49,6 @@ def reflectance_map(
             marks its mirror direction; None, which is possible for a picture, marks nothing.
         ax: Axes to draw into; None makes a figure.
         display: Display transform, as in :meth:`warpdiff.Image.display`.
-        exposure: Linear factor of the light; None is automatic.
-        exposure_stops: Correction of the exposure, a factor of 2 per stop.
         title: Title; None states the direction of the light.
 
     Returns:
@@ -83,7 +82,7 @@ def reflectance_map(
             f"{type(source).__name__}"
         )
     ax = axes_for(ax, width=5.2, height=5.2)
-    colours = source.display(display, exposure=exposure, exposure_stops=exposure_stops)
+    colours = source.display(display, **settings)
     ax.imshow(colours, extent=(-1.0, 1.0, -1.0, 1.0), interpolation="antialiased")
     _add_directions(ax, light)
     angle = "" if light is None else f", light at {math.degrees(math.acos(min(light[2], 1.0))):.3g}° from the normal"
@@ -119,12 +118,11 @@ def _add_directions(ax: Axes, light: NDArray[np.float64] | None) -> None:
 
 
 @checked
+@accepts(ColourSettings)
 def colour_strip(
     source: HeightField | ArrayLike, to_light: ArrayLike | None = None, *, angles_deg: ArrayLike | None = None,
     azimuth_deg: float | None = None, ax: Axes | None = None, display: Display = "aces",
-    exposure: Annotated[float, Gt(0.0)] | None = None,
-    exposure_stops: Annotated[float, Interval(ge=-MOST_STOPS, le=MOST_STOPS), Unit("stops")] = 0.0,
-    title: str | None = None,
+    title: str | None = None, **settings: Unpack[ColourKeywords],
 ) -> Axes:  # fmt: skip
     """Plot the display colours against the view angle, in a plane through the normal.
 
@@ -139,8 +137,6 @@ def colour_strip(
             plane of the light, with an azimuth from −90 to 90 degrees. For a light along the normal, None is 0.
         ax: Axes to draw into; None makes a figure.
         display: Display transform, as in :meth:`warpdiff.Image.display`.
-        exposure: Linear factor of the light; None is automatic.
-        exposure_stops: Correction of the exposure, a factor of 2 per stop.
         title: Title; None states the direction of the light.
 
     Returns:
@@ -189,7 +185,7 @@ def colour_strip(
                 f"{ref('source')} must have the shape ({len(angles)}, 3), a colour per angle, got {xyz.shape}"
             )
     ax = axes_for(ax, width=7.0, height=1.9)
-    colours = to_srgb(xyz, display, exposure=exposure, exposure_stops=exposure_stops)
+    colours = to_srgb(xyz, display, **settings)
     # Each colour fills the view angles up to half-way to the neighbouring angles.
     edges = np.concatenate([[angles[0]], 0.5 * (angles[1:] + angles[:-1]), [angles[-1]]])
     ax.pcolormesh(edges, [0.0, 1.0], colours[None], rasterized=True)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import Material
 from warpdiff.request.plan import Plan
-from warpdiff.request.settings import Energy, Integration, Layer, Method
+from warpdiff.request.settings import Bits, Display, Energy, GamutName, Integration, Layer, Method
 
 
 class CommonKeywords(TypedDict, total=False):
@@ -73,3 +73,23 @@ class SinglePictureKeywords(PictureKeywords, total=False):
     """Keyword arguments of :class:`warpdiff.request.settings.SinglePictureSettings`."""
 
     layers: Collection[Layer]
+
+
+class ColourKeywords(TypedDict, total=False):
+    """Keyword arguments of :class:`warpdiff.request.settings.ColourSettings`."""
+
+    exposure: float | None
+    exposure_stops: float
+
+
+class GamutKeywords(ColourKeywords, total=False):
+    """Keyword arguments of :class:`warpdiff.request.settings.GamutSettings`."""
+
+    gamut: GamutName
+
+
+class DisplayKeywords(GamutKeywords, total=False):
+    """Keyword arguments of :class:`warpdiff.request.settings.DisplaySettings`."""
+
+    display: Display
+    bits: Bits

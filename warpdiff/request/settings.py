@@ -12,8 +12,9 @@ from collections.abc import Collection  # noqa: TC003 (fields are described at r
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from annotated_types import Ge, Interval
+from annotated_types import Ge, Gt, Interval, Unit
 
+from warpdiff.core import validation
 from warpdiff.core.options import Checked
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.optics.coherence import Coherence
@@ -32,8 +33,13 @@ Method = Literal[
 Integration = Literal["auto", "sampled", "table"]
 Energy = Literal["stam", "normalised", "normalized"]
 Layer = Literal["normal", "depth", "geometry"]
+Display = Literal["aces", "colorimetric", "clip"]
+GamutName = Literal["srgb", "display-p3"]
+Bits = Literal[8, 16]
 # Maximum number of camera rays per pixel, 256 × 256; more do not change an 8-bit picture.
 MOST_SAMPLES = 2**16
+# Largest correction of an exposure [stops]. Limit: a factor of 1e9 is more than any picture needs.
+MOST_STOPS = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,3 +204,48 @@ class SinglePictureSettings(PictureSettings):
     """
 
     layers: Collection[Layer] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColourSettings(Checked):
+    """Options of every function that shows colours, besides the display transform itself.
+
+    Attributes:
+        exposure: Linear factor of the light; None is automatic, from the mean luminance of what is not black, and 1 for
+            EXR files. With 1 and ``display="colorimetric"``, a perfect mirror at normal incidence is white.
+        exposure_stops: Correction of the exposure, a factor of 2 per stop.
+    """
+
+    exposure: Annotated[float, Gt(0.0)] | None = None
+    exposure_stops: Annotated[float, Interval(ge=-MOST_STOPS, le=MOST_STOPS), Unit("stops")] = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.exposure is not None:
+            validation.positive(self.exposure, "exposure")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GamutSettings(ColourSettings):
+    """Options of ``Image.display``, besides the display transform itself.
+
+    Attributes:
+        gamut: Gamut of the display.
+    """
+
+    gamut: GamutName = "srgb"
+
+
+@dataclass(frozen=True, kw_only=True)
+class DisplaySettings(GamutSettings):
+    """All options of display colours, which ``Image.save`` and ``sequence`` have for PNG files.
+
+    Attributes:
+        display: Display transform. ``"aces"`` is the ACES 2.0 view for standard dynamic range, which shows bright
+            orders as continuous spectra. ``"colorimetric"`` is exact for colours within the gamut and reduces the
+            chroma of others. ``"clip"`` clips each channel. EXR files are linear.
+        bits: Bits per channel of PNG files.
+    """
+
+    display: Display = "aces"
+    bits: Bits = 8

@@ -48,6 +48,7 @@ def accepts(settings: type) -> Callable[[Function], Function]:
             for option in options.values()
             if option.name not in signature.parameters
         ]
+        call.__settings__ = settings  # type: ignore[attr-defined]
         call.__signature__ = signature.replace(parameters=[*own, *fields])  # type: ignore[attr-defined]
         call.__doc__ = _with_options(function.__doc__ or "", [options[field.name] for field in fields])
         return call  # type: ignore[return-value]

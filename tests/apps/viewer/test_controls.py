@@ -9,16 +9,16 @@ import warpdiff as wd
 from warpdiff.apps.viewer.controls import EXCLUDED, checked, controls, defaults, described, word
 from warpdiff.core.options import describe
 from warpdiff.core.wording import spelled
-from warpdiff.request.settings import PictureSettings
+from warpdiff.request.settings import DisplaySettings, PictureSettings
 
 KNOWN = controls(["m.obj"], ["h.npy"], ["s.exr"])
 VALUES = defaults(KNOWN)
 
 
 def test_every_option_of_pictures_has_a_control_or_is_excluded():
-    options = {control.option.name for control in KNOWN.values() if control.call == "picture"}
+    options = {control.option.name for control in KNOWN.values() if control.call in ("picture", "display")}
     assert not options & set(EXCLUDED)
-    assert options | set(EXCLUDED) == set(describe(PictureSettings))
+    assert options | set(EXCLUDED) == {*describe(PictureSettings), *describe(DisplaySettings)}
 
 
 def test_initial_values_equal_the_defaults_of_the_library():

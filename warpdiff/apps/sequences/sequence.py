@@ -7,10 +7,10 @@ import hashlib
 import json
 import math
 from collections.abc import Collection, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Unpack, get_args
 
 import numpy as np
-from annotated_types import Ge, Interval, Unit
+from annotated_types import Interval, Unit
 
 from warpdiff.apps.sequences import animation as animated
 from warpdiff.apps.sequences.frames import FrameJob, FrameRenderer, draw_by_workers, draw_frame
@@ -18,17 +18,20 @@ from warpdiff.apps.sequences.shots import Shot
 from warpdiff.core import files, openimageio, validation
 from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, marked, ref
-from warpdiff.image.display_transform import MEAN_SHOWN, MOST_STOPS, Display, GamutName
-from warpdiff.image.image import PNG_END, Bits
+from warpdiff.image.display_transform import MEAN_SHOWN
+from warpdiff.image.image import PNG_END
 from warpdiff.lights.base import LobeLight
 from warpdiff.lights.environment import Environment
 from warpdiff.render.renderer import Renderer  # noqa: TC001 (the decorator ``checked`` needs the class at run time)
-from warpdiff.request.signatures import checked
+from warpdiff.request.settings import Display, DisplaySettings
+from warpdiff.request.signatures import accepts, checked
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
+
+    from warpdiff.request.keywords import DisplayKeywords
 
 Format = Literal[".png", ".exr"]
 FORMATS: tuple[Format, ...] = get_args(Format)
@@ -42,16 +45,17 @@ _METERED, _METERED_WIDTH = 16, 160
 
 
 @checked
+@accepts(DisplaySettings)
 def sequence(
     renderer: Renderer, shots: Sequence[Shot], folder: str | os.PathLike[str], *,
     formats: Collection[Format] = (FORMATS[0],), animation: str | os.PathLike[str] | None = None,
-    frames_per_second: Annotated[float, Interval(gt=0.0, le=1000.0), Unit("1/s")] = 24.0, display: Display = "aces",
-    exposure: Annotated[float, Ge(validation.LEAST)] | None = None,
-    exposure_stops: Annotated[float, Interval(ge=-MOST_STOPS, le=MOST_STOPS), Unit("stops")] = 0.0,
-    gamut: GamutName = "srgb", background: tuple[float, float, float] | None = None, bits: Bits = 8,
-    overwrite: bool = False, client: Any = None, progress: Progress = None,
+    frames_per_second: Annotated[float, Interval(gt=0.0, le=1000.0), Unit("1/s")] = 24.0,
+    background: tuple[float, float, float] | None = None, overwrite: bool = False, client: Any = None,
+    progress: Progress = None, **settings: Unpack[DisplayKeywords],
 ) -> list[Path]:  # fmt: skip
     """Draw shots one after the other into files ``frame_0000.png``, …, all with the same exposure.
+
+    Automatic exposure is the geometric mean of the automatic exposures of up to 16 small, unrefined frames.
 
     An interrupted sequence resumes at the next missing frame when the function is called again with the same arguments.
     Partial files are never left behind. A hash of renderer, shots and options in the folder detects frames of other
@@ -67,13 +71,8 @@ def sequence(
         formats: File formats of each frame: ``".png"``, ``".exr"``, or both.
         animation: Animated file of the PNG frames: ``.webp``, ``.png`` (APNG) or ``.gif``. None writes no animation.
         frames_per_second: Frame rate of the animation.
-        display: Display transform of PNG files, as for :meth:`warpdiff.Image.save`.
-        exposure: Linear factor of the light in all frames. None is automatic: the geometric mean of the automatic
-            exposures of up to 16 small, unrefined frames; EXR files are then not scaled.
-        exposure_stops: Correction of the exposure, a factor of 2 per stop.
-        gamut: Gamut of the display, for PNG.
-        background: Encoded colour (R, G, B) behind PNG frames, components from 0 to 1; None leaves it transparent.
-        bits: Bits per channel of PNG files.
+        background: Encoded colour (R, G, B) of the background of PNG files, components from 0 to 1; None is
+            transparent.
         overwrite: Whether frames of another sequence in the folder are deleted; otherwise they are an error.
         client: ``distributed.Client`` whose workers draw the frames. This process writes the files. Each worker
             receives the renderer once and keeps its tables; frames of lost workers are drawn by other workers.
@@ -97,6 +96,7 @@ def sequence(
         >>> [path.name for path in paths]
         ['frame_0000.png', 'frame_0001.png']
     """
+    shown = DisplaySettings(**settings)
     report = reporter(progress, "sequence") or (lambda _: None)
     _check_shots(shots, renderer)
     if not formats:
@@ -116,15 +116,14 @@ def sequence(
     except OSError as error:
         raise marked(type(error), f"{ref('folder')}: {target} cannot be created: {error.strerror}") from None
     files.check_folder(target, "folder")
-    png = {
-        "display": display, "exposure_stops": exposure_stops, "gamut": gamut, "background": background, "bits": bits,
-    }  # fmt: skip
+    png = dataclasses.asdict(shown) | {"background": background}
+    exposure = png.pop("exposure")
     key = _key(renderer, shots, (suffixes, exposure, png))
     factor = _manifest(target, key, overwrite=overwrite).get("exposure")
     if factor is None:
-        factor = _metered(renderer, shots, display, report) if exposure is None else exposure
+        factor = _metered(renderer, shots, shown.display, report) if exposure is None else exposure
         _write(target / _MANIFEST, json.dumps({"key": key, "frames": len(shots), "exposure": factor}).encode())
-    exr = {"exposure": exposure, "exposure_stops": exposure_stops if exposure is not None else 0.0}
+    exr = {"exposure": exposure, "exposure_stops": shown.exposure_stops if exposure is not None else 0.0}
     job = FrameJob(key, suffixes, {".png": {**png, "exposure": factor}, ".exr": exr})
 
     digits = max(4, len(str(len(shots) - 1)))

@@ -1,7 +1,7 @@
 """Controls of the viewer's page: options of the library with labels, groups and sliders.
 
-Type, choices, unit and meaning come from the descriptions of options. An option of pictures that has no entry in
-:func:`controls` gets a control from its description alone.
+Type, choices, unit and meaning come from the descriptions of options. An option of pictures or of their display gets a
+control from its description alone if it has no entry in :func:`controls`.
 """
 
 from __future__ import annotations
@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Any
 from warpdiff.core import validation
 from warpdiff.core.options import Kind, Option, describe
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
-from warpdiff.image.image import Image
 from warpdiff.lights.directional import ONE_LOBE_DEG, DirectionalLight
 from warpdiff.lights.environment import Environment
 from warpdiff.optics.coherence import DEFAULT_SIGMA_UM, Coherence
-from warpdiff.request.settings import PictureSettings
+from warpdiff.request.settings import DisplaySettings, PictureSettings
 from warpdiff.samples import gratings
 from warpdiff.scene.camera import View
 
@@ -40,7 +39,7 @@ METALS = {
 }  # fmt: skip
 MATERIALS = {"dielectric": "dielectric", "mirror": "perfect mirror"} | METALS
 AXES = {"x": "world x", "y": "world y", "z": "world z"}
-# Options of pictures that have no control of the same name on the page.
+# Options of pictures and of their display that have no control of the same name on the page.
 EXCLUDED = (
     # Options that several other controls set together: controls of coherence, material, and the height field's x axis.
     *("coherence", "material", "tangents"),
@@ -50,6 +49,8 @@ EXCLUDED = (
     *("tolerance", "refine", "strict", "plan"),
     # Options that the planner selects from the tolerance and the coherence.
     *("integration", "footprint", "samples_per_pixel"),
+    # Options of the display: exposure is automatic or locked, browsers assume sRGB, and files have 8 bits per channel.
+    *("exposure", "gamut", "bits"),
 )
 _SKY = "Environment"
 # Value of the control "environment" that selects the computed clear sky instead of a file.
@@ -84,8 +85,8 @@ class Control:
         default: Initial value; None is the default of the option.
         labels: Texts of the choices by value; empty prints the option's values.
         name: Name of the control on the page; empty is the option's name.
-        call: Library call that gets the value as an argument: ``"picture"``, ``"coherence"``, ``"heightfield"``,
-            ``"light"`` or ``"environment"``; empty if the viewer uses the value in another way.
+        call: Library call that gets the value as an argument: ``"picture"``, ``"display"``, ``"coherence"``,
+            ``"heightfield"``, ``"light"`` or ``"environment"``; empty if the viewer uses the value in another way.
         element: Index of the value in an option that is a pair (y, x); None if the value is the whole option.
     """
 
@@ -171,7 +172,7 @@ def controls(
     # and no other light; otherwise it starts with a directional light.
     lights = (none if environments else {}) | {"directional": "directional", "point": "point"} | none
     others = tuple(name for name in bodies if name not in LONG_BODIES)
-    picture, window, saving = describe(PictureSettings), describe(Coherence), describe(Image.save)
+    picture, window, display = describe(PictureSettings), describe(Coherence), describe(DisplaySettings)
     light, sky, clear = describe(DirectionalLight), describe(Environment.load), describe(Environment.clear_sky)
     methods = {method: method for method in picture["method"].choices if method != "direct"}
     any_light, any_window = {"light": ("directional", "point")}, {"coherence": ("averaged", "centred")}
@@ -249,12 +250,14 @@ def controls(
         Control(describe(View)["height"], "Picture", "picture height", default=360, labels=_ROWS),
         Control(picture["tolerance"], "Picture", "tolerance", default=0.03, labels=_TOLERANCES),
         Control(picture["method"], "Picture", "method", labels=methods, call="picture"),
-        Control(saving["display"], "Picture", "display", labels=_DISPLAYS),
-        Control(saving["exposure_stops"], "Picture", "exposure", (-8.0, 8.0, 0.1)),
+        Control(display["display"], "Picture", "display", labels=_DISPLAYS, call="display"),
+        Control(display["exposure_stops"], "Picture", "exposure", (-8.0, 8.0, 0.1), call="display"),
         _own("lock_exposure", "Picture", "lock the exposure", "Whether the automatic exposure stays.", False),
         _own("background", "Picture", "background", "Encoded grey level.", 0.1, slider=(0.0, 1.0, 0.01)),
     ]  # fmt: skip
-    entries += _further({control.option.name for control in entries if control.call == "picture"} | set(EXCLUDED))
+    for settings, call in ((PictureSettings, "picture"), (DisplaySettings, "display")):
+        known = {control.option.name for control in entries if control.call == call} | set(EXCLUDED)
+        entries += _further(settings, call, known)
     return {control.name: control for control in entries}
 
 
@@ -279,17 +282,23 @@ def _of_gratings(argument: str, label: str, slider: Slider, *kinds: str, **more:
     return Control(option, "Surface", label, slider, shown_if={"surface": kinds}, call="heightfield", **more)
 
 
-def _further(known: set[str]) -> list[Control]:
-    """Return controls for those flags, choices and bounded numbers of pictures whose names are not in ``known``."""
+def _further(settings: type, call: str, known: set[str]) -> list[Control]:
+    """Return controls for those flags, choices and bounded numbers of a class whose names are not in ``known``.
+
+    Args:
+        settings: Class of settings.
+        call: Library call that accepts the settings, as in :class:`Control`.
+        known: Names of options that have a control, or need none.
+    """
     result = []
-    for option in describe(PictureSettings).values():
+    for option in describe(settings).values():
         slider: Slider = None
         low, high = option.gt if option.ge is None else option.ge, option.le
         if option.kind in ("integer", "number") and low is not None and high is not None:
             step = 1 if option.kind == "integer" else (high - low) / 200.0
             slider = (low if option.ge is not None else low + step, high, step)
         if option.name not in known and not option.optional and (slider or option.kind in ("flag", "choice")):
-            result.append(Control(option, "Picture", option.name.replace("_", " "), slider, call="picture"))
+            result.append(Control(option, "Picture", option.name.replace("_", " "), slider, call=call))
     return result
 
 

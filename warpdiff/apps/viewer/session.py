@@ -24,7 +24,7 @@ import numpy as np
 
 import warpdiff as wd
 from warpdiff.apps.viewer import encoding, page_bodies
-from warpdiff.apps.viewer.controls import word
+from warpdiff.apps.viewer.controls import arguments, word
 from warpdiff.apps.viewer.page_calls import Scene
 from warpdiff.core import disk_cache, validation
 from warpdiff.core.caching import LruCache
@@ -408,13 +408,12 @@ class Studio:
         During a movement (``moving``) and if the user has locked the exposure, the exposure of an earlier picture is
         used.
         """
-        display = request.values["display"]
         if session.exposure is None or not (moving or request.values["lock_exposure"]):
             session.exposure = min(image.auto_exposure, validation.MOST * 1e-6)
-        factor = session.exposure * MEAN_SHOWN[display] / MEAN_SHOWN["aces"]
-        grey = request.values["background"]
-        exposure = float(f"{factor * 2.0 ** request.values['exposure_stops']:.6g}")
-        return {"display": display, "exposure": exposure, "background": (grey, grey, grey)}
+        factor = session.exposure * MEAN_SHOWN[request.values["display"]] / MEAN_SHOWN["aces"]
+        shown = arguments(self.files.controls, request.values, "display")
+        exposure = float(f"{factor * 2.0 ** shown.pop('exposure_stops', 0.0):.6g}")
+        return shown | {"exposure": exposure, "background": 3 * (request.values["background"],)}
 
     def _surface(self, scene: Scene) -> Surface:
         tangents = dict(scene.options).get("tangents")
@@ -523,7 +522,9 @@ class Studio:
             self._height_field(scene), local.to_light, size=MAP_SIZE, plan=image.plan, illuminant=light.illuminant,
             device=self._device.alias, threads=self._threads, progress=progress, **options,
         )  # fmt: skip
-        pixels = encoding.displayed(disc, exact=False, display=display["display"])
+        # The map has its own automatic exposure and no background.
+        shown = {name: value for name, value in display.items() if name not in ("exposure", "background")}
+        pixels = encoding.displayed(disc, exact=False, **shown)
         session.send(message | {"type": "image/png"}, encoding.encoded(pixels, lossless=True))
 
 
