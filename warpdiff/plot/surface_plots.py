@@ -94,15 +94,13 @@ def height_map(
     below = 0.0 if line is None else (_PROFILE + _GAP) * width + 0.4
     ax = axes_for(ax, width=max(width + 2.0, 3.6), height=height + below + 0.9)
     values = factor * np.ma.masked_invalid(heightfield.heights_um)
-    placed = {
-        "origin": "lower",
-        "extent": (0.0, extent_x, 0.0, extent_y),
-        "interpolation": "nearest",
-        "aspect": "equal",
-    }
-    picture = ax.imshow(values, cmap=_with_gaps(cmap), **placed)
+    picture = ax.imshow(
+        values, cmap=_with_gaps(cmap), origin="lower", extent=(0.0, extent_x, 0.0, extent_y), interpolation="nearest",
+        aspect="equal",
+    )  # fmt: skip
     if is_shaded and min(ny, nx) > 1 and heightfield.mean_slope > 0.0:
-        ax.imshow(_shaded(heightfield, picture.to_rgba(values)), **placed)
+        colours = _shaded(heightfield, np.asarray(picture.to_rgba(values)))
+        ax.imshow(colours, origin="lower", extent=picture.get_extent(), interpolation="nearest")
     ax.set_xlabel("x [µm]" if nx > 1 or not is_band else "constant along x")
     ax.set_ylabel("y [µm]" if ny > 1 or not is_band else "constant along y")
     if is_band:
