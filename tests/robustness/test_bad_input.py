@@ -75,7 +75,7 @@ VALUE_ERRORS = [
     (lambda _: wd.HeightField([[0.0]], (0.1, 0.0)), r"pitch_um\[1\] must be a finite number, more than 0"),
     (lambda d: wd.HeightField.load(text(d / "a.png"), extent_um=1), "path: .* cannot be read as an image"),
     (lambda d: wd.HeightField.load(text(d / "a.npy"), extent_um=1), "path: .* cannot be read as .npy"),
-    # Invalid coherence models, lights and views
+    # Calls with invalid coherence models, lights and views, and the errors that they raise
     (lambda _: wd.Coherence("replicas", periods=3), r"periods must be a pair \(y, x\) of integers, got 3"),
     (lambda _: wd.Coherence("replicas", periods=(1, 2, 3)), r"periods must be a pair .* got \(1, 2, 3\)"),
     (lambda _: wd.Coherence("replicas", periods="12"), r"periods must be a pair .* got '12'"),
@@ -84,7 +84,7 @@ VALUE_ERRORS = [
     (lambda _: wd.Coherence("replicas", periods=(1, 10**6)), r"periods\[1\] must be .* at most 100000, got 1000000"),
     (lambda _: wd.Coherence("centred", centre_um=3.0), r"centre_um must be a pair \(y, x\), got"),
     (lambda _: wd.Coherence("centred", centre_um=(0, math.nan)), "centre_um must be finite"),
-    # Invalid directions and wavelengths
+    # Calls with invalid directions and wavelengths, and the errors that they raise
     (lambda _: wd.reflectance(HF, [0, 0, 0], UP), "to_light must not contain zero vectors, got 1"),
     (lambda _: wd.reflectance(HF, UP, [UP, [0, 0, 0]]), "to_view must not contain zero vectors, got 1"),
     (lambda _: wd.reflectance(HF, [math.nan, 0, 1], UP), "to_light must be finite, got 1 NaN"),

@@ -181,7 +181,7 @@ class EnergyFactors:
         return np.asarray(np.sum(weights * values.ravel()[nodes], axis=1))
 
     def risen(self, views: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
-        """Return the factors at view directions, times the function `rise`, which is 0 at the horizon, shape (n,)."""
+        """Return the energy factors at view directions, times `rise`, which is 0 at the horizon, shape (n,)."""
         return self.at(views, wavelength_nm) * rise(views[:, 2])
 
 

@@ -173,7 +173,10 @@ def _extreme(rays: _Rays, angle: float, step: float, *, sign: float) -> tuple[fl
 
 
 class _Rays:
-    """Interpolated autocorrelation on straight lines from the origin, with angles and lengths of a grid of pitch 1."""
+    """Interpolated autocorrelation on straight lines from the origin.
+
+    Angles and lengths are those of a grid whose pitch is 1 along both axes.
+    """
 
     def __init__(
         self, products: NDArray[np.float64], pairs: NDArray[np.float64], pitch_um: tuple[float, float], least: float
@@ -199,7 +202,8 @@ class _Rays:
     def lengths(self, angles: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Return the distance at which each ray first crosses the threshold, and whether it does.
 
-        A ray without a crossing has the distance of its last usable point.
+        If a ray does not cross the threshold, its distance is that of the last point where the autocorrelation is
+        known.
         """
         units = np.stack([np.sin(angles), np.cos(angles)])
         count = math.ceil(float(np.hypot(*self._centre)) / _STEP) + 1
@@ -227,7 +231,10 @@ class _Rays:
         return np.where(crosses, crossing, distances[np.maximum(first - 1, 0)]), crosses
 
     def _at(self, lags: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the autocorrelation interpolated at lags, shape (2, …), and if all samples around are usable."""
+        """Return the autocorrelation at lags by interpolation, and whether it is known around each lag.
+
+        The lags have the shape (2, …). The autocorrelation is known where enough pairs of samples were measured.
+        """
         from scipy import ndimage
 
         # A lag that is within rounding of a whole number of samples requires only the sample at this lag.

@@ -184,7 +184,7 @@ def with_error(value: float, standard_error: float) -> str:
     if value == standard_error == 0.0:
         return "0 ± 0"
     least = max(_LEAST_SHOWN * abs(value), _LEAST_SHOWN**2)
-    # The upper bound of a small error is printed as a power of ten.
+    # If the error is printed as an upper bound, the bound is a power of ten.
     bound = 10.0 ** math.ceil(math.log10(least))
     is_bound = standard_error < bound
     digits = min(max(-math.floor(math.log10(bound)) if is_bound else 1 - math.floor(math.log10(standard_error)), 0), 12)
@@ -239,7 +239,7 @@ def _flat(order: int) -> Roughness:
 
 
 def _no_error(blocks: int) -> str:
-    """Return the reason why a parameter has no standard error, for a field of this number of blocks."""
+    """Return the reason why a parameter has no standard error, given the number of blocks of the field."""
     if blocks < _LEAST_BLOCKS:
         return "the field is too small to be split into four independent parts"
     return "the autocorrelation of a part of the field does not decay"

@@ -102,7 +102,7 @@ class ReportData:
         periods: Periodic waves in ``part``, strongest first.
         roughness: ISO 25178 parameters of the whole field.
         verdicts: Verdict on scalar diffraction at each wavelength.
-        efficiencies: Efficiencies of the orders that the picture shows.
+        efficiencies: Efficiencies of the orders that the picture of the orders shows.
         orders: Table of the orders; for a field without orders, of the power in the mirror direction and the scattered
             power.
         patch_um: Size (y, x) of the field from which diffraction is computed [µm], after cropping.
@@ -283,7 +283,8 @@ def wave_azimuth_deg(heightfield: HeightField) -> float:
     try:
         periods = central_part(heightfield).periods()
     except (ValueError, MemoryError):
-        # The reason is on the page, because `collect` computes the periods of this field too.
+        # If the periods cannot be computed, the page states the reason: `collect` computes them too and stores its
+        # error.
         periods = None
     if not periods:
         return 0.0 if heightfield.shape[1] > 1 else 90.0
@@ -293,7 +294,7 @@ def wave_azimuth_deg(heightfield: HeightField) -> float:
 
 
 def _add_orders(data: ReportData, optical: HeightField) -> None:
-    """Compute the table of the orders, and the efficiencies that the picture shows."""
+    """Compute the table of the orders, and the efficiencies for the picture of the orders."""
     request = data.request
     light, wavelengths = data.to_light, request.wavelengths_nm
     material = {name: request.settings[name] for name in ("ior", "material") if request.settings.get(name) is not None}

@@ -130,7 +130,8 @@ def report(
         heightfield, _direction(to_light, "to_light"), _direction(to_view, "to_view"), _wavelengths(wavelengths_nm),
         _sigmas(sigmas_um), illuminant, None if compare is None else read_curve(compare), dict(settings),
     )  # fmt: skip
-    # A wrong setting raises an error here. In the computations below, it would only become a reason on the page.
+    # A wrong setting must raise an error. Without this check, the page would only state it as the reason why results
+    # are absent.
     flat = HeightField.of_known_scale([[0.0]], 1.0)
     Evaluation.of(flat, EvaluationSettings(**settings), illuminants=(illuminant,))
     target = _folder(folder)
