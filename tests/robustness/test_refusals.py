@@ -130,7 +130,7 @@ def python_rows() -> Iterator[Row]:
                 yield Row("python", request, option.name, rule, functools.partial(error_of, call))
 
 
-# Invalid arguments on the command line
+# The code below makes command lines that have one invalid argument each.
 
 FILES = ["--heightfield", "a.npy", "--pitch-um", "0.1"]
 COMMANDS = {
