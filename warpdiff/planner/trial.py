@@ -286,7 +286,7 @@ class Trial:
         return worst_percentile(self.training_set.errors(self.run(plan, self.training_set), exact), self.training_set)
 
     def validation_error(self, plan: Plan) -> float:
-        """Return the 99.5th percentile of a plan's errors on the validation set: of bright or dim directions, the larger.
+        """Return the larger 99.5th percentile of a plan's errors on the validation set: of bright or dim directions.
 
         Directions beyond the largest order rate of the reference plan are excluded, unless all directions are beyond
         it.
