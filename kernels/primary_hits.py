@@ -123,7 +123,7 @@ def rasterize(
 ):  # fmt: skip
     """Find the first face that the ray of each pixel or cell hits, by rasterization. Used on the CPU only.
 
-    On the CPU, rasterization is faster than rays through a hierarchy: it
+    On the CPU, rasterization is faster than rays through a hierarchy of bounding boxes.
 
     Args:
         camera: Camera in the units of the mesh.

@@ -139,7 +139,7 @@ def draw_direction(table: SkyDistribution, sky: Sky, point: wp.vec2f) -> wp.vec3
     row = find_step(table.row_cdf, 0, rows, point[0])
     columns = table.column_cdf[row]
     column = find_step(columns, 0, columns.shape[0], point[1])
-    # The direction is uniform in solid angle within its block.
+    # Within the drawn block of the sky, directions are uniform in solid angle.
     per_row = wp.static(math.pi) / wp.float32(rows)
     top = wp.cos(per_row * wp.float32(row))
     bottom = wp.cos(per_row * wp.float32(row + 1))

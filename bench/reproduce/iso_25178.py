@@ -1,7 +1,8 @@
-"""Judge of `HeightField.roughness`: ISO 25178 parameters compared with surfalize, and coverage of standard errors.
+"""ISO 25178 parameters of `HeightField.roughness`: comparison with surfalize, and coverage of the standard errors.
 
-Fields that surfalize cannot read without change (gaps, profiles) are left to the tests, which have closed forms. The
-coverage is that of two standard errors: parts of large random surfaces are compared with the mean of all parts.
+surfalize cannot read fields with gaps and profiles without change, so that they are not compared here; the tests
+compare them with closed forms. The coverage is the share of random fields whose value is within two standard errors of
+the mean of all fields of the same kind.
 """
 
 from __future__ import annotations
@@ -22,9 +23,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 NAMES = ("Sa", "Sq", "Sdq", "Sdr", "Sal", "Str")
-# First seed of the random fields. The length of blocks was fitted on seeds below 60,000.
+# First seed of the random fields. Seeds below 60,000 are not used, because the length of the blocks for standard errors
+# was fitted on them.
 SEED = 70_000
-# Number of samples along each axis of the random fields.
+# Number of samples along each axis of the random fields that are compared with surfalize.
 _SAMPLES = 300
 
 
@@ -32,14 +34,14 @@ def random_field(
     seed: int, lengths_um: tuple[float, float], pitch_um: tuple[float, float], shape: tuple[int, int],
     exponent: float = 0.0, angle_deg: float = 0.0,
 ) -> wd.HeightField:  # fmt: skip
-    """Return a part of a random surface with a Gaussian autocorrelation, or a power law at high frequencies.
+    """Return a part of a random surface with a Gaussian autocorrelation or a power-law spectrum.
 
     Args:
-        seed: Seed.
+        seed: Seed of the random numbers.
         lengths_um: Correlation lengths (y, x) before rotation [µm].
         pitch_um: Distance of the samples (y, x) [µm].
         shape: Number of samples (y, x).
-        exponent: Exponent of the power spectrum at high frequencies; 0 for a Gaussian.
+        exponent: Exponent of the power law of the spectrum at high frequencies; 0 for a Gaussian autocorrelation.
         angle_deg: Rotation of the surface [degrees].
     """
     rng = np.random.default_rng(seed)
@@ -51,7 +53,7 @@ def random_field(
     squares = (2.0 * np.pi) ** 2 * ((qy * lengths_um[0]) ** 2 + (qx * lengths_um[1]) ** 2)
     amplitude = (1.0 + squares) ** (-exponent / 4.0) if exponent else np.exp(-squares / 8.0)
     heights = np.fft.ifft2(np.fft.fft2(rng.normal(size=larger)) * amplitude).real[: shape[0], : shape[1]]
-    # The standard deviation of the endless surface is 0.05 µm.
+    # The heights are scaled so that the standard deviation of the endless surface is 0.05 µm.
     return wd.HeightField.of_known_scale(0.05 * heights / np.sqrt(np.mean(amplitude**2)), pitch_um)
 
 
@@ -76,19 +78,19 @@ def judged_fields(data: str | None) -> dict[str, wd.HeightField]:
 
 
 def of_surfalize(heightfield: wd.HeightField) -> dict[str, float]:
-    """Return the parameters that surfalize computes for a levelled field, lengths in µm."""
+    """Return the parameters that surfalize computes for a field after levelling; lengths are in µm."""
     from surfalize import Surface
 
     dy, dx = heightfield.pitch_um
     with warnings.catch_warnings():
-        # It warns of pixels that are not square, and where Str is not determined.
+        # surfalize warns if the pixels are not square, and if Str is not determined.
         warnings.simplefilter("ignore")
         surface = Surface(heightfield.levelled().heights_um, dx, dy)
         return {name: float(getattr(surface, name)()) for name in NAMES}
 
 
 def compare(data: str | None) -> None:
-    """Print the largest difference of each parameter from surfalize, and the values of each field."""
+    """Print the parameters of each field with their differences from surfalize, and the largest differences."""
     print("| field | " + " | ".join(NAMES) + " |\n" + "| --- " * (len(NAMES) + 1) + "|")
     worst = dict.fromkeys(NAMES, 0.0)
     for title, field in judged_fields(data).items():
@@ -107,7 +109,7 @@ def compare(data: str | None) -> None:
 
 
 def _kinds() -> dict[str, Callable[[int], wd.HeightField]]:
-    """Return makers of random surfaces by name."""
+    """Return functions that make a random height field from a seed, by the name of the kind of surface."""
     shape = (200, 200)
 
     def gappy(seed: int) -> wd.HeightField:
@@ -138,7 +140,7 @@ def _kinds() -> dict[str, Callable[[int], wd.HeightField]]:
 
 
 def coverage(count: int, seed: int) -> None:
-    """Print the shares of fields whose value is within two standard errors of the mean of all fields."""
+    """Print the share of fields whose value is within two standard errors of the mean of all fields."""
     print("| surface | " + " | ".join(NAMES) + " | without error |\n" + "| --- " * (len(NAMES) + 2) + "|")
     for title, make in _kinds().items():
         parameters = [make(seed + k).roughness() for k in range(count)]
@@ -158,7 +160,7 @@ def coverage(count: int, seed: int) -> None:
 
 
 def main() -> None:
-    """Print the tables."""
+    """Print the comparison with surfalize and the coverage of the standard errors."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fields", type=int, default=60, help="number of random fields of each kind (60)")
     parser.add_argument("--seed", type=int, default=SEED, help=f"first seed ({SEED})")

@@ -146,8 +146,8 @@ def judged(energy: str | None, *, step: int = 1) -> dict[str, Shares]:
 def mean_error_by_rise(cosine: float) -> float:
     """Return the mean error of mirror gratings that are not held out, with normalised energy.
 
-    ``cosine`` replaces the cosine of the angle from the normal from which on the normalisation gives an order its full
-    weight.
+    The normalisation gives full weight to orders whose direction has at least a certain cosine of the angle from the
+    normal. ``cosine`` replaces this limit.
     """
     before = energy_normalisation.RISEN
     energy_normalisation.RISEN = cosine

@@ -119,7 +119,10 @@ class Points:
     def neighbourhoods(
         self, heightfield: wd.HeightField, lights: np.ndarray, views: np.ndarray, sigma: float, step_nm: float
     ) -> None:
-        """Add the errors of 3 × 3 coefficients relative to all coefficients, with the same wavelengths."""
+        """Add the errors of colours from 3 × 3 coefficients; colours from all coefficients are the reference.
+
+        The wavelengths are the same for both.
+        """
         wavelengths, weights = methods.fixed_steps(step_nm)
 
         def colour(**keywords: Any) -> np.ndarray:

@@ -372,8 +372,8 @@ def quadrature(cells, illuminant):
     x, _ = np.polynomial.legendre.leggauss(POINTS)
     edges = np.linspace(REDDEST, BLUEST, cells + 1)
     half, middles = (edges[1] - edges[0]) / 2.0, (edges[:-1] + edges[1:]) / 2.0
-    # Between neighbouring edges of cells and integer wavelengths, the product is smooth, and is integrated by a Gauss
-    # rule with 6 points.
+    # The integrand is not smooth at the edges of cells and at integer wavelengths. Between two neighbouring ones of
+    # these points it is smooth, and a Gauss rule with 6 points integrates it.
     pieces = np.unique(np.concatenate([1e3 / edges[1:-1], np.arange(380.0, 781.0)]))
     middle = (pieces[:-1] + pieces[1:]) / 2.0
     cell = np.clip(((1e3 / middle - REDDEST) / (2.0 * half)).astype(np.int64), 0, cells - 1)

@@ -2,8 +2,8 @@
 Report of a scan
 ================
 
-Write a page with everything about a surface, and compare its colours with a measured spectrum. Here the measurement is
-computed, with noise.
+Write a web page with the roughness, periods, diffraction orders and colours of a surface, and compare a computed with a
+measured spectrum. In this example, the measured spectrum is a computed one with noise.
 """
 
 from pathlib import Path

@@ -79,7 +79,7 @@ WARPDIFF_INLINE CellSums sum_cells(
             }
             const float value[4] = {colours[3 * cell], colours[3 * cell + 1], colours[3 * cell + 2], 1.0f};
             // If the direction to the light is random, a black cell may still be illuminated from another direction.
-            // All its cells count as illuminated then.
+            // All cells that hit the mesh then count as illuminated.
             sums.lighting |= is_sampled || value[0] + value[1] + value[2] > 0.0f ? LIT : UNLIT;
             float* const block = sums.blocks[row / per_block][column / per_block];
             for (int c = 0; c < 4; ++c) block[c] += value[c];

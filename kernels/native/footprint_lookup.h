@@ -54,8 +54,8 @@ struct Footprints {
     AtW<N> at_w;
 };
 
-// Parts of the footprints of several pixels. A part has a position in the table, and is blurred across rings and
-// azimuths.
+// Parts of the footprints of several pixels: a wide footprint is divided into parts, which are looked up separately. A
+// part has a position in the table, and is blurred across rings and azimuths.
 template <int N>
 struct Parts {
     int count;
@@ -66,7 +66,8 @@ struct Parts {
     Batch<N, int> apart, step, taps, begin, end, first_weight;
 };
 
-// Segments of several parts. A segment is a group of consecutive rings of a part that lie in the same octave.
+// Segments of the parts into which footprints are divided. A segment is a group of consecutive rings that a part of a
+// footprint covers within one octave.
 template <int N>
 struct Segments {
     int count;

@@ -20,7 +20,11 @@ def sine(shape=(120, 1000), *, along="x", period_um=2.0, amplitude_um=0.1, pitch
 
 
 def length_of_sine(period_um=2.0, size_um=10.0):
-    """Lag at which the mean of sin kx · sin k(x + t) over the pairs of a field of whole periods is 0.2 of that at 0."""
+    """Return the lag at which the autocorrelation of a sine over whole periods falls to 0.2 [µm].
+
+    The autocorrelation at a lag t is the mean of sin kx · sin k(x + t) over all x with both points in the field,
+    relative to that at t = 0.
+    """
     k = 2.0 * np.pi / period_um
     lags = np.linspace(0.3, 0.6, 100_001)
     return float(lags[np.argmax(np.cos(k * lags) + np.sin(k * lags) / (k * (size_um - lags)) < 0.2)])
@@ -28,12 +32,13 @@ def length_of_sine(period_um=2.0, size_um=10.0):
 
 @pytest.mark.parametrize(("along", "shape", "lay"), [("x", (120, 1000), 90.0), ("y", (1000, 120), 0.0)])
 def test_a_sine_has_its_closed_forms(along, shape, lay):
-    # 5 whole periods: order 0, because a plane fitted to sines is tilted.
+    # The field has 5 whole periods of a sine. A plane fitted to them would be tilted, so that only the mean is
+    # subtracted (order 0).
     roughness = sine(shape, along=along).roughness(order=0)
     assert roughness["Sa"].value == pytest.approx(0.2 / math.pi, rel=1e-4)
     assert roughness["Sq"].value == pytest.approx(0.1 / math.sqrt(2.0), rel=1e-6)
     assert roughness["Sdq"].value == pytest.approx(0.1 * math.pi / math.sqrt(2.0), rel=1e-3)
-    # ⟨√(1 + s²)⟩ − 1 for s = s₀ cos, by a fine sum.
+    # Sdr is the mean of √(1 + s²) over one period, minus 1, for the slopes s of the sine.
     slopes = 0.1 * math.pi * np.cos(np.linspace(0.0, 2.0 * np.pi, 10_001)[:-1])
     assert roughness["Sdr"].value == pytest.approx(100.0 * (np.sqrt(1.0 + slopes**2).mean() - 1.0), rel=2e-3)
     assert roughness["Sal"].value == pytest.approx(length_of_sine(), rel=1e-4)
@@ -55,7 +60,8 @@ def test_a_tilted_plane_has_the_area_of_its_slope_and_none_when_levelled():
 
 
 def test_isotropic_and_anisotropic_surfaces_have_their_lengths_and_aspect():
-    # The autocorrelation is exp(−r²/l²) along each axis.
+    # The autocorrelation of both surfaces along an axis is exp(−r²/l²) with the correlation length l of the axis. It
+    # falls to 0.2 at the distance l·√(ln 5).
     isotropic = random_field(1, (0.5, 0.5), (0.1, 0.1), (250, 250)).roughness()
     assert isotropic["Sal"].value == pytest.approx(0.5 * math.sqrt(LN5), rel=0.1)
     assert isotropic["Str"].value > 0.85
@@ -114,7 +120,8 @@ def test_a_profile_has_no_aspect_and_the_length_of_its_line():
 
 
 def test_fields_that_are_averaged_to_find_the_decay_have_the_same_lengths():
-    # 1,200 samples are averaged by two for the search, and 600 are not.
+    # For the first estimate of the decay, fields of more than 1,024 samples are averaged: the field of 1,200 samples in
+    # pairs, and the field of 600 samples not at all.
     field = random_field(6, (0.5, 1.0), (0.05, 0.05), (100, 1200))
     fine, coarse = field.roughness(), wd.HeightField.of_known_scale(field.heights_um[:, ::2], (0.05, 0.1)).roughness()
     assert fine["Sal"].value == pytest.approx(coarse["Sal"].value, rel=3e-3)
@@ -122,7 +129,8 @@ def test_fields_that_are_averaged_to_find_the_decay_have_the_same_lengths():
 
 
 def test_two_standard_errors_contain_the_value_of_the_surface():
-    # Of 20 fields with a coverage of 95 %, fewer than 15 are within with a probability of 0.03 %.
+    # If two standard errors contain the value of the surface in 95 % of fields, they contain it in fewer than 15 of 20
+    # fields with a probability of 0.03 %.
     fields = [random_field(900 + seed, (0.3, 0.3), (0.1, 0.1), (60, 60)).roughness() for seed in range(20)]
     for name in ("Sa", "Sq", "Sdq", "Sal"):
         values = [field[name].value for field in fields]

@@ -118,7 +118,7 @@ def test_few_samples_suffice_for_orders_under_illuminants_with_narrow_lines(illu
         return np.exp(-0.5 * (18.0 * (wavenumbers - centres[:, None])) ** 2) @ weights
 
     exact = colours(4001)
-    # Upper-bound plans have slightly more samples than are tested here.
+    # The tested numbers of wavelengths are slightly below those of upper-bound plans for the same tolerance.
     for count, tolerance in ((76, 1e-2), (91, 1e-3), (108, 1e-4)):
         assert np.percentile(relative_errors(colours(count), exact), 99.0) < 0.5 * tolerance
 

@@ -128,7 +128,7 @@ def test_more_cells_are_never_worse(truth, fingers, table):
         ]
         for one, more in itertools.pairwise(result):
             for quantile in (50.0, 90.0, 99.0):
-                # Below 1e-3, the error of the table dominates, which more cells cannot reduce.
+                # Errors below 1e-3 are mainly errors of the table, which more cells per pixel cannot reduce.
                 assert np.percentile(more, quantile) < max(0.8 * np.percentile(one, quantile), 1e-3)
 
 

@@ -288,7 +288,7 @@ def test_a_picture_that_is_abandoned_does_not_spoil_the_next(tube, fingers, plan
 
         with pytest.raises(AbandonedError):
             drawn.draw(rotated(most)[:count], view(most), progress=tell)
-    # Requesting the image of an abandoned picture renders the picture.
+    # An exception in the progress callable has interrupted the picture. A request for its image renders it completely.
     same(drawn.image(), wd.shade(tube, fingers, rotated(0.8)[:count], view(0.8), plan=plans[plan], **options))
     drawn.draw(rotated(0.2)[:count])
     same(drawn.image(), wd.shade(tube, fingers, rotated(0.2)[:count], view(0.8), plan=plans[plan], **options))

@@ -65,7 +65,7 @@ SHARED = [
 
 # Calls with invalid values of other arguments, and the expected messages. Each call gets the path of an empty folder.
 VALUE_ERRORS = [
-    # Invalid height fields
+    # Calls with invalid height fields, and the errors that they raise
     (lambda _: wd.HeightField([[math.nan]], 0.1), "heights_um must have at least one height, got 1 NaN"),
     (lambda _: wd.HeightField([[-math.inf]], 0.1), "heights_um must be finite, got 1 infinite"),
     (lambda _: wd.HeightField([0.0, 1.0], 0.1), r"heights_um must be a 2-D array, got shape \(2,\)"),
@@ -75,7 +75,7 @@ VALUE_ERRORS = [
     (lambda _: wd.HeightField([[0.0]], (0.1, 0.0)), r"pitch_um\[1\] must be a finite number, more than 0"),
     (lambda d: wd.HeightField.load(text(d / "a.png"), extent_um=1), "path: .* cannot be read as an image"),
     (lambda d: wd.HeightField.load(text(d / "a.npy"), extent_um=1), "path: .* cannot be read as .npy"),
-    # Invalid coherence models, lights and views
+    # Calls with invalid coherence models, lights and views, and the errors that they raise
     (lambda _: wd.Coherence("replicas", periods=3), r"periods must be a pair \(y, x\) of integers, got 3"),
     (lambda _: wd.Coherence("replicas", periods=(1, 2, 3)), r"periods must be a pair .* got \(1, 2, 3\)"),
     (lambda _: wd.Coherence("replicas", periods="12"), r"periods must be a pair .* got '12'"),
@@ -84,7 +84,7 @@ VALUE_ERRORS = [
     (lambda _: wd.Coherence("replicas", periods=(1, 10**6)), r"periods\[1\] must be .* at most 100000, got 1000000"),
     (lambda _: wd.Coherence("centred", centre_um=3.0), r"centre_um must be a pair \(y, x\), got"),
     (lambda _: wd.Coherence("centred", centre_um=(0, math.nan)), "centre_um must be finite"),
-    # Invalid directions and wavelengths
+    # Calls with invalid directions and wavelengths, and the errors that they raise
     (lambda _: wd.reflectance(HF, [0, 0, 0], UP), "to_light must not contain zero vectors, got 1"),
     (lambda _: wd.reflectance(HF, UP, [UP, [0, 0, 0]]), "to_view must not contain zero vectors, got 1"),
     (lambda _: wd.reflectance(HF, [math.nan, 0, 1], UP), "to_light must be finite, got 1 NaN"),
@@ -103,7 +103,7 @@ VALUE_ERRORS = [
     (lambda _: wd.spectral_reflectance(HF, UP, UP, 0.5), "wavelengths_nm .* give wavelengths in nanometres"),
     (lambda _: wd.reflectance_map(HF, [0, 0, -1]), r"to_light must lie above the horizon \(z > 0\)"),
     (lambda _: wd.reflectance_map(HF, [UP, UP]), r"to_light must have shape \(3,\) for a map, got \(2, 3\)"),
-    # Invalid meshes and lights of a picture
+    # Calls with invalid meshes and lights of a picture, and the errors that they raise
     (lambda d: shade(text(d / "a.txt")), "mesh must be a file that trimesh can read"),
     (lambda d: shade(text(d / "a.obj")), "mesh must "),
     (lambda _: shade(trimesh.Trimesh()), "mesh must have vertices, got none"),
@@ -114,7 +114,7 @@ VALUE_ERRORS = [
     (lambda _: shade(bare()), "mesh has neither texture coordinates nor tangents; give tangents"),
     (lambda _: shade(bare(TRIANGLE * [1, 0, 0]), tangents=np.ones((3, 3))), "mesh must have a face with an area, got"),
     (lambda _: shade(light=wd.DirectionalLight(UP, illuminant="D66")), r"lights\[0\].illuminant must be .* got 'D66'"),
-    # Invalid plans
+    # Calls with invalid plans, and the errors that they raise
     (lambda _: dataclasses.replace(CENTRED_PLAN, method="power", rings_per_octave=0),
      "method='power' cannot be used with kind='centred', whose coefficients add as amplitudes, not as powers:"),
     (lambda _: wd.reflectance(HF, UP, UP, plan=PLAN, coherence=wd.Coherence("centred")),
@@ -124,7 +124,7 @@ VALUE_ERRORS = [
     (lambda _: shade(plan=changed(wavelengths=0)), "plan has no wavelengths"),
     (lambda _: wd.reflectance(wd.HeightField(np.zeros((9, 9)), 10.0), UP, UP, coherence=wd.Coherence(sigma_um=0.1)),
      "sigma_um=0.1 is too short for a patch of 90 × 90 µm"),
-    # Values outside of the supported magnitudes
+    # Calls with values outside of the supported magnitudes, and the errors that they raise
     (lambda _: wd.HeightField([[1e16, 0.0]], 0.1), r"heights_um must lie within ±1e\+15, got 1e\+16"),
     (lambda _: wd.HeightField([[0.0]], 1e16), r"pitch_um must be .*, more than 0 and at most 1e\+15, got 1e\+16"),
     (lambda _: wd.HeightField([[0.0]], 1e-16), "pitch_um must be at least 1e-15, got 1e-16"),

@@ -108,9 +108,9 @@ class Flags:
             group.add_argument(self.words[how["dest"]], **how)
 
     def finish(self, **words: str) -> None:
-        """Store in the parsed arguments by which flags messages name Python arguments.
+        """Store with the parsed arguments the flag of each Python argument, so that error messages name the flag.
 
-        ``words`` names the arguments that have no generated flag.
+        ``words`` has the flags of arguments whose flags are not generated.
         """
         self.parser.set_defaults(words=self.words | words, stored=frozenset(self._stored))
 

@@ -70,7 +70,7 @@ class LruCache(Generic[_T]):
         return value
 
     def clear(self) -> None:
-        """Remove all values."""
+        """Remove all values from the cache."""
         with _lock:
             self._values.clear()
 

@@ -173,7 +173,7 @@ class EnergyFactors:
     values: NDArray[np.float64]
 
     def at(self, directions: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
-        """Return the factors at unit vectors (n, 3) and a wavelength [nm], by linear interpolation, shape (n,)."""
+        """Return energy factors at unit vectors (n, 3) and a wavelength [nm], by linear interpolation, shape (n,)."""
         nodes, weights = grid_weights(directions)
         place = float(np.interp(wavelength_nm, self.wavelengths_nm, np.arange(len(self.wavelengths_nm))))
         before = min(int(place), len(self.wavelengths_nm) - 2)
@@ -181,7 +181,7 @@ class EnergyFactors:
         return np.asarray(np.sum(weights * values.ravel()[nodes], axis=1))
 
     def risen(self, views: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
-        """Return the factors at view directions, times the function `rise`, which is 0 at the horizon, shape (n,)."""
+        """Return the energy factors at view directions, times `rise`, which is 0 at the horizon, shape (n,)."""
         return self.at(views, wavelength_nm) * rise(views[:, 2])
 
 

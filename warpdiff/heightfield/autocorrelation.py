@@ -13,37 +13,42 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.blocks import Block
 
-# Value of the autocorrelation at which it counts as decayed. Limit: the default of ISO 25178-3. If doubled, lengths are
-# shorter.
+# Value of the autocorrelation below which it counts as decayed. Limit: the default of ISO 25178-3. If doubled, decay
+# lengths are shorter.
 THRESHOLD = 0.2
-# Largest lag along an axis, as a share of the field. Limit: a quarter of the pairs of samples remains at half of both
-# sides. If doubled, lags of a single pair count.
+# Largest lag along an axis, as a share of the length of the field. Limit: at a lag of half of both sides, a quarter of
+# the pairs of samples remains. If doubled, a lag may have a single pair of samples.
 MOST_LAG = 0.5
-# Least number of pairs of a lag that counts, as a share of the measured samples. Limit: gaps may leave fewer. If
-# doubled, Str of fields with many gaps has no value more often.
+# Least number of pairs of samples at a lag, as a share of the number of measured samples; lags with fewer pairs are
+# ignored. Limit: averages over fewer pairs are noise. If doubled, Str has no value for more of the fields with gaps.
 _LEAST_PAIRS = 0.05
-# Distance of samples along a ray [pixels]. Limit: a crossing and a return within half a pixel is noise. If doubled,
-# narrow valleys of the autocorrelation are missed.
+# Step between the points at which the autocorrelation is evaluated on a straight line from the origin [samples]. Limit:
+# a minimum narrower than half a sample is noise. If doubled, narrow minima of the autocorrelation are missed.
 _STEP = 0.5
-# Number of azimuths over half a turn, and of further levels around the extremes, each with as many azimuths. Limit: the
-# last level has steps of 0.001°, so that Str down to 0.001 is exact to 1 %. If doubled, the time doubles.
+# Number of azimuths over half a turn for which decay lengths are computed, number of refinements around the shortest
+# and the longest decay length, and number of azimuths of a refinement. Limit: the last refinement has steps of 0.001°,
+# so that Str down to 0.001 is exact to 1 %. If doubled, the time doubles.
 _AZIMUTHS, _LEVELS, _AZIMUTHS_OF_LEVEL = 360, 3, 17
-# Number of azimuths for a standard error. Limit: the further levels find the extremes. If doubled, the time doubles.
+# Number of azimuths over half a turn for the estimate without one block, from which standard errors follow. Limit: the
+# refinements still find the shortest and the longest decay length. If doubled, the time doubles.
 AZIMUTHS_OF_PART = 60
-# Number of secant steps to a crossing. Limit: the error is far below that of the spline.
+# Number of secant steps that find where the autocorrelation crosses the threshold on a line. Limit: the remaining error
+# is far below that of the interpolating spline.
 _SECANTS = 4
 
 
 @dataclass(frozen=True)
 class Decay:
-    """Distances at which an autocorrelation falls to the threshold; azimuths are from x towards y.
+    """Distances from the origin at which an autocorrelation falls to `THRESHOLD`; azimuths are from x towards y.
 
     Attributes:
-        fastest_um: Shortest distance over all azimuths [µm]; NaN if it does not decay at any.
+        fastest_um: Shortest distance over all azimuths [µm]; NaN if the autocorrelation does not fall to the threshold
+            at any azimuth.
         slowest_um: Longest distance over all azimuths [µm]; a lower bound if ``is_closed`` is False.
         slowest_deg: Azimuth of the longest distance [degrees], 0 to 180.
-        is_closed: Whether the autocorrelation decays at all azimuths, within the lags that were measured.
-        extents: Largest lags (y, x) of the region around the origin where it exceeds the threshold [samples].
+        is_closed: Whether the autocorrelation falls to the threshold at all azimuths, within the computed lags.
+        extents: Largest lags (y, x) of the region around the origin where the autocorrelation exceeds the threshold
+            [samples].
     """
 
     fastest_um: float
@@ -56,18 +61,19 @@ class Decay:
 def lag_sums(
     heights: NDArray[np.float64], known: NDArray[np.bool_], block: Block, reach: tuple[int, int]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Sum the products of pairs of heights by their lag, and count the pairs, for first samples in a block.
+    """For each lag, sum the products of the heights of all pairs of samples, and count the pairs, for one block.
 
-    Sums over all blocks of a field are those of the field. Each pair counts half at either sample.
+    A pair of samples counts half in the block of each of its samples, so that the sums over all blocks add up to those
+    of the field.
 
     Args:
-        heights: Heights without mean, 0 where a sample is missing, shape (ny, nx).
+        heights: Heights of the field minus their mean, 0 where a sample is missing, shape (ny, nx).
         known: Mask of the measured samples, shape (ny, nx).
-        block: Rows and columns of the first samples.
+        block: Slices of the rows and columns of the block.
         reach: Largest lags (y, x) [samples].
 
     Returns:
-        Sums and numbers of pairs, shape (2 · reach_y + 1, 2 · reach_x + 1) each, with lag 0 in the centre.
+        Sums of products, and numbers of pairs, shape (2 · reach_y + 1, 2 · reach_x + 1) each, with lag 0 in the centre.
     """
     from scipy import fft
 
@@ -104,16 +110,17 @@ def decay_of(
     products: NDArray[np.float64], pairs: NDArray[np.float64], pitch_um: tuple[float, float], samples: float,
     azimuths: int = _AZIMUTHS,
 ) -> Decay:  # fmt: skip
-    """Return the distances at which the autocorrelation decays.
+    """Return the distances at which the autocorrelation falls to `THRESHOLD`.
 
-    The distance at an azimuth is that of the first crossing of the threshold on a straight line from the origin.
+    The distance at an azimuth is that from the origin to the first crossing of the threshold on a straight line.
 
     Args:
-        products: Sums of products by lag, as `lag_sums` returns them.
-        pairs: Numbers of pairs by lag.
+        products: Sums of the products of heights by lag, as `lag_sums` returns them.
+        pairs: Numbers of pairs of samples by lag.
         pitch_um: Distance of the samples (dy, dx) [µm].
-        samples: Number of measured samples.
-        azimuths: Number of azimuths over half a turn from which the extremes are refined.
+        samples: Number of measured samples in the field.
+        azimuths: Number of azimuths over half a turn, before the refinement around the shortest and the longest
+            distance.
     """
     rays = _Rays(products, pairs, pitch_um, _LEAST_PAIRS * samples)
     angles = np.linspace(0.0, math.pi, azimuths + 1) if min(products.shape) > 1 else np.zeros(1)
@@ -140,13 +147,17 @@ def decay_of(
     if crosses.all():
         azimuth = math.atan2(dy * math.sin(slowest_angle), dx * math.cos(slowest_angle))
     else:
-        # Azimuths without an end are on both sides of the lay. They are the same after half a turn.
+        # At azimuths near the lay, the autocorrelation does not fall to the threshold. The mean of these azimuths is
+        # the lay. It is a mean of doubled angles, because a lay is the same after half a turn.
         azimuth = 0.5 * float(np.angle(np.sum(np.exp(2j * directions[~crosses]))))
     return Decay(fastest, slowest, math.degrees(azimuth) % 180.0, is_closed, extents)
 
 
 def _extreme(rays: _Rays, angle: float, step: float, *, sign: float) -> tuple[float, float, bool]:
-    """Return the largest distance, for ``sign`` 1, or the smallest one near an angle, its angle, and if rays cross."""
+    """Refine the largest (``sign`` 1) or the smallest (−1) distance at which rays near an angle cross the threshold.
+
+    Return this distance, its angle, and whether all rays cross the threshold.
+    """
     best, closes = -math.inf, True
     for _ in range(_LEVELS):
         angles = angle + np.linspace(-step, step, _AZIMUTHS_OF_LEVEL)
@@ -162,7 +173,10 @@ def _extreme(rays: _Rays, angle: float, step: float, *, sign: float) -> tuple[fl
 
 
 class _Rays:
-    """Interpolated autocorrelation on straight lines from the origin; angles and lengths are in units of samples."""
+    """Interpolated autocorrelation on straight lines from the origin.
+
+    Angles and lengths are those of a grid whose pitch is 1 along both axes.
+    """
 
     def __init__(
         self, products: NDArray[np.float64], pairs: NDArray[np.float64], pitch_um: tuple[float, float], least: float
@@ -176,17 +190,21 @@ class _Rays:
         zero = tuple(n // 2 for n in products.shape)
         with np.errstate(divide="ignore", invalid="ignore"):
             values = np.where(self._usable, products / pairs, 0.0) / (products[zero] / pairs[zero])
-        # The autocorrelation is even, so that the mirrored continuation of the spline at the edges does little harm.
+        # The spline continues the values beyond their edges as a mirror image. This affects only lags near the edges.
         self._spline = ndimage.spline_filter(values, order=3, mode="mirror") if min(values.shape) > 1 else values
         self._line = values.ravel()
 
     def scale(self, angles: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Length of a sample along each angle [µm]."""
+        """Return the length in micrometres of one unit of the grid, along each angle."""
         dy, dx = self._pitch
         return np.hypot(dy * np.sin(angles), dx * np.cos(angles))
 
     def lengths(self, angles: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the distance of the first crossing, or of the last usable sample, and whether there is a crossing."""
+        """Return the distance at which each ray first crosses the threshold, and whether it does.
+
+        If a ray does not cross the threshold, its distance is that of the last point where the autocorrelation is
+        known.
+        """
         units = np.stack([np.sin(angles), np.cos(angles)])
         count = math.ceil(float(np.hypot(*self._centre)) / _STEP) + 1
         distances = _STEP * np.arange(count)
@@ -199,7 +217,8 @@ class _Rays:
         low, high = distances[np.maximum(first - 1, 0)], distances[first]
         at_low, at_high = values[rows, np.maximum(first - 1, 0)], values[rows, first]
         for _ in range(_SECANTS):
-            # The bracket is halved at least every second step, because the secant is kept off its ends.
+            # The secant point is kept away from both ends of the interval, so that the interval becomes shorter at
+            # every step.
             with np.errstate(divide="ignore", invalid="ignore"):
                 share = np.clip((at_low - THRESHOLD) / (at_low - at_high), 0.1, 0.9)
             middle = np.where(crosses, low + share * (high - low), low)
@@ -212,10 +231,13 @@ class _Rays:
         return np.where(crosses, crossing, distances[np.maximum(first - 1, 0)]), crosses
 
     def _at(self, lags: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Interpolate at lags, shape (2, …): values, and whether all samples around are usable."""
+        """Return the autocorrelation at lags by interpolation, and whether it is known around each lag.
+
+        The lags have the shape (2, …). The autocorrelation is known where enough pairs of samples were measured.
+        """
         from scipy import ndimage
 
-        # Lags on a sample have no neighbour but for rounding.
+        # A lag that is within rounding of a whole number of samples requires only the sample at this lag.
         roundings = (np.floor, 1e-9), (np.ceil, -1e-9)
         places = lags + self._centre.reshape(2, *[1] * (lags.ndim - 1))
         usable = np.ones(lags.shape[1:], dtype=bool)

@@ -1,4 +1,4 @@
-"""Blocks of a field, and the jackknife: standard errors from estimates that lack one block each."""
+"""Blocks of a field, and standard errors by the jackknife: from estimates that omit one block each."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Block = tuple[slice, slice]
 
 
 def blocks_of(shape: tuple[int, int], counts: tuple[int, int]) -> list[Block]:
-    """Split a field into ``counts`` (y, x) blocks of about equal size, row by row."""
+    """Split a field into ``counts`` blocks (y, x) of about equal size; return the blocks row by row."""
     edges = [
         np.linspace(0.0, n, count + 1).round().astype(int).tolist() for n, count in zip(shape, counts, strict=True)
     ]
@@ -24,13 +24,13 @@ def blocks_of(shape: tuple[int, int], counts: tuple[int, int]) -> list[Block]:
 
 
 def standard_error(without_one: NDArray[np.float64]) -> float:
-    """Return the standard error of an estimate, from the estimates without one block each (jackknife).
+    """Return the standard error of an estimate by the jackknife, from estimates that omit one block each.
 
-    It is enlarged for few blocks by Student's distribution, so that two standard errors contain the mean of the surface
-    in 95 % of fields.
+    For few blocks, the error is enlarged by Student's distribution, so that two standard errors contain the value of
+    the whole surface in 95 % of fields.
 
     Args:
-        without_one: Estimates without one block each, shape (n,), n > 1.
+        without_one: Estimates from the field without block 1, without block 2 and so on, shape (n,), n > 1.
     """
     from scipy import special
 

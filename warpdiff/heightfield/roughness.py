@@ -25,26 +25,31 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.blocks import Block
     from warpdiff.heightfield.field import HeightField
 
-# Deviation of the heights relative to their magnitude below which a levelled field counts as flat: rounding of the
-# polynomial. If doubled, fields of noise at the last digit have parameters as before.
+# Root mean square height of a levelled field, relative to its largest height before levelling, up to which it counts as
+# flat. Limit: rounding of the subtracted polynomial. If doubled, no measured field changes, because its noise is far
+# larger.
 _ROUNDING = 1e-10
-# Least length of a block along an axis, in decay lengths of the autocorrelation. Fitted:
+# Least length of a block of the field along an axis, in decay lengths of the autocorrelation. Fitted by
 # bench/reproduce/iso_25178.py, so that two standard errors contain the value of the surface in 95 % of fields. If
-# halved, errors are too small.
+# halved, blocks depend on each other and standard errors are too small.
 _DECAYS_PER_BLOCK = 5.0
-# Largest number of blocks along an axis, of a field and of a profile. Limit: an error from 64 blocks is known to 9 %.
+# Largest number of blocks along each axis of a field, and along a profile. Limit: a standard error from 64 blocks has
+# itself an error of only 9 %.
 _MOST_BLOCKS, _MOST_BLOCKS_OF_PROFILE = 8, 32
-# Least number of blocks for a standard error: quarters. If halved, errors are known to a factor of 4 only.
+# Least number of blocks for a standard error: the four quarters of a field. If halved, the standard error is known only
+# to a factor of 4.
 _LEAST_BLOCKS = 4
-# Number of samples along an axis to which a field is averaged to find how far its autocorrelation reaches. Limit: the
-# transform of 2,048 samples takes 0.2 s.
+# Largest number of samples along an axis for the first estimate of the autocorrelation; larger fields are averaged over
+# groups of samples. Limit: the Fourier transform of twice as many samples along both axes takes 0.2 s.
 _COARSE = 1024
-# Margin of the measured lags around the region above the threshold. If doubled, the transforms take longer.
+# Ratio of the largest computed lag to the extent of the region where the autocorrelation exceeds the threshold. If
+# doubled, the Fourier transforms take longer.
 _MARGIN = 1.3
-# Largest angle between the slowest decay and an axis at which blocks are stripes along this axis [degrees]. Limit: half
-# of the angle to the diagonal.
+# Largest angle between an axis and the direction of the slowest decay of the autocorrelation, at which the blocks are
+# stripes along this axis [degrees]. Limit: half of the angle between axis and diagonal.
 _ALONG_AXIS_DEG = 22.5
-# Least error that is printed, relative to its value. Limit: values have at most seven digits.
+# Least standard error that is printed as a number, relative to its value; smaller ones are printed as an upper bound.
+# Limit: printed values have at most seven digits.
 _LEAST_SHOWN = 1e-6
 
 _MEANINGS = {
@@ -55,7 +60,7 @@ _MEANINGS = {
     "Sal": "autocorrelation length",
     "Str": "texture aspect ratio",
 }
-# Parameters that follow from sums over the field.
+# Parameters that follow from sums over the samples of a field, without its autocorrelation.
 _FROM_SUMS = ("Sa", "Sq", "Sdq", "Sdr")
 _UNITS = {"Sa": "µm", "Sq": "µm", "Sdq": "", "Sdr": "%", "Sal": "µm", "Str": ""}
 
@@ -68,10 +73,10 @@ class RoughnessParameter:
         name: Name in ISO 25178-2, such as ``"Sa"``.
         meaning: Name in words.
         unit: Unit of the value and of its error; an empty string for a ratio.
-        value: Value; None if the field does not determine it.
-        standard_error: Standard error, as an estimate for the whole surface of which the field is a part; None if it
-            cannot be estimated.
-        reason: Reason why there is no value or no error, as a sentence; an empty string if there are both.
+        value: Value of the parameter; None if the field does not determine it.
+        standard_error: Standard error of the value, as an estimate for the whole surface from which the field is cut;
+            None if it cannot be estimated.
+        reason: Reason why the value or the standard error is None, as a sentence; an empty string if both are numbers.
     """
 
     name: str
@@ -99,8 +104,8 @@ class Roughness:
 
     Attributes:
         parameters: Sa, Sq, Sdq, Sdr, Sal and Str.
-        order: Degree of the polynomial that was subtracted before.
-        blocks: Number of parts (y, x) of the field that the standard errors are from.
+        order: Degree of the polynomial that was subtracted from the heights first.
+        blocks: Number of blocks (y, x) into which the field was split to estimate the standard errors.
         lay_deg: Azimuth of the slowest decay of the autocorrelation [degrees], from x towards y, 0 to 180, which is
             the direction of the lay; None for a profile or a flat field.
 
@@ -119,7 +124,7 @@ class Roughness:
     lay_deg: float | None
 
     def __getitem__(self, name: str) -> RoughnessParameter:
-        """Return the parameter of a name."""
+        """Return the parameter with a name of ISO 25178-2, such as ``"Sa"``."""
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
@@ -172,11 +177,14 @@ class Roughness:
 
 
 def with_error(value: float, standard_error: float) -> str:
-    """Return a value and its standard error, with two digits of the error; errors below a millionth are a bound."""
+    """Return a value and its standard error as text, with two digits of the error.
+
+    An error below a millionth of the value is printed as an upper bound, such as ``<0.001``.
+    """
     if value == standard_error == 0.0:
         return "0 ± 0"
     least = max(_LEAST_SHOWN * abs(value), _LEAST_SHOWN**2)
-    # A bound is rounded up to a power of ten.
+    # If the error is printed as an upper bound, the bound is a power of ten.
     bound = 10.0 ** math.ceil(math.log10(least))
     is_bound = standard_error < bound
     digits = min(max(-math.floor(math.log10(bound)) if is_bound else 1 - math.floor(math.log10(standard_error)), 0), 12)
@@ -185,7 +193,7 @@ def with_error(value: float, standard_error: float) -> str:
 
 @single_threaded_blas()
 def measure(heightfield: HeightField, order: int) -> Roughness:
-    """Return the parameters of a field, see `HeightField.roughness`."""
+    """Return the roughness parameters of a field; `HeightField.roughness` describes them."""
     levelled = heightfield.levelled(order)
     known = ~levelled.missing
     heights = np.where(known, levelled.heights_um, 0.0)
@@ -224,21 +232,21 @@ def _parameter(name: str, value: float | None, error: float | None, reason: str 
 
 
 def _flat(order: int) -> Roughness:
-    """Return the parameters of a flat field."""
+    """Return the roughness parameters of a flat field."""
     flat = "the levelled field is flat"
     heights = [_parameter(name, 0.0, None, flat) for name in _FROM_SUMS]
     return Roughness((*heights, *(_parameter(name, None, None, flat) for name in ("Sal", "Str"))), order, (1, 1), None)
 
 
 def _no_error(blocks: int) -> str:
-    """Return the reason why there is no standard error."""
+    """Return the reason why a parameter has no standard error, given the number of blocks of the field."""
     if blocks < _LEAST_BLOCKS:
         return "the field is too small to be split into four independent parts"
     return "the autocorrelation of a part of the field does not decay"
 
 
 def _missing_values(values: dict[str, float], decay: Decay, *, is_profile: bool) -> dict[str, str]:
-    """Return the reasons of the parameters that have no value, by name."""
+    """Return the reasons why parameters have no value, by the name of the parameter."""
     reasons = {
         name: "no two measured samples are neighbours" for name in ("Sdq", "Sdr") if not math.isfinite(values[name])
     }
@@ -260,7 +268,11 @@ def _missing_values(values: dict[str, float], decay: Decay, *, is_profile: bool)
 def _sums(
     heights: NDArray[np.float64], known: NDArray[np.bool_], block: Block, pitch_um: tuple[float, float]
 ) -> NDArray[np.float64]:
-    """Return sums over the samples, the differences and the cells that begin in a block."""
+    """Return the nine sums over a block of the field from which `_from_sums` computes the parameters.
+
+    The sums are over the samples of the block, and over the differences of neighbours and the cells of four samples
+    that begin in it.
+    """
     rows, columns = (slice(part.start, part.stop + 1) for part in block)
     own = heights[block]
     part, measured = heights[rows, columns], known[rows, columns]
@@ -271,12 +283,13 @@ def _sums(
     pairs_x, pairs_y = measured[:, 1:] & measured[:, :-1], measured[1:] & measured[:-1]
     squares_x, squares_y = along_x**2, along_y**2
     if min(heights.shape) == 1:
-        # A profile is constant across. The ratio of areas is that of lengths.
+        # The surface of a profile is constant across it, so that a ratio of areas is a ratio of lengths.
         squares, pairs = (squares_x, pairs_x) if heights.shape[0] == 1 else (squares_y, pairs_y)
         excess, cells = float(np.sum(_excess(squares[pairs]))), int(np.count_nonzero(pairs))
     else:
         whole = pairs_x[1:] & pairs_x[:-1]
-        # A cell has four triangles, one at each corner, of two diagonals; the area is half of their sum.
+        # Each diagonal splits a cell of four samples into two triangles. The area of the cell is the mean over both
+        # diagonals, which is half of the sum of all four triangles.
         excess = 0.25 * sum(
             float(np.sum(_excess((x + y)[whole])))
             for x in (squares_x[:-1], squares_x[1:])
@@ -291,12 +304,12 @@ def _sums(
 
 
 def _excess(squares: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return √(1 + s²) − 1 without rounding, for squares of slopes s²."""
+    """Return √(1 + s²) − 1 for squared slopes s², in a form that keeps its digits at small slopes."""
     return np.asarray(squares / (1.0 + np.sqrt(1.0 + squares)))
 
 
 def _from_sums(sums: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return Sa, Sq, Sdq and Sdr from sums, shape (9,) or (9, n)."""
+    """Return Sa, Sq, Sdq and Sdr from the sums of `_sums`, shape (9,) or (9, n)."""
     samples, magnitudes, squares, pairs_x, squares_x, pairs_y, squares_y, cells, excess = sums
     gradient = np.where(pairs_x > 0.0, squares_x / pairs_x, 0.0) + np.where(pairs_y > 0.0, squares_y / pairs_y, 0.0)
     gradient = np.where(pairs_x + pairs_y > 0.0, gradient, np.nan)
@@ -304,9 +317,9 @@ def _from_sums(sums: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 
 def _coarse_decay(heights: NDArray[np.float64], known: NDArray[np.bool_], pitch_um: tuple[float, float]) -> Decay:
-    """Return the decay of the autocorrelation of a field, or of its averages over several samples; extents in samples.
+    """Return the decay of the autocorrelation of a field, after averaging over groups of samples if it is large.
 
-    A field of one block has exact sums, so that this is the decay itself unless samples were averaged.
+    The extents of the result are in samples of the field before averaging.
     """
     factors = tuple(-(-n // _COARSE) for n in heights.shape)
     if max(factors) > 1:
@@ -325,13 +338,13 @@ def _coarse_decay(heights: NDArray[np.float64], known: NDArray[np.bool_], pitch_
 
 
 def _most_lags(shape: tuple[int, ...]) -> tuple[int, int]:
-    """Return the largest lags (y, x) that are measured."""
+    """Return the largest lags (y, x) at which the autocorrelation is computed [samples]."""
     rows, columns = (0 if n == 1 else max(int(autocorrelation.MOST_LAG * n), 1) for n in shape)
     return rows, columns
 
 
 def _block_counts(shape: tuple[int, ...], pitch_um: tuple[float, float], decay: Decay) -> tuple[int, int]:
-    """Return the number of blocks along y and x, each of several decay lengths."""
+    """Return the number of blocks along y and x, so that each block is several decay lengths long."""
     if math.isnan(decay.fastest_um):
         return 1, 1
     most = _MOST_BLOCKS_OF_PROFILE if min(shape) == 1 else _MOST_BLOCKS
@@ -340,7 +353,8 @@ def _block_counts(shape: tuple[int, ...], pitch_um: tuple[float, float], decay: 
         length = max(extent, decay.fastest_um / pitch) * _DECAYS_PER_BLOCK
         counts.append(1 if n == 1 else max(min(int(n / length), most), 1))
     if not decay.is_closed and min(shape) > 1:
-        # Parts along the lay repeat each other, unless the lay is oblique.
+        # Parts of a field along its lay resemble each other, so that the field is split only across the lay. If the lay
+        # is oblique, the field is split into at most two blocks along each axis.
         across = [
             max(min(int(n * pitch / (decay.fastest_um * _DECAYS_PER_BLOCK)), most), 1)
             for n, pitch in zip(shape, pitch_um, strict=True)
@@ -359,10 +373,11 @@ def _decays(
     heights: NDArray[np.float64], known: NDArray[np.bool_], blocks: list[Block], pitch_um: tuple[float, float],
     coarse: Decay,
 ) -> tuple[Decay, list[Decay]]:  # fmt: skip
-    """Return the decay of the autocorrelation of a field, and those without one block each.
+    """Return the decay of the autocorrelation of a field, and for each block the decay without this block.
 
-    Only lags near the region above the threshold are measured. Without an end of the region, the lags around the
-    fastest decay suffice, and the slowest decay is that of ``coarse``.
+    Only lags near the region where the autocorrelation exceeds the threshold are computed. If this region extends to
+    the largest lags, as along grooves, the lags around the fastest decay suffice, and the slowest decay is that of
+    ``coarse``.
     """
     if math.isnan(coarse.fastest_um):
         return coarse, []
@@ -395,7 +410,7 @@ def _decays(
 
 
 def _reach(extents: tuple[float, float], factors: tuple[int, ...], most: tuple[int, int]) -> tuple[int, int]:
-    """Return the lags (y, x) that contain a region with a margin."""
+    """Return the largest lags (y, x) to be computed for a region of the given extents, with a margin."""
     rows, columns = (
         min(math.ceil(_MARGIN * extent) + 2 * factor, limit)
         for extent, factor, limit in zip(extents, factors, most, strict=True)

@@ -231,7 +231,7 @@ class _Scale:
                     yield heights, pitch
 
     def _is_usual(self, heights: str, pitch: str) -> bool:
-        """Return whether the field is a usual scan if its heights and its pitch are in these units."""
+        """Return whether the field is a usual scan if its heights and its pitch are in the given units."""
         of_heights, of_pitch = _UNITS.get(heights, 1.0), _UNITS.get(pitch, 1.0)
         return (
             _RANGES_UM[0] <= self.height * of_heights <= _RANGES_UM[1]

@@ -128,7 +128,7 @@ class TheoryVerdict:
 
     @property
     def explanation(self) -> str:
-        """The reason in words, as a clause."""
+        """Reason of the verdict in words, as a clause."""
         return _REASONS[self.reason]
 
     def __str__(self) -> str:

@@ -243,7 +243,7 @@ def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: Di
     """Return the upper-bound plan, completed without a trial, with its mean cost over the sampled directions."""
     if _method(request) == "auto":
         # Without a trial, a method that adds amplitudes is selected, because sums of powers may lose their digits in
-        # float32. For so few directions, amplitudes do not cost more.
+        # float32. Trials are omitted only for few directions, for which sums of amplitudes do not cost more.
         upper = bounds.upper_bound_plan(
             request, direction_range, method=trial.REFERENCE_METHOD, tolerance=request.tolerance
         )

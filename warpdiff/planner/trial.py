@@ -224,13 +224,13 @@ class Trial:
                 group.weigh(group.exact, self._floors)
 
     def exact(self, group: Group) -> NDArray[np.float64]:
-        """Return the values of a group of directions by the reference plan."""
+        """Return the colours or spectra of a group of directions, computed by the reference plan."""
         if group.exact is None:
             group.weigh(self.run(self.reference, group), self._floors)
         return np.asarray(group.exact)
 
     def run(self, plan: Plan, group: Group) -> NDArray[np.float64]:
-        """Return the values of a group by a plan: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
+        """Compute a group of directions by a plan: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
         arrays = group.scattering_vectors, group.to_lights, group.gains
         # The directions are divided into two slices per thread, so that all threads end at about the same time.
         slice_size = math.ceil(len(group) / self._threads / 2.0)
@@ -286,7 +286,7 @@ class Trial:
         return worst_percentile(self.training_set.errors(self.run(plan, self.training_set), exact), self.training_set)
 
     def validation_error(self, plan: Plan) -> float:
-        """Return the worst percentile of a plan's errors on the validation set.
+        """Return the larger 99.5th percentile of a plan's errors on the validation set: of bright or dim directions.
 
         Directions beyond the largest order rate of the reference plan are excluded, unless all directions are beyond
         it.

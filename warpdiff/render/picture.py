@@ -156,7 +156,7 @@ class Picture:
         return self.sampler.measure_directions(heightfield, self.context.optics.coherence, self._light_sums)
 
     def _sampled(self, progress: Progress) -> Iterator[tuple[LobeIndex, Progress]]:
-        """Sample every lobe at every ray of a pixel. After each, yield the lobe, and a callable for its progress."""
+        """Sample every lobe at every ray of a pixel; after each lobe, yield it and a callable for its progress."""
         lobes = list(self.sampler.lobes())
         count = self._samples_per_pixel * len(lobes)
         for sample in range(self._samples_per_pixel):

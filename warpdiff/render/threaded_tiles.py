@@ -34,7 +34,7 @@ class HostTileGroup(TileGroup):
 
     Attributes:
         tile_indices: Indices of the pixels that are subdivided for the group.
-        ranks: For each pixel of the picture, the index of its tile in ``sums``.
+        ranks: For each pixel of the picture, the index of its tile in the arrays of sums over cells.
         host_levels: The same memory as ``levels``, as a NumPy array.
     """
 

@@ -1,4 +1,4 @@
-"""Command ``report``: its flags become the arguments of `warpdiff.report`, and its messages name the flags."""
+"""Command ``report``: its flags become the arguments of `warpdiff.report`, and error messages name the flags."""
 
 from types import SimpleNamespace
 
@@ -11,7 +11,7 @@ from warpdiff.apps import cli
 
 @pytest.fixture
 def called(monkeypatch):
-    """Arguments of the calls of ``wd.report`` instead of reports."""
+    """List of the arguments of each call of ``wd.report``; the function is replaced, so that it writes no report."""
     calls = []
     signature = wd.report
 

@@ -1,4 +1,4 @@
-"""Files of measured curves: columns by their names, refusals, and the scale of a computed curve."""
+"""Files of measured curves: named columns, refused files, and the factor fitted to a computed curve."""
 
 import numpy as np
 import pytest
@@ -69,7 +69,8 @@ def test_the_scale_is_that_of_least_squares_with_its_error(tmp_path, rng):
     values = 3.0 * computed + rng.normal(0.0, 0.05, x.shape)
     rows = "".join(f"{a},{b}\n" for a, b in zip(x, values, strict=True))
     comparison = compare_curves(read_curve(write(tmp_path, f"wavelength_nm,r\n{rows}")), computed, "test")
-    # The error of a scale that is fitted to noise of 0.05 is that over the norm of the curve.
+    # For values with independent noise of 0.05, the standard error of the fitted factor is 0.05 over the norm √(Σ y²)
+    # of the computed values y.
     assert comparison.scale_error == pytest.approx(0.05 / np.linalg.norm(computed), rel=0.2)
     assert abs(comparison.scale - 3.0) < 4.0 * comparison.scale_error
     assert comparison.residual == pytest.approx(0.05 / values.max(), rel=0.2)

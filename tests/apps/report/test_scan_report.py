@@ -18,7 +18,7 @@ FAST = {"sigmas_um": [2.0], "tolerance": 0.2}
 
 
 class Page(HTMLParser):
-    """Texts, links and open tags of a page."""
+    """Texts, links, descriptions of pictures and unclosed tags of an HTML page."""
 
     VOID = ("meta", "link", "img", "br", "!doctype")
 
@@ -47,7 +47,7 @@ def grooves(rng, shape=(60, 160), pitch_um=0.1):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """Report of noisy grooves with an injected name and a measured spectrum."""
+    """Height field of noisy grooves, and its report with a measured spectrum and a title that contains HTML."""
     folder = tmp_path_factory.mktemp("report")
     measured = folder / "spectrum.csv"
     measured.write_text("wavelength_nm,counts\n" + "".join(f"{nm},{nm}\n" for nm in range(400, 701, 50)))
@@ -102,7 +102,8 @@ def test_numbers_are_those_of_the_library(made):
 
 
 def test_efficiencies_of_periods_sum_the_orders_around_them(made):
-    # A pure cosine of ten periods has all of its power in the orders of the period.
+    # The grooves are a cosine of ten whole periods with little noise. The efficiencies are therefore nearly those of a
+    # single period without noise.
     _, report = made
     light = report.numbers["light"]["to_light"]
     orders = {row["order"]: row["efficiency"] for row in report.numbers["orders"] if row["wavelength_nm"] == 550.0}
@@ -201,7 +202,8 @@ def test_a_wide_scan_has_the_orders_of_its_middle(monkeypatch):
     data = collect(
         request(wd.HeightField(0.05 * np.cos(2.0 * np.pi * x / 2.0) + np.zeros((50, 1)), 0.2)), lambda _: None
     )
-    # 50 orders along each axis at 550 nm are 13.75 µm.
+    # The limit of 2,500 diffraction orders is 50 along each axis. At 550 nm, a side of 13.75 µm has 50 orders, so that
+    # the field of 10 µm × 40 µm is cropped along x only.
     assert data.patch_um == pytest.approx((10.0, 13.8), abs=0.2)
     exact = wd.order_efficiencies(wd.gratings.sinusoidal(2.0, 0.1), data.to_light, 550.0)
     table = data.orders.columns

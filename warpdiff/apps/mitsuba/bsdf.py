@@ -178,7 +178,7 @@ class _Table:
 
 
 def _spectrum(filename: str) -> _Table:
-    """Return the table of spectral variants, over q and κ, from a file of ``BakedSpectrum``."""
+    """Return the power spectrum over q and κ from a file of ``BakedSpectrum``, for Mitsuba's spectral variants."""
     baked = wd.BakedSpectrum.load(filename)
     deviation = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * baked.sigma_um)
     span = baked.largest_kappa - baked.least_kappa

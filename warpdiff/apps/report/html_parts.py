@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-# Numbers of a table are aligned to the right if their column's name ends so.
+# Mark at the end of a column's name. It aligns the numbers of this column to the right, and the page does not show it.
 RIGHT = "→"
 
 
 def text_of(value: object) -> str:
-    """Return a text for HTML; a number and its percent sign stay on one line."""
+    """Return a value as escaped HTML text; a number and its unit (%, µm or nm) stay on one line."""
     return html.escape(str(value)).replace(" %", "\u00a0%").replace(" µm", "\u00a0µm").replace(" nm", "\u00a0nm")
 
 
 def table_of(names: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return a table; columns whose name ends in the mark are numbers, and those without a name are notes."""
+    """Return an HTML table. Columns with a name that ends in `RIGHT` are numbers; columns without a name are notes."""
     kinds = ["number" if name.endswith(RIGHT) else "" if name else "note" for name in names]
     classes = [f' class="{kind}"' if kind else "" for kind in kinds]
     head = "".join(f"<th{kind}>{text_of(name.rstrip(RIGHT))}</th>" for kind, name in zip(classes, names, strict=True))
@@ -30,21 +30,21 @@ def table_of(names: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 
 def wide(table: str) -> str:
-    """Return the inner HTML of a table as one that scrolls on narrow screens."""
+    """Return an HTML table with the given head and body, which scrolls sideways on narrow screens."""
     return f'<div class="wide" tabindex="0"><table>\n{table}</table></div>\n'
 
 
 def facts_table(facts: Sequence[tuple[str, str]]) -> str:
-    """Return a table of names and HTML texts."""
+    """Return an HTML table of two columns: a name, and its value as HTML text."""
     rows = "".join(f"<tr><th>{text_of(name)}</th><td>{text}</td></tr>\n" for name, text in facts)
     return f'<table class="facts"><tbody>\n{rows}</tbody></table>\n'
 
 
 def listed(texts: Sequence[str], tag: str = "ul") -> str:
-    """Return a list of texts, ``"ul"`` without and ``"ol"`` with numbers."""
+    """Return an HTML list of texts: with bullets for the tag ``"ul"``, with numbers for ``"ol"``."""
     return f"<{tag}>\n" + "".join(f"<li>{text_of(text)}</li>\n" for text in texts) + f"</{tag}>\n"
 
 
 def paragraph(text: str) -> str:
-    """Return a text as a paragraph."""
+    """Return a text as an HTML paragraph."""
     return f"<p>{text_of(text)}</p>\n"

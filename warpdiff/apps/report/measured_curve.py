@@ -1,4 +1,4 @@
-"""Measured spectra and goniometer curves in text files, which a report compares with the computed ones."""
+"""Measured spectra and goniometer curves in text files, which a report compares with computed curves."""
 
 from __future__ import annotations
 
@@ -23,13 +23,14 @@ if TYPE_CHECKING:
 
 Against = Literal["wavelength_nm", "angle_deg"]
 _AXES: tuple[Against, Against] = ("wavelength_nm", "angle_deg")
-# Size above which a file is refused [bytes]: a million rows. If doubled, a wrong file is read for longer.
+# Largest size of the text file of a curve [bytes], about a million rows. If doubled, a wrong file is read for longer
+# before it is refused.
 _MOST_BYTES = 64 << 20
-# Least number of rows: a line through two points has no residual.
+# Least number of measured values in a curve. Limit: the correlation of two values with any others is always 1 or −1.
 _LEAST_ROWS = 3
-# Largest view angle from the normal [degrees]; at 90° the view is at the horizon.
+# Upper limit of the view angles from the normal [degrees]. Limit: at 90° the view direction is at the horizon.
 _MOST_DEG = 90.0
-# Words in the names of columns of errors.
+# Words that mark a column as errors of the measured values, anywhere in the name of the column.
 _ERROR = re.compile(r"error|uncertainty|std|sigma|deviation")
 _REMEDY = "name the columns in the first line, for example wavelength_nm,reflectance or angle_deg,power"
 
@@ -39,15 +40,15 @@ class MeasuredCurve:
     """Measured values over the wavelength or over the view angle.
 
     Attributes:
-        path: File.
-        name: Name of the column of the values.
-        against: Name of the column of the positions.
+        path: Path of the text file.
+        name: Name of the column that contains the measured values.
+        against: Name of the column that contains the positions, ``wavelength_nm`` or ``angle_deg``.
         positions: Wavelengths [nm] or view angles from the normal [degrees], increasing, shape (n,).
-        values: Values in the unit of the file, shape (n,).
-        errors: Errors of the values, shape (n,), or None.
+        values: Measured values in the unit of the file, shape (n,).
+        errors: Errors of the measured values, shape (n,); None if the file has none.
         wavelength_nm: Wavelength of a goniometer curve [nm]; None if the file does not state it.
         view_deg: View angle of a spectrum [degrees]; None if the file does not state it.
-        skipped: Number of rows without a value.
+        skipped: Number of lines that were skipped because a number is missing.
     """
 
     path: Path
@@ -62,18 +63,18 @@ class MeasuredCurve:
 
 
 def read_curve(path: str | os.PathLike[str]) -> MeasuredCurve:
-    """Read a measured curve from a text with named columns, the argument ``compare``.
+    """Read a measured curve from a text file with named columns.
 
-    Separator and decimal sign are counted, as for texts of heights. Case, blanks and brackets in names do not matter:
-    ``Wavelength (nm)`` is ``wavelength_nm``.
+    The separator of the columns and the decimal sign are recognised. Case, blanks and brackets in the names of columns
+    do not matter: ``Wavelength (nm)`` is read as ``wavelength_nm``.
 
     Args:
-        path: File. It has a column ``wavelength_nm`` or ``angle_deg``, one column of values, and optionally one whose
-            name contains ``error``, ``std`` or ``uncertainty``.
+        path: Text file with a column ``wavelength_nm`` or ``angle_deg``, one column of measured values, and optionally
+            one column of their errors, with ``error``, ``std`` or ``uncertainty`` in its name.
 
     Raises:
         FileNotFoundError: The file does not exist.
-        ValueError: The file has no such columns, or fewer than three rows of numbers.
+        ValueError: A required column is missing, or fewer than three lines contain all numbers.
     """
     file = validation.path(path, "compare")
     with renaming({"path": "compare"}), files.naming_file(file):
@@ -89,12 +90,12 @@ def read_curve(path: str | os.PathLike[str]) -> MeasuredCurve:
 
 
 def _refusal(file: Path, what: str, remedy: str) -> ArgumentValueError:
-    """Return the error of a file that cannot be compared."""
+    """Return the error for a file that cannot be compared, with the reason and a remedy."""
     return ArgumentValueError(f"{ref('compare')}: {str(file)!r} {what}; {remedy}")
 
 
 def _names(file: Path, block: Block, form: Form) -> list[str]:
-    """Return the names of the columns, in lower case with underscores."""
+    """Return the names of the columns from the header of a text file, in lower case with underscores."""
     count = block.values.shape[1]
     for line in reversed(block.header):
         cells = form.cells(line.lstrip("#%; "))
@@ -104,7 +105,7 @@ def _names(file: Path, block: Block, form: Form) -> list[str]:
 
 
 def _curve_of(file: Path, names: list[str], values: NDArray[np.float64]) -> MeasuredCurve:
-    """Return the curve of named columns, sorted by position."""
+    """Return the measured curve of a table with named columns, sorted by wavelength or by view angle."""
     listed = ", ".join(map(repr, names[:8]))
     axes = {name: names.index(name) for name in _AXES if name in names}
     if not axes:
@@ -144,16 +145,17 @@ def _curve_of(file: Path, names: list[str], values: NDArray[np.float64]) -> Meas
 
 @dataclass(frozen=True, eq=False)
 class CurveComparison:
-    """Measured curve compared with a computed one, which is scaled to it by least squares.
+    """Comparison of a measured curve with a computed one; least squares fit a factor between them.
 
     Attributes:
         measured: Measured curve.
-        computed: Computed values at its positions, shape (n,), without a scale.
-        scale: Factor of the computed values that fits the measured ones best.
-        scale_error: Standard error of the factor, from the residuals.
-        residual: Root mean square difference after scaling, relative to the largest measured value.
-        correlation: Correlation coefficient of both curves; NaN if one is constant.
-        what: Quantity that was computed, in words.
+        computed: Computed values at the positions of the measured curve, shape (n,), before scaling.
+        scale: Factor by which the computed values fit the measured values best.
+        scale_error: Standard error of ``scale``, estimated from the residuals of the fit.
+        residual: Root mean square difference of the measured and the scaled computed values, relative to the largest
+            magnitude of the measured values.
+        correlation: Correlation coefficient of the measured and the computed values; NaN if either curve is constant.
+        what: Computed quantity in words, for the page.
     """
 
     measured: MeasuredCurve
@@ -166,12 +168,14 @@ class CurveComparison:
 
 
 def compare_curves(measured: MeasuredCurve, computed: NDArray[np.float64], what: str) -> CurveComparison:
-    """Scale a computed curve to a measured one, with weights of its errors if it has any.
+    """Fit a factor between a computed and a measured curve by least squares.
+
+    If all errors of the measured values are positive, each value has the weight 1/error².
 
     Args:
         measured: Measured curve.
-        computed: Computed values at its positions, shape (n,).
-        what: Quantity that was computed, in words.
+        computed: Computed values at the positions of the measured curve, shape (n,).
+        what: Computed quantity in words, for the page.
 
     Raises:
         ValueError: All computed values are zero.

@@ -1,4 +1,4 @@
-"""Numbers of a report: each part is computed separately, and what cannot be found has a reason instead."""
+"""Results of a report: each is computed separately, and an absent result has a reason instead."""
 
 from __future__ import annotations
 
@@ -34,42 +34,49 @@ if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
 
 _T = TypeVar("_T")
-# Largest number of samples along an axis of the part of a field that optics and periods are computed from. Limit: 30 s
-# on two cores. If doubled, the time is four times as long.
+# Largest number of samples along an axis of the field from which periods and diffraction are computed; a larger field
+# is cropped to its middle. Limit: a report takes 30 s on two cores. If doubled, the time is four times as long.
 MOST_SAMPLES = 1536
-# View angles of the colours [degrees]. The step is about half of the default coherence lobe.
+# View angles for which a report computes colours [degrees]. The step is about half of the width of the lobe around an
+# order with the default coherence window.
 ANGLES_DEG = np.arange(-89.5, 89.6, 0.25)
-# Size of the reflectance map [pixels]. Limit: a third of a printed page at 150 dots per inch.
+# Width and height of the reflectance map [pixels]. Limit: it fills a third of the width of a printed page at 150 dots
+# per inch.
 _MAP_PIXELS = 300
-# Largest order whose angle is listed. Limit: higher ones are far below any noise.
+# Largest diffraction order of a period in the table of the orders. Limit: higher orders are far weaker than the noise
+# of a scan.
 _MOST_ORDER = 20
-# Largest number of orders of the part of a field that optics are computed from: a square of 100 µm at 450 nm, which is
-# wider than the default coherence window. Limit: seconds. If doubled, the time doubles.
+# Largest number of diffraction orders of the field from which diffraction is computed; a larger field is cropped to its
+# middle. At 450 nm this middle is a square of 100 µm, which is wider than the default coherence window. Limit: the
+# computation takes seconds. If doubled, the time doubles.
 _MOST_PATCH_ORDERS = 2e5
-# Share of the field along an axis from which a part is the field: rounding.
+# Least length of the cropped field, as a share of the length of the whole field, at which it counts as the whole field.
+# Limit: rounding of lengths.
 _WHOLE = 0.999
-# Number of orders up to which a field without a repetition counts as one period of a grating. Limit: a table of a page.
-# Patches of rough surfaces have thousands.
+# Largest number of diffraction orders of a field in which nothing repeats, for which the field counts as one period of
+# a grating. Limit: a table that fits on a page. Patches of rough surfaces have thousands of orders.
 _MOST_CELL_ORDERS = 60
-# Angle of the light from the normal without ``to_light`` [degrees]: common in goniometers.
+# Angle of the light from the normal if the caller gives no ``to_light`` [degrees]. Choice: common in goniometers.
 DEFAULT_INCIDENCE_DEG = 30.0
-# Sine of the angle from the normal below which a light has no plane of its own. Limit: rounding of unit vectors.
+# Least sine of the angle between the light and the normal for which both define a plane of incidence. Limit: rounding
+# of unit vectors.
 _LEAST_SINE = 1e-9
 
 
 @dataclass(frozen=True)
 class Request:
-    """Arguments of a report, checked.
+    """Checked arguments of a report.
 
     Attributes:
-        heightfield: Field as given.
-        to_light: Unit vector to the light, shape (3,), or None.
-        to_view: Unit vector to the viewer of a measured spectrum, shape (3,), or None.
-        wavelengths_nm: Wavelengths of the orders [nm], shape (m,).
-        sigmas_um: Standard deviations of the coherence windows of the colours [µm].
+        heightfield: Height field that the caller passes.
+        to_light: Unit vector to the light, shape (3,); None for the default of `warpdiff.report`.
+        to_view: Unit vector to the viewer of a measured spectrum, shape (3,); None for the default of
+            `warpdiff.report`.
+        wavelengths_nm: Wavelengths for which orders and verdicts are computed [nm], shape (m,).
+        sigmas_um: Standard deviations of the coherence windows for which colours are computed [µm].
         illuminant: Illuminant of the colours.
-        measured: Measured curve, or None.
-        settings: Settings of the evaluation by name.
+        measured: Measured curve; None if there is no measurement.
+        settings: Other keyword options of the call, by name.
     """
 
     heightfield: HeightField
@@ -84,25 +91,29 @@ class Request:
 
 @dataclass
 class ReportData:
-    """Results of a report; `collect` fills them. A result that could not be found is None, and ``reasons`` says why.
+    """Results of a report, computed by `collect`. An absent result is None, and ``reasons`` has the reason.
 
     Attributes:
-        request: Arguments of the report.
-        part: Part of the field that periods are computed from, with gaps; the field unless it has many samples.
+        request: Checked arguments of the report.
+        part: Field from which periods are computed, with its gaps; a field with too many samples is cropped to its
+            middle.
         to_light: Unit vector to the light, shape (3,).
         azimuth_deg: Azimuth of the plane of the view angles [degrees], above −90 and at most 90.
-        periods: Periods of ``part``, strongest first.
+        periods: Periodic waves in ``part``, strongest first.
         roughness: ISO 25178 parameters of the whole field.
-        verdicts: Verdict at each wavelength.
-        efficiencies: Efficiencies of the orders that are drawn.
-        orders: Table of the orders.
-        patch_um: Extent (y, x) of the part of the field that optics are computed from [µm].
-        is_cell: Whether the field counts as one period of a grating: nothing repeats, and it has few orders.
-        colours: CIE XYZ over the view angle by coherence window [µm], shape (n, 3) each.
-        map: Reflectance map.
-        comparison: Measured and computed curve.
-        reasons: Reason why a result was not found, by the name of its attribute.
-        warnings: Warnings, each once.
+        verdicts: Verdict on scalar diffraction at each wavelength.
+        efficiencies: Efficiencies of the orders that the picture of the orders shows.
+        orders: Table of the orders; for a field without orders, of the power in the mirror direction and the scattered
+            power.
+        patch_um: Size (y, x) of the field from which diffraction is computed [µm], after cropping.
+        is_cell: Whether the field counts as one period of a grating, because nothing repeats in it and it has few
+            orders.
+        colours: CIE XYZ at the view angles `ANGLES_DEG`, shape (n, 3), by the standard deviation of the coherence
+            window [µm].
+        map: Colours of the reflectance over all view directions, as an image.
+        comparison: Comparison of the measured curve with a computed one.
+        reasons: Reason why a result is absent, by the name of its attribute.
+        warnings: Texts of all warnings during the computations, each once.
     """
 
     request: Request
@@ -124,27 +135,27 @@ class ReportData:
 
     @property
     def light_deg(self) -> float:
-        """Angle of the light from the normal [degrees], positive towards +x, or +y where x is 0."""
+        """Angle of the light from the normal [degrees], positive towards +x, or towards +y if its x component is 0."""
         return float(signed_angles_deg(self.to_light))
 
     @property
     def is_flat(self) -> bool:
-        """Whether the levelled field is flat, so that it has no spectrum."""
+        """Whether the levelled field is flat. A flat field has no power spectrum."""
         return self.roughness is not None and self.roughness["Sq"].value == 0.0
 
     @property
     def is_cropped(self) -> bool:
-        """Whether periods are those of a part of the field."""
+        """Whether periods are computed from the middle of the field, because it has too many samples."""
         return self.part is not self.request.heightfield
 
     @property
     def has_patch(self) -> bool:
-        """Whether optics are those of a part of the field."""
+        """Whether diffraction is computed from the middle of the field, because it has too many orders."""
         shares = (own / whole for own, whole in zip(self.patch_um, self.request.heightfield.size_um, strict=True))
         return 0.0 < min(shares) < _WHOLE
 
     def attempt(self, name: str, compute: Callable[[], _T]) -> _T | None:
-        """Return a result, or None with the reason in ``reasons``; its warnings are collected."""
+        """Return the result of ``compute``; if it fails, return None and store the reason under ``name``."""
         with self._collecting():
             try:
                 return compute()
@@ -154,7 +165,7 @@ class ReportData:
 
     @contextlib.contextmanager
     def _collecting(self) -> Iterator[None]:
-        """Collect the warnings of the package; others are issued as usual."""
+        """Collect the warnings of this package in ``warnings``; issue all other warnings as usual."""
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", WarpdiffWarning)
             yield
@@ -167,11 +178,11 @@ class ReportData:
 
 
 def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
-    """Compute all parts of a report.
+    """Compute all results of a report.
 
     Args:
-        request: Arguments of the report.
-        progress: Function that is called with the finished share, 0 to 1.
+        request: Checked arguments of the report.
+        progress: Function that is called with the finished share of the work, 0 to 1.
     """
     part = central_part(request.heightfield)
     data = ReportData(request, part, np.array([0.0, 0.0, 1.0]))
@@ -180,7 +191,7 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
         data.reasons["periods"] = "no wave repeats at least three times in this field and stands out from its roughness"
     progress(0.2)
     data.is_cell = not data.periods and _order_count(part, float(request.wavelengths_nm.min())) <= _MOST_CELL_ORDERS
-    # A plane fitted to a single period of a grating is a part of it.
+    # A single period of a grating may be a tilted plane, such as a blazed groove. Only the mean is subtracted from it.
     data.roughness = data.attempt("roughness", lambda: request.heightfield.roughness(0 if data.is_cell else 1))
     progress(0.3)
     _set_geometry(data)
@@ -198,7 +209,7 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
     progress(0.55)
     views = direction(ANGLES_DEG, data.azimuth_deg)
     for index, sigma in enumerate(request.sigmas_um):
-        # A plan is for one coherence window.
+        # A plan is valid for one coherence window, so that the caller's plan is not used for these colours.
         settings = request.settings | {"coherence": Coherence(sigma_um=sigma), "plan": None}
         xyz = data.attempt(
             "colours",
@@ -224,7 +235,7 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
 
 
 def central_part(heightfield: HeightField) -> HeightField:
-    """Return the field, or the part in its middle if it has too many samples along an axis."""
+    """Return a height field, cropped to its middle if it has too many samples along an axis."""
     if max(heightfield.shape) <= MOST_SAMPLES:
         return heightfield
     size = [min(n, MOST_SAMPLES) * pitch for n, pitch in zip(heightfield.shape, heightfield.pitch_um, strict=True)]
@@ -232,19 +243,25 @@ def central_part(heightfield: HeightField) -> HeightField:
 
 
 def _order_count(part: HeightField, wavelength_nm: float) -> float:
-    """Return the number of orders of a field that is one period, at all angles of the light."""
+    """Return the number of diffraction orders of a field as one period of a grating, over all angles of the light."""
     counts = [2e3 * size / wavelength_nm + 1.0 for n, size in zip(part.shape, part.size_um, strict=True) if n > 1]
     return math.prod(counts)
 
 
 def _optical(part: HeightField) -> HeightField:
-    """Return a new field without gaps. Caches of the given one are not used, so that all warnings are issued again."""
+    """Return a copy of a field with interpolated gaps.
+
+    The copy has no results from earlier computations, so that all warnings are issued again.
+    """
     whole = part.filled() if part.missing.any() else part
     return HeightField.of_known_scale(whole.heights_um, whole.pitch_um)
 
 
 def _set_geometry(data: ReportData) -> None:
-    """Set the light and the plane of the view angles; by default the plane that contains the strongest wave vector."""
+    """Set the direction to the light and the plane of the view angles.
+
+    By default, this plane contains the normal and the strongest wave vector of the field.
+    """
     azimuth = wave_azimuth_deg(data.part)
     light = data.request.to_light
     if light is None:
@@ -258,30 +275,33 @@ def _set_geometry(data: ReportData) -> None:
 
 
 def wave_azimuth_deg(heightfield: HeightField) -> float:
-    """Return the azimuth of the strongest wave vector [degrees], above −90 and at most 90; the x axis without one.
+    """Return the azimuth of the strongest wave vector of a field [degrees], above −90 and at most 90.
 
-    It is rounded to 0.1°. A field of a single column has the y axis.
+    It is rounded to 0.1°. If nothing repeats in the field, it is the azimuth of the x axis, or of the y axis for a
+    field of a single column.
     """
     try:
         periods = central_part(heightfield).periods()
     except (ValueError, MemoryError):
-        # The report states the reason.
+        # If the periods cannot be computed, the page states the reason: `collect` computes them too and stores its
+        # error.
         periods = None
     if not periods:
         return 0.0 if heightfield.shape[1] > 1 else 90.0
     azimuth = round(periods[0].direction_deg, 1) + 0.0
-    # −90° is the same plane as 90°.
+    # The azimuths −90° and 90° describe the same plane.
     return 90.0 if azimuth == -90.0 else azimuth
 
 
 def _add_orders(data: ReportData, optical: HeightField) -> None:
-    """Add the table of the orders, and the efficiencies that are drawn."""
+    """Compute the table of the orders, and the efficiencies for the picture of the orders."""
     request = data.request
     light, wavelengths = data.to_light, request.wavelengths_nm
     material = {name: request.settings[name] for name in ("ior", "material") if request.settings.get(name) is not None}
     result = order_efficiencies(optical, light, wavelengths, **material)
     flat = HeightField.of_known_scale([[0.0]], 1.0)
-    # The error of a verdict is relative to the power that a flat surface reflects.
+    # A verdict states its expected error as a share of the power that a flat surface reflects. The product with this
+    # power is the error of an efficiency.
     errors = [min(verdict_on(optical, nm).error, 1.0) for nm in wavelengths.tolist()]
     model = np.array(errors) * order_efficiencies(flat, light, wavelengths, **material).efficiencies[:, 0]
     if data.periods:
@@ -302,7 +322,7 @@ def _add_orders(data: ReportData, optical: HeightField) -> None:
 
 
 def _patch(optical: HeightField, wavelength_nm: float) -> HeightField:
-    """Return the middle of a field that has too many orders, or the field itself."""
+    """Return a field, cropped to its middle if it has too many diffraction orders."""
     if _order_count(optical, wavelength_nm) <= _MOST_PATCH_ORDERS:
         return optical
     axes = sum(n > 1 for n in optical.shape)
@@ -314,14 +334,14 @@ def _patch(optical: HeightField, wavelength_nm: float) -> HeightField:
 def _of_periods(
     data: ReportData, periods: Periods, result: OrderEfficiencies, model: NDArray[np.float64]
 ) -> tuple[Table, OrderEfficiencies]:
-    """Return the orders of the periods of a field, and the efficiencies of the strongest period's orders.
+    """Return the table of the orders of all periods, and the efficiencies of the orders of the strongest period.
 
-    The field has orders of its own, which are much denser. Those nearer to an order of a period than half of the
-    distance of its orders are summed.
+    The field as one period of a grating has orders that are much denser than those of the periods in it. Each dense
+    order is added to the nearest order of a period, up to half of the shortest wave vector away.
     """
     angles = order_angles(periods, data.to_light, data.request.wavelengths_nm, most_order=_MOST_ORDER)
     numbers = np.array([(wave, m) for wave in range(len(periods)) for m in range(-_MOST_ORDER, _MOST_ORDER + 1)])
-    # The mirror direction is that of all periods.
+    # Order 0 of every period is the mirror direction, so that it is listed once.
     numbers = numbers[(numbers[:, 0] == 0) | (numbers[:, 1] != 0)]
     waves = np.array([period.frequency for period in periods])
     centres = numbers[:, 1:] * waves[numbers[:, 0]]
@@ -357,7 +377,7 @@ def _of_periods(
 
 
 def _of_grating(table: Table, period_um: float, result: OrderEfficiencies) -> OrderEfficiencies:
-    """Return the orders of a period in a table as efficiencies of a grating along x."""
+    """Return the table's orders of one period in the form of the orders (0, m) of a grating along x."""
     is_own = table["period_um"] == period_um
     orders = np.unique(table["order"][is_own]).astype(int)
     wavelengths = result.wavelengths_nm
@@ -372,7 +392,7 @@ def _of_grating(table: Table, period_um: float, result: OrderEfficiencies) -> Or
 
 
 def _compared(data: ReportData, optical: HeightField, measured: MeasuredCurve) -> CurveComparison:
-    """Compute what was measured, and compare both."""
+    """Compute the quantity that was measured, and compare the computed with the measured curve."""
     request = data.request
     names = {option.name for option in fields(SpectralSettings)}
     spectral = {name: value for name, value in request.settings.items() if name in names}

@@ -1,4 +1,4 @@
-"""Pictures of a report as data URIs: maps as PNG, curves as SVG, drawn by ``warpdiff.plot``."""
+"""Pictures of a report as data URIs, drawn by ``warpdiff.plot``: maps are PNG pictures, curves are SVG pictures."""
 
 from __future__ import annotations
 
@@ -22,25 +22,26 @@ if TYPE_CHECKING:
     from warpdiff.evaluate.orders import OrderEfficiencies
     from warpdiff.image.image import Image
 
-# Resolution of PNG pictures [dots per inch]. Limit: a page has a few megabytes; twice the value makes four times more.
+# Resolution of PNG pictures [dots per inch]. Limit: a page has a few megabytes. If doubled, it has four times as many.
 _DPI = 150
-# Number of samples along an axis above which a map is thinned. Limit: more are not visible at this resolution.
+# Largest number of samples along an axis of a height map; larger fields are thinned. Limit: at 150 dots per inch, more
+# samples are not visible.
 _MOST_DRAWN = 1400
-# Width of curves, and of maps [inches].
+# Width of pictures of curves, and of pictures of maps [inches].
 _WIDE, _SQUARE = 8.6, 5.4
-# Angles between which the direction of a wave is nearer to y than to x [degrees].
+# Azimuth of a wave vector, without its sign, above which it is nearer to the y axis than to the x axis [degrees].
 _NEARER_TO_Y_DEG = 45.0
 
 
 class Figure(NamedTuple):
-    """Picture of a page.
+    """Picture of the web page of a report.
 
     Attributes:
-        name: Name of the result that it shows.
+        name: Name of the result that the picture shows.
         uri: Picture as a data URI.
         alt: Description of the picture, for readers who cannot see it.
-        caption: Caption.
-        is_wide: Whether it takes the whole width of the page.
+        caption: Text below the picture.
+        is_wide: Whether the picture takes the whole width of the page.
     """
 
     name: str
@@ -51,7 +52,7 @@ class Figure(NamedTuple):
 
 
 def check_matplotlib() -> None:
-    """Raise an error if matplotlib is not installed, before anything is computed."""
+    """Raise an error if matplotlib is not installed."""
     try:
         import matplotlib as mpl  # noqa: F401
     except ImportError as error:
@@ -61,7 +62,7 @@ def check_matplotlib() -> None:
 
 
 def figures_of(data: ReportData) -> list[Figure]:
-    """Draw the pictures of all results that were found. The reason of one that cannot be drawn is in the data."""
+    """Draw the pictures of all results. If a picture cannot be drawn, ``data.reasons`` has the reason."""
     drawings: dict[str, Callable[[], Figure]] = {"surface": lambda: _surface(data)}
     if data.periods is not None and not data.is_cell and not data.is_flat:
         drawings["periods"] = lambda: _spectrum(data)
@@ -80,14 +81,15 @@ def figures_of(data: ReportData) -> list[Figure]:
 def _drawn(
     kind: Literal["png", "svg"], width: float, height: float, draw: Callable[[Any], object], *, rows: int = 1
 ) -> str:
-    """Draw into new axes and return the picture as a data URI; the axes are those of ``Figure.subplots``."""
+    """Call ``draw`` with new axes, or with an array of axes for several rows, and return the picture as a data URI."""
     import matplotlib as mpl
     from matplotlib.figure import Figure as Canvas
 
-    # A figure that pyplot does not know changes no settings of the caller. The salt makes the ids of SVG reproducible.
+    # The figure is not created by pyplot, so that the caller's current figure stays the same. With a fixed salt, the
+    # names of elements in an SVG picture are the same in each run.
     style = {"font.family": "DejaVu Sans", "font.size": 9.5, "axes.titlesize": 10.5, "svg.hashsalt": "warpdiff"}
     with mpl.rc_context(style):
-        # One plot needs no layout, because the margins are cut off.
+        # A single plot needs no automatic layout, because its empty margins are cut off when it is saved.
         canvas = Canvas(figsize=(width, height), dpi=_DPI, layout="constrained" if rows > 1 else None)
         draw(canvas.subplots(rows, 1))
         stream = io.BytesIO()
@@ -98,7 +100,7 @@ def _drawn(
 
 
 def _thinned(heightfield: HeightField) -> HeightField:
-    """Return a field of fewer samples for a map."""
+    """Return a field for the height map, with every n-th sample if there are more than are visible."""
     steps = [-(-n // _MOST_DRAWN) for n in heightfield.shape]
     if max(steps) == 1:
         return heightfield
@@ -113,7 +115,7 @@ def _surface(data: ReportData) -> Figure:
     direction = data.periods[0].direction_deg if data.periods else 0.0
     along: Literal["x", "y"] = "y" if nx == 1 or (ny > 1 and abs(direction) > _NEARER_TO_Y_DEG) else "x"
     profile = along if min(ny, nx) > 1 else None
-    # A field that is constant along an axis is its profile.
+    # A field of one row or one column is drawn as a curve.
     uri = (
         _drawn("svg", _WIDE, 2.6, lambda ax: plot.profile(field, ax=ax, along=along))
         if profile is None
@@ -123,16 +125,16 @@ def _surface(data: ReportData) -> Figure:
             lambda ax: plot.height_map(_thinned(field), ax=ax, profile_along=profile, is_shaded=True),
         )
     )
-    caption = "Heights as given, shaded as a relief in light from the upper left" + (
+    caption = "Heights of the field" + (
         f", constant along {'y' if along == 'x' else 'x'}."
         if profile is None
-        else f", and a profile along {along} at the dashed line. Row 0 of the field is at y = 0, at the bottom."
+        else f", shaded as a relief in light from the upper left, and a profile along {along} at the dashed line. Row 0 of the field is at y = 0, at the bottom."
     )
     return Figure("surface", uri, "Map of the heights, and a profile", caption, is_wide=profile is None)
 
 
 def _map_size(field: HeightField) -> tuple[float, float]:
-    """Return the size of a figure for the map of a field [inches]. Its margins are cut off, and its width is fixed."""
+    """Return width and height of the figure of a height map [inches], from the sides of the field."""
     ratio = min(max(field.size_um[0] / field.size_um[1], 0.25), 1.5)
     return _SQUARE + 0.4, 0.85 * _SQUARE * ratio + 0.6
 
@@ -145,7 +147,9 @@ def _spectrum(data: ReportData) -> Figure:
         lambda ax: plot.power_spectrum(part, ax=ax),
     )  # fmt: skip
     caption = "Power spectral density of the levelled heights with a Hann window." + (
-        " Marks are the periods of the table, at their frequency and at the opposite one." if data.periods else ""
+        " Marks show the periods of the table, at their frequency and at the opposite frequency."
+        if data.periods
+        else ""
     )
     return Figure("periods", uri, "Power spectrum of the heights", caption, is_wide=not is_plane)
 
@@ -175,7 +179,7 @@ def _colours(data: ReportData) -> Figure:
     uri = _drawn("png", _WIDE, 1.25 * count + 0.2, draw, rows=count)
     caption = (
         f"Colour against the view angle in the plane at the azimuth {data.azimuth_deg:.1f}°, for coherence windows of "
-        "different size. The exposure of each strip is automatic, so that strips show hues and not their brightness."
+        "different size. The exposure of each strip is automatic, so that strips show hues and not brightness."
     )
     return Figure("colours", uri, "Colours against the view angle", caption)
 
@@ -213,7 +217,7 @@ def _comparison(comparison: CurveComparison) -> Figure:
 
     uri = _drawn("svg", _WIDE, 3.6, draw)
     caption = (
-        f"Measured values of {measured.path.name}, and the computed {comparison.what}, multiplied by the factor of the "
+        f"Measured values of {measured.path.name}, and the computed {comparison.what}, multiplied by the factor in the "
         "table."
     )
     return Figure("comparison", uri, "Measured and computed curve", caption)

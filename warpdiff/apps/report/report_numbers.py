@@ -1,4 +1,4 @@
-"""Numbers of a report as dictionaries for JSON, and as tables for CSV."""
+"""Numbers of a report: dictionaries for the JSON file, and tables for the CSV files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def numbers_of(data: ReportData, title: str) -> dict[str, Any]:
-    """Return the numbers of a report; None where there is no number."""
+    """Return the content of the JSON file of a report; a number that does not exist is None."""
     request = data.request
     field = request.heightfield
     result: dict[str, Any] = {
@@ -56,7 +56,7 @@ def numbers_of(data: ReportData, title: str) -> dict[str, Any]:
 
 
 def _source(data: ReportData) -> dict[str, Any] | None:
-    """Return file, channel, orientation and metadata of a field; None for one from an array."""
+    """Return the file, channel, orientation and metadata of a height field; None for a field from an array."""
     source = data.request.heightfield.source
     if source is None:
         return None
@@ -67,7 +67,7 @@ def _source(data: ReportData) -> dict[str, Any] | None:
 
 
 def tables_of(data: ReportData) -> dict[str, Table]:
-    """Return the tables of the results that were found, by the name of their file."""
+    """Return the tables of all results, by the name of their CSV file without its ending."""
     tables: dict[str, Table] = {}
     if data.roughness is not None:
         tables["roughness"] = data.roughness.table()
@@ -109,5 +109,5 @@ def _rows(table: Table) -> list[dict[str, Any]]:
 
 
 def _number(value: Any) -> Any:
-    """Return a value, or None for a number that is not finite, which JSON does not have."""
+    """Return a value, or None for a number that is not finite, because JSON has no such numbers."""
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,4 +1,4 @@
-"""HTML text of a report: sections with tables, pictures and the reasons of what is absent."""
+"""HTML text of a report: sections with tables and pictures, or with the reason why a result is absent."""
 
 from __future__ import annotations
 
@@ -20,19 +20,22 @@ if TYPE_CHECKING:
     from warpdiff.core.table import Table
     from warpdiff.heightfield.roughness import RoughnessParameter
 
-# Number of orders of each wavelength on the page, the strongest ones. Limit: a table of a page; the file has all.
+# Largest number of orders that the page lists for each wavelength, the strongest ones. Limit: a table that fits on a
+# page; the CSV file has all orders.
 _MOST_ORDERS = 15
-# Number of entries of the metadata of a file on the page. Limit: some instruments write hundreds.
+# Largest number of entries that the page lists from the metadata of a scan. Limit: some instruments write hundreds.
 _MOST_METADATA = 30
-# Length of a text from the metadata [characters]. Limit: some contain whole logs.
+# Largest length of an entry of the metadata on the page [characters]; longer entries are cut. Limit: some contain whole
+# logs.
 _MOST_TEXT = 200
-# Prefix of the names of pictures in the reasons of absent results.
+# Prefix that distinguishes absent pictures from absent results in the names of `ReportData.reasons`.
 _PICTURE = "picture of "
 # Azimuth of the y axis [degrees].
 _Y_DEG = 90.0
-# Component of a direction across the plane of the light below which it is in the plane: 0.06°.
+# Largest distance of the end of a unit vector from the plane of the light, at which its direction counts as in this
+# plane. It is the sine of 0.06°.
 _IN_PLANE = 1e-3
-# Height below which lengths are in nanometres [µm], and nanometres per micrometre.
+# Height below which the page states heights in nanometres [µm], and the number of nanometres per micrometre.
 _LEAST_MICROMETRES, _NM_PER_UM = 1.0, 1e3
 _GRADES = {
     "reliable": "use colours and numbers",
@@ -51,12 +54,12 @@ _ABSENT = {
 
 
 def page_of(data: ReportData, numbers: dict[str, Any], figures: list[Figure], names: list[str]) -> str:
-    """Return the text of the page.
+    """Return the HTML text of the page.
 
     Args:
-        data: Results.
+        data: Results of the report.
         numbers: Numbers of the report, as in the JSON file.
-        figures: Pictures.
+        figures: Pictures of the results.
         names: Names of the other files of the report.
     """
     pictures = {figure.name: _figure(number, figure) for number, figure in enumerate(figures, 1)}
@@ -87,13 +90,14 @@ def page_of(data: ReportData, numbers: dict[str, Any], figures: list[Figure], na
         "STYLE": folder.joinpath("report.css").read_text(encoding="utf-8"),
         "BODY": f'<section class="summary">\n{facts_table(_summary(data))}</section>\n{_warnings(data)}{body}',
     }  # fmt: skip
-    # All placeholders are replaced in one pass, so that a text of the user that looks like one is kept.
+    # All placeholders of the template are replaced in one pass. A text of the user that looks like a placeholder is
+    # therefore kept.
     template = folder.joinpath("report.html").read_text(encoding="utf-8")
     return re.sub("@([A-Z]+)@", lambda match: filling[match[1]], template)
 
 
 def summary_text(numbers: dict[str, Any], warnings: Sequence[str]) -> str:
-    """Return the main results as lines of text."""
+    """Return the main results of a report as lines of plain text."""
     lines = [numbers["title"]]
     lines += [
         f"{row['parameter']:<16}{_value(row['value'], row['standard_error'])} {row['unit']}"
@@ -117,7 +121,7 @@ def _value(value: float, error: float | None) -> str:
 
 
 def _absent(data: ReportData, name: str) -> str:
-    """Return the reason of a result that was not found; an empty text if it was."""
+    """Return an HTML paragraph with the reason why a result is absent; an empty text if the result exists."""
     if name not in data.reasons:
         return ""
     return f'<p class="absent"><b>{_ABSENT[name]}:</b> {text_of(data.reasons[name])}.</p>\n'
@@ -167,12 +171,12 @@ def _light(data: ReportData) -> str:
 
 
 def _axis(data: ReportData) -> str:
-    """Return the axis that tells the sign of view angles."""
+    """Return the name of the axis towards which view angles are positive."""
     return "x" if data.azimuth_deg < _Y_DEG else "y"
 
 
 def _shown(parameter: RoughnessParameter) -> str:
-    """Return value, error and unit of a parameter; heights are in nanometres."""
+    """Return value, error and unit of a roughness parameter as text; heights below 1 µm are in nanometres."""
     if parameter.value is None:
         return "not determined"
     is_small = parameter.unit == "µm" and parameter.name in ("Sa", "Sq") and parameter.value < _LEAST_MICROMETRES
@@ -208,15 +212,15 @@ def _surface(data: ReportData, numbers: dict[str, Any]) -> str:
             *(more if len(entries) > _MOST_METADATA else []),
         ]  # fmt: skip
     history = "<h3>Cleaning</h3>\n" + (
-        listed(field.history, "ol") if field.history else paragraph("The heights are unchanged.")
+        listed(field.history, "ol") if field.history else paragraph("The heights were not cleaned.")
     )
     part = ""
     if data.is_cropped:
-        part = paragraph(f"Periods are those of the middle of the field, {_extent(data.part.size_um)}.")
+        part = paragraph(f"Periods are computed from the middle of the field, {_extent(data.part.size_um)}.")
     if data.has_patch:
         part += paragraph(
-            f"Reliability, orders and colours are those of the middle of the field, {_extent(data.patch_um)}, because "
-            "the field is large."
+            f"Reliability, orders and colours are computed from the middle of the field, {_extent(data.patch_um)}, "
+            "because the field is large."
         )
     return facts_table(facts) + history + part
 
@@ -245,7 +249,9 @@ def _roughness(data: ReportData) -> str:
     if blocks > 1:
         text += f" Standard errors are from {blocks} parts of the field (jackknife)."
     if roughness.lay_deg is not None:
-        text += f" The autocorrelation decays slowest, along the lay, at {roughness.lay_deg:.0f}° from the x axis."
+        text += (
+            f" The lay, along which the autocorrelation decays slowest, is {roughness.lay_deg:.0f}° from the x axis."
+        )
     return table + paragraph(text)
 
 
@@ -284,7 +290,7 @@ def _theory(data: ReportData) -> str:
     worst = max(data.verdicts, key=lambda verdict: verdict.error)
     remedy = "" if worst.grade == "reliable" else f" Remedy: {worst.remedy}."
     return wide(f"<thead>{head}</thead>\n<tbody>\n{''.join(rows)}</tbody>") + paragraph(
-        "The expected error is that of the efficiency of an order, as a share of the power that a flat surface "
+        "The expected error of the efficiency of an order is a share of the power that a flat surface "
         f"reflects. Compared with rigorous solutions, 19 of 20 gratings had at most twice this error.{remedy}"
     )
 
@@ -319,13 +325,13 @@ def _orders(data: ReportData) -> str:
         text += ", and azimuths are from x towards y."
     if is_period:
         text += (
-            " The error of an angle follows from that of the period. The efficiency of an order is the sum over all "
-            "directions that are nearer to it than half of the distance of two orders; it includes scattered light."
+            " The error of an angle follows from the error of the period. The efficiency of an order is the sum over "
+            "all directions nearer to it than half of the distance between two orders. It includes scattered light."
         )
     else:
         text += (
             " Nothing repeats in this field, so that it counts as exactly one period of a grating. Angles therefore "
-            "have no error but that of the scale of the field."
+            "have no error except that of the scale of the field."
         )
     if left:
         text += f" {left} weaker orders are in orders.csv."
@@ -333,13 +339,13 @@ def _orders(data: ReportData) -> str:
 
 
 def _is_plane(data: ReportData, table: Table) -> bool:
-    """Whether all orders are in the plane of the light."""
+    """Whether the directions of all orders are in the plane of the light and the normal."""
     offsets = np.radians(table["view_phi_deg"] - data.azimuth_deg)
     return bool(np.all(np.abs(np.sin(offsets) * np.sin(np.radians(table["view_theta_deg"]))) < _IN_PLANE))
 
 
 def _order_rows(table: Table, *, is_plane: bool) -> tuple[list[list[str]], int]:
-    """Return the rows of the strongest orders of each wavelength, and the number of the others."""
+    """Return the lines of the table for the strongest orders of each wavelength, and the number of the other orders."""
     columns = table.columns
     is_period = "order" in columns
     angles = columns["view_theta_deg"]
@@ -365,7 +371,7 @@ def _order_rows(table: Table, *, is_plane: bool) -> tuple[list[list[str]], int]:
 
 
 def _order_name(row: dict[str, Any], columns: dict[str, Any]) -> str:
-    """Return the number of an order, or both numbers of a field with two axes."""
+    """Return the number of a diffraction order as text, or both numbers if the field varies along x and y."""
     numbers = [row["order"]] if "order" in row else [row[name] for name in ("m_x", "m_y") if np.any(columns[name])]
     texts = [f"{int(number):+d}" if number else "0" for number in numbers]
     return texts[0] if len(texts) == 1 else f"({', '.join(texts)})" if texts else "0"
@@ -379,13 +385,14 @@ def _colours(data: ReportData) -> str:
     text = ""
     if repeated and not data.is_cell and not data.is_flat:
         text = (
-            f" Windows with σ = {', '.join(repeated)} µm are wider than the field, which is repeated there: fine "
-            "stripes around the mirror direction are orders of this repetition."
+            f" Windows with σ = {', '.join(repeated)} µm are wider than the field, so that the field is repeated. "
+            "Fine stripes around the mirror direction are orders of this repetition."
         )
     return paragraph(
-        "A larger window resolves orders better: its lobes are narrower. View angles are positive towards "
-        f"+{_axis(data)}. The numerical error of XYZ is at most {100.0 * tolerance:g} % for 99 % of the directions. "
-        f"The error of the theory is stated above. Differences between parts of the surface are not included.{text}"
+        "A larger coherence window separates orders better, because its lobes are narrower. View angles are positive "
+        f"towards +{_axis(data)}. The numerical error of XYZ is at most {100.0 * tolerance:g} % for 99 % of the "
+        "directions. The error of scalar diffraction is stated above. Differences between parts of the surface are not "
+        f"included.{text}"
     )
 
 
@@ -394,7 +401,7 @@ def _map(numbers: dict[str, Any]) -> str:
         return ""
     return paragraph(
         f"The numerical error of XYZ is at most {100.0 * numbers['map_error']:.2g} % for 99 % of the directions, "
-        "without the error of the theory."
+        "without the error of scalar diffraction."
     )
 
 
@@ -424,8 +431,8 @@ def _comparison(data: ReportData) -> str:
         ),
     ]
     return facts_table(facts) + paragraph(
-        "The factor is fitted, because the units of both curves differ. Residual and correlation describe these values "
-        "alone and have no error."
+        "The factor is fitted, because the measured and the computed curve have different units. Residual and "
+        "correlation describe these values alone and have no error."
         + ("" if measured.errors is not None else " The file states no errors of the measured values.")
     )
 
@@ -435,10 +442,10 @@ def _methods(data: ReportData) -> str:
         "Sa, Sq, Sdq, Sdr, Sal and Str follow ISO 25178-2. Sdq is from differences of neighbouring samples.",
         "Sdr is the mean of both triangulations of each cell of four samples.",
         "Sal and Str are from the autocorrelation of the measured samples, with the threshold 0.2.",
-        "Standard errors are those of another field of the same surface, without the calibration of the instrument.",
-        "Sizes and pitches are those of the file or of the user, without an error.",
-        "Periods are lines of the power spectrum that noise reaches with a probability below 0.5 %.",
-        "Reflectances are those of scalar diffraction by the heights as a phase grating (Stam 1999).",
+        "Standard errors describe the variation between fields of the surface, not the calibration of the instrument.",
+        "Sizes and pitches are from the file or from the user, and have no error.",
+        "Periods are maxima of the power spectrum that noise alone would reach with a probability below 0.5 %.",
+        "Reflectances are computed by scalar diffraction from the heights as a phase grating (Stam 1999).",
         "A Fresnel factor and, for colours, V-cavity masking are included.",
         "Polarisation and multiple scattering are not included.",
         f"Colours are CIE XYZ under {data.request.illuminant}, shown in sRGB by the display transform ACES 2.0.",

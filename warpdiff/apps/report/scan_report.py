@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.request.keywords import EvaluationKeywords
 
-# Largest number of coherence windows and of wavelengths. Limit: tables and pictures of one page.
+# Largest number of coherence windows, and of wavelengths, of a report. Limit: their tables and pictures fit on one
+# page.
 _MOST_SIGMAS, _MOST_WAVELENGTHS = 6, 12
 
 
@@ -46,8 +47,9 @@ class ScanReport:
         page: Path of the web page.
         paths: Paths of all files, the page first.
         numbers: Numbers of the report as dictionaries and lists, as in the JSON file; None where there is no number.
-        reasons: Reasons of results that could not be found, by name.
-        warnings: Warnings of the calls, each once. They are on the page, and are not issued.
+        reasons: Reasons why results are absent, by the name of the result.
+        warnings: Warnings during the computations, each once. The page shows them; they are not issued as Python
+            warnings.
 
     Examples:
         >>> import warpdiff as wd
@@ -85,25 +87,25 @@ def report(
     the view angle, and a reflectance map. Each number has its error, or the reason why it has none. A field without
     some of these results has a page that says what could not be found. The report requires the extra ``plot``.
 
-    Missing samples are interpolated for optics; other cleaning is yours, see `HeightField.levelled`. Periods of a field
-    with more than 1,536 samples along an axis are those of the part in its middle, and optics of a field wider than
-    about 100 µm as well.
+    Missing samples are interpolated before diffraction is computed. Do all other cleaning first, see
+    `HeightField.levelled`. Large fields are cropped to their middle: periods are computed from at most 1,536 samples
+    along each axis, and diffraction from a square of about 100 µm.
 
     Args:
-        heightfield: Height field, cleaned as it should be reported.
+        heightfield: Height field after cleaning.
         folder: Folder of the files; it is created if it does not exist. Files of an earlier report are replaced.
         to_light: Direction to the light in the local frame, shape (3,). None is 30° from the normal, in the plane of
-            the strongest wave vector.
-        to_view: Direction to the viewer for a measured spectrum, shape (3,). None is the mirror direction, or the view
-            angle in the file.
-        wavelengths_nm: Wavelengths of the orders and verdicts [nm], shape (m,) or one number.
+            the normal and the strongest wave vector.
+        to_view: Direction to the viewer of a measured spectrum, shape (3,). None is the view angle in the file, or the
+            mirror direction if the file states none.
+        wavelengths_nm: Wavelengths for which orders and verdicts are computed [nm], shape (m,) or one number.
         sigmas_um: Standard deviations of the coherence windows whose colours are shown [µm], one to six.
         compare: Text file of a measured spectrum or goniometer curve, which is drawn over the computed one. It has a
             column ``wavelength_nm`` or ``angle_deg``, one column of values, and optionally one with ``error`` in its
             name. View angles are from the normal in the plane of the light, positive towards +x, or +y where x is 0.
         illuminant: Name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
         title: Title of the page; None is the name of the file of the height field.
-        progress: Function that is called with the finished share, 0 to 1; True shows a progress bar.
+        progress: Function that is called with the finished share of the work, 0 to 1; True shows a progress bar.
 
     Returns:
         Paths of the files, and the numbers.
@@ -128,7 +130,8 @@ def report(
         heightfield, _direction(to_light, "to_light"), _direction(to_view, "to_view"), _wavelengths(wavelengths_nm),
         _sigmas(sigmas_um), illuminant, None if compare is None else read_curve(compare), dict(settings),
     )  # fmt: skip
-    # A wrong setting is an error here, and not a reason on the page.
+    # A wrong setting must raise an error. Without this check, the page would only state it as the reason why results
+    # are absent.
     flat = HeightField.of_known_scale([[0.0]], 1.0)
     Evaluation.of(flat, EvaluationSettings(**settings), illuminants=(illuminant,))
     target = _folder(folder)
@@ -144,7 +147,7 @@ def report(
 
 
 def _direction(value: ArrayLike | None, name: str) -> NDArray[np.float64] | None:
-    """Return a direction above the horizon as a unit vector; None stays None."""
+    """Return a direction as a unit vector, and check that it is above the horizon; None stays None."""
     if value is None:
         return None
     unit: NDArray[np.float64] = validation.unit_directions(validation.vector(value, name), name)[0][0]
@@ -173,7 +176,7 @@ def _sigmas(value: Sequence[float]) -> tuple[float, ...]:
 
 
 def _folder(folder: str | os.PathLike[str]) -> Path:
-    """Return the folder of the files, which exists and is writable."""
+    """Create the folder of the files if necessary, check that it is writable, and return its path."""
     target = validation.path(folder, "folder")
     try:
         target.mkdir(parents=True, exist_ok=True)
@@ -192,7 +195,7 @@ def _title(heightfield: HeightField) -> str:
 
 
 def _write(target: Path, page: str, numbers: dict[str, Any], tables: dict[str, Table]) -> tuple[Path, ...]:
-    """Write all files; each replaces an earlier one when it is complete, and the page comes last."""
+    """Write all files, the page last. Each file replaces an earlier one only when it is complete."""
     paths = [target / "report.json"]
     with files.atomic_write(paths[0]) as temporary:
         text = json.dumps(numbers, ensure_ascii=False, indent=1, allow_nan=False)

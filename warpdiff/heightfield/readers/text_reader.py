@@ -316,9 +316,9 @@ def _zygo_pitch(top: list[str]) -> float | None:
 def _of_points(
     file: Path, values: np.ndarray, columns: Columns, facts: Facts, zygo: float | None, *, is_named: bool
 ) -> FileContent | None:
-    """Return the heights of points x, y, z on an even grid; None if the columns are no points.
+    """Return the heights of points x, y, z on an even grid; None if the columns do not contain such points.
 
-    If headings name the columns x, y and z (``is_named``), points on no grid raise an error instead.
+    If headings name the columns x, y and z (``is_named``), points that are not on an even grid raise an error instead.
     """
     x, y, z = (values[:, position] for position in columns.positions)
     positions = _grid(file, x, y, is_named=is_named)
