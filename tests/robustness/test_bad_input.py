@@ -39,6 +39,7 @@ EVALUATE = {
     "brdf": lambda heightfield=HF, **options: wd.brdf(heightfield, UP, UP, [500.0], **options),
     "reflectance_map": lambda heightfield=HF, **options: wd.reflectance_map(heightfield, UP, **({"size": 4} | options)),
     "plan": lambda heightfield=HF, **options: wd.plan(heightfield, UP, UP, **options),
+    "report": lambda heightfield=HF, **options: wd.report(heightfield, "not_written", **options),
     "shade": lambda heightfield=HF, **options: wd.shade(MESH, heightfield, LIGHT, VIEW, **options),
 }
 
@@ -254,7 +255,8 @@ def test_every_function_with_an_option_method_is_called():
     ],
 )
 @pytest.mark.usefixtures("no_kernel")
-def test_invalid_shared_options_are_refused(function, option, value, error, message):
+def test_invalid_shared_options_are_refused(function, option, value, error, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(error, match=message):
         EVALUATE[function](**{option: value})
 

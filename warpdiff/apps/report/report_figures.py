@@ -128,7 +128,8 @@ def _surface(data: ReportData) -> Figure:
     caption = "Heights of the field" + (
         f", constant along {'y' if along == 'x' else 'x'}."
         if profile is None
-        else f", shaded as a relief in light from the upper left, and a profile along {along} at the dashed line. Row 0 of the field is at y = 0, at the bottom."
+        else ", shaded as a relief in light from the upper left, and a profile along "
+        f"{along} at the dashed line. Row 0 of the field is at y = 0, at the bottom."
     )
     return Figure("surface", uri, "Map of the heights, and a profile", caption, is_wide=profile is None)
 
