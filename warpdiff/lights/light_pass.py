@@ -134,9 +134,10 @@ class LightSamples:
         scattering_vectors: (u, v, w), (n,) of ``wp.vec3d``.
         to_lights: Directions to the light in the local frame, (n,) of ``wp.vec3f``.
         gains: Geometry factors, (n,); 0 where no light arrives. For a sky, gains are 1 at hits.
-        spectral_gains: Geometry factors times the sky's radiance by spectrum, (3, n); (0, 0) without sampled lights.
-        towards: Directions that each ray draws, world frame, and their weights, (n,) of ``wp.vec4f``; empty without
-            sampled lights.
+        spectral_gains: Geometry factors times the sky's radiance by spectrum, (3, n); (0, 0) unless rays have their own
+            directions.
+        towards: Each ray's own direction to the light, world frame, and its weight, (n,) of ``wp.vec4f``; empty unless
+            a light is sampled or has an emission profile.
         footprints: Footprints of the rays' filters in (u, v), (n,); empty if pixels show points.
         material_gains: Geometry factors where faces have one of several materials, else 0, (n,); empty for a single
             material.
@@ -153,7 +154,7 @@ class LightSamples:
 
     @classmethod
     def allocate(
-        cls, rays: int, *, means: bool, has_materials: bool, is_sampled: bool, device: wp.Device
+        cls, rays: int, *, means: bool, has_materials: bool, has_directions: bool, device: wp.Device
     ) -> LightSamples:
         """Return uninitialised arrays for a number of rays; footprints are empty unless pixels show ``means``."""
 
@@ -162,8 +163,8 @@ class LightSamples:
 
         return cls(
             empty(wp.bool), empty(wp.vec3d), empty(wp.vec3f), empty(wp.float32),
-            wp.empty((3 * is_sampled, rays * is_sampled), dtype=wp.float32, device=device),
-            empty(wp.vec4f, rays * is_sampled),
+            wp.empty((3 * has_directions, rays * has_directions), dtype=wp.float32, device=device),
+            empty(wp.vec4f, rays * has_directions),
             empty(Footprint, rays * means), empty(wp.float32, rays * has_materials),
         )  # fmt: skip
 
@@ -251,6 +252,11 @@ class LightPass(ABC):
     def lobe_count(self) -> int:
         """Number of lobes, which are processed one after the other."""
         return len(self.illuminated)
+
+    @property
+    def has_directions(self) -> bool:
+        """Whether each ray has its own direction or weight, in arrays that the other passes do not require."""
+        return self.is_sampled
 
     @property
     def first_lobes(self) -> range:

@@ -20,7 +20,6 @@ from warpdiff.planner.strategy import directions_of
 from warpdiff.render.picture import load_kernels
 from warpdiff.render.shade import (
     PictureInputs,
-    check_light_sizes,
     listed,
     parts_of,
     picture_memory,
@@ -214,8 +213,9 @@ class Renderer:
         steps = self._preview_steps(mine, previews)
         evaluation, parts = self._inputs.evaluation, mine.parts
         if lights is not None:
-            parts = parts_of(listed(lights), evaluation, refine=self._inputs.settings.refine)
-        check_light_sizes(parts, evaluation.coherence, means=self.plan.uses_footprints)
+            parts = parts_of(
+                listed(lights), evaluation, refine=self._inputs.settings.refine, means=self.plan.uses_footprints
+            )
         if view is not None:
             validation.instance(view, View, "view")
             if (view.width, view.height) != (mine.view.width, mine.view.height):
