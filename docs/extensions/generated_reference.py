@@ -9,6 +9,7 @@ import warpdiff as wd
 from warpdiff.apps import cli
 from warpdiff.core.options import REQUIRED, describe
 from warpdiff.heightfield.readers import reader_registry
+from warpdiff.lights.base import Light
 from warpdiff.request import settings
 
 # Classes of settings with the public functions that accept them, from general settings to those of pictures.
@@ -19,10 +20,11 @@ SETTINGS = {
     "PictureSettings": "warpdiff.shade, warpdiff.Renderer",
     "SinglePictureSettings": "warpdiff.shade",
 }
+LIGHTS = [name for name in wd.__all__ if inspect.isclass(kind := getattr(wd, name)) and issubclass(kind, Light)]
 GROUPS = {
     "Surfaces": ["HeightField", "Period", "gratings", "datasets"],
     "Bodies and cameras": ["meshes", "View"],
-    "Lights": ["DirectionalLight", "PointLight", "Environment", "Spectrum"],
+    "Lights": [*LIGHTS, "Spectrum"],
     "Materials and coherence": ["Material", "Coherence"],
     "Pictures": ["shade", "Renderer", "Image", "Report", "compare", "Comparison"],
     "Reflectance without a picture": [

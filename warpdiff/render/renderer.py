@@ -15,12 +15,12 @@ from warpdiff.core import validation
 from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.device.devices import resolve_threads
+from warpdiff.lights.base import listed
 from warpdiff.planner.refusals import warn_outside
 from warpdiff.planner.strategy import directions_of
 from warpdiff.render.picture import load_kernels
 from warpdiff.render.shade import (
     PictureInputs,
-    listed,
     parts_of,
     picture_memory,
     require_picture_memory,
