@@ -71,26 +71,18 @@ class LightPart(ABC):
 
     @abstractmethod
     def make_pass(self, context: PassContext) -> LightPass:
-        """Return the pass of this part over the rays of a picture."""
+        """Return the pass of this part over the rays of a picture.
+
+        Passes are imported in this method, so that the command line can describe lights without loading Warp.
+        """
 
 
 class EmissionProfile(ABC):
-    """Base class of emission profiles: factors of a light's power that depend on the direction of emission.
-
-    Subclasses are frozen dataclasses of numbers. The numbers are a part of the key of a recorded CUDA graph.
-    """
+    """Factor of a light's power that depends on the direction of emission. Subclasses are frozen dataclasses."""
 
     @abstractmethod
     def kernel_call(self, lights: Lights, lobe: int, batch: RayBatch) -> KernelCall:
-        """Return the kernel call that writes directions and factors to ``batch.samples.towards``.
-
-        For each ray, its kernel writes the unit vector towards the light, world frame, and the factor.
-
-        Args:
-            lights: The struct of lobes for kernels.
-            lobe: Index of the lobe in ``lights``.
-            batch: Rays with their hits, ``batch.gbuffer.pixels``.
-        """
+        """Return the kernel call that writes to ``batch.samples.towards``: unit vectors to a lobe, and factors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +95,7 @@ class Lobe:
         power: Linear factor of the illuminant.
         deviations: Standard deviations of the directions [radians] along two vectors orthogonal to ``to_light``, shape
             (2, 3), world frame. With ``position``, standard deviations of the positions [mesh units] along any two
-            orthogonal vectors. None is a single direction or position.
+            vectors. None is a single direction or position.
         position: Mean position, world frame. The power falls off with the square of the distance, and ``to_light`` is
             ignored. None for a light that is infinitely far away.
         profile: Emission profile; None is equal light in all directions.
@@ -138,14 +130,8 @@ class LobeSet(LightPart):
             has_extent=any(lobe.deviations is not None for lobe in self.lobes),
         )  # fmt: skip
 
-    @property
-    def joins_others(self) -> bool:
-        """Whether these lobes are refined together with those of other lights: if no subclass has its own pass."""
-        return type(self).make_pass is LobeSet.make_pass
-
     def make_pass(self, context: PassContext) -> LightPass:
         """Return the pass that samples the lobes."""
-        # Warp is imported here, so that the help of the command line can describe lights without loading Warp.
         from warpdiff.lights.lobe_pass import LobePass
 
         return LobePass(self, context)
@@ -164,7 +150,6 @@ class DiscPart(LobeSet):
 
     def make_pass(self, context: PassContext) -> LightPass:
         """Return the pass that samples the disc."""
-        # Warp is imported here, so that the help of the command line can describe lights without loading Warp.
         from warpdiff.lights.disc_pass import DiscPass
 
         return DiscPass(self, context)

@@ -11,7 +11,6 @@ from annotated_types import Interval, Unit
 
 from warpdiff.core import validation
 from warpdiff.lights.base import MOST_POWER, DiscPart, LightPart, Lobe, LobeLight, orthonormal_pair
-from warpdiff.optics.colorimetry import check_illuminant
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,10 +59,10 @@ class DirectionalLight(LobeLight):
 
     def lobes(self) -> tuple[Lobe, ...]:
         """Return the light as one lobe with the mean direction and the variance of the disc."""
-        if self.angular_diameter_deg == 0.0:
-            return (Lobe(self.to_light, self.illuminant, self.power),)
-        radius = math.radians(self.angular_diameter_deg / 2.0)
-        deviations = 0.5 * radius * orthonormal_pair(np.asarray(self.to_light))
+        deviations = None
+        if self.angular_diameter_deg > 0.0:
+            radius = math.radians(self.angular_diameter_deg / 2.0)
+            deviations = 0.5 * radius * orthonormal_pair(np.asarray(self.to_light))
         return (Lobe(self.to_light, self.illuminant, self.power, deviations),)
 
     def parts(self, coherence: Coherence, *, single_lobe: bool, name: str) -> Sequence[LightPart]:
@@ -71,7 +70,6 @@ class DirectionalLight(LobeLight):
 
         The arguments are those of :meth:`warpdiff.lights.base.Light.parts`.
         """
-        if self.angular_diameter_deg <= (ONE_LOBE_DEG if single_lobe else _SHAPELESS_DEG):
-            return super().parts(coherence, single_lobe=single_lobe, name=name)
-        check_illuminant(self.illuminant, f"{name}.illuminant")
-        return [DiscPart(self.lobes())]
+        parts = super().parts(coherence, single_lobe=single_lobe, name=name)
+        is_narrow = self.angular_diameter_deg <= (ONE_LOBE_DEG if single_lobe else _SHAPELESS_DEG)
+        return parts if is_narrow else [DiscPart(self.lobes())]

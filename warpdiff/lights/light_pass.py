@@ -15,6 +15,7 @@ import warp as wp
 
 from warpdiff.device.kernel_calls import KernelCall
 from warpdiff.kernels import light_samples
+from warpdiff.kernels.refinement_levels import rays_at
 from warpdiff.kernels.structs import Footprint
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial, transmittances
@@ -229,14 +230,17 @@ class LightPass(ABC):
 
     Attributes:
         is_sampled: Whether directions to the light are drawn at random, so that colours have noise.
+        has_directions: Whether each ray has its own direction or weight: sampled lights and emission profiles.
         context: Context that all passes of the picture share.
+        lobe_count: Number of lobes, which are processed one after the other; for sampled lights, number of directions
+            per pixel in a picture whose pixels are not subdivided.
         illuminated: Illuminated materials (``IlluminatedMaterial``) by lobe, material and spectrum.
     """
 
-    is_sampled = False
+    is_sampled = has_directions = False
 
     def __init__(self, context: PassContext, spectra_of_lobes: Sequence[Sequence[str | Spectrum]]) -> None:
-        self.context = context
+        self.context, self.lobe_count = context, len(spectra_of_lobes)
         self.illuminated = [
             tuple(
                 tuple(IlluminatedMaterial(spectrum, material) for spectrum in spectra)
@@ -249,16 +253,6 @@ class LightPass(ABC):
         self._lights.rgb_to_xyz = wp.mat33d(*colorimetry.RGB_TO_XYZ.ravel())
 
     @property
-    def lobe_count(self) -> int:
-        """Number of lobes, which are processed one after the other."""
-        return len(self.illuminated)
-
-    @property
-    def has_directions(self) -> bool:
-        """Whether each ray has its own direction or weight, in arrays that the other passes do not require."""
-        return self.is_sampled
-
-    @property
     def first_lobes(self) -> range:
         """Lobes that are evaluated with one ray per pixel, before pixels are subdivided."""
         return range(self.lobe_count)
@@ -268,9 +262,15 @@ class LightPass(ABC):
         """Lobes whose directions are measured to choose a plan."""
         return range(self.lobe_count)
 
-    def cell_lobes(self, level: int) -> range:  # noqa: ARG002 (of sampled lights)
-        """Return the lobes that are evaluated for subpixel cells of a level."""
-        return range(self.lobe_count)
+    def cell_lobes(self, level: int) -> range:
+        """Return the lobes, or the indices of random directions, that are evaluated for subpixel cells of a level.
+
+        In a refined picture, each cell draws one direction. Otherwise the cells of a pixel share the pixel's
+        directions.
+        """
+        if not self.is_sampled:
+            return range(self.lobe_count)
+        return range(1 if self.context.refines else -(-self.lobe_count // rays_at(level)))
 
     @property
     @abstractmethod

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -38,55 +38,45 @@ class LobePass(LightPass):
     def __init__(self, part: LobeSet, context: PassContext) -> None:
         super().__init__(context, [[lobe.illuminant] for lobe in part.lobes])
         self.part = part
-        self._strengths = [(self._power(lobe), context.pigment_strength) for lobe in part.lobes]
+        self.has_directions = self.is_sampled or any(lobe.profile is not None for lobe in part.lobes)
+        self._sources = [self._source(lobe) for lobe in part.lobes]
         self._grids: list[ShadowGrid] = []
         self._no_directions = wp.empty(0, dtype=wp.vec4f, device=context.device)
 
     def begin(self, previous: LightPass | None) -> None:
         """Write the lobes into arrays. Arrays of the previous pass are reused if it had equally many lobes."""
         lobes, context = self.part.lobes, self.context
-        if isinstance(previous, LobePass) and len(previous.part.lobes) == len(lobes):
-            self._lights = previous._lights
-        else:
-            arrays: dict[str, type] = {"places": wp.vec4d, "strengths": wp.vec2d, "white_rgb": wp.vec3d}
-            for name, dtype in arrays.items():
-                setattr(self._lights, name, wp.empty(len(lobes), dtype=dtype, device=context.device))
-            self._lights.deviations = wp.empty((len(lobes), 2), dtype=wp.vec3f, device=context.device)
-        self._lights.places.assign(np.array([self._place(lobe) for lobe in lobes]))
-        self._lights.strengths.assign(np.array(self._strengths))
-        self._lights.white_rgb.assign(np.array([context.pigment_white(lobe.illuminant) for lobe in lobes]))
-        self._lights.deviations.assign(np.array([self._deviations(lobe) for lobe in lobes], dtype=np.float32))
+        is_reused = isinstance(previous, LobePass) and len(previous.part.lobes) == len(lobes)
+        self._lights = previous._lights if is_reused else self._lights
+        places, deviations, powers = zip(*self._sources, strict=True)
+        values: dict[str, tuple[type, list[Any]]] = {
+            "places": (wp.vec4d, list(places)), "deviations": (wp.vec3f, list(deviations)),
+            "strengths": (wp.vec2d, [(power, context.pigment_strength) for power in powers]),
+            "white_rgb": (wp.vec3d, [context.pigment_white(lobe.illuminant) for lobe in lobes]),
+        }  # fmt: skip
+        for name, (dtype, value) in values.items():
+            if is_reused:
+                getattr(self._lights, name).assign(np.array(value))
+            else:
+                setattr(self._lights, name, wp.array(np.array(value), dtype=dtype, device=context.device))
 
-    def _place(self, lobe: Lobe) -> tuple[float, ...]:
-        """Return a lobe's source in homogeneous mesh coordinates: a direction and 0, or a position and 1."""
+    def _source(self, lobe: Lobe) -> tuple[tuple[float, ...], NDArray[np.float64], float]:
+        """Return the place, the deviations and the power of a lobe in mesh coordinates.
+
+        The place is homogeneous: a direction and 0, or a position and 1. The power of a position is that at a distance
+        of one mesh radius; users specify it at one mesh unit.
+        """
+        deviations = np.zeros((2, 3)) if lobe.deviations is None else lobe.deviations
         if lobe.position is None:
-            return *lobe.to_light, 0.0
-        surface = self.context.rays.surface
-        return *((np.asarray(lobe.position) - surface.centre) / surface.radius), 1.0
-
-    def _deviations(self, lobe: Lobe) -> NDArray[np.float64]:
-        """Return the standard deviations of a lobe: directions [radians], or positions in mesh coordinates."""
-        if lobe.deviations is None:
-            return np.zeros((2, 3))
-        return lobe.deviations if lobe.position is None else lobe.deviations / self.context.rays.surface.radius
-
-    def _power(self, lobe: Lobe) -> float:
-        """Return the power of a lobe at a distance of one mesh radius; users specify it at one mesh unit."""
-        if lobe.position is None:
-            return lobe.power
-        radius = self.context.rays.surface.radius
-        power: float = lobe.power * radius**-2.0
+            return (*lobe.to_light, 0.0), deviations, lobe.power
+        centre, radius = self.context.rays.surface.centre, self.context.rays.surface.radius
+        power = lobe.power * radius**-2.0
         if power > _MOST_NEARBY:
             raise ArgumentValueError(
                 f"{lobe.name} has a power of {lobe.power:g} at one position, and must have at most {_MOST_NEARBY:g} "
                 f"times the square of the mesh's radius, {radius:g}; give less power"
             )
-        return power
-
-    @property
-    def has_directions(self) -> bool:
-        """Whether each ray has its own direction or weight: lobes with emission profiles, and sampled lights."""
-        return self.is_sampled or any(lobe.profile is not None for lobe in self.part.lobes)
+        return (*((np.asarray(lobe.position) - centre) / radius), 1.0), deviations / radius, power
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
@@ -151,19 +141,17 @@ class LobePass(LightPass):
 
         For a point light, the direction to the light also changes across a footprint.
         """
-        rays, pixels, footprints = self.context.rays, batch.gbuffer.pixels, [batch.samples.footprints]
-        calls = [self.filter_footprints(batch)]
-        is_extended = self.part.lobes[lobe].deviations is not None
-        if self.part.lobes[lobe].position is not None:
+        rays, pixels, source = self.context.rays, batch.gbuffer.pixels, self.part.lobes[lobe]
+        kernels: list[tuple[wp.Kernel, list[Any]]] = []
+        if source.position is not None:
             inputs = [rays.camera, rays.scene.bare, pixels, self._lights, lobe, batch.deviation]
-            calls.append(KernelCall(light_samples.add_light_rotation, inputs, footprints, in_runs=True))
-            if is_extended:
-                inputs = [self._lights, lobe, pixels]
-                calls.append(KernelCall(light_samples.add_source_extent, inputs, footprints, in_runs=True))
-        elif is_extended:
-            inputs = [self._lights, lobe, self._no_directions, 0.0, pixels]
-            calls.append(KernelCall(light_samples.add_light_extent, inputs, footprints, in_runs=True))
-        return calls
+            kernels.append((light_samples.add_light_rotation, inputs))
+        if source.deviations is not None and source.position is not None:
+            kernels.append((light_samples.add_source_extent, [self._lights, lobe, pixels]))
+        elif source.deviations is not None:
+            kernels.append((light_samples.add_light_extent, [self._lights, lobe, self._no_directions, 0.0, pixels]))
+        widen = [KernelCall(kernel, inputs, [batch.samples.footprints], in_runs=True) for kernel, inputs in kernels]
+        return [self.filter_footprints(batch), *widen]
 
     def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
         """Return the kernel calls that look up the colours of a lobe, separately for the faces of each material."""

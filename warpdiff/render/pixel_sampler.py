@@ -47,12 +47,9 @@ class PixelSampler:
         self._context, self._samples_per_pixel, self._means = context, samples_per_pixel, means
         self._shadow_rays_per_hit = shadow_rays_per_hit
         self.samples = LightSamples.allocate(
-            context.rays.size,
-            means=means,
-            has_materials=context.has_materials,
-            has_directions=False,
+            context.rays.size, means=means, has_materials=context.has_materials, has_directions=False,
             device=context.device,
-        )
+        )  # fmt: skip
         self._passes: Sequence[LightPass] = ()
         self._no_tiles = wp.empty(0, dtype=wp.int32, device=context.device)
         self._no_gains = wp.empty(0, dtype=wp.float32, device=context.device)

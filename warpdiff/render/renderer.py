@@ -16,7 +16,6 @@ from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.device.devices import resolve_threads
 from warpdiff.lights.base import listed
-from warpdiff.planner.refusals import warn_outside
 from warpdiff.planner.strategy import directions_of
 from warpdiff.render.picture import load_kernels
 from warpdiff.render.shade import (
@@ -119,8 +118,6 @@ class Renderer:
         self._inputs, self._surface = inputs, surface
         with picture_memory(view):
             direction_range, sample, count = directions_of(evaluation)
-            if evaluation.plan is not None:
-                warn_outside(evaluation.plan, evaluation.heightfield, direction_range)
             self.plan = inputs.planned(direction_range, sample, count)
             self._lookup = lookup or ColourLookup(
                 evaluation.heightfield, self.plan, direction_range, device=evaluation.device, threads=evaluation.threads

@@ -113,8 +113,6 @@ def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Calla
     else:
         # Light from a sky comes from the whole hemisphere, so that the plan must cover all directions.
         direction_range, sample, count = directions_of(evaluation)
-    if evaluation.plan is not None:
-        warn_outside(evaluation.plan, evaluation.heightfield, direction_range)
     plan = inputs.planned(direction_range, sample, count)
     if plan.method == "direct":
         picture.render_directly(evaluation.heightfield, plan, progress=progress)
@@ -217,8 +215,9 @@ class PictureInputs:
         plan has the best table. The smallest table that is expected to suffice is used for skies, and for lights under
         which all measured directions are dark.
         """
-        evaluation = self.evaluation
-        request = evaluation
+        request = evaluation = self.evaluation
+        if evaluation.plan is not None:
+            warn_outside(evaluation.plan, evaluation.heightfield, direction_range)
         if evaluation.integration == "auto" and not any(part.has_lobes for part in self.parts):
             # The planner tries no table for skies: a sky averages over many directions, so that errors in single
             # directions have no effect.
@@ -307,7 +306,8 @@ def parts_of(lights: Sequence[Light], evaluation: Evaluation, *, refine: bool, m
         for part in light.parts(evaluation.coherence, single_lobe=not refine, name=name):
             if part.has_extent:
                 check_extent(light, name, evaluation.coherence, means=means)
-            if isinstance(part, LobeSet) and part.joins_others:
+            # A subclass that overrides the pass is refined separately.
+            if isinstance(part, LobeSet) and type(part).make_pass is LobeSet.make_pass:
                 lobes += [replace(lobe, name=f"{ref(name)} ({type(light).__name__})") for lobe in part.lobes]
             else:
                 others.append(part)
