@@ -46,8 +46,8 @@ class LobePass(LightPass):
     def begin(self, previous: LightPass | None) -> None:
         """Write the lobes into arrays. Arrays of the previous pass are reused if it had equally many lobes."""
         lobes, context = self.part.lobes, self.context
-        is_reused = isinstance(previous, LobePass) and len(previous.part.lobes) == len(lobes)
-        self._lights = previous._lights if is_reused else self._lights
+        reused = previous if isinstance(previous, LobePass) and len(previous.part.lobes) == len(lobes) else None
+        self._lights = self._lights if reused is None else reused._lights
         places, deviations, powers = zip(*self._sources, strict=True)
         values: dict[str, tuple[type, list[Any]]] = {
             "places": (wp.vec4d, list(places)), "deviations": (wp.vec3f, list(deviations)),
@@ -55,10 +55,10 @@ class LobePass(LightPass):
             "white_rgb": (wp.vec3d, [context.pigment_white(lobe.illuminant) for lobe in lobes]),
         }  # fmt: skip
         for name, (dtype, value) in values.items():
-            if is_reused:
-                getattr(self._lights, name).assign(np.array(value))
-            else:
+            if reused is None:
                 setattr(self._lights, name, wp.array(np.array(value), dtype=dtype, device=context.device))
+            else:
+                getattr(self._lights, name).assign(np.array(value))
 
     def _source(self, lobe: Lobe) -> tuple[tuple[float, ...], NDArray[np.float64], float]:
         """Return the place, the deviations and the power of a lobe in mesh coordinates.
