@@ -43,7 +43,10 @@ def line_light() -> Any:
 
 
 def cases() -> dict[str, tuple[Any, wd.View, tuple[Any, Any], float]]:
-    """Return bodies with a view, the ends of a line, and the least distance of the line from the body."""
+    """Return bodies with a view, the ends of a line, and the least distance of the line from the body.
+
+    The case ``sine`` is the square with a sine grating of a period of 2 µm; the others have fingers.
+    """
     corners = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
     texture = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]])
     square = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=texture, process=False)
@@ -54,6 +57,7 @@ def cases() -> dict[str, tuple[Any, wd.View, tuple[Any, Any], float]]:
     nearest = float(np.linalg.norm(np.asarray(tube.vertices)[:, None] - points, axis=2).min())
     return {
         "square": (square, above, ((-0.7, -0.9, 0.9), (0.7, -0.9, 0.9)), 0.9),
+        "sine": (square, above, ((-0.7, -0.9, 0.9), (0.7, -0.9, 0.9)), 0.9),
         "tube": (tube, wd.View.fit(tube, width=32, height=20), ends, nearest),
     }
 
@@ -69,11 +73,12 @@ def errors(image: wd.Image, reference: wd.Image) -> np.ndarray:
 def main() -> int:
     """Print a table with the errors of both kinds of approximation."""
     warnings.simplefilter("ignore", wd.WarpdiffWarning)
-    light, skin = line_light(), wd.gratings.fingers(size_um=12.8, pitch_um=0.1)
+    light, skins = line_light(), {"sine": wd.gratings.sinusoidal(2.0, 0.1)}
     print("| case | lobes | spacing | P50 / P90 / P99 | above the tolerance | reported |")
     print(6 * "| --- " + "|")
     for name, (body, view, ends, nearest) in cases().items():
         start, end = np.array(ends)
+        skin = skins.get(name, wd.gratings.fingers(size_um=12.8, pitch_um=0.1))
         reference = wd.shade(
             body, skin, light(*ends, lobe_count=MOST), view, tolerance=OF_REFERENCE, pigment=0.0
         )  # fmt: skip

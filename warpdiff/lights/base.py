@@ -188,7 +188,7 @@ def listed(lights: object) -> list[Light]:
 
 
 def orthonormal_pair(axis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return two unit vectors orthogonal to a vector and to each other, shape (2, 3)."""
+    """Return two unit vectors orthogonal to a unit vector and to each other, shape (2, 3)."""
     tangent = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     tangent /= np.linalg.norm(tangent)
     return np.stack([tangent, np.cross(axis, tangent)])

@@ -288,8 +288,8 @@ def check_extent(light: Light, name: str, coherence: Coherence, *, means: bool) 
     if not (means and coherence.adds_powers):
         raise ArgumentValueError(
             f"{ref(name)} has an extent and requires footprints, which {ref('coherence')} of kind {coherence.kind!r}, "
-            f"{ref('footprint', False)} or {ref('method', 'direct')} excludes, got {light!r}: give several lights "
-            "without an extent"
+            f"{ref('footprint', False)}, {ref('method', 'direct')} or a {ref('plan')} without footprints excludes, got "
+            f"{light!r}: give several lights without an extent"
         )
 
 
