@@ -24,7 +24,9 @@ class Lights:
     strengths: wp.array(
         dtype=wp.vec2d
     )  # power at a distance of 1; and the pigment's strength over R(0), which is 0 without a pigment
-    deviations: wp.array2d(dtype=wp.vec3f)  # deviations of the light's directions along two perpendicular vectors [rad]
+    deviations: wp.array2d(
+        dtype=wp.vec3f
+    )  # deviations along two perpendicular vectors, of directions [rad], or of positions for a light at a position
     white_rgb: wp.array(dtype=wp.vec3d)  # colour of a white pigment, ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ, in linear sRGB
     rgb_to_xyz: wp.mat33d  # matrix from linear sRGB to XYZ
 
@@ -212,6 +214,28 @@ def add_light_rotation(
         footprints_out[i] = footprint
 
 
+@wp.func
+def covariance_of(footprint: Footprint) -> wp.vec3f:
+    """Return the covariance matrix of a footprint: its entries uu, uv and vv."""
+    return wp.vec3f(
+        footprint[0] * footprint[0] + footprint[2] * footprint[2],
+        footprint[0] * footprint[1] + footprint[2] * footprint[3],
+        footprint[1] * footprint[1] + footprint[3] * footprint[3],
+    )
+
+
+@wp.func
+def footprint_from(covariance: wp.vec3f) -> Footprint:
+    """Return a footprint with a covariance matrix, whose entries are uu, uv and vv.
+
+    A footprint is stored as two changes of (u, v), along rows and columns. A Cholesky factor of the covariance yields
+    these two.
+    """
+    along = wp.sqrt(wp.max(covariance[0], 1.0e-20))
+    beside = covariance[1] / along
+    return Footprint(along, beside, 0.0, wp.sqrt(wp.max(covariance[2] - beside * beside, 0.0)))
+
+
 @wp.kernel
 def add_light_extent(
     lights: Lights, light_index: wp.int32, towards: wp.array(dtype=wp.vec4f), extent: wp.float32, pixels: Pixels,
@@ -227,10 +251,10 @@ def add_light_extent(
     own = 2.0 * extent * wp.length(lights.deviations[light_index, 0])
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
-        footprint = footprints_out[i]
-        xx = footprint[0] * footprint[0] + footprint[2] * footprint[2]
-        xy = footprint[0] * footprint[1] + footprint[2] * footprint[3]
-        yy = footprint[1] * footprint[1] + footprint[3] * footprint[3]
+        covariance = covariance_of(footprints_out[i])
+        xx = covariance[0]
+        xy = covariance[1]
+        yy = covariance[2]
         for axis in range(2):
             deviation = lights.deviations[light_index, axis]
             x = wp.dot(deviation, pixels.tangent[i])
@@ -250,11 +274,30 @@ def add_light_extent(
             xx -= x * x
             xy -= x * y
             yy -= y * y
-        # A footprint is stored as two changes of (u, v), along rows and columns. A Cholesky factor of the new
-        # covariance yields these two.
-        along = wp.sqrt(wp.max(xx, 1.0e-20))
-        beside = xy / along
-        footprints_out[i] = Footprint(along, beside, 0.0, wp.sqrt(wp.max(yy - beside * beside, 0.0)))
+        footprints_out[i] = footprint_from(wp.vec3f(xx, xy, yy))
+
+
+@wp.kernel
+def add_source_extent(
+    lights: Lights, light_index: wp.int32, pixels: Pixels, first: wp.int32, run: wp.int32,
+    footprints_out: wp.array(dtype=Footprint),
+):  # fmt: skip
+    """Widen footprints in (u, v) by the extent of a light at a position: its deviations are those of positions."""
+    place = lights.places[light_index]
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        away = wp.vec3f(away_from(place, pixels.shadow_origin[i]))
+        per_distance = 1.0 / wp.sqrt(wp.length_sq(away) + 1.0e-12)
+        towards = per_distance * away
+        covariance = covariance_of(footprints_out[i])
+        for axis in range(2):
+            # A change of position changes the direction by its perpendicular part over the distance.
+            deviation = lights.deviations[light_index, axis]
+            across = per_distance * (deviation - wp.dot(towards, deviation) * towards)
+            x = wp.dot(across, pixels.tangent[i])
+            y = wp.dot(across, pixels.bitangent[i])
+            covariance += wp.vec3f(x * x, x * y, y * y)
+        footprints_out[i] = footprint_from(covariance)
 
 
 @wp.kernel

@@ -9,6 +9,7 @@ import warpdiff as wd
 from warpdiff.apps import cli
 from warpdiff.core.options import REQUIRED, describe
 from warpdiff.heightfield.readers import reader_registry
+from warpdiff.lights.base import Light
 from warpdiff.request import settings
 
 # Classes of settings with the public functions that accept them, from general settings to those of display colours.
@@ -22,10 +23,11 @@ SETTINGS = {
     "GamutSettings": "warpdiff.Image.display",
     "DisplaySettings": "warpdiff.Image.save, warpdiff.sequence",
 }
+LIGHTS = [name for name in wd.__all__ if inspect.isclass(kind := getattr(wd, name)) and issubclass(kind, Light)]
 GROUPS = {
     "Surfaces": ["HeightField", "Period", "Periods", "Roughness", "gratings", "datasets"],
     "Bodies and cameras": ["meshes", "View"],
-    "Lights": ["DirectionalLight", "PointLight", "Environment", "Spectrum"],
+    "Lights": [*LIGHTS, "Spectrum"],
     "Materials and coherence": ["Material", "Coherence"],
     "Pictures": ["shade", "Renderer", "Image", "Report", "compare", "Comparison"],
     "Reflectance without a picture": [

@@ -2,8 +2,12 @@
 
 import contextlib
 import importlib.util
+import inspect
 import io
+import os
 import re
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -15,17 +19,27 @@ from warpdiff.apps import cli
 from warpdiff.core.options import describe
 from warpdiff.diffraction.phase_series import EXPANSIONS
 from warpdiff.heightfield.readers import reader_registry
+from warpdiff.lights.base import Light
 from warpdiff.request import settings
 
-FOLDER = Path(__file__).parents[2] / "docs" / "contributing"
+ROOT = Path(__file__).parents[2]
+
+
+def page_text(page):
+    return (ROOT / "docs" / "contributing" / f"{page}.md").read_text(encoding="utf-8")
+
+
+def blocks(page):
+    """Return the Python blocks of a page."""
+    return re.findall(r"```python\n(.*?)```", page_text(page), re.DOTALL)
 
 
 @pytest.fixture
 def module_of(tmp_path, monkeypatch):
-    """Return a function that imports the Python block of a page from a temporary file, as Warp requires."""
+    """Return a function that imports code, or the first block of a page, from a temporary file, as Warp requires."""
 
-    def load(page):
-        (code,) = re.findall(r"```python\n(.*?)```", (FOLDER / f"{page}.md").read_text(encoding="utf-8"), re.DOTALL)
+    def load(page, code=None):
+        code = blocks(page)[0] if code is None else code
         path = tmp_path / f"page_{page}.py"
         path.write_text(code, encoding="utf-8")
         spec = importlib.util.spec_from_file_location(path.stem, path)
@@ -37,21 +51,108 @@ def module_of(tmp_path, monkeypatch):
     return load
 
 
-def test_the_light_of_the_page_about_lights_works(module_of, fingers):
-    """The spotlight illuminates the body if its axis points at the body, and not if it points away."""
-    page = module_of("add_a_light")
+LINE = (-0.7, 1.8, 1.0), (0.7, 1.8, 1.0)
+
+
+def picture(light, fingers):
     body = wd.meshes.tube(segments_along=12, segments_around=12)
     view = wd.View.fit(body, width=24, height=18)
-    window = wd.Coherence(sigma_um=4.0)
-    towards, away = (
-        wd.shade(
-            body, fingers, page.SpotLight((0.3, 1.7, 1.4), axis=axis), view, coherence=window, tolerance=0.3,
-            pigment=0.0, refine=False,
-        )
-        for axis in ((0.0, -0.8, -0.6), (0.0, 0.8, 0.6))
+    return wd.shade(body, fingers, light, view, coherence=wd.Coherence(sigma_um=4.0), tolerance=0.1, pigment=0.0)
+
+
+def relative_errors(image, reference):
+    """Return the pixels' errors relative to a reference, or to 5 % of its largest luminance in dark pixels."""
+    luminance = np.maximum(reference.xyz[..., 1], 0.05 * reference.xyz[..., 1].max())
+    return np.abs(image.xyz - reference.xyz).max(axis=2) / luminance
+
+
+def test_the_light_of_the_page_about_lights_equals_many_point_lights(module_of, fingers):
+    """The error is that of the two pictures together, whose tolerances are 0.1."""
+    start, end = np.array(LINE)
+    points = [wd.PointLight(tuple(start + t * (end - start)), power=3.0 / 64) for t in (np.arange(64) + 0.5) / 64]
+    page = module_of("add_a_light")
+    errors = relative_errors(picture(page.LineLight(*LINE, power=3.0), fingers), picture(points, fingers))
+    assert np.percentile(errors, 99.0) < 0.2
+
+
+def test_the_profile_of_the_page_about_lights_works_in_a_file_of_a_user(module_of, fingers):
+    """Under a tube along y, the sine to the axis varies over the picture, and a tube of one lobe is a point light."""
+    light, kernel, profile = blocks("add_a_light")
+    future = "from __future__ import annotations\n"
+    code = future + f"{kernel}{light}{profile}".replace(future, "")
+    page = module_of("add_a_light", changed(code, (IMPORT_OF_KERNEL, ""), *WITH_PROFILE))
+    light = page.LineLight((0.3, 1.5, 1.4), (0.3, 1.5001, 1.4), lobe_count=1)
+    ratio = picture(light, fingers).xyz[..., 1] / np.maximum(
+        picture(wd.PointLight(light.start), fingers).xyz[..., 1], 1e-9
+    )
+    assert 0.2 < np.median(ratio[ratio > 0.0]) < 0.95
+
+
+def changed(code, *replacements):
+    for before, after in replacements:
+        assert before in code
+        code = code.replace(before, after)
+    return code
+
+
+# Line that is left out where kernel and profile are in the same file, and lines that give the profile to the lobes.
+IMPORT_OF_KERNEL = "        from warpdiff.kernels.tube_emission import emit_from_tube\n"
+WITH_PROFILE = (
+    ("deviations, tuple(position))", "deviations, tuple(position), TubeProfile(axis))"),
+    ("        along = np", "        axis = tuple((spacing / np.linalg.norm(spacing)).tolist())\n        along = np"),
+)
+
+
+def test_the_light_of_the_page_about_lights_can_be_added_to_the_library(tmp_path):
+    """A copy of the package with the files of the page meets the rules for imports, and finds the light by its name."""
+    for folder in ("warpdiff", "kernels"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    light, kernel, profile = blocks("add_a_light")
+    light = changed(light, ("import MOST_POWER", "import MOST_POWER, EmissionProfile"), *WITH_PROFILE)
+    light += profile[profile.index("if TYPE_CHECKING") :]
+    Path(tmp_path, "warpdiff/lights/line.py").write_text(light, encoding="utf-8")
+    Path(tmp_path, "kernels/tube_emission.py").write_text(kernel, encoding="utf-8")
+    (line,) = re.findall(r"from \S+ import LineLight as LineLight", page_text("add_a_light"))
+    with Path(tmp_path, "warpdiff/__init__.pyi").open("a", encoding="utf-8") as file:
+        file.write(f"{line}\n")
+    run(tmp_path, Path(sys.executable).with_name("lint-imports"), "--no-cache")
+    run(tmp_path, sys.executable, "-c", USE_OF_COPY)
+
+
+USE_OF_COPY = """
+import argparse, doctest, sys
+from pathlib import Path
+import warpdiff as wd
+
+assert Path(wd.__file__).parents[1] == Path.cwd()
+finder, runner = doctest.DocTestFinder(recurse=False), doctest.DocTestRunner()
+(examples,) = finder.find(wd.LineLight, globs={})
+assert runner.run(examples) == (0, len(examples.examples)) and examples.examples
+from warpdiff.apps import cli_inputs
+assert "warp" not in sys.modules
+options = argparse.Namespace(illuminant="D65", light=[["line:start=0x2x1,end=1x2x1,lobe_count=2"]])
+(light,) = cli_inputs.lights_of(options, None)
+body = wd.meshes.tube(segments_along=12, segments_around=12)
+image = wd.shade(body, wd.gratings.sinusoidal(2.0, 0.1), light, wd.View.fit(body, width=8, height=6), tolerance=0.3)
+assert image.illuminated.any()
+"""
+
+
+def run(folder, *command):
+    """Run a command in a folder from which Python imports modules."""
+    result = subprocess.run(
+        command, cwd=folder, env=os.environ | {"PYTHONPATH": str(folder)}, capture_output=True, text=True, timeout=300,
+        check=False,
     )  # fmt: skip
-    assert towards.xyz.max() > 0.0
-    assert away.xyz.max() == 0.0
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+def test_the_page_of_lights_for_users_has_every_public_light():
+    text = (ROOT / "docs" / "how-to" / "lights_and_skies.md").read_text(encoding="utf-8")
+    lights = [name for name in wd.__all__ if inspect.isclass(kind := getattr(wd, name)) and issubclass(kind, Light)]
+    assert len(lights) >= 3
+    assert not [name for name in lights if f"`{name}" not in text]
 
 
 def test_the_reader_of_the_page_about_readers_works(module_of, tmp_path, monkeypatch):
@@ -73,7 +174,7 @@ def test_the_option_of_the_page_about_options_works(module_of, capsys):
 
 
 def test_the_table_of_the_page_about_options_names_every_class_its_functions_and_its_commands():
-    page = (FOLDER / "add_an_option.md").read_text(encoding="utf-8")
+    page = page_text("add_an_option")
     rows = [[re.findall(r"`([\w.]+)`", cell) for cell in line.split("|")[1:-1]] for line in page.splitlines()]
     rows = {row[0][0]: row[1:] for row in rows if len(row) == 4 and row[0]}
     classes = {name: value for name, value in vars(settings).items() if name.endswith("Settings")}

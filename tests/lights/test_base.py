@@ -1,60 +1,50 @@
-"""A user-defined light needs a light class, a lobe set, a pass and a kernel: here a spotlight with a cos⁸ profile."""
+"""A user-defined light with an emission profile and a kernel: here a spotlight with a cos⁸ profile."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+import trimesh
 import warp as wp
 
 import warpdiff as wd
 from warpdiff import meshes
 from warpdiff.device.kernel_calls import KernelCall
+from warpdiff.kernels.light_samples import Lights, away_from
 from warpdiff.kernels.structs import Pixels
-from warpdiff.lights.base import LobeSet
-from warpdiff.lights.lobe_pass import LobePass
+from warpdiff.lights.base import EmissionProfile, LobeSet
 
 # The kernel of the user-defined spotlight.
 
 
 @wp.kernel
-def dim_by_profile(
-    pixels: Pixels, position: wp.vec3f, axis: wp.vec3f, first: wp.int32, run: wp.int32,
-    gains_out: wp.array(dtype=wp.float32),
+def emit_by_cosine(
+    lights: Lights, lobe: wp.int32, axis: wp.vec3f, pixels: Pixels, first: wp.int32, run: wp.int32,
+    towards_out: wp.array(dtype=wp.vec4f),
 ):  # fmt: skip
-    """Multiply the gains of pixels by cos⁸ of the angle between the spotlight's axis and the direction to the pixel."""
+    """Write directions to the light, and cos⁸ of the angle between the spotlight's axis and the direction from it."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
-        towards = wp.normalize(pixels.shadow_origin[i] - position)
-        gains_out[i] = gains_out[i] * wp.pow(wp.max(wp.dot(towards, axis), 0.0), 8.0)
+        towards = wp.normalize(wp.vec3f(away_from(lights.places[lobe], pixels.shadow_origin[i])))
+        weight = wp.pow(wp.max(-wp.dot(towards, axis), 0.0), 8.0)
+        towards_out[i] = wp.vec4f(towards[0], towards[1], towards[2], weight)
 
 
-class SpotPass(LobePass):
-    @property
-    def graph_key(self):
-        return *super().graph_key, self.part.lobes[0].position, self.part.axis
-
-    def gain_calls(self, lobe, batch):
-        surface = self.context.rays.surface
-        position = (np.array(self.part.lobes[lobe].position) - surface.centre) / surface.radius
-        inputs = [batch.gbuffer.pixels, wp.vec3f(*position), wp.vec3f(*self.part.axis)]
-        return [KernelCall(dim_by_profile, inputs, [batch.samples.gains], in_runs=True)]
-
-
-@dataclass(frozen=True, eq=False)
-class SpotLobes(LobeSet):
+@dataclass(frozen=True)
+class CosineProfile(EmissionProfile):
     axis: tuple[float, float, float]
 
-    def make_pass(self, context):
-        return SpotPass(self, context)
+    def kernel_call(self, lights, lobe, batch):
+        inputs = [lights, lobe, self.axis, batch.gbuffer.pixels]
+        return KernelCall(emit_by_cosine, inputs, [batch.samples.towards], in_runs=True)
 
 
 @dataclass(frozen=True)
 class SpotLight(wd.PointLight):
     axis: tuple[float, float, float] = (0.0, 0.0, -1.0)
 
-    def parts(self, coherence, **options):
-        (part,) = super().parts(coherence, **options)
-        return [SpotLobes(part.lobes, self.axis)]
+    def lobes(self):
+        return tuple(replace(lobe, profile=CosineProfile(self.axis)) for lobe in super().lobes())
 
 
 # Axis of the spotlights of all tests in this file, from the light into the scene.
@@ -89,7 +79,7 @@ def test_a_spotlight_is_a_point_light_times_its_profile(fingers):
 
 
 def test_launches_are_recorded_again_if_a_spotlight_rotates(fingers):
-    """Position and axis of a spotlight are values in recorded launches, so the key of a recording depends on them."""
+    """The axis of a spotlight is a value in recorded launches, so the key of a recording depends on it."""
     body = meshes.tube(segments_along=12, segments_around=12)
     view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=8, height=6)
     lights = [SpotLight((0.3, 1.7, 1.4), axis=AXIS), SpotLight((0.3, 1.7, 1.4)), SpotLight((0.2, 1.7, 1.4), axis=AXIS)]
@@ -98,5 +88,47 @@ def test_launches_are_recorded_again_if_a_spotlight_rotates(fingers):
     for light in [*lights, lights[0]]:
         renderer.draw(light)
         keys.append(renderer._mine.picture.graph_key)
-    assert keys[0] == keys[3]
-    assert len(set(keys)) == 3
+    assert keys[0] == keys[2] == keys[3]
+    assert len(set(keys)) == 2
+
+
+def test_a_profile_dims_the_light_of_the_pigment(fingers):
+    """In the direction in which the profile is 1, the pigment is as bright as under a point light, elsewhere darker."""
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    texture = trimesh.visual.TextureVisuals(
+        uv=[[0, 0], [1, 0], [1, 1], [0, 1]],
+        material=trimesh.visual.material.SimpleMaterial(diffuse=[200, 100, 50, 255]),
+    )
+    square = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=texture, process=False)
+    view = wd.View.orthographic((0, 0, 4), (0, 0, 0), up=(0, 1, 0), extent_y=1.5, width=3, height=3)
+    options = {"coherence": wd.Coherence(sigma_um=4.0), "footprint": False}
+    options["plan"] = wd.plan(fingers, coherence=options["coherence"], tolerance=0.1)
+
+    def pigment(light):
+        pictures = [wd.shade(square, fingers, light, view, pigment=n, **options).xyz for n in (0.0, 100.0)]
+        return (pictures[1] - pictures[0])[..., 1]
+
+    ratios = pigment(SpotLight((0.0, 0.0, 1.0))) / pigment(wd.PointLight((0.0, 0.0, 1.0)))
+    squared = np.array([[0.5, 0.25, 0.5], [0.25, 0.0, 0.25], [0.5, 0.25, 0.5]])
+    np.testing.assert_allclose(ratios, (1.0 + squared) ** -4.0, rtol=1e-3)
+
+
+def test_lobes_of_all_lights_are_refined_together_unless_a_part_has_its_own_pass(fingers):
+    """Also a light with a profile joins the others; a subclass of ``LobeSet`` with its own pass keeps this pass."""
+
+    class OwnPass(LobeSet):
+        def make_pass(self, context):
+            return super().make_pass(context)
+
+    class OwnLight(wd.PointLight):
+        def parts(self, coherence, **options):
+            return [OwnPass(part.lobes) for part in super().parts(coherence, **options)]
+
+    place = (0.3, 1.7, 1.4)
+    view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=8, height=6)
+    lights = [wd.PointLight(place), OwnLight(place), SpotLight(place, axis=AXIS), wd.DirectionalLight(place)]
+    renderer = wd.Renderer(
+        meshes.tube(segments_along=12, segments_around=12), fingers, lights, view, tolerance=0.2,
+        coherence=wd.Coherence(sigma_um=4.0),
+    )  # fmt: skip
+    assert [(type(part), len(part.lobes)) for part in renderer._mine.parts] == [(LobeSet, 3), (OwnPass, 1)]

@@ -49,7 +49,7 @@ def points_of(light, count):
 
 @pytest.mark.parametrize("diameter", [0.53, 5.0, 40.0])
 def test_the_single_lobe_has_the_variance_of_the_disc(diameter):
-    lobe = wd.DirectionalLight(TOWARDS, power=3.0, angular_diameter_deg=diameter).lobe()
+    lobe = wd.DirectionalLight(TOWARDS, power=3.0, angular_diameter_deg=diameter).lobes()[0]
     assert lobe.power == 3.0
     np.testing.assert_allclose(lobe.deviations @ lobe.to_light, 0.0, atol=1e-12)
     # The standard deviation of a uniform disc is half of its radius.
@@ -59,7 +59,7 @@ def test_the_single_lobe_has_the_variance_of_the_disc(diameter):
 
 def drawn_towards(diameter, *, normal, view, lobe):
     """Return directions that the kernel draws on a disc light, and their weights, for 64 × 64 cells of one pixel."""
-    count, light = 64 * 64, wd.DirectionalLight(TOWARDS, angular_diameter_deg=diameter).lobe()
+    count, light = 64 * 64, wd.DirectionalLight(TOWARDS, angular_diameter_deg=diameter).lobes()[0]
 
     def repeated(value):
         return wp.array(np.tile(value, (count, 1)), dtype=wp.vec3f, device="cpu")
@@ -195,7 +195,9 @@ def test_disc_lights_require_footprints_and_exclude_a_source_coherence(fingers):
     with pytest.raises(ValueError, match="kind 'source', whose diameter is that of all lights"):
         wd.shade(wd.meshes.disc(), fingers, light, view, **of_source)
     for options in ({"footprint": False}, {"coherence": wd.Coherence("centred")}, {"method": "direct"}):
-        with pytest.raises(ValueError, match="require footprints"):
+        with pytest.raises(
+            ValueError, match=r"lights\[0\] has an extent and requires footprints, .* got DirectionalLight\(.*=3\.0\)"
+        ):
             wd.shade(wd.meshes.disc(), fingers, light, view, **options)
 
 

@@ -202,7 +202,7 @@ def test_environment_files_are_read_and_invalid_ones_are_refused(tmp_path, squar
     for coherence in (wd.Coherence("source"), wd.Coherence("centred")):
         with pytest.raises(ValueError, match=r"lights\[0\] must not be an Environment for coherence of kind"):
             wd.shade(square, flat, sky, seen_at(20.0), coherence=coherence)
-    with pytest.raises(ValueError, match="an Environment, require footprints"):
+    with pytest.raises(ValueError, match=r"lights\[0\] has an extent and requires footprints, .*, got Environment\("):
         wd.shade(square, flat, sky, seen_at(20.0), footprint=False)
 
 

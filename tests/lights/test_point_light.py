@@ -1,12 +1,14 @@
 """Point lights: direction and brightness per pixel, footprints, and shadow rays that end at the light."""
 
 import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 import trimesh
 
 import warpdiff as wd
+from warpdiff.lights.base import orthonormal_pair
 
 WINDOW = wd.Coherence(sigma_um=8.0)
 VIEW = wd.View.orthographic((0.5, 0.4, 4.0), (0, 0, 0), extent_y=1.6, width=24, height=18)
@@ -101,11 +103,48 @@ def test_pigment_under_a_point_light_equals_that_of_a_directional_light_per_pixe
 
 
 def test_too_much_light_is_refused(fingers):
-    with pytest.raises(ValueError, match=r"a power of 1e\+06, and must have at most 1e\+09 times the square"):
+    with pytest.raises(
+        ValueError,
+        match=r"lights\[0\] \(PointLight\) has a power of 1e\+06 at one position, and must have at most 1e\+09 times",
+    ):
         wd.shade(square(size=1e-3), fingers, wd.PointLight((0.0, 0.0, 1.0), power=1e6), VIEW, **OPTIONS)
     bright = wd.Environment(np.full((2, 4, 3), 1e9), scale=1e6, directions=16)
     with pytest.raises(ValueError, match=r"an Environment has a power of .* at most 1e\+12; give a smaller scale"):
         wd.shade(square(), fingers, bright, VIEW, **OPTIONS)
+
+
+@dataclass(frozen=True)
+class FarLight(wd.PointLight):
+    """Light that is far away in units of the mesh, with the extent of a disc of ``diameter_deg`` at its position.
+
+    The extent along the direction to the light has no effect, because it is not visible from the mesh.
+    """
+
+    diameter_deg: float = 0.0
+
+    def lobes(self):
+        place = np.array(self.position)
+        distance = np.linalg.norm(place)
+        across = distance * 0.25 * math.radians(self.diameter_deg) * orthonormal_pair(place / distance)
+        (lobe,) = super().lobes()
+        return (replace(lobe, deviations=across + [[0.0], [0.01]] * place, power=float(place @ place)),)
+
+
+@pytest.mark.parametrize("size", [1.0, 1000.0])
+def test_the_extent_of_a_far_light_equals_that_of_a_disc(size, fingers):
+    view = wd.View.orthographic(
+        np.array(VIEW.eye) * size, (0, 0, 0), extent_y=1.6 * size, width=VIEW.width, height=VIEW.height
+    )
+    place = (0.5e4 * size, 0.2e4 * size, 0.9e4 * size)
+    options = OPTIONS | {"refine": False}
+    light = wd.DirectionalLight(place, angular_diameter_deg=4.0)
+    disc = wd.shade(square(size=size), fingers, light, view, **options)
+    far, point = (
+        wd.shade(square(size=size), fingers, light, view, plan=disc.plan, **options).xyz
+        for light in (FarLight(place, diameter_deg=4.0), FarLight(place))
+    )
+    np.testing.assert_allclose(far, disc.xyz, rtol=1e-2)
+    assert np.abs(point - disc.xyz).max() > 0.1 * disc.xyz.max()
 
 
 @pytest.mark.filterwarnings("ignore:none of the lights illuminates")

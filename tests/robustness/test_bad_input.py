@@ -157,8 +157,14 @@ TYPE_ERRORS = [
     (lambda _: wd.spectral_reflectance(HF, UP, UP, "blue"), "wavelengths_nm must be an array of real"),
     (lambda _: shade(None), "mesh must be a trimesh.Trimesh, a trimesh.Scene or a path, got NoneType"),
     (lambda _: shade(TRIANGLE), "mesh must be a trimesh.Trimesh, .* got ndarray"),
-    (lambda _: shade(light=[]), r"lights must be a DirectionalLight, .* or a non-empty sequence .* got \[\]"),
-    (lambda _: shade(light=None), "lights must be a DirectionalLight, .* or a non-empty sequence .* got None"),
+    (
+        lambda _: shade(light=[]),
+        r"lights must be a light, such as a DirectionalLight, or a non-empty sequence .* got \[\]",
+    ),
+    (
+        lambda _: shade(light=None),
+        "lights must be a light, such as a DirectionalLight, or a non-empty sequence .* got None",
+    ),
     (lambda _: shade(light=(0, 0, 1)), r"lights\[0\] must be a .*, got int"),
     (lambda _: shade(light=[LIGHT, UP]), r"lights\[1\] must be a .*, got list"),
     (lambda _: shade(layers=np.array(3.0)), "layers must be a tuple or list of"),

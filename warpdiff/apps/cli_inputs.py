@@ -37,7 +37,8 @@ GRATINGS: dict[str, tuple[str, dict[str, Any]]] = {
 BODIES: dict[str, tuple[str, dict[str, Any]]] = {
     "tube": ("tube", {}), "tube-along": ("tube", {"tangent": "along"}), "disc": ("disc", {}), "snake": ("snake", {}),
 }  # fmt: skip
-_LIGHTS = {"directional": "DirectionalLight", "point": "PointLight"}
+# Public lights by their kind on the command line: ``point`` is ``PointLight``.
+_LIGHTS = {name.removesuffix("Light").lower(): name for name in dir(wd) if name.endswith("Light")}
 # First string: name of the environment that is computed instead of loaded from a file. Second string: default direction
 # to its sun, at the upper right.
 _CLEAR_SKY, _SUN_DIRECTION = "clear-sky", (0.6, 1.0, 0.4)

@@ -8,19 +8,23 @@ that part alone.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff.core import validation
+from warpdiff.core.options import Checked
+from warpdiff.core.wording import ArgumentTypeError, ref
 from warpdiff.optics import colorimetry
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
-    from warpdiff.lights.light_pass import LightPass, PassContext
+    from warpdiff.device.kernel_calls import KernelCall
+    from warpdiff.kernels.light_samples import Lights
+    from warpdiff.lights.light_pass import LightPass, PassContext, RayBatch
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.spectra import Spectrum
 
@@ -67,21 +71,35 @@ class LightPart(ABC):
 
     @abstractmethod
     def make_pass(self, context: PassContext) -> LightPass:
-        """Return the pass of this part over the rays of a picture."""
+        """Return the pass of this part over the rays of a picture.
+
+        Passes are imported in this method, so that the command line can describe lights without loading Warp.
+        """
+
+
+class EmissionProfile(ABC):
+    """Factor of a light's power that depends on the direction of emission. Subclasses are frozen dataclasses."""
+
+    @abstractmethod
+    def kernel_call(self, lights: Lights, lobe: int, batch: RayBatch) -> KernelCall:
+        """Return the kernel call that writes to ``batch.samples.towards``: unit vectors to a lobe, and factors."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lobe:
-    """Lobe of a light: a Gaussian distribution of directions, or a single direction.
+    """Lobe of a light: a Gaussian distribution of directions or of positions, or a single one.
 
     Attributes:
         to_light: Unit vector towards the light, world frame.
         illuminant: Illuminant of the lobe.
         power: Linear factor of the illuminant.
         deviations: Standard deviations of the directions [radians] along two vectors orthogonal to ``to_light``, shape
-            (2, 3), world frame; None is a single direction.
-        position: Position of a point light, world frame. The power falls off with the square of the distance, and
-            ``to_light`` is ignored. None for a light that is infinitely far away.
+            (2, 3), world frame. With ``position``, standard deviations of the positions [mesh units] along any two
+            vectors. None is a single direction or position.
+        position: Mean position, world frame. The power falls off with the square of the distance, and ``to_light`` is
+            ignored. None for a light that is infinitely far away.
+        profile: Emission profile; None is equal light in all directions.
+        name: Argument and class of the light, for messages; pictures set it.
     """
 
     to_light: tuple[float, float, float]
@@ -89,11 +107,13 @@ class Lobe:
     power: float
     deviations: NDArray[np.float64] | None = None
     position: tuple[float, float, float] | None = None
+    profile: EmissionProfile | None = None
+    name: str = "lights"
 
 
 @dataclass(frozen=True, eq=False)
 class LobeSet(LightPart):
-    """Set of lobes that are refined together: directional lights, small discs, point lights and suns.
+    """Set of lobes that are refined together: directional lights, small discs, suns, and lights at positions.
 
     Attributes:
         lobes: Lobes of one light, or of all lights of a picture that consist of lobes.
@@ -112,7 +132,6 @@ class LobeSet(LightPart):
 
     def make_pass(self, context: PassContext) -> LightPass:
         """Return the pass that samples the lobes."""
-        # Warp is imported here, so that the help of the command line can describe lights without loading Warp.
         from warpdiff.lights.lobe_pass import LobePass
 
         return LobePass(self, context)
@@ -131,29 +150,45 @@ class DiscPart(LobeSet):
 
     def make_pass(self, context: PassContext) -> LightPass:
         """Return the pass that samples the disc."""
-        # Warp is imported here, so that the help of the command line can describe lights without loading Warp.
         from warpdiff.lights.disc_pass import DiscPass
 
         return DiscPass(self, context)
 
 
-class LobeLight(Light):
-    """Base class of lights that one lobe can approximate."""
+class LobeLight(Checked, Light):
+    """Base class of lights that consist of lobes. Subclasses are frozen dataclasses."""
 
     illuminant: str | Spectrum
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        colorimetry.check_illuminant_type(self.illuminant)
+
     @abstractmethod
-    def lobe(self) -> Lobe:
-        """Return the light as one lobe with the mean direction and the variance of the light."""
+    def lobes(self) -> tuple[Lobe, ...]:
+        """Return the lobes of the light."""
 
     def parts(self, coherence: Coherence, *, single_lobe: bool, name: str) -> Sequence[LightPart]:  # noqa: ARG002 (of discs and environments)
-        """Return the lobe as the only part of the light."""
+        """Return the lobes as the only part of the light."""
         colorimetry.check_illuminant(self.illuminant, f"{name}.illuminant")
-        return [LobeSet((self.lobe(),))]
+        return [LobeSet(self.lobes())]
+
+
+def listed(lights: object) -> list[Light]:
+    """Return one or several lights as a checked list; an empty sequence raises an error."""
+    several = [lights] if isinstance(lights, Light) else lights
+    if not isinstance(several, Sequence) or not several:
+        raise ArgumentTypeError(
+            f"{ref('lights')} must be a light, such as a DirectionalLight, or a non-empty sequence of lights, got "
+            f"{lights!r:.60}"
+        )
+    for index, light in enumerate(several):
+        validation.instance(light, Light, f"lights[{index}]")
+    return list(several)
 
 
 def orthonormal_pair(axis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return two unit vectors orthogonal to a vector and to each other, shape (2, 3)."""
+    """Return two unit vectors orthogonal to a unit vector and to each other, shape (2, 3)."""
     tangent = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     tangent /= np.linalg.norm(tangent)
     return np.stack([tangent, np.cross(axis, tangent)])

@@ -10,9 +10,7 @@ import numpy as np
 from annotated_types import Interval, Unit
 
 from warpdiff.core import validation
-from warpdiff.core.options import Checked
 from warpdiff.lights.base import MOST_POWER, DiscPart, LightPart, Lobe, LobeLight, orthonormal_pair
-from warpdiff.optics.colorimetry import check_illuminant, check_illuminant_type
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,7 +26,7 @@ _SHAPELESS_DEG, ONE_LOBE_DEG = 1.5, 5.0
 
 
 @dataclass(frozen=True)
-class DirectionalLight(Checked, LobeLight):
+class DirectionalLight(LobeLight):
     """Light from infinitely far away, from a point or a disc in the sky.
 
     Attributes:
@@ -58,22 +56,20 @@ class DirectionalLight(Checked, LobeLight):
         unit = validation.unit_directions(validation.vector(self.to_light, "to_light"), "to_light")[0][0]
         object.__setattr__(self, "to_light", tuple(unit.tolist()))
         super().__post_init__()
-        check_illuminant_type(self.illuminant)
 
-    def lobe(self) -> Lobe:
+    def lobes(self) -> tuple[Lobe, ...]:
         """Return the light as one lobe with the mean direction and the variance of the disc."""
-        if self.angular_diameter_deg == 0.0:
-            return Lobe(self.to_light, self.illuminant, self.power)
-        radius = math.radians(self.angular_diameter_deg / 2.0)
-        deviations = 0.5 * radius * orthonormal_pair(np.asarray(self.to_light))
-        return Lobe(self.to_light, self.illuminant, self.power, deviations)
+        deviations = None
+        if self.angular_diameter_deg > 0.0:
+            radius = math.radians(self.angular_diameter_deg / 2.0)
+            deviations = 0.5 * radius * orthonormal_pair(np.asarray(self.to_light))
+        return (Lobe(self.to_light, self.illuminant, self.power, deviations),)
 
     def parts(self, coherence: Coherence, *, single_lobe: bool, name: str) -> Sequence[LightPart]:
         """Return one lobe for a narrow disc, or for a wide disc a part that draws directions at random.
 
         The arguments are those of :meth:`warpdiff.lights.base.Light.parts`.
         """
-        if self.angular_diameter_deg <= (ONE_LOBE_DEG if single_lobe else _SHAPELESS_DEG):
-            return super().parts(coherence, single_lobe=single_lobe, name=name)
-        check_illuminant(self.illuminant, f"{name}.illuminant")
-        return [DiscPart((self.lobe(),))]
+        parts = super().parts(coherence, single_lobe=single_lobe, name=name)
+        is_narrow = self.angular_diameter_deg <= (ONE_LOBE_DEG if single_lobe else _SHAPELESS_DEG)
+        return parts if is_narrow else [DiscPart(self.lobes())]

@@ -31,7 +31,7 @@ _MEASURED = 16
 class DiscPass(LobePass):
     """Pass of a disc light whose directions are drawn at random.
 
-    Lobe indices below ``sample_count`` stand for one random direction each. The index ``sample_count`` stands for a
+    Lobe indices below ``lobe_count`` stand for one random direction each. The index ``lobe_count`` stands for a
     Gaussian lobe with the extent of the whole disc.
     """
 
@@ -40,7 +40,8 @@ class DiscPass(LobePass):
     def __init__(self, part: DiscPart, context: PassContext) -> None:
         super().__init__(part, context)
         self._lobe = polar_grid.blur(context.optics.coherence) * polar_grid.MIDDLE_UM
-        self.illuminated = (self.part.sample_count + 1) * self.illuminated
+        self.lobe_count = part.sample_count
+        self.illuminated = (self.lobe_count + 1) * self.illuminated
 
     @property
     def first_lobes(self) -> range:
@@ -49,11 +50,8 @@ class DiscPass(LobePass):
         If pixels are subdivided afterwards, this is only the Gaussian lobe of the whole disc, otherwise all random
         directions.
         """
-        return (
-            range(self.part.sample_count, self.part.sample_count + 1)
-            if self.context.refines
-            else range(self.part.sample_count)
-        )
+        count = self.lobe_count
+        return range(count, count + 1) if self.context.refines else range(count)
 
     @property
     def measured_lobes(self) -> range:
@@ -63,21 +61,13 @@ class DiscPass(LobePass):
         """
         return range(_MEASURED)
 
-    def cell_lobes(self, level: int) -> range:
-        """Return the indices of the directions that each subpixel cell draws.
-
-        In a refined picture, each cell draws one direction. Otherwise the cells of a pixel share the pixel's
-        directions.
-        """
-        return range(1 if self.context.refines else -(-self.part.sample_count // rays_at(level)))
-
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:  # noqa: ARG002 (of grids)
         """Make no occluder grid: it serves shadow rays of a single direction, but each ray draws another direction."""
         self._grids[:] = [no_grid(self.context.rays.scene)]
 
     def _samples(self, batch: RayBatch) -> int:
         """Return the number of directions on the disc that each ray of a batch draws."""
-        return len(self.cell_lobes(batch.level)) if batch.level else self.part.sample_count
+        return len(self.cell_lobes(batch.level)) if batch.level else self.lobe_count
 
     def _extent(self, batch: RayBatch) -> float:
         """Return the standard deviation of the Gaussian source for which one sample counts, in radii of the disc."""
@@ -86,7 +76,7 @@ class DiscPass(LobePass):
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
         """Return kernel calls that draw a direction for each ray, trace shadow rays and compute scattering vectors."""
-        if lobe == self.part.sample_count:
+        if lobe == self.lobe_count:
             return super().scatter(0, batch, counting)
         samples = self._samples(batch)
         inputs = [
@@ -98,7 +88,7 @@ class DiscPass(LobePass):
 
     def footprint_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:
         """Return kernel calls that compute footprints: those of the pixel filter, widened by the extent of a sample."""
-        if lobe == self.part.sample_count:
+        if lobe == self.lobe_count:
             return super().footprint_calls(0, batch)
         samples = batch.samples
         inputs = [self._lights, 0, samples.towards, self._extent(batch), batch.gbuffer.pixels]

@@ -287,7 +287,6 @@ class SkyPart(LightPart):
 
     def make_pass(self, context: PassContext) -> LightPass:
         """Return the pass that samples the sky."""
-        # Warp is imported here, so that the help of the command line can describe lights without loading Warp.
         from warpdiff.lights.sky_pass import SkyPass
 
         return SkyPass(self.grid, context)

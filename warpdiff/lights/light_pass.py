@@ -15,6 +15,7 @@ import warp as wp
 
 from warpdiff.device.kernel_calls import KernelCall
 from warpdiff.kernels import light_samples
+from warpdiff.kernels.refinement_levels import rays_at
 from warpdiff.kernels.structs import Footprint
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial, transmittances
@@ -134,9 +135,10 @@ class LightSamples:
         scattering_vectors: (u, v, w), (n,) of ``wp.vec3d``.
         to_lights: Directions to the light in the local frame, (n,) of ``wp.vec3f``.
         gains: Geometry factors, (n,); 0 where no light arrives. For a sky, gains are 1 at hits.
-        spectral_gains: Geometry factors times the sky's radiance by spectrum, (3, n); (0, 0) without sampled lights.
-        towards: Directions that each ray draws, world frame, and their weights, (n,) of ``wp.vec4f``; empty without
-            sampled lights.
+        spectral_gains: Geometry factors times the sky's radiance by spectrum, (3, n); (0, 0) unless rays have their own
+            directions.
+        towards: Each ray's own direction to the light, world frame, and its weight, (n,) of ``wp.vec4f``; empty unless
+            a light is sampled or has an emission profile.
         footprints: Footprints of the rays' filters in (u, v), (n,); empty if pixels show points.
         material_gains: Geometry factors where faces have one of several materials, else 0, (n,); empty for a single
             material.
@@ -153,7 +155,7 @@ class LightSamples:
 
     @classmethod
     def allocate(
-        cls, rays: int, *, means: bool, has_materials: bool, is_sampled: bool, device: wp.Device
+        cls, rays: int, *, means: bool, has_materials: bool, has_directions: bool, device: wp.Device
     ) -> LightSamples:
         """Return uninitialised arrays for a number of rays; footprints are empty unless pixels show ``means``."""
 
@@ -162,8 +164,8 @@ class LightSamples:
 
         return cls(
             empty(wp.bool), empty(wp.vec3d), empty(wp.vec3f), empty(wp.float32),
-            wp.empty((3 * is_sampled, rays * is_sampled), dtype=wp.float32, device=device),
-            empty(wp.vec4f, rays * is_sampled),
+            wp.empty((3 * has_directions, rays * has_directions), dtype=wp.float32, device=device),
+            empty(wp.vec4f, rays * has_directions),
             empty(Footprint, rays * means), empty(wp.float32, rays * has_materials),
         )  # fmt: skip
 
@@ -228,14 +230,17 @@ class LightPass(ABC):
 
     Attributes:
         is_sampled: Whether directions to the light are drawn at random, so that colours have noise.
+        has_directions: Whether each ray has its own direction or weight: sampled lights and emission profiles.
         context: Context that all passes of the picture share.
+        lobe_count: Number of lobes, which are processed one after the other; for sampled lights, number of directions
+            per pixel in a picture whose pixels are not subdivided.
         illuminated: Illuminated materials (``IlluminatedMaterial``) by lobe, material and spectrum.
     """
 
-    is_sampled = False
+    is_sampled = has_directions = False
 
     def __init__(self, context: PassContext, spectra_of_lobes: Sequence[Sequence[str | Spectrum]]) -> None:
-        self.context = context
+        self.context, self.lobe_count = context, len(spectra_of_lobes)
         self.illuminated = [
             tuple(
                 tuple(IlluminatedMaterial(spectrum, material) for spectrum in spectra)
@@ -248,11 +253,6 @@ class LightPass(ABC):
         self._lights.rgb_to_xyz = wp.mat33d(*colorimetry.RGB_TO_XYZ.ravel())
 
     @property
-    def lobe_count(self) -> int:
-        """Number of lobes, which are processed one after the other."""
-        return len(self.illuminated)
-
-    @property
     def first_lobes(self) -> range:
         """Lobes that are evaluated with one ray per pixel, before pixels are subdivided."""
         return range(self.lobe_count)
@@ -262,9 +262,15 @@ class LightPass(ABC):
         """Lobes whose directions are measured to choose a plan."""
         return range(self.lobe_count)
 
-    def cell_lobes(self, level: int) -> range:  # noqa: ARG002 (of sampled lights)
-        """Return the lobes that are evaluated for subpixel cells of a level."""
-        return range(self.lobe_count)
+    def cell_lobes(self, level: int) -> range:
+        """Return the lobes, or the indices of random directions, that are evaluated for subpixel cells of a level.
+
+        In a refined picture, each cell draws one direction. Otherwise the cells of a pixel share the pixel's
+        directions.
+        """
+        if not self.is_sampled:
+            return range(self.lobe_count)
+        return range(1 if self.context.refines else -(-self.lobe_count // rays_at(level)))
 
     @property
     @abstractmethod

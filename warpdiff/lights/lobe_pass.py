@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
-from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.core.wording import ArgumentValueError
 from warpdiff.device.kernel_calls import KernelCall
 from warpdiff.kernels import light_samples
 from warpdiff.kernels.shadow_rays import trace_shadow_rays
@@ -15,6 +15,8 @@ from warpdiff.lights.light_pass import LightPass
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
+
+    from numpy.typing import NDArray
 
     from warpdiff.kernels.shadow_rays import ShadowGrid
     from warpdiff.lights.base import Lobe, LobeSet
@@ -29,10 +31,6 @@ _MOST_NEARBY = 1e9
 class LobePass(LightPass):
     """Pass of lobes, which are processed one after the other.
 
-    A subclass for lights with an emission profile overrides :meth:`gain_calls`. A subclass with other footprints
-    overrides :meth:`footprint_calls`. If these methods pass numbers to kernels, :attr:`graph_key` must contain the
-    numbers.
-
     Attributes:
         part: Set of lobes that this pass samples.
     """
@@ -40,53 +38,53 @@ class LobePass(LightPass):
     def __init__(self, part: LobeSet, context: PassContext) -> None:
         super().__init__(context, [[lobe.illuminant] for lobe in part.lobes])
         self.part = part
-        self._strengths = [(self._power(lobe), context.pigment_strength) for lobe in part.lobes]
+        self.has_directions = self.is_sampled or any(lobe.profile is not None for lobe in part.lobes)
+        self._sources = [self._source(lobe) for lobe in part.lobes]
         self._grids: list[ShadowGrid] = []
         self._no_directions = wp.empty(0, dtype=wp.vec4f, device=context.device)
 
     def begin(self, previous: LightPass | None) -> None:
         """Write the lobes into arrays. Arrays of the previous pass are reused if it had equally many lobes."""
         lobes, context = self.part.lobes, self.context
-        if isinstance(previous, LobePass) and len(previous.part.lobes) == len(lobes):
-            self._lights = previous._lights
-        else:
-            arrays: dict[str, type] = {"places": wp.vec4d, "strengths": wp.vec2d, "white_rgb": wp.vec3d}
-            for name, dtype in arrays.items():
-                setattr(self._lights, name, wp.empty(len(lobes), dtype=dtype, device=context.device))
-            self._lights.deviations = wp.empty((len(lobes), 2), dtype=wp.vec3f, device=context.device)
-        deviations = [np.zeros((2, 3)) if lobe.deviations is None else lobe.deviations for lobe in lobes]
-        self._lights.places.assign(np.array([self._place(lobe) for lobe in lobes]))
-        self._lights.strengths.assign(np.array(self._strengths))
-        self._lights.white_rgb.assign(np.array([context.pigment_white(lobe.illuminant) for lobe in lobes]))
-        self._lights.deviations.assign(np.array(deviations, dtype=np.float32))
+        reused = previous if isinstance(previous, LobePass) and len(previous.part.lobes) == len(lobes) else None
+        self._lights = self._lights if reused is None else reused._lights
+        places, deviations, powers = zip(*self._sources, strict=True)
+        values: dict[str, tuple[type, list[Any]]] = {
+            "places": (wp.vec4d, list(places)), "deviations": (wp.vec3f, list(deviations)),
+            "strengths": (wp.vec2d, [(power, context.pigment_strength) for power in powers]),
+            "white_rgb": (wp.vec3d, [context.pigment_white(lobe.illuminant) for lobe in lobes]),
+        }  # fmt: skip
+        for name, (dtype, value) in values.items():
+            if reused is None:
+                setattr(self._lights, name, wp.array(np.array(value), dtype=dtype, device=context.device))
+            else:
+                getattr(self._lights, name).assign(np.array(value))
 
-    def _place(self, lobe: Lobe) -> tuple[float, ...]:
-        """Return a lobe's source in homogeneous mesh coordinates: a direction and 0, or a position and 1."""
-        if lobe.position is None:
-            return *lobe.to_light, 0.0
-        surface = self.context.rays.surface
-        return *((np.asarray(lobe.position) - surface.centre) / surface.radius), 1.0
+    def _source(self, lobe: Lobe) -> tuple[tuple[float, ...], NDArray[np.float64], float]:
+        """Return the place, the deviations and the power of a lobe in mesh coordinates.
 
-    def _power(self, lobe: Lobe) -> float:
-        """Return the power of a lobe at a distance of one mesh radius; users specify it at one mesh unit."""
+        The place is homogeneous: a direction and 0, or a position and 1. The power of a position is that at a distance
+        of one mesh radius; users specify it at one mesh unit.
+        """
+        deviations = np.zeros((2, 3)) if lobe.deviations is None else lobe.deviations
         if lobe.position is None:
-            return lobe.power
-        radius = self.context.rays.surface.radius
-        power: float = lobe.power * radius**-2.0
+            return (*lobe.to_light, 0.0), deviations, lobe.power
+        centre, radius = self.context.rays.surface.centre, self.context.rays.surface.radius
+        power = lobe.power * radius**-2.0
         if power > _MOST_NEARBY:
             raise ArgumentValueError(
-                f"{ref('lights')}: a PointLight has a power of {lobe.power:g}, and must have at most "
-                f"{_MOST_NEARBY:g} times the square of the mesh's radius, {radius:g}; give less power"
+                f"{lobe.name} has a power of {lobe.power:g} at one position, and must have at most {_MOST_NEARBY:g} "
+                f"times the square of the mesh's radius, {radius:g}; give less power"
             )
-        return power
+        return (*((np.asarray(lobe.position) - centre) / radius), 1.0), deviations / radius, power
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
-        """Values on which the launches depend: the illuminants, and whether each lobe has an extent and a position.
+        """Values on which the launches depend: illuminants, profiles, and which lobes have an extent or a position.
 
         They are a part of the key of a recorded CUDA graph.
         """
-        kinds = tuple((lobe.deviations is None, lobe.position is None) for lobe in self.part.lobes)
+        kinds = tuple((lobe.deviations is None, lobe.position is None, lobe.profile) for lobe in self.part.lobes)
         return type(self), self.part.spectra, kinds
 
     @property
@@ -107,7 +105,11 @@ class LobePass(LightPass):
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
         """Return the kernel calls that compute occlusion, scattering vectors and geometry factors of a lobe."""
-        return self.scatter_towards(self._no_directions, lobe, 1.0, batch, counting)
+        profile = self.part.lobes[lobe].profile
+        if profile is None:
+            return self.scatter_towards(self._no_directions, lobe, 1.0, batch, counting)
+        emit = profile.kernel_call(self._lights, lobe, batch)
+        return [emit, *self.scatter_towards(batch.samples.towards, lobe, 1.0, batch, counting)]
 
     def scatter_towards(
         self, towards: wp.array, lobe: int, share: float, batch: RayBatch, counting: Counting
@@ -132,29 +134,24 @@ class LobePass(LightPass):
         if len(self.context.reflection.energy):
             inputs = [samples.scattering_vectors, samples.to_lights, self.context.reflection]
             calls.append(KernelCall(light_samples.balance_energy, inputs, [samples.gains], in_runs=True))
-        return [*calls, *self.gain_calls(lobe, batch)]
-
-    def gain_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:  # noqa: ARG002 (of lights that override it)
-        """Return kernel calls that change the geometry factors of a lobe, for example by an emission profile.
-
-        The light of the pigment and the marks of illuminated pixels stay unchanged.
-        """
-        return []
+        return calls
 
     def footprint_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:
         """Return kernel calls that compute footprints: the pixel filter's, widened by the extent of the light.
 
         For a point light, the direction to the light also changes across a footprint.
         """
-        rays, pixels, footprints = self.context.rays, batch.gbuffer.pixels, [batch.samples.footprints]
-        calls = [self.filter_footprints(batch)]
-        if self.part.lobes[lobe].position is not None:
+        rays, pixels, source = self.context.rays, batch.gbuffer.pixels, self.part.lobes[lobe]
+        kernels: list[tuple[wp.Kernel, list[Any]]] = []
+        if source.position is not None:
             inputs = [rays.camera, rays.scene.bare, pixels, self._lights, lobe, batch.deviation]
-            calls.append(KernelCall(light_samples.add_light_rotation, inputs, footprints, in_runs=True))
-        if self.part.lobes[lobe].deviations is not None:
-            inputs = [self._lights, lobe, self._no_directions, 0.0, pixels]
-            calls.append(KernelCall(light_samples.add_light_extent, inputs, footprints, in_runs=True))
-        return calls
+            kernels.append((light_samples.add_light_rotation, inputs))
+        if source.deviations is not None and source.position is not None:
+            kernels.append((light_samples.add_source_extent, [self._lights, lobe, pixels]))
+        elif source.deviations is not None:
+            kernels.append((light_samples.add_light_extent, [self._lights, lobe, self._no_directions, 0.0, pixels]))
+        widen = [KernelCall(kernel, inputs, [batch.samples.footprints], in_runs=True) for kernel, inputs in kernels]
+        return [self.filter_footprints(batch), *widen]
 
     def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
         """Return the kernel calls that look up the colours of a lobe, separately for the faces of each material."""

@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 from annotated_types import Interval, Unit
 
-from warpdiff.core.options import Checked
 from warpdiff.lights.base import MOST_POWER, Lobe, LobeLight
-from warpdiff.optics.colorimetry import check_illuminant_type
 
 if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
 
 
 @dataclass(frozen=True)
-class PointLight(Checked, LobeLight):
+class PointLight(LobeLight):
     """Light from a point in the scene, equal in all directions; it falls off with the square of the distance.
 
     Attributes:
@@ -37,10 +35,6 @@ class PointLight(Checked, LobeLight):
     illuminant: str | Spectrum = "D65"
     power: Annotated[float, Interval(ge=0.0, le=MOST_POWER)] = 1.0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_illuminant_type(self.illuminant)
-
-    def lobe(self) -> Lobe:
+    def lobes(self) -> tuple[Lobe, ...]:
         """Return the light as one lobe with a position."""
-        return Lobe((0.0, 0.0, 1.0), self.illuminant, self.power, position=self.position)
+        return (Lobe((0.0, 0.0, 1.0), self.illuminant, self.power, position=self.position),)

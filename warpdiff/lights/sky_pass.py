@@ -10,7 +10,6 @@ import warp as wp
 
 from warpdiff.device.kernel_calls import KernelCall
 from warpdiff.kernels import sky_samples
-from warpdiff.kernels.refinement_levels import rays_at
 from warpdiff.lights import sky_distribution
 from warpdiff.lights.light_pass import LightPass
 
@@ -39,31 +38,18 @@ class SkyPass(LightPass):
         grid: Grid of the sky's powers.
     """
 
-    is_sampled = True
+    is_sampled = has_directions = True
 
     def __init__(self, grid: SkyGrid, context: PassContext) -> None:
         super().__init__(context, [grid.spectra])
-        self.grid = grid
+        self.grid, self.lobe_count = grid, grid.directions
         self._sky = sky_samples.Sky()
         self._blocks: list[wp.array] = []
-
-    @property
-    def lobe_count(self) -> int:
-        """Number of directions per pixel in a picture whose pixels are not subdivided."""
-        return self.grid.directions
 
     @property
     def first_lobes(self) -> range:
         """Indices of the directions that a pixel draws with one ray: all, or a few if it is subdivided afterwards."""
         return range(min(self.lobe_count, _FIRST_SAMPLES) if self.context.refines else self.lobe_count)
-
-    def cell_lobes(self, level: int) -> range:
-        """Return the indices of the directions that each subpixel cell draws.
-
-        In a refined picture, each cell draws one direction. Otherwise the cells of a pixel share the pixel's
-        directions.
-        """
-        return range(1 if self.context.refines else -(-self.lobe_count // rays_at(level)))
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:

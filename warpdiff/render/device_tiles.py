@@ -50,9 +50,8 @@ class DeviceTiles:
         self._offset, self._remaining = empty(1), empty(1)
         cells = refinement_levels.rays_at(refinement_levels.MOST_LEVEL)
         ray_count = -(-min(cells * rays.size, _MOST_RAYS) // cells) * cells
-        # All lights of the picture use these buffers. A later light may be a sampled light, which requires additional
-        # arrays.
-        kind = light.buffer_kind._replace(is_sampled=True)
+        # All lights of the picture use these buffers. A later light may require arrays of directions.
+        kind = light.buffer_kind._replace(has_directions=True)
         self._buffers = TileBuffers.allocate(ray_count, kind=kind, device=device)
 
     @property

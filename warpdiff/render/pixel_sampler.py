@@ -47,8 +47,9 @@ class PixelSampler:
         self._context, self._samples_per_pixel, self._means = context, samples_per_pixel, means
         self._shadow_rays_per_hit = shadow_rays_per_hit
         self.samples = LightSamples.allocate(
-            context.rays.size, means=means, has_materials=context.has_materials, is_sampled=False, device=context.device
-        )
+            context.rays.size, means=means, has_materials=context.has_materials, has_directions=False,
+            device=context.device,
+        )  # fmt: skip
         self._passes: Sequence[LightPass] = ()
         self._no_tiles = wp.empty(0, dtype=wp.int32, device=context.device)
         self._no_gains = wp.empty(0, dtype=wp.float32, device=context.device)
@@ -65,7 +66,7 @@ class PixelSampler:
         Hits of rays remain valid. Samples are discarded, because they belong to the previous lights.
         """
         self._passes, self._lobe = passes, None
-        if any(light_pass.is_sampled for light_pass in passes) and not self.samples.spectral_gains.size:
+        if any(light_pass.has_directions for light_pass in passes) and not self.samples.spectral_gains.size:
             rays, device = self._context.rays.size, self._context.device
             self.samples = replace(
                 self.samples, spectral_gains=wp.empty((3, rays), dtype=wp.float32, device=device),

@@ -99,7 +99,7 @@ class LightRefinement:
         """Flags that say which optional arrays of tile buffers this light requires."""
         context = self.light_pass.context
         return BufferKind(
-            self.lookup.needs_sampling, context.is_pigmented, context.has_materials, self.light_pass.is_sampled
+            self.lookup.needs_sampling, context.is_pigmented, context.has_materials, self.light_pass.has_directions
         )
 
     @property

@@ -15,13 +15,11 @@ from warpdiff.core import validation
 from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.device.devices import resolve_threads
-from warpdiff.planner.refusals import warn_outside
+from warpdiff.lights.base import listed
 from warpdiff.planner.strategy import directions_of
 from warpdiff.render.picture import load_kernels
 from warpdiff.render.shade import (
     PictureInputs,
-    check_light_sizes,
-    listed,
     parts_of,
     picture_memory,
     require_picture_memory,
@@ -120,8 +118,6 @@ class Renderer:
         self._inputs, self._surface = inputs, surface
         with picture_memory(view):
             direction_range, sample, count = directions_of(evaluation)
-            if evaluation.plan is not None:
-                warn_outside(evaluation.plan, evaluation.heightfield, direction_range)
             self.plan = inputs.planned(direction_range, sample, count)
             self._lookup = lookup or ColourLookup(
                 evaluation.heightfield, self.plan, direction_range, device=evaluation.device, threads=evaluation.threads
@@ -214,8 +210,9 @@ class Renderer:
         steps = self._preview_steps(mine, previews)
         evaluation, parts = self._inputs.evaluation, mine.parts
         if lights is not None:
-            parts = parts_of(listed(lights), evaluation, refine=self._inputs.settings.refine)
-        check_light_sizes(parts, evaluation.coherence, means=self.plan.uses_footprints)
+            parts = parts_of(
+                listed(lights), evaluation, refine=self._inputs.settings.refine, means=self.plan.uses_footprints
+            )
         if view is not None:
             validation.instance(view, View, "view")
             if (view.width, view.height) != (mine.view.width, mine.view.height):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -11,9 +10,9 @@ import numpy as np
 from warpdiff.core import memory, validation
 from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.warnings import warn
-from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
+from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.kernels import refinement_levels
-from warpdiff.lights.base import Light, LobeSet
+from warpdiff.lights.base import Light, LobeSet, listed
 from warpdiff.lights.light_pass import SurfaceOptics
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.planner.refusals import warn_outside
@@ -31,14 +30,14 @@ from warpdiff.tables.lookup import ColourLookup
 
 if TYPE_CHECKING:
     import contextlib
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     import warp as wp
     from numpy.typing import NDArray
 
     from warpdiff.heightfield.field import HeightField
     from warpdiff.image.image import Image
-    from warpdiff.lights.base import LightPart
+    from warpdiff.lights.base import LightPart, Lobe
     from warpdiff.optics.coherence import Coherence
     from warpdiff.request.directions import DirectionRange, DirectionSample
     from warpdiff.request.keywords import SinglePictureKeywords
@@ -114,8 +113,6 @@ def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Calla
     else:
         # Light from a sky comes from the whole hemisphere, so that the plan must cover all directions.
         direction_range, sample, count = directions_of(evaluation)
-    if evaluation.plan is not None:
-        warn_outside(evaluation.plan, evaluation.heightfield, direction_range)
     plan = inputs.planned(direction_range, sample, count)
     if plan.method == "direct":
         picture.render_directly(evaluation.heightfield, plan, progress=progress)
@@ -162,7 +159,7 @@ class PictureInputs:
         footprint = settings.effective_footprint
         evaluation = Evaluation.of(heightfield, settings, by_geometry=True, footprint=footprint)
         lights = listed(lights)
-        parts = parts_of(lights, evaluation, refine=settings.refine)
+        parts = parts_of(lights, evaluation, refine=settings.refine, means=footprint)
         validation.instance(view, View, "view")
         require_picture_memory(view, evaluation.device)
         most = refinement_levels.rays_at(refinement_levels.MOST_LEVEL)
@@ -171,7 +168,6 @@ class PictureInputs:
                 f"{ref('samples_per_pixel')} must be at most {most} with footprints, got {settings.samples_per_pixel}; "
                 f"{ref('footprint', False)} accepts more"
             )
-        check_light_sizes(parts, evaluation.coherence, means=footprint)
         plan = None if evaluation.plan is None else replace(evaluation.plan, footprint=footprint)
         # The planner tries tables for the spectra of lobes. If only a sky illuminates, one of its three smooth spectra
         # suffices.
@@ -219,8 +215,9 @@ class PictureInputs:
         plan has the best table. The smallest table that is expected to suffice is used for skies, and for lights under
         which all measured directions are dark.
         """
-        evaluation = self.evaluation
-        request = evaluation
+        request = evaluation = self.evaluation
+        if evaluation.plan is not None:
+            warn_outside(evaluation.plan, evaluation.heightfield, direction_range)
         if evaluation.integration == "auto" and not any(part.has_lobes for part in self.parts):
             # The planner tries no table for skies: a sky averages over many directions, so that errors in single
             # directions have no effect.
@@ -244,7 +241,8 @@ class PictureInputs:
         Disc lights of 1.5° to 5° change with it: they are approximated by one lobe only without refinement.
         """
         settings = replace(self.settings, refine=refine)
-        return replace(self, settings=settings, parts=parts_of(self.lights, self.evaluation, refine=refine))
+        parts = parts_of(self.lights, self.evaluation, refine=refine, means=self.evaluation.footprint)
+        return replace(self, settings=settings, parts=parts)
 
 
 def require_picture_memory(view: View, device: wp.Device) -> None:
@@ -277,48 +275,40 @@ def warn_unconverged(image: Image) -> None:
         )
 
 
-def check_light_sizes(parts: Sequence[LightPart], coherence: Coherence, *, means: bool) -> None:
-    """Raise an error if lights have an angular extent that the coherence or the settings exclude.
+def check_extent(light: Light, name: str, coherence: Coherence, *, means: bool) -> None:
+    """Raise an error for a light with an extent, if the coherence or the settings exclude it.
 
     A coherence of the kind ``"source"`` has its own angular diameter. Other lights with an extent require footprints.
     """
-    if not any(part.has_extent for part in parts):
-        return
     if coherence.kind == "source":
         raise ArgumentValueError(
-            f"{ref('lights')} must not have an {ref('angular_diameter_deg')} of their own with {ref('coherence')} of "
-            "kind 'source', whose diameter is that of all lights: give one of them"
+            f"{ref(name)} must not have an extent of its own with {ref('coherence')} of kind 'source', whose diameter "
+            f"is that of all lights, got {light!r}: give one of them"
         )
     if not (means and coherence.adds_powers):
         raise ArgumentValueError(
-            f"{ref('lights')} with an {ref('angular_diameter_deg')}, or an Environment, require footprints, which "
-            f"{ref('coherence')} of kind {coherence.kind!r}, {ref('footprint', False)} or {ref('method', 'direct')} "
-            "excludes: give several lights without an extent"
+            f"{ref(name)} has an extent and requires footprints, which {ref('coherence')} of kind {coherence.kind!r}, "
+            f"{ref('footprint', False)}, {ref('method', 'direct')} or a {ref('plan')} without footprints excludes, got "
+            f"{light!r}: give several lights without an extent"
         )
 
 
-def listed(lights: object) -> list[Light]:
-    """Return one or several lights as a list; an empty sequence raises an error."""
-    several = [lights] if isinstance(lights, Light) else lights
-    if not isinstance(several, Sequence) or not several:
-        raise ArgumentTypeError(
-            f"{ref('lights')} must be a DirectionalLight, a PointLight, an Environment, or a non-empty sequence of "
-            f"them, got {lights!r}"
-        )
-    return list(several)
-
-
-def parts_of(lights: Sequence[Light], evaluation: Evaluation, *, refine: bool) -> list[LightPart]:
+def parts_of(lights: Sequence[Light], evaluation: Evaluation, *, refine: bool, means: bool) -> list[LightPart]:
     """Check lights and return their parts. Without refinement, discs of up to 5° become single lobes.
 
     The lobes of all lights form one part, so that the error of a pixel is estimated under all of them. An uneven
     surface causes errors under each light, and separate estimates would not bound the sum of these errors.
     """
-    result: list[LightPart] = []
+    lobes: list[Lobe] = []
+    others: list[LightPart] = []
     for index, light in enumerate(lights):
         name = f"lights[{index}]"
-        validation.instance(light, Light, name)
-        result += light.parts(evaluation.coherence, single_lobe=not refine, name=name)
-    lobes = [lobe for part in result if type(part) is LobeSet for lobe in part.lobes]
-    others = [part for part in result if type(part) is not LobeSet]
+        for part in light.parts(evaluation.coherence, single_lobe=not refine, name=name):
+            if part.has_extent:
+                check_extent(light, name, evaluation.coherence, means=means)
+            # A subclass that overrides the pass is refined separately.
+            if isinstance(part, LobeSet) and type(part).make_pass is LobeSet.make_pass:
+                lobes += [replace(lobe, name=f"{ref(name)} ({type(light).__name__})") for lobe in part.lobes]
+            else:
+                others.append(part)
     return [LobeSet(tuple(lobes)), *others] if lobes else others

@@ -28,13 +28,13 @@ class BufferKind(NamedTuple):
     """Flags that say which optional arrays tile buffers have.
 
     In the order of the flags, the arrays are: gains of directions that a table cannot serve, base colours, gains at
-    faces of one of several materials, and gains for each spectrum of a sky.
+    faces of one of several materials, and the rays' own directions to the light.
     """
 
     needs_sampling: bool
     is_pigmented: bool
     has_materials: bool
-    is_sampled: bool
+    has_directions: bool
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class TileBuffers:
         return cls(
             GBuffer.allocate(rays, coloured=kind.is_pigmented, device=device),
             LightSamples.allocate(
-                rays, means=True, has_materials=kind.has_materials, is_sampled=kind.is_sampled, device=device
+                rays, means=True, has_materials=kind.has_materials, has_directions=kind.has_directions, device=device
             ),
             wp.empty(rays, dtype=wp.vec3f, device=device),
             wp.empty(rays * kind.needs_sampling, dtype=wp.float32, device=device),

@@ -13,8 +13,8 @@ from annotated_types import Interval
 from warpdiff.apps.sequences.light_motion import Rotation, direction_of
 from warpdiff.core import validation
 from warpdiff.core.files import naming_file
-from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
-from warpdiff.lights.base import Light, LobeLight
+from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.lights.base import Light, LobeLight, listed
 from warpdiff.optics import colorimetry
 from warpdiff.request.signatures import checked
 from warpdiff.scene.camera import View
@@ -227,17 +227,11 @@ def camera_path(
 
 def _check_lights(lights: Any) -> list[Light]:
     """Return one light or several as a checked list."""
-    result = [lights] if isinstance(lights, Light) else lights
-    if not isinstance(result, (list, tuple)) or not result:
-        raise ArgumentTypeError(
-            f"{ref('lights')} must be a DirectionalLight, a PointLight, an Environment, or a non-empty sequence of "
-            f"them, got {lights!r:.60}"
-        )
+    result = listed(lights)
     for index, light in enumerate(result):
-        validation.instance(light, Light, f"lights[{index}]")
         if isinstance(light, LobeLight):
             colorimetry.check_illuminant(light.illuminant, f"lights[{index}].illuminant")
-    return list(result)
+    return result
 
 
 def _rows(path: Any) -> tuple[list[str], NDArray[np.float64]]:

@@ -128,7 +128,7 @@ def export_html(
             "lights": [
                 {"to_light": lobe.to_light, "position": lobe.position, "power": lobe.power,
                  "deviation": 0.0 if lobe.deviations is None else float(np.linalg.norm(lobe.deviations[0]))}
-                for lobe in (light.lobe() for light in checked_lights)
+                for light in checked_lights for lobe in light.lobes()
             ],
             "exposure": exposure, "frames": _FRAMES, "mean_shown": display_transform.MEAN_SHOWN["aces"],
             "smooth": smooth, "masking": masking, "shadows": shadows and not surface.is_convex,
