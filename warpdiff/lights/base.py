@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 # Largest power of a light, a linear factor. Limit: kernels square colours in float32, which is at most 3e38.
 MOST_POWER = 1e12
+# Fewest directional lights with the same illuminant of which each subpixel cell chooses one. Fitted to the snake: with
+# fewer lights, it takes no longer to evaluate all of them in each cell.
+MANY_LIGHTS = 16
 # Number of directions per pixel that are drawn on a disc light too wide for one lobe, in pictures with
 # ``refine=False``. Limit: time is proportional to it.
 DISC_SAMPLES = 128
@@ -90,6 +93,11 @@ class Lobe:
     deviations: NDArray[np.float64] | None = None
     position: tuple[float, float, float] | None = None
 
+    @property
+    def is_direction(self) -> bool:
+        """Whether light arrives from a single direction."""
+        return self.power > 0.0 and self.deviations is None and self.position is None
+
 
 @dataclass(frozen=True, eq=False)
 class LobeSet(LightPart):
@@ -116,6 +124,18 @@ class LobeSet(LightPart):
         from warpdiff.lights.lobe_pass import LobePass
 
         return LobePass(self, context)
+
+
+@dataclass(frozen=True, eq=False)
+class LobeChoice(LobeSet):
+    """Set of many lobes with one illuminant, each with a single direction. Each subpixel cell chooses one lobe."""
+
+    def make_pass(self, context: PassContext) -> LightPass:
+        """Return the pass that chooses lobes."""
+        # Warp is imported here, so that the help of the command line can describe lights without loading Warp.
+        from warpdiff.lights.choice_pass import ChoicePass
+
+        return ChoicePass(self, context)
 
 
 @dataclass(frozen=True, eq=False)

@@ -228,11 +228,13 @@ class LightPass(ABC):
 
     Attributes:
         is_sampled: Whether directions to the light are drawn at random, so that colours have noise.
+        first_level: Level of the first cells. Sampled lights begin at a finer one, because four cells are too few to
+            estimate noise.
         context: Context that all passes of the picture share.
         illuminated: Illuminated materials (``IlluminatedMaterial``) by lobe, material and spectrum.
     """
 
-    is_sampled = False
+    is_sampled, first_level = False, 1
 
     def __init__(self, context: PassContext, spectra_of_lobes: Sequence[Sequence[str | Spectrum]]) -> None:
         self.context = context

@@ -39,7 +39,7 @@ class SkyPass(LightPass):
         grid: Grid of the sky's powers.
     """
 
-    is_sampled = True
+    is_sampled, first_level = True, 2
 
     def __init__(self, grid: SkyGrid, context: PassContext) -> None:
         super().__init__(context, [grid.spectra])

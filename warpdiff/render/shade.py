@@ -13,7 +13,7 @@ from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.kernels import refinement_levels
-from warpdiff.lights.base import Light, LobeSet
+from warpdiff.lights.base import MANY_LIGHTS, Light, LobeChoice, LobeSet
 from warpdiff.lights.light_pass import SurfaceOptics
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.planner.refusals import warn_outside
@@ -312,7 +312,8 @@ def parts_of(lights: Sequence[Light], evaluation: Evaluation, *, refine: bool) -
     """Check lights and return their parts. Without refinement, discs of up to 5° become single lobes.
 
     The lobes of all lights form one part, so that the error of a pixel is estimated under all of them. An uneven
-    surface causes errors under each light, and separate estimates would not bound the sum of these errors.
+    surface causes errors under each light, and separate estimates would not bound the sum of these errors. Refined
+    pictures choose one of many directional lights in each cell.
     """
     result: list[LightPart] = []
     for index, light in enumerate(lights):
@@ -321,4 +322,11 @@ def parts_of(lights: Sequence[Light], evaluation: Evaluation, *, refine: bool) -
         result += light.parts(evaluation.coherence, single_lobe=not refine, name=name)
     lobes = [lobe for part in result if type(part) is LobeSet for lobe in part.lobes]
     others = [part for part in result if type(part) is not LobeSet]
-    return [LobeSet(tuple(lobes)), *others] if lobes else others
+    chosen: list[LightPart] = []
+    if refine and evaluation.footprint and evaluation.coherence.kind == "averaged":
+        for spectrum in dict.fromkeys(lobe.illuminant for lobe in lobes):
+            group = tuple(lobe for lobe in lobes if lobe.illuminant == spectrum and lobe.is_direction)
+            if len(group) >= MANY_LIGHTS:
+                chosen.append(LobeChoice(group))
+                lobes = [lobe for lobe in lobes if lobe not in group]
+    return [*([LobeSet(tuple(lobes))] if lobes else []), *chosen, *others]
