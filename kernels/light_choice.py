@@ -11,9 +11,7 @@ from warpdiff.kernels.structs import Footprint, Pixels
 wp.set_module_options(compile_options.options("light_choice.h"))
 
 
-@wp.func_native(
-    "warpdiff::choose_light<16>(lights, table, diffuse, pixels, footprints, ray, random, towards_out);"
-)
+@wp.func_native("warpdiff::choose_light<16>(lights, table, diffuse, pixels, footprints, ray, random, towards_out);")
 def choose(
     lights: Lights, table: SkyDistribution, diffuse: wp.float32, pixels: Pixels, footprints: wp.array(dtype=Footprint),
     ray: wp.int32, random: wp.float32, towards_out: wp.array(dtype=wp.vec4f),

@@ -11,6 +11,8 @@ namespace warpdiff {
 // Number of octaves of |(u, v)| around the disc of the distribution that count as light near the mirror direction.
 // Choice: other values change the noise, not the mean.
 constexpr float OCTAVES_OF_MIRROR = 2.0f;
+// Largest number of groups of lights whose sums are stored. Limit: size of a local array.
+constexpr int GROUPS = 32;
 // Least cosine w of a direction. Limit: a smaller w would make gains infinite.
 constexpr float LEAST_W = 0.01f;
 
@@ -53,24 +55,31 @@ WARPDIFF_INLINE void expect_brightness(const Lights& lights, const Table& table,
     const float* const densities = numbers<const float>(table.densities);
     const int count = lights.places.shape[0];
     const float last = (float)(table.ring_cdf.shape[0] - 1);
-    Batch<N> place, turns, per_area;
+    Batch<N> towards[3], power, place, turns, per_area;
     for (int i = 0; i < N; ++i) {
         const long long light = first + i < count ? first + i : count - 1;
-        float middle[3];
-        for (int c = 0; c < 3; ++c) middle[c] = (float)places[4 * light + c];
-        const float cosine = dot(middle, point.normal);
-        for (int c = 0; c < 3; ++c) middle[c] += point.view[c];
-        const float u = -dot(middle, point.tangent), v = -dot(middle, point.bitangent), w = dot(middle, point.normal);
-        const LogPolar at = log_polar(u, v, 1.0e-9f);
-        const float ring = (0.69314718f * at.log2 - table.least_log) * table.per_log + 1.0f;
-        turns[i] = at.turns;
+        for (int c = 0; c < 3; ++c) towards[c][i] = (float)places[4 * light + c];
+        power[i] = first + i < count ? (float)strengths[2 * light] : 0.0f;
+    }
+    const ScatteringPoint at = point;
+    const float least_log = table.least_log, per_log = table.per_log;
+    for (int i = 0; i < N; ++i) {
+        const float x = towards[0][i], y = towards[1][i], z = towards[2][i];
+        const float cosine = x * at.normal[0] + y * at.normal[1] + z * at.normal[2];
+        const float mx = x + at.view[0], my = y + at.view[1], mz = z + at.view[2];
+        const float u = -(mx * at.tangent[0] + my * at.tangent[1] + mz * at.tangent[2]);
+        const float v = -(mx * at.bitangent[0] + my * at.bitangent[1] + mz * at.bitangent[2]);
+        const float w = mx * at.normal[0] + my * at.normal[1] + mz * at.normal[2];
+        const LogPolar polar = log_polar(u, v, 1.0e-9f);
+        const float ring = (0.69314718f * polar.log2 - least_log) * per_log + 1.0f;
+        turns[i] = polar.turns;
         place[i] = smaller(larger(ring, 0.0f), last);
-        const float overlap = dot(middle, middle) / larger(w, LEAST_W);
-        const float power = cosine > 0.0f && first + i < count ? (float)strengths[2 * light] : 0.0f;
-        const float gain = power * 0.25f * overlap * overlap;
-        const float away = point.per_uu * u * u + 2.0f * point.per_uv * u * v + point.per_vv * v * v;
+        const float overlap = (mx * mx + my * my + mz * mz) / larger(w, LEAST_W);
+        const float arriving = cosine > 0.0f ? power[i] : 0.0f;
+        const float gain = arriving * 0.25f * overlap * overlap;
+        const float away = at.per_uu * u * u + 2.0f * at.per_uv * u * v + at.per_vv * v * v;
         per_area[i] = ring < 1.0f ? gain : gain / (u * u + v * v + 1.0e-20f);
-        result[i] = gain * point.peak * exp_of_negative(-0.5f * away) + power * diffuse * cosine;
+        result[i] = gain * at.peak * exp_of_negative(-0.5f * away) + arriving * diffuse * cosine;
     }
     for (int i = 0; i < N; ++i) {
         const int begin = starts[(int)place[i]], size = starts[(int)place[i] + 1] - begin;
@@ -90,21 +99,29 @@ WARPDIFF_INLINE void choose_light(const Lights& lights, const Table& table, floa
     ScatteringPoint point;
     point.load(table, pixels, footprints, ray);
     Batch<N> expected;
-    float total = 0.0f;
-    for (int first = 0; first < count; first += N) {
-        expect_brightness(lights, table, point, diffuse, first, expected);
-        for (int i = 0; i < N; ++i) total += expected[i];
+    // Sums over groups of lights. Only the lights of one group are computed again to choose one of them.
+    float sums[GROUPS], total = 0.0f;
+    const int size = (count - 1) / (N * GROUPS) * N + N;
+    for (int group = 0; group * size < count; ++group) {
+        sums[group] = 0.0f;
+        for (int first = group * size; first < wp::min((group + 1) * size, count); first += N) {
+            expect_brightness(lights, table, point, diffuse, first, expected);
+            for (int i = 0; i < N; ++i) sums[group] += expected[i];
+        }
+        total += sums[group];
     }
-    // If rounding makes the sum smaller than `total`, the last light above the horizon is chosen.
-    float sum = 0.0f, share = 0.0f;
+    float rest = random * total, share = 0.0f;
+    int group = 0;
+    while ((group + 1) * size < count && !(sums[group] > rest)) rest -= sums[group++];
+    // If rounding makes the sum of a group too small, its last light above the horizon is chosen.
     long long chosen = -1;
-    for (int first = 0; first < count && !(sum > random * total); first += N) {
+    for (int first = group * size; first < wp::min((group + 1) * size, count) && rest >= 0.0f; first += N) {
         expect_brightness(lights, table, point, diffuse, first, expected);
-        for (int i = 0; i < N && !(sum > random * total); ++i) {
+        for (int i = 0; i < N && rest >= 0.0f; ++i) {
             if (!(expected[i] > 0.0f)) continue;
             chosen = first + i;
             share = expected[i];
-            sum += share;
+            rest -= share;
         }
     }
     if (chosen < 0) return;
