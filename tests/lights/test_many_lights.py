@@ -1,4 +1,4 @@
-"""Many directional lights, of which each subpixel cell chooses one, compared with sums of pictures with one light."""
+"""Many directional lights, of which each subpixel cell chooses one, compared with all lights in each cell."""
 
 import numpy as np
 import pytest
@@ -6,6 +6,7 @@ import pytest
 import warpdiff as wd
 from warpdiff import meshes
 from warpdiff.lights.base import MANY_LIGHTS
+from warpdiff.render import shade
 
 TOLERANCE = 0.1
 VIEW = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=48, height=36)
@@ -22,30 +23,21 @@ def hemisphere(count, illuminant="D65"):
     ]
 
 
-@pytest.fixture(scope="module")
-def renderer(fingers):
-    body = meshes.tube(segments_along=48, segments_around=24)
-    light = hemisphere(1)
-    return wd.Renderer(body, fingers, light, VIEW, coherence=wd.Coherence(sigma_um=4.0), tolerance=TOLERANCE)
-
-
 @pytest.mark.parametrize("others", [[], [wd.PointLight((0.5, 2.0, 1.0)), wd.DirectionalLight((1.0, 1.0, 1.0))]])
-def test_a_picture_with_many_lights_is_the_sum_of_pictures_with_one(renderer, others):
-    lights = [*hemisphere(MANY_LIGHTS), *others]
-    renderer.draw(lights)
+def test_a_choice_of_lights_has_the_colours_of_all_lights(fingers, monkeypatch, others):
+    body, lights = meshes.tube(segments_along=48, segments_around=24), [*hemisphere(MANY_LIGHTS), *others]
+    coherence = wd.Coherence(sigma_um=4.0)
+    renderer = wd.Renderer(body, fingers, lights, VIEW, coherence=coherence, tolerance=TOLERANCE, strict=False)
     image = renderer.image()
-    exact = np.zeros(image.xyz.shape)
-    for light in lights:
-        renderer.draw(light)
-        exact += renderer.image().xyz
+    monkeypatch.setattr(shade, "MANY_LIGHTS", len(lights) + 1)
+    renderer.draw(lights)
+    exact = renderer.image().xyz
     inside = image.illuminated & (image.coverage > 0.999)
-    assert np.count_nonzero(inside) > 200
+    assert np.count_nonzero(inside) > 100
     errors = np.linalg.norm(image.xyz[inside] - exact[inside], axis=1) / np.linalg.norm(exact[inside], axis=1)
-    # The sums have errors of their own, up to the tolerance.
-    assert np.percentile(errors, 90.0) < TOLERANCE
-    assert image.xyz[inside][:, 1].sum() == pytest.approx(exact[inside][:, 1].sum(), rel=0.01)
-    wrong = errors > 1.5 * TOLERANCE
-    assert np.count_nonzero(image.error[inside][wrong] > TOLERANCE) >= 0.9 * np.count_nonzero(wrong)
+    assert 0.0 < np.percentile(errors, 50.0) < 0.6 * TOLERANCE
+    assert np.percentile(errors, 99.0) < 1.5 * TOLERANCE
+    assert image.xyz[inside][:, 1].sum() == pytest.approx(exact[inside][:, 1].sum(), rel=0.02)
 
 
 def test_a_picture_with_many_lights_does_not_depend_on_the_number_of_threads(fingers):
