@@ -92,6 +92,8 @@ if (HERE.parent / "examples").is_dir():
         "within_subsection_order": "FileNameSortKey",
         "remove_config_comments": True,
         "show_memory": False,
+        # These pages load scripts from the network.
+        "write_computation_times": False,
         "download_all_examples": False,
         "abort_on_example_error": True,
     }

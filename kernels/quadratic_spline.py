@@ -1,4 +1,4 @@
-"""Numbers of the quadratic B-spline between equally spaced nodes, without Warp, for kernels and the host."""
+"""Constants and weights of the quadratic B-spline between equally spaced nodes, for kernels and the host."""
 
 import math
 

@@ -239,11 +239,12 @@ OBJECTS = {
     **dict.fromkeys(("exposure_from", "renderer"), _one_of(lambda: [picture(), renderer()])),
     **dict.fromkeys(("material", "film"), _one_of(_materials)),
     **dict.fromkeys(("image", "reference"), _one_of(lambda: [picture(), picture().xyz, np.ones((2, 3, 3)), []])),
-    **dict.fromkeys(("path", "folder", "animation"), _PATHS),
+    **dict.fromkeys(("path", "folder", "animation", "compare"), _PATHS),
     **dict.fromkeys(("to_light", "to_view", "wavelengths_nm", "scattering_vectors", "angle_deg"), _VECTORS),
     **dict.fromkeys(("eye", "target", "up", "direction", "sun_direction", "tangents", "background"), _VECTORS),
     **dict.fromkeys(("n", "k", "values", "radiance_rgb", "pixels", "xyz"), _VECTORS),
-    **dict.fromkeys(("theta_deg", "phi_deg", "angles_deg"), _VECTORS), "columns": st.dictionaries(_TEXTS, _VECTORS),
+    **dict.fromkeys(("theta_deg", "phi_deg", "angles_deg", "sigmas_um"), _VECTORS),
+    "columns": st.dictionaries(_TEXTS, _VECTORS),
     "efficiencies": _one_of(lambda: [efficiencies(), picture()]), "labels": st.lists(_TEXTS, max_size=2),
     "source": _one_of(lambda: [picture(), picture().xyz, [500.0], np.ones((2, 3)), HEIGHTFIELD.periods(), PERIOD]),
     "ax": _one_of(lambda: [axes()]),
@@ -299,7 +300,8 @@ PERIOD = wd.Period(2.0, 0.01, 0.0, (0.1,), 1.0, (0.0, 0.5), is_coherent=True)
 WAVY = wd.HeightField(0.05 * np.sin(np.arange(120.0)).reshape(1, -1) + np.zeros((8, 1)), 0.1)
 # Classes that only the library creates are not fuzzed. Errors and warnings are excluded because they accept any text.
 MADE_BY_THE_LIBRARY = {"BakedLobes", "BakedSpectrum", "Comparison", "Image", "OrderEfficiencies", "Period"}
-MADE_BY_THE_LIBRARY |= {"Periods", "ReflectanceSpectra", "Report", "ToleranceError", "WarpdiffWarning"}
+MADE_BY_THE_LIBRARY |= {"Periods", "ReflectanceSpectra", "Report", "Roughness", "ScanReport", "ToleranceError"}
+MADE_BY_THE_LIBRARY |= {"WarpdiffWarning"}
 # Methods that only the renderer calls are not fuzzed, because their arguments are already checked.
 CALLED_BY_PICTURES = {"lobes", "parts"}
 # Objects on which methods are called, by class. ``FUZZED_OWNERS`` lists classes with fuzzed objects.
@@ -309,7 +311,7 @@ OWNERS = {
     "HeightField": lambda: WAVY, "Image": picture, "Plan": plan, "Renderer": renderer, "View": lambda: VIEW,
     "BakedLobes": lobes, "Comparison": lambda: wd.compare(np.ones((2, 3, 3)), np.ones((2, 3, 3)), tolerance=0.1),
     "OrderEfficiencies": efficiencies, "Periods": lambda: wd.Periods([PERIOD]),
-    "Table": lambda: wd.Table({"number": [1.0]}),
+    "Roughness": WAVY.roughness, "Table": lambda: wd.Table({"number": [1.0]}),
     "ReflectanceSpectra": lambda: wd.ReflectanceSpectra(np.ones(1), np.eye(3)[2:], np.eye(3)[2:], np.ones((1, 1))),
     "BakedSpectrum": functools.cache(lambda: wd.bake_spectrum(HEIGHTFIELD, coherence=SHORT, size=16, tolerance=0.1)),
 }  # fmt: skip
@@ -336,7 +338,8 @@ LEGAL_OF = {
     "Material.coated": {"film": wd.Material.dielectric(1.4), "thickness_nm": 100.0},
 }  # fmt: skip
 LEGAL_OF |= {
-    f"{name}.save": {"path": "a.csv"} for name in ("OrderEfficiencies", "Periods", "ReflectanceSpectra", "Table")
+    f"{name}.save": {"path": "a.csv"}
+    for name in ("OrderEfficiencies", "Periods", "ReflectanceSpectra", "Roughness", "Table")
 }
 LEGAL_OF |= {
     "order_angles": {"source": PERIOD}, "plot.colour_strip": {"source": np.ones((2, 3)), "angles_deg": [0.0, 10.0]},

@@ -332,10 +332,11 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
     def is_unserved(
         table: Colours, u: wp.float32, v: wp.float32, polar: wp.mat22f, within: wp.float32, parts: wp.int32
     ) -> wp.bool:
-        """Return whether the table cannot serve a direction: its footprint is narrower than the blur of the rows.
+        """Return whether the table cannot serve a direction.
 
-        Directions within the inner radius of the table are not served either. ``within`` is the share of the variance
-        that remains after the footprint is split into ``parts``.
+        This is the case within the inner radius of the table, and if the footprint is narrower than the blur that the
+        line spectrum gives to the table. A footprint may be split into ``parts``; ``within`` is the share of its
+        variance that each of them has.
         """
         octave = wp.int32(ring_of(table, u, v) * table.octaves_per_ring)
         octave = wp.clamp(octave, 0, table.azimuths.shape[1] - 1)

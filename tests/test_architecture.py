@@ -118,6 +118,8 @@ called = {
     "Renderer": renderer.image(), "Report": renderer.image().report,
     "Comparison": wd.compare(renderer.image(), renderer.image()), "compare": wd.compare([[up]], [[up]], tolerance=0.1),
     "ReflectanceSpectra": wd.reflectance_spectra(heightfield, up, up, 550.0, **settings),
+    "Roughness": heightfield.roughness(), "ScanReport": wd.report(heightfield, folder.name + "/a", **settings),
+    "report": wd.report(heightfield, folder.name + "/b", sigmas_um=[1.0], **settings),
     "Shot": wd.Shot(light, view), "Table": wd.Table({"number": [1]}),
     "Spectrum": wd.Spectrum.blackbody(2856.0),
     "ToleranceError": wd.ToleranceError("text"), "View": view.width, "WarpdiffWarning": wd.WarpdiffWarning("text"),
@@ -139,7 +141,7 @@ called = {
 }
 assert set(called) == set(wd.__all__), set(called) ^ set(wd.__all__)
 classes = "BakedLobes", "BakedSpectrum", "Comparison", "Image", "OrderEfficiencies", "Period", "Periods", "Plan"
-for name in (*classes, "ReflectanceSpectra", "Report", "Table"):
+for name in (*classes, "ReflectanceSpectra", "Report", "Roughness", "ScanReport", "Table"):
     assert type(called[name]) is getattr(wd, name)
 """
 

@@ -12,7 +12,7 @@ Packages, from the lowest layer to the highest; a package imports only packages 
 - ``tables``: coefficients and colours on a device; ``planner``: from a tolerance to a plan; ``lights``: light sources
 - ``evaluate``: reflectance at arrays of directions; ``baked``: tables for other renderers
 - ``plot``: plots of height fields and results with matplotlib
-- ``render``: pictures of a mesh; ``apps``: command line, viewer, web page, sequences, Mitsuba
+- ``render``: pictures of a mesh; ``apps``: command line, viewer, web page, report, sequences, Mitsuba
 
 ``kernels`` holds the Warp kernels.
 """
@@ -27,6 +27,7 @@ from warpdiff.core import forks as _forks  # noqa: F401
 
 if TYPE_CHECKING:
     from warpdiff.apps.mitsuba.bsdf import register_mitsuba_bsdf
+    from warpdiff.apps.report.scan_report import ScanReport, report
     from warpdiff.apps.sequences.sequence import sequence
     from warpdiff.apps.sequences.shots import Shot, camera_path, light_sweep, turntable
     from warpdiff.apps.web_page.export_html import export_html
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     from warpdiff.evaluate.reflectance_spectra import ReflectanceSpectra
     from warpdiff.heightfield.field import HeightField
     from warpdiff.heightfield.periods import Period, Periods
+    from warpdiff.heightfield.roughness import Roughness
     from warpdiff.image.comparison import Comparison, compare
     from warpdiff.image.display_transform import to_srgb
     from warpdiff.image.image import Image
@@ -76,12 +78,12 @@ if not Path(__path__[0], "kernels").is_dir():
     __path__.append(str(Path(__path__[0]).parent))
 
 __all__ = [
-    "BakedLobes", "BakedSpectrum", "Coherence", "Comparison", "DirectionalLight", "Environment", "HeightField",
-    "Image", "Material", "OrderEfficiencies", "Period", "Periods", "Plan", "PointLight", "ReflectanceSpectra",
-    "Renderer", "Report", "Shot", "Spectrum", "Table", "ToleranceError", "View", "WarpdiffWarning", "bake",
-    "bake_spectrum", "brdf", "camera_path", "compare", "datasets", "direction", "export_html", "gratings",
+    "BakedLobes", "BakedSpectrum", "Coherence", "Comparison", "DirectionalLight", "Environment", "HeightField", "Image",
+    "Material", "OrderEfficiencies", "Period", "Periods", "Plan", "PointLight", "ReflectanceSpectra", "Renderer",
+    "Report", "Roughness", "ScanReport", "Shot", "Spectrum", "Table", "ToleranceError", "View", "WarpdiffWarning",
+    "bake", "bake_spectrum", "brdf", "camera_path", "compare", "datasets", "direction", "export_html", "gratings",
     "light_sweep", "meshes", "order_angles", "order_efficiencies", "plan", "plot", "reflectance", "reflectance_map",
-    "reflectance_spectra", "register_mitsuba_bsdf", "sequence", "shade", "spectral_reflectance", "to_srgb",
+    "reflectance_spectra", "register_mitsuba_bsdf", "report", "sequence", "shade", "spectral_reflectance", "to_srgb",
     "turntable",
 ]  # fmt: skip
 
@@ -96,14 +98,14 @@ _MODULES = {
     "evaluate.reflectance_spectra": ("ReflectanceSpectra",), "core.table": ("Table",),
     "core.angles": ("direction",), "evaluate.order_angles": ("order_angles",),
     "heightfield.field": ("HeightField",), "heightfield.periods": ("Period", "Periods"), "image.image": ("Image",),
-    "image.display_transform": ("to_srgb",), "image.comparison": ("Comparison", "compare"),
-    "image.report": ("Report",),
+    "heightfield.roughness": ("Roughness",), "image.display_transform": ("to_srgb",), "image.report": ("Report",),
+    "image.comparison": ("Comparison", "compare"),
     "lights.environment": ("Environment",), "lights.directional": ("DirectionalLight",),
     "lights.point": ("PointLight",), "evaluate.orders": ("OrderEfficiencies", "order_efficiencies"),
     "planner.strategy": ("plan",), "request.plan": ("Plan",), "render.shade": ("shade",),
     "render.renderer": ("Renderer",), "scene.camera": ("View",), "apps.sequences.sequence": ("sequence",),
     "apps.sequences.shots": ("Shot", "camera_path", "light_sweep", "turntable"),
-    "apps.web_page.export_html": ("export_html",),
+    "apps.report.scan_report": ("ScanReport", "report"), "apps.web_page.export_html": ("export_html",),
 }  # fmt: skip
 _ALIASES = {"datasets": "datasets", "plot": "plot", "gratings": "samples.gratings", "meshes": "samples.bodies"}
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}

@@ -92,8 +92,8 @@ def _integral(made: Series, tables: list[Any], u: Any, v: Any, w: Any) -> tuple[
 
     rows, wavenumbers, colours = tables
     packets = math.ceil(made.rows.shape[2] / PACKET)
-    # The second column of the factors is the linear term 2πa/λ of the Taylor series, where a is the scale of the
-    # heights. Its quotient by 1/λ is 2πa.
+    # `factors` holds the factors of the Taylor series that depend on λ. Its second column is the linear factor 2πa/λ,
+    # where a is the scale of the heights. Division by 1/λ gives 2πa.
     scale = float(made.factors[0, 1] / made.wavenumbers[0])
     steps = range(-made.neighbour_extent, made.neighbour_extent + 1)
 

@@ -6,5 +6,6 @@
 - ``mitsuba_skies``: environments and disc lights compared with Mitsuba 3
 - ``published``, ``thesis``, ``variants``: comparison with the published algorithm; the figures of its publication
 - ``theory_verdict``: verdicts on scalar diffraction compared with rigorous solutions
+- ``iso_25178``: roughness parameters compared with surfalize, and coverage of their standard errors
 - ``cold_start``: time of a new process to its first picture
 """

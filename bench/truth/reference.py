@@ -215,8 +215,8 @@ class Coefficients:
         if not near.any():
             return np.zeros(len(tau))
         r, s, q = r[near], s[near], q[near]
-        # With U = (u, v), the exponent (τU − q)ᵀ A (τU − q) is the sum of a squared distance along the path, from the
-        # point of the path nearest to q, and the squared distance of q from the path.
+        # As τ changes, τU with U = (u, v) moves along a line. In the metric A, the squared distance from q to τU, which
+        # is the exponent, is the squared distance from q to the line plus the squared distance along the line.
         foot = q @ metric @ across / max(square, 1e-30)
         away = q - foot[:, None] * across
         across_square = np.einsum("ki,ij,kj->k", away, metric, away)

@@ -14,13 +14,13 @@ from warpdiff.request import settings
 # Classes of settings with the public functions that accept them, from general settings to those of pictures.
 SETTINGS = {
     "PlanSettings": "warpdiff.plan",
-    "EvaluationSettings": "warpdiff.reflectance, warpdiff.reflectance_map",
+    "EvaluationSettings": "warpdiff.reflectance, warpdiff.reflectance_map, warpdiff.report",
     "SpectralSettings": "warpdiff.spectral_reflectance, warpdiff.reflectance_spectra, warpdiff.brdf",
     "PictureSettings": "warpdiff.shade, warpdiff.Renderer",
     "SinglePictureSettings": "warpdiff.shade",
 }
 GROUPS = {
-    "Surfaces": ["HeightField", "Period", "Periods", "gratings", "datasets"],
+    "Surfaces": ["HeightField", "Period", "Periods", "Roughness", "gratings", "datasets"],
     "Bodies and cameras": ["meshes", "View"],
     "Lights": ["DirectionalLight", "PointLight", "Environment", "Spectrum"],
     "Materials and coherence": ["Material", "Coherence"],
@@ -29,7 +29,7 @@ GROUPS = {
         "reflectance", "spectral_reflectance", "reflectance_spectra", "ReflectanceSpectra", "brdf", "reflectance_map",
         "order_efficiencies", "OrderEfficiencies", "order_angles", "direction",
     ],
-    "Plots, tables and colours": ["plot", "Table", "to_srgb"],
+    "Plots, tables and reports": ["plot", "Table", "to_srgb", "report", "ScanReport"],
     "Plans and errors": ["plan", "Plan", "ToleranceError", "WarpdiffWarning"],
     "Sequences": ["sequence", "Shot", "turntable", "light_sweep", "camera_path"],
     "Export": [

@@ -2,8 +2,8 @@
 Map, profile and power spectrum of a surface
 ============================================
 
-The heights of a surface with a profile, and its power spectrum, in which the periods are marked. The periods are also
-written to a CSV file.
+A map of the heights of a surface, a profile along x, and the power spectrum, in which the periods are marked. The
+periods are also written to a CSV file.
 """
 
 import matplotlib.pyplot as plt

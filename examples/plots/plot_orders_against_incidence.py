@@ -2,8 +2,8 @@
 Orders against the angle of the light
 =====================================
 
-One call evaluates many directions of the light. The efficiencies of a blazed gold grating are drawn over the angle of
-incidence, and written with the directions of the orders to a CSV file.
+One call evaluates many directions of the light. The efficiencies of a blazed gold grating are plotted against the angle
+of incidence. A CSV file contains them together with the directions of the orders.
 """
 
 import matplotlib.pyplot as plt

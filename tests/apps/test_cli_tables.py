@@ -1,4 +1,4 @@
-"""The commands that print tables: numbers against closed forms, files, and messages."""
+"""Commands that print tables: numbers equal closed forms, CSV files contain all rows, errors name the options."""
 
 import math
 
@@ -10,7 +10,7 @@ from warpdiff.apps import cli
 
 
 def run(line, *more):
-    """Run a command line, given as a text and as further words, and return its exit code."""
+    """Run a command line, given as one text and further arguments, and return its exit code."""
     return cli.main([*line.split(), *map(str, more)])
 
 
@@ -48,7 +48,7 @@ def test_spectrum_is_the_spectral_reflectance(tmp_path, capsys):
         wd.gratings.sinusoidal(2.0, 0.2), wd.direction(5.0, 180.0), wd.direction(15.0), rows["wavelength_nm"],
         material=wd.Material.metal("Al"),
     )  # fmt: skip
-    np.testing.assert_array_equal(rows["reflectance"].astype(np.float32), expected)
+    np.testing.assert_array_equal(rows["relative_reflectance"].astype(np.float32), expected)
 
 
 @pytest.mark.parametrize(

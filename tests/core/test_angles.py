@@ -1,4 +1,4 @@
-"""Unit vectors of angles, and angles of unit vectors."""
+"""Conversion of angles to unit vectors, and of unit vectors to angles."""
 
 import math
 
@@ -19,8 +19,10 @@ def test_directions_have_the_components_of_their_angles():
 def test_angles_are_those_that_directions_were_made_from(rng):
     theta, phi = rng.uniform(1.0, 89.0, 50), rng.uniform(-179.0, 179.0, 50)
     found_theta, found_phi = angles_deg(wd.direction(theta, phi))
-    np.testing.assert_allclose(found_theta, theta, rtol=1e-12)
-    np.testing.assert_allclose(found_phi, phi, rtol=1e-12, atol=1e-10)
+    # Angles are rounded to ten decimal places.
+    np.testing.assert_allclose(found_theta, theta, rtol=0.0, atol=6e-11)
+    np.testing.assert_allclose(found_phi, phi, rtol=0.0, atol=6e-11)
+    assert angles_deg(wd.direction(20.0))[0] == 20.0
     signed = np.array([-80.0, -1.0, 0.0, 30.0])
     for azimuth in (0.0, 90.0):
         np.testing.assert_allclose(signed_angles_deg(wd.direction(signed, azimuth)), signed, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Tables of results: text, columns, CSV files and refusals."""
+"""`Table`: printed text, columns, CSV files, and errors for arguments that are refused."""
 
 import csv
 

@@ -1,4 +1,4 @@
-"""Angles of orders against the grating equation, and their standard errors against changed periods."""
+"""Angles of orders obey the grating equation; a change of the period by its error changes them by their error."""
 
 import math
 
@@ -19,7 +19,7 @@ def period(length_um=PERIOD, error_um=0.01, azimuth_deg=0.0):
 @pytest.mark.parametrize("incidence", [0.0, 25.0, -40.0])
 @pytest.mark.parametrize("azimuth", [0.0, 90.0, 30.0])
 def test_orders_in_the_plane_of_incidence_obey_the_grating_equation(incidence, azimuth):
-    """sin θr = mλ/P − sin θi, in the plane of the light and the wave vector, at any azimuth."""
+    """Light in the plane of the normal and the wave vector has orders with sin θr = mλ/P − sin θi, at any azimuth."""
     table = wd.order_angles(period(azimuth_deg=azimuth), wd.direction(incidence, azimuth), WAVELENGTHS, most_order=9)
     expected = []
     for wavelength in WAVELENGTHS:
@@ -52,7 +52,7 @@ def test_standard_errors_are_the_change_of_the_angle_with_the_period(light):
 
 
 def test_an_order_along_the_normal_has_the_error_of_its_direction():
-    """In Littrow's opposite, order 1 leaves along the normal, where the angle grows in any direction."""
+    """Light at sin θi = λ/P sends order 1 along the normal. An error of the period increases this angle of 0."""
     sine = 0.55 / PERIOD
     light = (sine, 0.0, math.sqrt(1.0 - sine**2))
     table = wd.order_angles(period(error_um=1e-3), light, 550.0, most_order=1)

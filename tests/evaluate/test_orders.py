@@ -1,4 +1,4 @@
-"""Order efficiencies: closed forms, an explicit sum, the absolute BRDF, energy, symmetry, and invalid arguments."""
+"""Order efficiencies: closed forms, an explicit sum, the absolute BRDF, energy, reciprocity and invalid arguments."""
 
 import math
 
@@ -28,7 +28,8 @@ def blazed(kappa, depth, order):
     return np.sinc(kappa * depth - order) ** 2
 
 
-# Height field, closed form and allowed error of each profile. Sampling errors of steps fall as 1/samples².
+# By profile: height field, closed form of the power of an order, and allowed error. The profiles with steps have a
+# larger error, because the position of a step is known only to one sample.
 PROFILES = {
     "sine": (wd.gratings.sinusoidal(PERIOD, 0.3), sine, 1e-12),
     "lamellar": (wd.gratings.lamellar(PERIOD, 0.3, duty=0.375, samples=4000), lamellar, 1e-4),
@@ -37,7 +38,7 @@ PROFILES = {
 
 
 def test_coefficients_of_a_tall_surface_equal_a_separate_transform_at_each_kappa(rng):
-    """A series with too few terms, or for half of the range of κ, would give coefficients with errors of about 1."""
+    """Interpolation over κ with too few terms, or over half of its range, gives coefficients with errors of about 1."""
     heightfield = wd.HeightField(rng.uniform(0.0, 6.0, (4, 8)), pitch_um=1.0)
     kappas = rng.uniform(-5.2, -1.0, 40)
     indices = rng.integers(-9, 9, (40, 2))
@@ -46,7 +47,8 @@ def test_coefficients_of_a_tall_surface_equal_a_separate_transform_at_each_kappa
     transforms = np.fft.ifft2(np.exp(2j * np.pi * kappas[:, None, None] * heights))
     expected = transforms[np.arange(40), indices[:, 0] % 4, indices[:, 1] % 8]
     np.testing.assert_allclose(values, expected, rtol=0.0, atol=1e-12)
-    # The number of terms must be close to the series' argument x, because computing time is proportional to it.
+    # A series of exp(ixg) requires at least about x terms. At x = 1000 the number of terms must be close to 1000,
+    # because computing time is proportional to it.
     assert order_module._term_count(1000.0) < 1150
 
 
@@ -70,7 +72,8 @@ def test_order_efficiencies_equal_closed_forms(name, angle):
                 continue
             cos_r = math.sqrt(1.0 - sin_r**2)
             kappa = -(cos_i + cos_r) / (wavelength * 1e-3)
-            # The amplitude of order m is the Fourier component r = −m of e^{2πiκh}: ∫ e^{2πiκh} e^{+2πirx/d} dx.
+            # The amplitude of order m is ∫ e^{2πiκh} e^{2πirx/d} dx / d with r = −m. Its squared magnitude is the
+            # power.
             power = closed(kappa, 0.3, m)
             geometry = (1.0 + sin_i * sin_r + cos_i * cos_r) ** 2 / (cos_i * cos_r * (cos_i + cos_r) ** 2)
             assert result[0, m][k] == pytest.approx(geometry * power, abs=error * geometry)
@@ -81,7 +84,7 @@ def test_order_efficiencies_equal_closed_forms(name, angle):
 
 
 def test_a_blazed_grating_reflects_into_the_mirror_direction_of_its_facets():
-    """Facets that rise with x are tilted towards −x by α, so they reflect normal incidence to −2α."""
+    """Facets that rise with x are tilted towards −x by α, so they reflect normally incident light to the angle −2α."""
     wavelength = 0.5
     heightfield = wd.gratings.blazed(4.0, 2.0 * wavelength / 2.0, samples=2000)
     result = wd.order_efficiencies(heightfield, (0, 0, 1), 1e3 * wavelength, ior=math.inf, energy="stam")
@@ -219,10 +222,9 @@ def test_normalised_orders_are_reciprocal():
 
 @pytest.mark.parametrize("period", [2.0, 5.0, 10.0])
 def test_orders_do_not_jump_where_another_one_passes_the_horizon(period):
-    """The period is a whole number of wavelengths.
+    """At normal incidence, a period of a whole number of wavelengths has two orders exactly at the horizon.
 
-    A tilt of the light by 1e-5° from normal incidence therefore adds one order at the horizon, and must not change the
-    other efficiencies.
+    A tilt of the light by 1e-5° makes one of them propagate, and must not change the efficiencies of the other orders.
     """
     for grating in (wd.gratings.lamellar(period, 0.125), wd.gratings.blazed(period, 0.2)):
         upright = wd.order_efficiencies(grating, (0, 0, 1), 500.0, ior=math.inf)
@@ -277,7 +279,7 @@ def test_metals_are_normalised_and_glass_is_not():
 def test_a_flat_metal_reflects_by_its_index_at_each_wavelength():
     """At normal incidence a metal with index N reflects |(N − 1) / (N + 1)|².
 
-    Wavelengths outside of the material's table are refused.
+    Wavelengths beyond the measured indices of the material are refused.
     """
     wavelengths, index = np.array([400.0, 550.0, 700.0]), np.array([1.5 + 2.0j, 0.4 + 2.6j, 0.1 + 4.0j])
     metal = wd.Material.from_nk(wavelengths, index.real, index.imag)
@@ -290,7 +292,10 @@ def test_a_flat_metal_reflects_by_its_index_at_each_wavelength():
 
 
 def test_the_normalised_brdf_of_many_orders_conserves_energy():
-    """If there are many orders, normalisation factors are interpolated from a grid of directions."""
+    """The normalised BRDF at an order is the BRDF without normalisation times the factor that normalises the order.
+
+    With more than 600 orders, these factors are interpolated from a grid of directions.
+    """
     heightfield = wd.gratings.fingers(size_um=9.6, pitch_um=0.08, seed=3)
     for angle in (0.0, 45.0, 75.0):
         stam, result = (
@@ -322,7 +327,7 @@ def read_columns(path):
 
 
 def test_a_saved_table_of_several_lights_has_closed_forms(tmp_path):
-    """Rows of a lamellar grating: the grating equation gives the angle, Fourier coefficients give the efficiency."""
+    """The saved angles follow from the grating equation, and the saved efficiencies from Fourier coefficients."""
     heightfield, closed, error = PROFILES["lamellar"]
     result = wd.order_efficiencies(heightfield, LIGHTS, WAVELENGTHS, ior=math.inf, energy="stam")
     assert result.efficiencies.shape == (4, 3, len(result.orders))
@@ -342,7 +347,7 @@ def test_a_saved_table_of_several_lights_has_closed_forms(tmp_path):
 
 @pytest.mark.parametrize("energy", ["stam", "normalised"])
 def test_results_of_several_lights_are_those_of_single_lights(energy, monkeypatch):
-    # A small limit makes groups of lights that share transforms, of one and of several lights.
+    # The lower limit splits the lights into several groups that share Fourier transforms, of one or more lights each.
     monkeypatch.setattr(order_module, "_MOST_TOGETHER", 60)
     heightfield, gold = wd.gratings.lamellar(PERIOD, 0.3, samples=400), wd.Material.metal("Au")
     together = wd.order_efficiencies(heightfield, LIGHTS, WAVELENGTHS, material=gold, energy=energy)
@@ -356,7 +361,7 @@ def test_results_of_several_lights_are_those_of_single_lights(energy, monkeypatc
 
 
 def test_interpolated_factors_serve_several_lights(monkeypatch):
-    """With many orders, a light has no matrix of its own; the lower limit makes that so for this grating."""
+    """Above a number of orders, energy factors are interpolated instead of computed per light; here above 10 orders."""
     monkeypatch.setattr(energy_normalisation, "MOST_EXACT", 10)
     heightfield = wd.gratings.sinusoidal(PERIOD, 0.3)
     options = {"material": wd.Material.metal("Au"), "energy": "normalised"}

@@ -147,7 +147,7 @@ def test_saved_spectra_have_the_values_of_the_spectral_reflectance(tmp_path):
     values = wd.spectral_reflectance(grating, light, views, wavelengths)
     np.testing.assert_array_equal(spectra.values, values)
     rows = np.genfromtxt(spectra.save(tmp_path / "spectra.csv"), delimiter=",", names=True)
-    np.testing.assert_array_equal(rows["reflectance"].astype(np.float32).reshape(2, 3), values)
+    np.testing.assert_array_equal(rows["relative_reflectance"].astype(np.float32).reshape(2, 3), values)
     np.testing.assert_array_equal(rows["wavelength_nm"].reshape(2, 3), [wavelengths] * 2)
     np.testing.assert_allclose(rows["view_theta_deg"], 15.0)
     np.testing.assert_allclose(rows["view_phi_deg"], [-140.0] * 3 + [40.0] * 3)

@@ -54,6 +54,7 @@ def _small(monkeypatch, request):
         monkeypatch.setattr(wd.gratings, "fingers", rough(wd.gratings.fingers, size_um=3.2, pitch_um=0.1))
     for name in ("shade", "Renderer"):
         monkeypatch.setattr(wd, name, rough(getattr(wd, name), tolerance=0.3, coherence=wd.Coherence(sigma_um=1.5)))
+    monkeypatch.setattr(wd, "report", rough(wd.report, sigmas_um=[1.5], tolerance=0.5, wavelengths_nm=550.0))
     monkeypatch.setattr(wd, "bake", rough(wd.bake, delta_e=20.0, coherence=wd.Coherence(sigma_um=1.5)))
 
 

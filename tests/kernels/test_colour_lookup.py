@@ -68,7 +68,7 @@ def test_native_look_ups_equal_the_reference_implementation(coherence, footprint
     # the native look-up and its specification decide differently are excluded.
     assert np.mean(served) > 0.999
     errors = relative_errors(native, plain)[served]
-    # Between azimuth samples and between rings, native look-ups round a position to 1/64 of their distance.
+    # Native look-ups round positions between two azimuth samples, or between two rings, to 1/64 of their spacing.
     assert np.median(errors) < 1e-5
     assert np.percentile(errors, 99.0) < 2e-3
     assert errors.max() < 5e-2

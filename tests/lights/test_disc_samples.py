@@ -206,7 +206,7 @@ def test_the_reflected_rim_of_a_disc_light_is_sharp(diameter, fov_y_deg, square)
     light = wd.DirectionalLight((0, 0, 1), angular_diameter_deg=diameter)
     view = wd.View((0, 0, 4), (0, 0, 0), fov_y_deg=fov_y_deg, width=48, height=36)
     image = wd.shade(square, flat, light, view, coherence=SHORT, tolerance=0.1, pigment=0.0)
-    # All rays in the pixel filters of the compared pixels hit the square.
+    # All rays that contribute to the compared pixels hit the square mesh.
     places = np.array([[18, column] for column in range(24, 43)])
     exact = SkySums(square, flat, view, SHORT).under_disc(places, light, 64, 0)
     size = np.maximum(np.linalg.norm(exact, axis=1), 1e-3 * np.percentile(image.xyz[..., 1], 99.0))

@@ -148,7 +148,10 @@ def test_errors_of_a_group_have_a_row_for_each_illuminant_and_floor(rng):
 
 
 def test_bright_directions_are_counted_by_the_highest_and_by_the_lowest_floor():
-    """The number of bright directions is that of the illuminant with the fewest, once per luminance floor."""
+    """Bright directions are counted for every illuminant, with the higher and with the lower of two floors.
+
+    For each of the two floors, the result is the count of the illuminant with the fewest bright directions.
+    """
     above = np.arange(100) < np.array([[40], [60], [30], [80]])
     group = trial.Group(DirectionSample(*np.ones((2, 100, 3)), *np.ones((2, 100))), "cpu", 1)
     group.above = above

@@ -1,4 +1,4 @@
-"""Plots of results: orders, spectra, colours, errors and plans, compared with closed forms and with the results."""
+"""Plots of results (orders, spectra, colours, errors, plans): drawn values equal closed forms and the results."""
 
 import dataclasses
 import math
@@ -23,17 +23,17 @@ def ax():
 
 @pytest.fixture(scope="module")
 def picture():
-    """Return a coarse reflectance map for oblique light."""
+    """Return a reflectance map of 24 × 24 pixels for oblique light."""
     return wd.reflectance_map(wd.gratings.sinusoidal(2.0, 0.1), (0.3, 0.2, 1.0), size=24, tolerance=0.1)
 
 
 def blazed(order, kappa):
-    """Power of an order of a blazed grating."""
+    """Return the power |H|² of an order of a blazed grating at a value of κ."""
     return np.sinc(kappa * DEPTH - order) ** 2
 
 
 def efficiency(order, wavelength_nm, incidence_deg):
-    """Efficiency of an order of a perfectly reflecting blazed grating [%]; NaN if it is evanescent."""
+    """Return the efficiency [%] of an order of a perfectly reflecting blazed grating; NaN for an evanescent order."""
     sin_i = math.sin(math.radians(incidence_deg))
     sin_r = order * wavelength_nm * 1e-3 / PERIOD - sin_i
     if abs(sin_r) >= 1.0:
@@ -49,7 +49,7 @@ def orders(to_light, wavelengths_nm):
 
 
 def lines_of(axes):
-    """Return the lines of orders by their number."""
+    """Return the lines of a plot of orders by the number of their order."""
     return {int(line.get_label().replace("−", "-")): line for line in axes.lines}
 
 
@@ -159,7 +159,7 @@ def test_a_strip_has_the_colours_of_its_directions(ax, rng):
 
 @pytest.mark.parametrize("azimuth", [0.0, 60.0])
 def test_a_strip_of_a_height_field_is_in_the_plane_of_the_light(ax, monkeypatch, azimuth):
-    """The view directions are those of the angles, and the mirror direction is at minus the angle of the light."""
+    """The view angle of 30° is the direction to the light, and −30° is its mirror direction, which the plot marks."""
     views = []
 
     def reflectance(_heightfield, _to_light, to_view):
@@ -172,7 +172,7 @@ def test_a_strip_of_a_height_field_is_in_the_plane_of_the_light(ax, monkeypatch,
     np.testing.assert_allclose(views[0][2], light, atol=1e-12)
     np.testing.assert_allclose(views[0][0], [-light[0], -light[1], light[2]], atol=1e-12)
     assert ax.lines[0].get_xdata()[0] == pytest.approx(-30.0)
-    assert ax.get_title() == "Colour against the view angle, light at 30° from the normal"
+    assert ax.get_title() == "Colour against view angle, light at 30°"
 
 
 @pytest.mark.parametrize(
@@ -218,7 +218,7 @@ def test_bars_of_a_plan_have_the_lengths_of_its_errors(ax, picture):
 
 
 def test_lines_of_wavelengths_are_dark_enough_on_white():
-    """A contrast of at least 3 to white, and the hue of the wavelength."""
+    """The colour of a line has a contrast of more than 2.9 to white, and the hue of the wavelength."""
     for wavelength, channel in ((450.0, 2), (530.0, 1), (650.0, 0)):
         colour = np.array(to_rgb(tuple(wavelength_colour(wavelength))))
         assert np.argmax(colour) == channel

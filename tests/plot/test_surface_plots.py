@@ -1,4 +1,4 @@
-"""Plots of height fields: what is drawn are the heights, in the units of the labels."""
+"""Plots of height fields: the drawn values are the heights, in the units of the axis labels."""
 
 import sys
 
@@ -21,7 +21,7 @@ def ax():
 
 @pytest.fixture(scope="module")
 def wave():
-    """Return a wave of 0.5 µm along x and 2 µm along y, with noise."""
+    """Return a height field: a wave with periods of 0.5 µm along x and 2 µm along y, with noise."""
     y, x = np.mgrid[:80, :150]
     heights = 0.1 * np.cos(2.0 * np.pi * (x * PITCH[1] / 0.5 + y * PITCH[0] / 2.0))
     return wd.HeightField(heights + np.random.default_rng(0).normal(0.0, 1e-3, heights.shape), PITCH)
@@ -91,7 +91,7 @@ def test_marks_of_a_spectrum_are_at_the_inverse_of_the_period(ax, wave):
 
 
 def test_the_integral_of_the_density_is_the_variance():
-    """A cosine of amplitude a has the variance a²/2, in a field and in a profile."""
+    """The power spectral density of a cosine of amplitude a integrates to a²/2, its variance, on one axis and two."""
     x = 0.02 * np.arange(800)
     heights = 0.1 * np.cos(2.0 * np.pi * x / 0.8)
     field, profile = (Figure().add_subplot() for _ in range(2))
@@ -146,3 +146,15 @@ def test_a_new_figure_is_made_without_axes_and_written(wave, tmp_path):
     axes.figure.savefig(tmp_path / "profile.png", dpi=20)
     assert (tmp_path / "profile.png").stat().st_size > 0
     plt.close(axes.figure)
+
+
+def test_a_shaded_map_is_lit_from_the_upper_left_and_keeps_gaps(ax):
+    y, x = np.mgrid[:60, :60] * 0.1 - 3.0
+    heights = 0.3 * np.exp(-(x**2 + y**2) / 2.0)
+    heights[5:8, 5:8] = np.nan
+    wd.plot.height_map(wd.HeightField(heights, 0.1), ax=ax, is_shaded=True, cmap="gray")
+    flat, shaded = (image.to_rgba(image.get_array()) for image in ax.images)
+    # The bump is symmetric, so that without shading both sides have the same colour. Rows run upwards.
+    np.testing.assert_allclose(flat[40, 20], flat[20, 40], atol=1e-6)
+    assert shaded[40, 20, 0] > shaded[20, 40, 0] + 0.2
+    np.testing.assert_array_equal(shaded[6, 6], flat[6, 6])

@@ -22,7 +22,7 @@ import warpdiff as wd
 resource = pytest.importorskip("resource", reason="memory limits require POSIX")
 
 # Functions that need seconds even with valid arguments.
-SLOW = {"bake", "bake_spectrum", "export_html", "BakedLobes.cartesian", "gratings.fingers"}
+SLOW = {"bake", "bake_spectrum", "export_html", "BakedLobes.cartesian", "gratings.fingers", "report"}
 # Time limit of a call in seconds, including the compilation of kernels. A longer call counts as hanging.
 MOST_S = 60
 # Memory limit of a call in bytes, above the process's memory. Small calls need less, and large requests fail.

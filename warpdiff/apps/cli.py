@@ -253,6 +253,33 @@ def _add_spectrum(flags: Flags) -> None:
     _add_csv(flags)
 
 
+def _add_report(flags: Flags) -> None:
+    _add_height_field(flags, has_position=True)
+    _add_evaluation(flags, EvaluationSettings)
+    flags.parser.add_argument(
+        "-o", "--output", default="report", metavar="FOLDER", help="folder of the page and its files (default: report)"
+    )
+    group = flags.group("report")
+    group.add_argument(
+        "--compare", metavar="FILE",
+        help="text of a measured curve, with a column wavelength_nm or angle_deg and a column of values",
+    )  # fmt: skip
+    group.add_argument("--incidence-deg", type=number, help="light's angle from the normal (default: 30)")
+    group.add_argument(
+        "--azimuth-deg", type=number, help="light's angle from the x axis (default: that of the strongest wave vector)"
+    )
+    group.add_argument(
+        "--view-deg", type=number,
+        help="view angle of a measured spectrum, in the plane of the light (default: the mirror direction)",
+    )  # fmt: skip
+    _add_wavelengths(group, [450.0, 550.0, 650.0])
+    group.add_argument(
+        "--sigmas-um", type=number, nargs="+", default=[5.0, 16.25, 50.0], metavar="UM",
+        help="coherence windows whose colours are shown (default: 5 16.25 50)",
+    )  # fmt: skip
+    flags.add(group, describe(wd.report), only=("title",))
+
+
 def _add_wavelengths(group: Any, default: list[float]) -> None:
     group.add_argument(
         "--wavelengths-nm", type=number, nargs="+", default=default, metavar="NM",
@@ -461,6 +488,16 @@ _COMMANDS = {
         "  warpdiff spectrum scan.x3p --level 1 --periodic --incidence-deg 30 --view-deg -10",
         _add_spectrum, cli_tables.spectrum,
         _WORDS | {"to_light": "--incidence-deg", "to_view": "--view-deg", "wavelengths_nm": "--from-nm"},
+    ),
+    "report": _Command(
+        "write a page with everything about a scan: roughness, periods, orders and colours",
+        "warpdiff report scan.x3p --level 1 --despike -o report\n"
+        "  warpdiff report scan.x3p --level 1 --compare spectrum.csv --incidence-deg 20 --view-deg -10",
+        _add_report, cli_commands.report,
+        _WORDS | {
+            "folder": "--output", "compare": "--compare", "to_light": "--incidence-deg", "to_view": "--view-deg",
+            "wavelengths_nm": "--wavelengths-nm", "sigmas_um": "--sigmas-um",
+        },
     ),
     "export-html": _Command(
         "write a page that shows a mesh in any browser",

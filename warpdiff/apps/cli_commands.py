@@ -136,6 +136,29 @@ def brdf(options: argparse.Namespace) -> None:
     _save(image, options)
 
 
+def report(options: argparse.Namespace) -> None:
+    """Write the report of a height field."""
+    from warpdiff.apps.report.report_data import DEFAULT_INCIDENCE_DEG, wave_azimuth_deg
+
+    heightfield = cli_inputs.height_field_of(options)
+    settings = cli_inputs.settings_of(options, EvaluationSettings)
+    azimuth = options.azimuth_deg
+    if azimuth is None and (options.incidence_deg is not None or options.view_deg is not None):
+        azimuth = wave_azimuth_deg(heightfield)
+    incidence = DEFAULT_INCIDENCE_DEG if options.incidence_deg is None else options.incidence_deg
+    to_light = None if azimuth is None else direction_of(incidence, azimuth, "--incidence-deg")
+    to_view = None if options.view_deg is None else direction_of(options.view_deg, azimuth, "--view-deg")
+    # A synthetic height field has the name that the command gives it.
+    synthetic = options.heightfield or options.scan if heightfield.source is None else None
+    result = wd.report(
+        heightfield, options.output, to_light=to_light, to_view=to_view, wavelengths_nm=options.wavelengths_nm,
+        sigmas_um=options.sigmas_um, compare=options.compare, illuminant=cli_inputs.illuminant_of(options.illuminant),
+        title=given(options, describe(wd.report)).get("title", synthetic), progress=options.progress, **settings,
+    )  # fmt: skip
+    print(result)
+    print(result.page)
+
+
 def demo(options: argparse.Namespace) -> None:
     """Render the demonstration pictures."""
     from warpdiff.apps import demo

@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 
     from warpdiff.core.table import Table
 
-# Angle from the normal from which a light is not above the horizon [degrees].
+# Angle of the horizon from the normal [degrees]. Directions at or beyond the horizon are refused.
 _GRAZING_DEG = 90.0
-# Largest number of wavelengths of a spectrum. Limit: a smaller step is a mistake of the unit.
+# Maximum number of steps between the wavelengths of a spectrum. Limit: more steps are likely a mistake of the unit.
 _MOST_WAVELENGTHS = 100_000
 
 
 def direction_of(theta_deg: float, phi_deg: float, flag: str) -> NDArray[np.float64]:
-    """Return the unit vector of two angles [degrees]; the error of an angle at the horizon names its flag."""
+    """Return the unit vector of two angles [degrees]; ``flag`` is the option of the first one, for error messages."""
     if not abs(theta_deg) < _GRAZING_DEG:
         raise ArgumentValueError(f"{flag} must be more than -90 and less than 90, got {theta_deg:g}")
     with renaming({"phi_deg": flag.replace("--incidence", "--azimuth").replace("--view-deg", "--view-azimuth-deg")}):
@@ -36,7 +36,7 @@ def direction_of(theta_deg: float, phi_deg: float, flag: str) -> NDArray[np.floa
 
 
 def orders(options: argparse.Namespace) -> None:
-    """Print the efficiencies of the strongest orders."""
+    """Run ``warpdiff orders``: print the efficiencies of the strongest orders."""
     _check_csv(options)
     heightfield = cli_inputs.height_field_of(options)
     to_light = direction_of(options.incidence_deg, options.azimuth_deg, "--incidence-deg")
@@ -51,7 +51,7 @@ def orders(options: argparse.Namespace) -> None:
 
 
 def angles(options: argparse.Namespace) -> None:
-    """Print the angles of the orders of the periods."""
+    """Run ``warpdiff angles``: print the angles at which the orders of each period leave the surface."""
     _check_csv(options)
     heightfield = cli_inputs.height_field_of(options)
     to_light = direction_of(options.incidence_deg, options.azimuth_deg, "--incidence-deg")
@@ -62,7 +62,7 @@ def angles(options: argparse.Namespace) -> None:
 
 
 def spectrum(options: argparse.Namespace) -> None:
-    """Print the reflectance spectrum in a direction."""
+    """Run ``warpdiff spectrum``: print the reflectance spectrum for one direction of the light and one of the view."""
     _check_csv(options)
     if not options.step_nm > 0.0:
         raise ArgumentValueError(f"--step-nm must be more than 0, got {options.step_nm:g}")
@@ -71,7 +71,7 @@ def spectrum(options: argparse.Namespace) -> None:
             f"--to-nm must be at least --from-nm, and {_MOST_WAVELENGTHS} steps at most, got {options.from_nm:g} to "
             f"{options.to_nm:g} in steps of {options.step_nm:g}"
         )
-    # A millionth of a step is added so that the last wavelength does not depend on rounding.
+    # The end of the range is increased by a millionth of a step, so that rounding cannot exclude the last wavelength.
     wavelengths = np.arange(options.from_nm, options.to_nm + 1e-6 * options.step_nm, options.step_nm)
     settings = cli_inputs.settings_of(options, SpectralSettings)
     to_light = direction_of(options.incidence_deg, options.azimuth_deg, "--incidence-deg")
@@ -82,14 +82,14 @@ def spectrum(options: argparse.Namespace) -> None:
 
 
 def _check_csv(options: argparse.Namespace) -> None:
-    """Raise an error if the CSV file cannot be written, before the result is computed."""
+    """Raise an error if the file of ``--csv`` cannot be written, before the result is computed."""
     if options.csv is not None:
         with renaming({"path": "--csv"}):
             check_csv(options.csv)
 
 
 def _print(table: Table, options: argparse.Namespace, whole: Table | None = None) -> None:
-    """Print a table, and write it, or the whole result, to the file of ``--csv``."""
+    """Print a table. Write ``whole``, or the printed table if ``whole`` is None, to the file of ``--csv``."""
     print(table)
     if options.csv is not None:
         print((table if whole is None else whole).save(options.csv))

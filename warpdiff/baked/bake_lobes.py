@@ -54,7 +54,8 @@ _LOOK_UPS, _MOST_S = 3e6, 300.0
 # Smallest |w| at which colours are sampled. Directions with smaller |w| have both light and view near the horizon;
 # their colours are proportional to w² and need no samples.
 _SMALLEST_W = 0.06
-# Number of samples over |w| in a table's functions, and over |κ| in its zeroth order.
+# First number: samples over |w| of each function of w that the table stores. Second number: samples over |κ| of the
+# zeroth order.
 _ENTRIES_OF_W, _ENTRIES_OF_KAPPA = 256, 512
 # Grid on which the reflectance of a material is stored: number of cos θd, and spacing of the wavelengths [nm].
 _ANGLES, _EACH_NM = 65, 5

@@ -1,4 +1,4 @@
-"""Angles of directions: from the normal and around it, and the unit vectors that belong to them."""
+"""Conversion between unit vectors and their angles: from the normal, and around the normal."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ from warpdiff.core.wording import ArgumentValueError, ref
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-# Sine of the angle from the normal below which a direction has the azimuth 0. Limit: rounding of unit vectors.
+# Directions whose angle from the normal has a smaller sine count as the normal, which has the azimuth 0. Limit:
+# rounding of unit vectors.
 _LEAST_SINE = 1e-12
-# Largest angle from the normal and around it [degrees].
+# Decimal places of angles [degrees]. Limit: the rounding of unit vectors changes angles by about 1e-14°.
+_DECIMALS = 10
+# Largest angle from the normal, and largest angle around the normal, that `direction` accepts [degrees].
 _MOST_THETA_DEG, _MOST_PHI_DEG = 90.0, 360.0
 
 
@@ -55,17 +58,24 @@ def direction(theta_deg: ArrayLike, phi_deg: ArrayLike = 0.0) -> NDArray[np.floa
 
 
 def angles_deg(directions: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the angles θ from the normal, 0 to 180, and φ from the x axis of unit vectors (..., 3) [degrees]."""
+    """Return the angles θ from the normal, 0 to 180, and φ around it from the x axis [degrees] of unit vectors.
+
+    ``directions`` has the shape (..., 3), and each of the two results has the shape (...).
+    """
     x, y, z = np.moveaxis(directions, -1, 0)
     sine = np.hypot(x, y)
-    # Added zeros turn −0 into 0.
-    return np.degrees(np.arctan2(sine, z)), np.where(
-        sine < _LEAST_SINE, 0.0, np.degrees(np.arctan2(y + 0.0, x + 0.0)) + 0.0
-    )
+    theta = np.degrees(np.arctan2(sine, z))
+    # Adding 0 turns −0 into 0. Without this, the azimuth of a direction towards −x could be −180° instead of 180°.
+    phi = np.where(sine < _LEAST_SINE, 0.0, np.degrees(np.arctan2(y + 0.0, x + 0.0)) + 0.0)
+    # Rounding gives back 20° for `direction(20)`, so that tables can be searched for it.
+    return theta.round(_DECIMALS), phi.round(_DECIMALS)
 
 
 def signed_angles_deg(directions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return angles of unit vectors (..., 3) from the normal [degrees], negative towards −x, or −y where x is 0."""
+    """Return the angles of unit vectors (..., 3) from the normal [degrees].
+
+    An angle is negative if the x component is negative, or if x is 0 and the y component is negative.
+    """
     theta, _ = angles_deg(directions)
     x, y = directions[..., 0], directions[..., 1]
     is_negative = (x < -_LEAST_SINE) | ((np.abs(x) <= _LEAST_SINE) & (y < 0.0))

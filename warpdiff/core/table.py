@@ -20,17 +20,18 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-# Largest number of rows that `str` prints, half of them from the beginning and half from the end.
+# Maximum number of rows of a `Table` that ``str`` prints. Of a longer table, half of them are from the beginning and
+# half from the end.
 _MOST_PRINTED = 40
-# Number of significant digits that `str` prints.
+# Number of significant digits with which ``str`` prints the numbers of a `Table`.
 _DIGITS = 5
 
 
 class Table:
     """Rows of a result with named columns; ``print`` shows it, `save` writes a CSV file.
 
-    Names of columns end in their unit, as in ``wavelength_nm``; a name without a unit is a ratio or a number. A table
-    is a sequence of rows: ``table[0]`` is a row, and ``table["efficiency"]`` is a column.
+    Names of columns end in their unit, as in ``wavelength_nm``; a column without a unit holds ratios, counts or texts.
+    A table is a sequence of rows: ``table[0]`` is a row, and ``table["efficiency"]`` is a column.
 
     Args:
         columns: Columns by name, each of shape (n,).
@@ -60,7 +61,7 @@ class Table:
             try:
                 column = np.array(values)
             except (TypeError, ValueError):
-                # NumPy raises an error for rows of different lengths.
+                # NumPy raises these errors for nested lists of different lengths. The next check refuses such a column.
                 column = np.array(None)
             if column.dtype.kind not in "biufU":
                 raise ArgumentTypeError(f"{ref('columns')}: {name!r} must be numbers or texts, got {column.dtype}")
@@ -80,7 +81,7 @@ class Table:
 
     @property
     def rows(self) -> list[tuple[Any, ...]]:
-        """Rows as tuples of Python's numbers and texts."""
+        """Rows as tuples of Python numbers and texts."""
         return list(zip(*(column.tolist() for column in self._columns.values()), strict=True))
 
     @overload
@@ -90,7 +91,7 @@ class Table:
     def __getitem__(self, key: int) -> tuple[Any, ...]: ...
 
     def __getitem__(self, key: str | int) -> NDArray[Any] | tuple[Any, ...]:
-        """Return the column of a name, or the row of an index."""
+        """Return the column with a name, or the row with an index."""
         if isinstance(key, (int, np.integer)):
             return tuple(column[key].item() for column in self._columns.values())
         if key not in self._columns:
@@ -108,7 +109,7 @@ class Table:
         return f"Table({self._length} rows: {', '.join(self._columns)})"
 
     def __str__(self) -> str:
-        """Return the table as text, in aligned columns; long tables without the rows in the middle."""
+        """Return the table as text with aligned columns; the middle rows of a long table are omitted."""
         half = _MOST_PRINTED // 2
         shown = range(self._length)
         places = [*shown[:half], *shown[-half:]] if self._length > _MOST_PRINTED else [*shown]
@@ -158,7 +159,7 @@ class Table:
 
 
 def check_csv(path: str | os.PathLike[str]) -> Path:
-    """Return the path of a CSV file to write; raise an error if its name or its folder is not accepted."""
+    """Check the path of a CSV file to write, and return it: it must end in .csv, and its folder must exist."""
     target = validation.path(path, "path")
     if target.suffix.lower() != ".csv":
         raise ArgumentValueError(f"{ref('path')} must end in .csv, got {str(path)!r}")
@@ -167,7 +168,7 @@ def check_csv(path: str | os.PathLike[str]) -> Path:
 
 
 def _text(value: Any) -> str:
-    """Return an element of a column for print."""
+    """Return an element of a column as printed text, which is empty for NaN."""
     if isinstance(value, np.floating):
         return "" if np.isnan(value) else f"{value:.{_DIGITS}g}"
     return str(value)

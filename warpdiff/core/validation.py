@@ -171,7 +171,7 @@ def directions(value: object, name: str) -> tuple[NDArray[np.float64], bool]:
 
 
 def unit_directions(value: object, name: str) -> tuple[NDArray[np.float64], bool]:
-    """Return directions as unit vectors, and whether there was one; warn if they look like angles in degrees."""
+    """Return unit vectors, and whether the caller gave a single vector; warn if they look like angles in degrees."""
     result = directions(value, name)
     if _look_like_degrees(np.atleast_2d(np.asarray(value, dtype=np.float64))):
         first = ", ".join(f"{component:g}" for component in np.atleast_2d(np.asarray(value, dtype=np.float64))[0])

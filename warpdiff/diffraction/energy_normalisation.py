@@ -107,7 +107,7 @@ class Powers:
         ]
         sums = []
         for kappa in chebyshev.nodes(0.0, highest_kappa, count):
-            # The exponent of exp(2πiκh) is negative, because κ = w/λ is negative; `kappa` is its magnitude.
+            # κ = w/λ is negative and `kappa` is its magnitude, so exp(2πiκh) is computed as exp(−2πi · kappa · h).
             power = np.abs(np.fft.fftshift(np.fft.ifft2(np.exp(-2j * math.pi * kappa * heights)))) ** 2
             power = np.pad(power, [(0, k - n) for k, n in zip(counts, heightfield.shape, strict=True)], mode="wrap")
             sums.append(np.add.reduceat(np.add.reduceat(power, starts[0], axis=0), starts[1], axis=1).ravel())
@@ -288,8 +288,8 @@ def _grid() -> NDArray[np.float64]:
     """Return the directions of the grid nodes, shape (n, 3), which include the mirror direction of every node."""
     z = 1.0 - (1.0 - LOWEST) * (np.arange(_ELEVATIONS)[:, None] / (_ELEVATIONS - 1.0)) ** 2
     turn = 4.0 * np.arange(_AZIMUTHS) / _AZIMUTHS
-    # The coordinates x and y are those of a square, |x| + |y| = 1, at the positions of the columns. This inverts the
-    # formula in ``grid_weights``.
+    # For each column of the grid, x and y are a point on the square |x| + |y| = 1. This inverts the formula of
+    # ``grid_weights``, where the columns are equally spaced in y/(|x| + |y|).
     y = 1.0 - np.abs((turn + 1.0) % 4.0 - 2.0)
     x = 1.0 - np.abs((turn + 2.0) % 4.0 - 2.0)
     level = np.sqrt(1.0 - z**2) / np.hypot(x, y)

@@ -1,4 +1,4 @@
-"""Angles at which the orders of a period leave the surface, from the grating equation, with their standard errors."""
+"""Angles at which the orders of each period leave the surface, by the grating equation, with standard errors."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-# Memory per order and wavelength [bytes], as measured.
+# Measured memory of `order_angles` per order and wavelength [bytes].
 _BYTES_PER_ORDER = 150
-# Smallest sine of an angle from the normal that is used as a divisor; it prevents a division by zero.
+# Lower bound of the sine of an angle from the normal before a division by it; it prevents a division by zero.
 _LEAST_SINE = 1e-12
 
 
@@ -34,10 +34,10 @@ def order_angles(
     source: HeightField | Period | Sequence[Period], to_light: ArrayLike, wavelengths_nm: ArrayLike, *,
     most_order: Annotated[int, Ge(1)] = 3,
 ) -> Table:  # fmt: skip
-    """Return the angles at which the orders of periods leave the surface, with their standard errors.
+    """Return the angles at which the orders of each period leave the surface, with their standard errors.
 
-    The grating equation gives them: ωi + ωr has the component mλ/P along the wave vector of the period P. The standard
-    error of an angle follows from that of its period. The strength of an order is not considered; see
+    The angles follow from the grating equation: ωi + ωr has the component mλ/P along the wave vector of the period P.
+    The standard error of an angle follows from that of the period. The efficiency of an order is not considered; see
     :func:`warpdiff.order_efficiencies`.
 
     Args:
@@ -45,12 +45,12 @@ def order_angles(
             nothing repeats counts as one period of a grating, with the exact periods Lx and Ly.
         to_light: Direction to the light in the local frame, above the horizon, shape (3,).
         wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
-        most_order: Largest absolute value of the orders, at least 1, default 3.
+        most_order: Largest absolute value of the orders in the result, at least 1, default 3.
 
     Returns:
         A row per period, wavelength and order that propagates: ``period_um``, ``wavelength_nm``, ``order``, angles
-        ``view_theta_deg`` from the normal and ``view_phi_deg`` from the x axis, and ``standard_error_deg`` of the
-        former.
+        ``view_theta_deg`` from the normal and ``view_phi_deg`` from the x axis, and ``standard_error_deg``, the
+        standard error of ``view_theta_deg``.
 
     Raises:
         TypeError: ``source`` is no height field and no period.
@@ -69,7 +69,7 @@ def order_angles(
         raise ArgumentValueError(f"{ref('to_light')} must be above the horizon (z > 0), got {to_light!r}")
     wavelengths_um = 1e-3 * colorimetry.check_wavelengths(wavelengths_nm)
     waves = _waves(source)
-    # Both directions have components of at most 1 along the wave vector, so that |mλ/P| is at most 2.
+    # The components of ωi and ωr along the wave vector are at most 1 each. Their sum is mλ/P, so |mλ/P| is at most 2.
     highest = [min(most_order, math.floor(2.0 * period / wavelengths_um.min())) for _, period, _ in waves]
     memory.require_memory(
         _BYTES_PER_ORDER * len(wavelengths_um) * sum(2 * order + 1 for order in highest),
@@ -84,7 +84,7 @@ def order_angles(
     }  # fmt: skip
     for (frequency, period, error), most in zip(waves, highest, strict=True):
         orders = np.arange(-most, most + 1)
-        # Shape (wavelengths, orders, 2), in the order (x, y).
+        # The x and y components of ωi + ωr by the grating equation, [wavelengths, orders, 2].
         steps = wavelengths_um[:, None, None] * orders[:, None] * frequency[::-1]
         tangential = steps - light[:2]
         upward = 1.0 - np.sum(tangential**2, axis=-1)
@@ -92,7 +92,8 @@ def order_angles(
         rows, places = np.nonzero(lives)
         views = np.concatenate([tangential[lives], np.sqrt(upward[lives])[:, None]], axis=1)
         theta, phi = angles_deg(views)
-        # A longer period shifts the direction by −steps/P per µm. Along the normal the angle grows in any direction.
+        # An error of the period shifts the direction of an order. Only the component of the shift away from the normal
+        # changes the angle; for an order along the normal, every shift does.
         shift = steps[lives] * error / period
         sine = np.hypot(views[:, 0], views[:, 1])
         along = np.abs(np.sum(views[:, :2] * shift, axis=1)) / np.maximum(sine, _LEAST_SINE)
@@ -107,7 +108,7 @@ def order_angles(
 
 
 def _waves(source: object) -> list[tuple[NDArray[np.float64], float, float]]:
-    """Return wave vector (y, x) [1/µm], period [µm] and its standard error [µm] of each period of a source."""
+    """Return the wave vector (y, x) [1/µm], the period [µm] and its standard error [µm] of all given periods."""
     if isinstance(source, HeightField):
         if repeating := source.periods():
             return _waves(repeating)

@@ -1,8 +1,9 @@
 """Efficiencies of the diffraction orders of a periodic height field, relative to the incident power.
 
-A grating reflects the share η = R(θd) (1 + ωi·ωr)² |H|² / (cos θi cos θr w²) of the incident power into an order. The
-share is the absolute BRDF (Stam 1999) without a window, integrated over the order. Each order has its own w, and
-therefore requires H at its own κ = w/λ. FFTs are computed at a few κ only, and H is interpolated between them.
+A grating reflects the share η = R(θd) (1 + ωi·ωr)² |H|² / (cos θi cos θr w²) of the incident power into an order, where
+θd is half of the angle between ωi and ωr. This share is the absolute BRDF (Stam 1999) without a window, integrated over
+the order. Each order has its own w, and therefore requires its coefficient H at its own κ = w/λ. FFTs are computed at a
+few κ only, and H is interpolated between them.
 """
 
 from __future__ import annotations
@@ -41,30 +42,32 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
 
 
-# Relative deviation of the sum of all Stam efficiencies from the reflected power above which a call warns. Limit: nine
-# in ten of the gratings with a larger deviation have an order that is wrong by more than a tenth of the reflected
-# power.
+# A call warns if the sum of Stam's efficiencies deviates from the reflected power by more than this share of that
+# power. Limit: of the gratings with a larger deviation, nine in ten have an order that is wrong by more than a tenth of
+# the reflected power.
 _MOST_DEVIATION = 0.2
-# Smallest reflectance of a flat surface by which a sum over orders is divided. That of an antireflective film may be 0
-# up to rounding.
+# Lower bound of the reflectance of a flat surface, by which the sum of the efficiencies is divided. The reflectance of
+# an antireflective film may be 0 up to rounding.
 _LEAST_REFLECTANCE = 1e-12
-# Measured memory of a call [bytes]: per height sample; per order and wavelength; and per order and term of the
-# polynomials that interpolate over κ.
+# Measured memory of `order_efficiencies` [bytes]: per height sample; per order and wavelength; and per order and term
+# of the polynomials that interpolate coefficients over κ.
 _BYTES_A_SAMPLE, _BYTES_A_LINE, _BYTES_A_TERM = 100, 120, 16
-# Number of matrix elements above which no further light shares the transforms of the height field. Limit: memory.
+# Lights share the Fourier transforms of the height field until their matrices for the energy normalisation have more
+# elements than this. Limit: memory.
 _MOST_TOGETHER = 100_000
 
 
 @dataclass(frozen=True, eq=False)
 class OrderEfficiencies:
-    """Efficiencies of diffraction orders; indexing by ``[m_y, m_x]`` gives those of one order, shape (m,).
+    """Efficiencies of diffraction orders; indexing by ``[m_y, m_x]`` gives one order at all m wavelengths.
 
     Arrays of a call with k directions to the light have a leading axis of length k.
 
     Attributes:
         wavelengths_nm: Wavelengths [nm], shape (m,).
         to_light: Unit vector to the light, shape (3,), or unit vectors, shape (k, 3).
-        orders: Pairs (m_y, m_x) of all orders that propagate at one wavelength and light or more, shape (n, 2), sorted.
+        orders: Pairs (m_y, m_x) of all orders that propagate for at least one wavelength and light, sorted, shape
+            (n, 2).
         to_view: Unit vectors ωr of the reflected orders, shape (m, n, 3) or (k, m, n, 3); NaN where an order is
             evanescent.
         efficiencies: Reflected power of each order relative to the incident power, shape (m, n) or (k, m, n); 0 where
@@ -96,7 +99,10 @@ class OrderEfficiencies:
         return f"OrderEfficiencies({len(self.orders)} orders, {wavelengths}{lights})"
 
     def __getitem__(self, order: tuple[int, int]) -> NDArray[np.float64]:
-        """Return the efficiency of order (m_y, m_x), shape (m,) or (k, m); 0 for evanescent orders."""
+        """Return the efficiency of order (m_y, m_x) at m wavelengths, shape (m,), or also for k lights, shape (k, m).
+
+        It is 0 where the order is evanescent.
+        """
         pair = [validation.count(m, "order", least=-(2**31)) for m in order]
         return np.asarray(self.efficiencies[..., np.all(self.orders == pair, axis=1)].sum(axis=-1))
 
@@ -107,7 +113,7 @@ class OrderEfficiencies:
         the x axis (``phi``, −180 to 180) in degrees, the wavelength, the numbers of the order, and its efficiency.
 
         Args:
-            count: Number of orders of each light and wavelength, the strongest ones, at least 1; None is all.
+            count: Number of orders of each light and wavelength, at least 1; the strongest are selected. None is all.
 
         Raises:
             ValueError: ``count`` is less than 1.
@@ -124,7 +130,8 @@ class OrderEfficiencies:
         values = self.efficiencies.reshape(views.shape[:-1])
         lives = ~np.isnan(views[..., 0])
         if count is not None:
-            # The rank of an order is its place among those of its light and wavelength, by decreasing efficiency.
+            # `strongest` sorts the orders of each light and wavelength by decreasing efficiency. Sorting `strongest` in
+            # turn gives the rank of each order.
             strongest = np.argsort(np.where(lives, -values, np.inf), axis=-1, kind="stable")
             lives &= np.argsort(strongest, axis=-1) < validation.count(count, "count")
         light, wavelength, order = np.nonzero(lives)
@@ -183,12 +190,12 @@ def order_efficiencies(
             arrays of the result have a leading axis.
         wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
         ior: Index of refraction; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given.
-        material: Material of the surface instead of ``ior``.
+        material: Material of the surface; give it instead of ``ior``.
         energy: ``"stam"`` (Stam 1999) or ``"normalised"``. None normalises metals and perfect mirrors, which transmit
             no light, and uses Stam's efficiencies for other surfaces.
 
     Returns:
-        Orders, their directions and efficiencies, and the verdict on them.
+        Orders, their directions and efficiencies, and a verdict on the accuracy of scalar diffraction.
 
     Warns:
         WarpdiffWarning: Scalar diffraction is invalid for this call, or Stam's efficiencies sum to less than 0.8 or
@@ -224,7 +231,8 @@ def order_efficiencies(
     efficiencies = np.zeros(lives.shape)
     energy_sums = np.ones(lives.shape[:2])
     for column, wavelength in enumerate(wavelengths * 1e-3):
-        # Pairs of a light and an order that propagates. All lights share the transforms.
+        # Indices of the light and of the order, for each pair of a light and an order that propagates at this
+        # wavelength.
         which, order = np.nonzero(lives[:, column])
         entering, views = lights[which], to_view[which, column, order]
         kappas = -(entering[:, 2] + views[:, 2]) / wavelength
@@ -240,13 +248,15 @@ def order_efficiencies(
         else:
             cosines = np.append(np.linalg.norm(entering + views, axis=1) / 2.0, lights[:, 2])
             reflected = reflectance_factors.schlick(np.minimum(cosines, 1.0), normal)
-        # The last entries of `reflected` are the reflectances of a flat surface for the same lights.
+        # `reflected` has the reflectance for each pair of a light and an order, followed by the reflectance of a flat
+        # surface for each light.
         reflected, of_flat = np.split(reflected, [len(order)])
         efficiencies[which, column, order] = reflected * mirrors
         sums = np.bincount(which, reflected * stam, len(lights))
         energy_sums[:, column] = sums / np.maximum(of_flat, _LEAST_REFLECTANCE)
     is_opaque = normal == 1.0 if material is None else material.is_opaque
-    # The verdict considers the worst light of each wavelength.
+    # For each wavelength, the verdict uses the light for which the sum of the efficiencies deviates most from the
+    # reflected power.
     worst = np.argmax(np.abs(energy_sums - 1.0), axis=0)
     energy_sums = energy_sums[worst, np.arange(len(wavelengths))]
     verdict = _verdict(heightfield, wavelengths, energy_sums, conserves=energy == "normalised" and is_opaque)
@@ -259,7 +269,7 @@ def order_efficiencies(
 def _propagating(
     heightfield: HeightField, lights: NDArray[np.float64], wavelengths: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the orders that propagate for a light and wavelength or more, and their directions.
+    """Return the orders that propagate for at least one light and wavelength, and their directions.
 
     Args:
         heightfield: One period of the surface.
@@ -267,10 +277,11 @@ def _propagating(
         wavelengths: Wavelengths [nm], shape (m,).
 
     Returns:
-        Pairs (m_y, m_x), shape (n, 2), and unit vectors, shape (k, m, n, 3), NaN where an order is evanescent.
+        Pairs (m_y, m_x), shape (n, 2), and unit vectors of the orders, shape (k, m, n, 3), NaN where an order is
+        evanescent.
     """
-    # An order m propagates only if |mλ/L − c| < 1 along each axis, where c is the component of ωi along the axis. This
-    # limits the orders at the shortest wavelength. Pairs are in the order (y, x).
+    # An order m propagates only if |mλ/L − c| < 1 along each axis, where c is the component of ωi along the axis. Most
+    # orders propagate at the shortest wavelength, which therefore sets the ranges of m_y and m_x.
     ranges = []
     for length, n, components in zip(heightfield.size_um, heightfield.shape, lights[:, 1::-1].T, strict=True):
         most_orders = length / (np.min(wavelengths, initial=math.inf) * 1e-3) if n > 1 else 0.0
@@ -287,7 +298,7 @@ def _propagating(
     )
     orders = np.stack(np.meshgrid(*(np.arange(*bounds) for bounds in ranges), indexing="ij"), axis=-1).reshape(-1, 2)
     steps = orders[:, ::-1] * (wavelengths[:, None, None] * 1e-3 / heightfield.size_um[::-1])
-    # Shape (lights, wavelengths, orders, 2).
+    # The x and y components of ωr, [lights, wavelengths, orders, 2].
     tangential = steps - lights[:, None, None, :2]
     upward = 1.0 - np.sum(tangential**2, axis=-1)
     lives = upward > HORIZON**2
@@ -302,10 +313,10 @@ def _propagating(
 def _verdict(
     heightfield: HeightField, wavelengths_nm: NDArray[np.float64], energy_sums: NDArray[np.float64], *, conserves: bool
 ) -> TheoryVerdict:
-    """Return the verdict with the largest error at three wavelengths of a call.
+    """Return the verdict with the largest error among those at three wavelengths.
 
-    They are the shortest, the longest, and the one at which the sum over orders deviates most from the reflected
-    power.
+    The three are the shortest wavelength, the longest one, and the one at which the sum of the efficiencies deviates
+    most from the reflected power.
     """
     rows = {np.argmin(wavelengths_nm), np.argmax(wavelengths_nm), np.argmax(np.abs(energy_sums - 1.0))}
     verdicts = (
@@ -316,7 +327,7 @@ def _verdict(
 
 
 def _warn_of_theory(verdict: TheoryVerdict, energy_sums: NDArray[np.float64], *, energy: Energy) -> None:
-    """Warn if the verdict is invalid, or if Stam's efficiencies sum to much more or less than the reflected power."""
+    """Warn if scalar diffraction is invalid, or if the sum of Stam's efficiencies is wrong by more than 20 %."""
     worst = float(energy_sums[np.argmax(np.abs(energy_sums - 1.0))])
     if energy == "stam" and abs(worst - 1.0) > _MOST_DEVIATION:
         warn(f"scalar diffraction is {verdict} (the orders sum to {worst:.3g} times that power): {verdict.remedy}")
@@ -328,19 +339,19 @@ def _normalised(
     heightfield: HeightField, lights: NDArray[np.float64], which: NDArray[np.int64], orders: NDArray[np.int64],
     views: NDArray[np.float64], mirrors: NDArray[np.float64], wavelength_um: float,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return the normalised efficiencies of a mirror's propagating orders from those of Stam.
+    """Return normalised efficiencies of the orders of a perfect mirror, computed from Stam's efficiencies.
 
     Args:
         heightfield: One period of the surface.
         lights: Unit vectors to the lights, shape (k, 3).
-        which: Index of the light of each order, increasing, shape (n,).
+        which: Index of the light that causes each order, increasing, shape (n,).
         orders: Pairs (m_y, m_x), shape (n, 2).
         views: Unit vectors of the orders, shape (n, 3).
-        mirrors: Efficiencies of Stam, shape (n,).
+        mirrors: Stam's efficiencies of the orders, shape (n,).
         wavelength_um: Wavelength [µm].
 
     Returns:
-        Shape (n,).
+        Normalised efficiencies, shape (n,).
     """
     starts = np.searchsorted(which, np.arange(len(lights) + 1))
     parts = [slice(begin, end) for begin, end in itertools.pairwise(starts.tolist())]
@@ -354,7 +365,7 @@ def _normalised(
             result[part] = mirrors[part] * weights / (mirrors[part] @ weights)
         else:
             matrices.append(_OrderMatrix(heightfield, light, part, orders[part], views[part], wavelength_um))
-        # Matrices of many lights share the transforms of the height field.
+        # The matrices of many lights share one set of Fourier transforms of the height field, which saves time.
         if matrices and (part is parts[-1] or sum(matrix.size for matrix in matrices) > _MOST_TOGETHER):
             indices = np.concatenate([matrix.indices for matrix in matrices])
             w = np.concatenate([matrix.w.ravel() for matrix in matrices])
@@ -367,15 +378,15 @@ def _normalised(
 
 
 class _OrderMatrix:
-    """Matrix of efficiencies for one light, which the energy normalisation balances.
+    """Matrix of a perfect mirror's efficiencies for one light; the energy normalisation scales its rows and columns.
 
-    Its rows are all incident directions whose orders leave in the same directions as those of the light: they differ
-    from the light by whole orders. Its columns are these outgoing directions.
+    Its columns are the outgoing directions of the light's orders. Its rows are all incident directions whose orders
+    have the same outgoing directions; one of them is the light.
 
     Attributes:
-        part: Place of the orders among those of all lights.
-        indices: Pairs of the coefficient of each element, shape (rows · columns, 2).
-        w: Sum of both cosines of each element, shape (rows, columns).
+        part: Slice of the orders of this light in the list of the orders of all lights.
+        indices: Pair (s, r) of the Fourier coefficient of each element, shape (rows · columns, 2).
+        w: Sum of the cosines of the incident and the outgoing direction of each element, shape (rows, columns).
     """
 
     def __init__(
@@ -399,11 +410,14 @@ class _OrderMatrix:
 
     @property
     def size(self) -> int:
-        """Number of elements of the matrix."""
+        """Number of elements of the matrix, rows times columns."""
         return int(self.w.size)
 
     def efficiencies(self, powers: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the normalised efficiencies of a mirror, for the powers of all elements, shape (rows · columns,)."""
+        """Return the normalised efficiencies of the light's orders, for a perfect mirror.
+
+        ``powers`` are the squared magnitudes |H|² of the coefficients of all elements, shape (rows · columns,).
+        """
         cosines, views = self._cosines, self._views
         stam = energy_normalisation.stam(cosines[:, None], views[:, 2], self._entering @ views[:, :2].T)
         matrix = powers.reshape(self.w.shape) * stam
@@ -422,23 +436,28 @@ def _coefficients(
 ) -> NDArray[np.complex128]:
     """Return Fourier coefficients H_rs(κ), each at its own κ, with an error of about 1e-13, shape (n,).
 
-    A phase that all coefficients have in common is omitted. ``indices`` are the pairs (s, r), shape (n, 2), and
-    ``kappas`` is the κ of each pair [1/µm], shape (n,).
+    Heights are measured from the middle of their range. This changes the phase of the coefficients, but not their
+    power. ``indices`` are the pairs (s, r), shape (n, 2), and ``kappas`` is the κ of each pair [1/µm], shape (n,).
     """
     heights = heightfield.heights_um - (heightfield.heights_um.max() + heightfield.heights_um.min()) / 2.0
-    # The range of κ between which coefficients are interpolated. It is never empty, because the zeroth order always
-    # propagates. Its least width of 1e-9 avoids a division by zero for a single order.
+    # Centre and half of the width of the range of κ in which coefficients are interpolated. The width is at least 1e-9,
+    # because a single order has one κ, and a width of 0 would cause a division by zero.
     middle, half = (kappas.max() + kappas.min()) / 2.0, max(np.ptp(kappas), 1e-9) / 2.0
-    # Over this range of κ, exp(2πiκh) is a series of Chebyshev polynomials in κ, whose terms decrease fast beyond the
-    # index `argument`.
+    # In this range of κ, exp(2πiκh) is a series of Chebyshev polynomials in κ. Its terms decrease fast from the index
+    # `argument` on, which determines their number.
     argument = math.pi * half * heightfield.height_range_um
     count = _term_count(argument)
     low, high = middle - half, middle + half
     weights = chebyshev.cardinals(kappas, low, high, count)
     rows, columns = (indices % heightfield.shape).T
     result = np.zeros(len(kappas), dtype=np.complex128)
+    field = np.empty(heights.shape, dtype=np.complex128)
     for node, weight in zip(chebyshev.nodes(low, high, count), weights.T, strict=True):
-        spectra = np.fft.ifft2(np.exp(2j * math.pi * node * heights))
+        # Cosines and sines together take half of the time of a complex exponential.
+        phases = 2.0 * math.pi * node * heights
+        np.cos(phases, out=field.real)
+        np.sin(phases, out=field.imag)
+        spectra = np.fft.ifft2(field)
         result += weight * spectra[rows, columns]
     return result
 

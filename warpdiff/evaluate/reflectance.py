@@ -1,4 +1,4 @@
-"""The reflectance at arrays of directions: XYZ, spectra, the absolute BRDF, and maps over the hemisphere."""
+"""Reflectance for arrays of light and view directions: XYZ, spectra, the absolute BRDF and hemispherical maps."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ if TYPE_CHECKING:
     from warpdiff.request.keywords import BrdfKeywords, EvaluationKeywords, PlannedKeywords, SpectralKeywords
     from warpdiff.request.plan import Plan
 
-# Relative change of XYZ, as a share of the tolerance, at which the direct method has converged. It halves the step
-# between wavelengths until then.
+# The direct method halves the step between wavelengths until the relative change of XYZ is at most this share of the
+# tolerance.
 _DIRECT_SETTLED = 0.05
-# Maximum number of wavelengths of the direct method. The time is proportional to it: at the maximum, a direction
-# requires several seconds.
+# Maximum number of wavelengths of the direct method. Limit: computing time is proportional to it; one direction with
+# this number requires several seconds.
 _DIRECT_MOST_WAVELENGTHS = 20_000
-# Measured memory [bytes]: per direction of a call; in addition per direction and wavelength of a spectrum; and per
-# direction of a reflectance map.
+# Measured memory [bytes]: first, per direction of a call; second, additional memory of a spectrum per direction and
+# wavelength; third, per direction of a reflectance map.
 _BYTES_PER_DIRECTION, _BYTES_PER_VALUE, _BYTES_OF_MAP = 170, 16, 190
 _REMEDY = "take a larger tolerance, fewer directions at a time, or a smaller heightfield"
 
@@ -74,8 +74,8 @@ def spectral_reflectance(
             progress bar.
 
     Returns:
-        ρ, shape (n, m), or (m,) for single directions; float32, but float64 for ``"direct"``. ρ is 0 where a direction
-        is at or below the horizon.
+        ρ, shape (n, m), or (m,) for single directions; float32, but float64 for ``method="direct"``. ρ is 0 where a
+        direction is at or below the horizon.
 
     Examples:
         >>> import warpdiff as wd
@@ -103,12 +103,12 @@ def reflectance_spectra(
         to_light: Directions to the light in the local frame, shape (3,) or (n, 3), of any length.
         to_view: Directions to the viewer in the local frame, shape (3,) or (n, 3), of any length; a single direction
             broadcasts.
-        wavelengths_nm: Wavelengths [nm], 200 and more, shape (m,) or one number.
+        wavelengths_nm: Wavelengths [nm], at least 200, shape (m,) or one number.
         progress: Function that is called with the finished share, 0 to 1, by one thread at a time; True shows a
             progress bar.
 
     Returns:
-        Spectra; :func:`warpdiff.plot.spectra` draws them.
+        Reflectance spectra; :func:`warpdiff.plot.spectra` draws them.
 
     Raises:
         ValueError: An argument is out of its range.
@@ -132,6 +132,8 @@ def reflectance(
 ) -> NDArray[Any]:  # fmt: skip
     """Return the colour of the reflectance, ∫ ρ S x̄ȳz̄ dλ / ∫ S ȳ dλ over 380 to 780 nm (Single 2014, eq. 3.20).
 
+    S is the spectrum of the illuminant, and x̄, ȳ and z̄ are the CIE colour matching functions.
+
     Args:
         heightfield: Height field.
         to_light: Directions to the light in the local frame, shape (3,) or (n, 3), of any length.
@@ -142,8 +144,8 @@ def reflectance(
             progress bar.
 
     Returns:
-        CIE XYZ, shape (n, 3), or (3,) for single directions; float32, but float64 for ``"direct"``. A flat mirror at
-        normal incidence has the colour of the illuminant, Y = 1.
+        CIE XYZ, shape (n, 3), or (3,) for single directions; float32, but float64 for ``method="direct"``. A flat
+        mirror at normal incidence has the colour of the illuminant, Y = 1.
 
     Examples:
         >>> import warpdiff as wd
@@ -243,10 +245,10 @@ def brdf(
 ) -> NDArray[Any]:  # fmt: skip
     """Return the absolute BRDF [1/sr] (Stam 1999), without masking and shadowing.
 
-    The BRDF is R(θd) · (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩ times a factor of the coherence. The factor is
-    4πσ²/λ² for a window, 1/(2π √det Σs) for a source with the covariance Σs, and A N1 N2/λ² for N1 × N2 periods of a
-    patch with the area A. For a window g, ⟨|P|²⟩ times its factor is the mean of |∫ g e^{ik(wh + ux + vy)}|² / (λ² ∫
-    g²).
+    The BRDF is R(θd) · (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩ times a factor of the coherence, where θd is half of
+    the angle between ωi and ωr. The factor is 4πσ²/λ² for a window, 1/(2π √det Σs) for a source with the covariance Σs,
+    and A N1 N2/λ² for N1 × N2 periods of a patch with the area A. For a window g, ⟨|P|²⟩ times its factor is the mean
+    of |∫ g e^{ik(wh + ux + vy)}|² / (λ² ∫ g²).
 
     The BRDF is reciprocal, except for a source. Scalar diffraction does not conserve energy exactly: the sum over the
     orders exceeds R slightly for shallow profiles, and greatly for short periods at grazing angles.
@@ -259,7 +261,7 @@ def brdf(
         progress: Function that is called with the finished share, 0 to 1; True shows a progress bar.
 
     Returns:
-        BRDF, shape (n, m), or (m,) for single directions; float32, but float64 for ``"direct"``.
+        BRDF, shape (n, m), or (m,) for single directions; float32, but float64 for ``method="direct"``.
 
     Examples:
         >>> import warpdiff as wd
@@ -288,7 +290,7 @@ def brdf(
 
 
 class _Call:
-    """Light and view directions of one call in pairs, with their geometry factors and the plan that evaluates them."""
+    """Pairs of a light and a view direction of one call, with their gains and the plan that evaluates them."""
 
     def __init__(self, request: Evaluation, to_light: ArrayLike, to_view: ArrayLike) -> None:
         self._lights, self._views, self._is_single = validation.light_and_view(to_light, to_view)
@@ -325,11 +327,11 @@ class _Call:
         self.plan = request.with_energy(self.plan)
 
     def single(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return an array of shape (n, …) unchanged, or its only row if the caller gave single directions."""
+        """Return an array with one row per pair unchanged, or its only row if the caller gave single directions."""
         return np.asarray(values[0]) if self._is_single else values
 
     def spectra(self, *, progress: Callable[[float], None] | None) -> NDArray[Any]:
-        """Return the relative reflectance ρ of all directions of the call, shape (n, m)."""
+        """Return the relative reflectance ρ of n pairs of directions at m wavelengths, shape (n, m)."""
         heightfield, wavelengths_nm = self._request.heightfield, np.asarray(self._request.wavelengths_nm)
         if self.plan.method == "direct":
             result: NDArray[Any] = np.zeros((len(self._lights), len(wavelengths_nm)))
@@ -356,7 +358,7 @@ class _Call:
         return reflectances(self._request.illuminated[0].material, self._scattering_vectors[some], wavelengths_nm)
 
     def colours(self, *, progress: Callable[[float], None] | None) -> NDArray[Any]:
-        """Return the XYZ of all directions of the call, shape (n, 3)."""
+        """Return the XYZ of n pairs of directions, shape (n, 3)."""
         heightfield, (illuminated,) = self._request.heightfield, self._request.illuminated
         if self.plan.method == "direct":
             return direct_colour(
@@ -369,7 +371,7 @@ class _Call:
         return np.asarray(xyz.numpy())
 
     def _on_device(self) -> tuple[wp.array, wp.array, wp.array]:
-        """Return scattering vectors, directions to the light and gains of the directions as arrays on the device."""
+        """Return scattering vectors, directions to the light and gains of all pairs as arrays on the device."""
         device = self._request.device
         return (
             wp.array(self._scattering_vectors, dtype=wp.vec3d, device=device),
@@ -383,10 +385,10 @@ def direct_colour(
     gains: NDArray[np.float64], plan: Plan, lit_material: IlluminatedMaterial, *,
     progress: Callable[[float], None] | None = None,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return XYZ by the direct sum over height samples, with more and more wavelengths until XYZ converges.
+    """Return XYZ by the direct sum over height samples; the number of wavelengths increases until XYZ converges.
 
     The first number of wavelengths is that of the upper-bound plan. It is large enough that no order falls between two
-    wavelengths. The step in 1/λ is then halved repeatedly.
+    wavelengths. Then the step in 1/λ is halved repeatedly.
     """
     result = np.zeros((len(gains), 3))
     illuminated = np.flatnonzero(gains > 0.0)

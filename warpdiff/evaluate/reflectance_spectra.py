@@ -48,17 +48,17 @@ class ReflectanceSpectra:
         return f"ReflectanceSpectra({spectra}, {len(self.wavelengths_nm)} wavelengths, {low:g} to {high:g} nm)"
 
     def table(self) -> Table:
-        """Return a table with a row per direction and wavelength.
+        """Return a table with a row per pair of directions and wavelength.
 
         Its columns are the angles of light and view from the normal (``theta``, 0 to 90) and around it from the x axis
-        (``phi``, −180 to 180) in degrees, the wavelength and the reflectance.
+        (``phi``, −180 to 180) in degrees, the wavelength, and the reflectance relative to a flat surface.
 
         Examples:
             >>> grating = wd.gratings.sinusoidal(2.0, 0.1)
             >>> print(wd.reflectance_spectra(grating, (0, 0, 1), (0, 0, 1), [450.0, 650.0]).table())
-            light_theta_deg  light_phi_deg  view_theta_deg  view_phi_deg  wavelength_nm  reflectance
-                          0              0               0             0            450      0.32...
-                          0              0               0             0            650      0.6...
+            light_theta_deg  light_phi_deg  view_theta_deg  view_phi_deg  wavelength_nm  relative_reflectance
+                          0              0               0             0            450      ...     0.32...
+                          0              0               0             0            650      ...      0.6...
         """
         count = len(self.wavelengths_nm)
         angles = {
@@ -68,7 +68,10 @@ class ReflectanceSpectra:
         }
         return Table(
             angles
-            | {"wavelength_nm": np.tile(self.wavelengths_nm, len(self.values)), "reflectance": self.values.ravel()}
+            | {
+                "wavelength_nm": np.tile(self.wavelengths_nm, len(self.values)),
+                "relative_reflectance": self.values.ravel(),
+            }
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:

@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
 # Largest memory that methods of `HeightField` require [bytes per sample], as measured, without the field itself. If
 # doubled, fields are refused that would fit.
-_BYTES_PER_SAMPLE = {"levelled": 34.0, "despiked": 88.0, "periodic": 62.0, "periods": 107.0, "whole_periods": 107.0}
+_BYTES_PER_SAMPLE = {
+    "levelled": 34.0, "despiked": 88.0, "periodic": 62.0, "periods": 107.0, "whole_periods": 107.0, "roughness": 115.0,
+}  # fmt: skip
 
 
 def require_memory(method: str, shape: tuple[int, int]) -> None:

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 # Ratio of the standard deviation of a fitted plane to that of the remaining roughness, above which a field counts as
 # tilted. Measured on a patch of 18 µm: at a ratio of 0.3 colours do not change, at 1 the scattered power falls by 29 %.
 _MOST_TILT = 1.0
-# Ratio of the standard deviation of a fitted plane to that of the remaining roughness, from which the heights are an
-# exact plane, as in one period of a blazed grating. Such a plane is no tilt of the sample.
+# Ratio of the standard deviation of a fitted plane to that of the remaining roughness, above which a field counts as an
+# exact plane. An exact plane is no tilt of the sample, but a surface such as one period of a blazed grating.
 _EXACT = 1e6
 # Ratio of the standard deviation of the smooth part of Moisan's decomposition to that of the heights, above which
 # opposite edges count as unequal. `HeightField.periodic` warns from the same ratio. Patches with many features are

@@ -13,7 +13,7 @@ import numpy as np
 from warpdiff.core import files, forks, memory, validation
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
-from warpdiff.heightfield import cleaning, diagnostics, inpainting, periods, scale_checks
+from warpdiff.heightfield import cleaning, diagnostics, inpainting, periods, roughness, scale_checks
 from warpdiff.heightfield.readers import reader_registry, topography_reader
 
 if TYPE_CHECKING:
@@ -616,6 +616,40 @@ class HeightField:
         count = validation.count(count, "count")
         cleaning.require_memory("periods", self.shape)
         return periods.Periods(periods.fit(self, count))
+
+    def roughness(self, order: int = 1) -> roughness.Roughness:
+        """Measure areal surface texture parameters of ISO 25178-2 with standard errors: Sa, Sq, Sdq, Sdr, Sal and Str.
+
+        Heights are relative to a least-squares polynomial, which is subtracted first. No further filter is applied: the
+        scales are limited by the pitch and by the size of the field. Only measured samples count.
+
+        - Sa and Sq are the mean magnitude and the root mean square of the heights.
+        - Sdq is the root mean square gradient, from differences of neighbouring samples.
+        - Sdr is the area of the surface beyond its projection, relative to it, as the mean of both triangulations.
+        - Sal is the shortest lag at which the autocorrelation is 0.2 of its value at lag 0.
+        - Str is Sal divided by the longest such lag, over all directions.
+
+        Standard errors are from a jackknife over parts of the field (blocks). They say how far another field of the
+        same surface would differ; calibration and noise of the instrument are not included.
+
+        Args:
+            order: Degree of the polynomial, at least 0, default 1, a plane; 0 subtracts the mean only.
+
+        Returns:
+            The parameters; each has an error, or the reason why it has none.
+
+        Raises:
+            ValueError: ``order`` is negative.
+
+        Examples:
+            >>> x = np.arange(500) * 0.02
+            >>> wave = wd.HeightField(np.tile(0.1 * np.cos(2 * np.pi * x), (40, 1)), pitch_um=0.02)
+            >>> wave.roughness()["Sq"]
+            RoughnessParameter(Sq 0.0707... ± 0.0... µm)
+        """
+        order = validation.count(order, "order", least=0)
+        cleaning.require_memory("roughness", self.shape)
+        return roughness.measure(self, order)
 
     def summary(self) -> diagnostics.HeightFieldSummary:
         """Describe the field: size, pitch, range, roughness, slope, periods, and validity of scalar diffraction.

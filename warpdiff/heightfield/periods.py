@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -69,6 +70,9 @@ _COHERENT_AT, _WAVERING_AT = (0.43, 0.32), (0.4, 0.7)
 # Ratios of the power of a random walk to that of white noise, at one cycle over the field, that are tried as the
 # spectrum of the phase error.
 _WALKS = (0.0, *(10.0 ** np.arange(-0.5, 5.1, 0.5)).tolist())
+
+# Periods of a field by their largest number.
+_found: weakref.WeakKeyDictionary[HeightField, dict[int, tuple[Period, ...]]] = weakref.WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
@@ -179,7 +183,15 @@ class Periods(tuple[Period, ...]):
 
 
 def fit(heightfield: HeightField, count: int) -> tuple[Period, ...]:
-    """Find the strongest periods, see `HeightField.periods`."""
+    """Find the strongest periods, see `HeightField.periods`; the results of a field are cached."""
+    cached = _found.setdefault(heightfield, {})
+    if count not in cached:
+        cached[count] = _fit(heightfield, count)
+    return cached[count]
+
+
+def _fit(heightfield: HeightField, count: int) -> tuple[Period, ...]:
+    """Find the strongest periods of a field."""
     field = heightfield.levelled(1)
     known = ~field.missing
     deviation = field.rms_um

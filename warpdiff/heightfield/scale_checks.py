@@ -224,7 +224,7 @@ class _Scale:
 
     @staticmethod
     def _changes() -> Iterator[tuple[str, str]]:
-        """Yield all pairs of a unit of heights and a unit of pitch, except µm for both."""
+        """Yield all pairs of a unit of the heights and a unit of the pitch, of which at least one is not µm."""
         for heights in ("", *_UNITS):
             for pitch in ("", *_UNITS):
                 if heights or pitch:

@@ -199,8 +199,9 @@ class WindowedSpectrum:
         )
         result = np.maximum(result, by_sector[sector, ring])
         for axis in (0, 1):
-            for offset in (-1, 0, 1):
-                line = (slice(None),) * axis + (self.centre[axis] + offset,)
+            # An axis of two samples has no frequency above zero.
+            for place in range(self.centre[axis] - 1, min(self.centre[axis] + 2, self.power.shape[axis])):
+                line = (slice(None),) * axis + (place,)
                 along = _ring_background(self.power[line], ring[line], count, reach=_RINGS)
                 result[line] = np.maximum(result[line], along[ring[line]])
         return np.asarray(np.maximum(result, 1e-300))
@@ -217,8 +218,8 @@ class WindowedSpectrum:
                 return None
             white = ndimage.uniform_filter(white, sides, mode="wrap")
         allowed = allowed & (np.hypot(*self._cycles) >= max(FEWEST_PERIODS - 0.5, width if width > 1 else 0.0))
-        # The Hann window correlates neighbouring coefficients, so that a box has fewer independent powers than
-        # coefficients.
+        # The Hann window correlates neighbouring coefficients. A box of the spectrum therefore has fewer independent
+        # powers than coefficients.
         independent = math.prod(max(side / 1.5, 1.0) for side in sides)
         tried = max(np.count_nonzero(allowed) / independent, 1.0)
         level = _FALSE_ALARM / tried

@@ -115,7 +115,7 @@ class TheoryVerdict:
 
     @property
     def grade(self) -> Grade:
-        """Grade: use colours and numbers (reliable), only positions of colours (qualitative), or nothing (invalid)."""
+        """Grade of accuracy: reliable; qualitative, if only the positions of colours are reliable; or invalid."""
         return "invalid" if self.error >= INVALID else "reliable" if self.error < QUALITATIVE else "qualitative"
 
     @property
@@ -126,12 +126,17 @@ class TheoryVerdict:
         energy = "energy='normalised' for mirrors and metals, or " if self.reason == "energy" else ""
         return f"use positions of colours, not their brightness; or use {energy}a rigorous solver"
 
+    @property
+    def explanation(self) -> str:
+        """The reason in words, as a clause."""
+        return _REASONS[self.reason]
+
     def __str__(self) -> str:
         percent = float(f"{100.0 * min(self.error, 1.0):.2g}")
         text = (
             f"{self.grade} at {self.wavelength_nm:.4g} nm: orders may be wrong by {percent:g} % of the reflected power"
         )
-        return text if self.grade == "reliable" else f"{text}, because {_REASONS[self.reason]}"
+        return text if self.grade == "reliable" else f"{text}, because {self.explanation}"
 
 
 # Texts for the reasons in printed verdicts.

@@ -34,7 +34,7 @@ CONFIGURATION = "ocio://cg-config-v4.0.0_aces-v2.0_ocio-v2.5"
 SCENE = "CIE XYZ-D65 - Scene-referred"
 # Mean luminance to which automatic exposure scales the illuminated pixels, by display transform; 1 is the white of the
 # display. The value for ACES is larger, because ACES displays middle tones 0.8 stops darker and can display values
-# above 1. Limit: chosen by eye; twice the value makes pictures a stop brighter.
+# above 1. Choice: by eye; twice the value makes pictures a stop brighter.
 MEAN_SHOWN: dict[Display, float] = {"aces": 0.7, "colorimetric": 0.5, "clip": 0.5}
 # Fraction of the illuminated pixels that automatic exposure excludes; they are the brightest ones. Limit: mirror
 # reflections of a light may be a thousand times as bright as diffraction orders.
@@ -49,7 +49,8 @@ _XYZ_TO_P3 = np.array([
     [11844 / 330415, -50337 / 660830, 316169 / 330415],
 ])  # fmt: skip
 _P3_TO_XYZ = np.linalg.inv(_XYZ_TO_P3)
-# Matrices of OKLab. The first converts XYZ to cone responses; the second converts their cube roots to L, a and b.
+# Matrices of OKLab. The first converts XYZ to cone responses. The second converts the cube roots of the cone responses
+# to L, a and b.
 _XYZ_TO_CONES = np.array([
     [0.8189330101, 0.3618667424, -0.1288597137],
     [0.0329845436, 0.9293118715, 0.0361456387],
@@ -61,31 +62,33 @@ _ROOTS_TO_LAB = np.array([
     [0.0259040371, 0.7827717662, -0.8086757660],
 ])  # fmt: skip
 _CONES_TO_XYZ, _LAB_TO_ROOTS = np.linalg.inv(_XYZ_TO_CONES), np.linalg.inv(_ROOTS_TO_LAB)
-# Colour matrices by their names in the shaders of web pages. A matrix is multiplied by a colour as a column vector.
+# Colour matrices, by the names that they have in the shaders of web pages. A matrix multiplies a colour as a column
+# vector.
 MATRICES = {
     "xyzToP3": _XYZ_TO_P3, "xyzToCones": _XYZ_TO_CONES, "conesToXyz": _CONES_TO_XYZ, "rootsToLab": _ROOTS_TO_LAB,
     "labToRoots": _LAB_TO_ROOTS,
 }  # fmt: skip
 
-# Range of the chroma compression. Chromas are relative to the largest chroma of the same hue in Display P3. Chromas up
-# to the first number are unchanged, and the second number is compressed to 1. Derived: monochromatic light has at most
-# 3.96, at 495 nm.
+# Range of the chroma compression. Chromas are relative to the largest chroma of the same hue in Display P3. Chromas
+# below the first number are unchanged; those between both numbers are compressed so that the second number becomes 1.
+# Derived: the chroma of monochromatic light is at most 3.96, at 495 nm.
 UNCHANGED, COMPRESSED = 0.8, 4.0
-# Number of hues in the table of the largest chroma, one per 0.25°. Limit: the table is interpolated linearly.
+# Number of hues for which the largest chroma in Display P3 is tabulated, one per 0.25°. Limit: the chroma is
+# interpolated linearly between hues.
 _HUES = 1440
 # Largest linear RGB component that is passed to ACES. Limit: such a component is displayed as white already, and much
 # larger ones overflow.
 WHITE = 1024.0
-# First number: nodes of the ACES table along each axis. Limit: 33 nodes give 0.6 ΔE2000 at the 99th percentile; twice
-# as many require 8 times the memory. Second number: linear RGB component up to which the nodes are nearly evenly
-# spaced; above it, neighbouring nodes have nearly equal ratios.
+# First number: grid points along each axis of the table of ACES colours. Limit: 33 points give an interpolation error
+# of 0.6 ΔE2000 at the 99th percentile; twice as many require 8 times the memory. Second number: linear RGB component up
+# to which the grid points are nearly evenly spaced; above it, neighbouring grid points have nearly equal ratios.
 _NODES, TOE = 33, 0.01
 # Number of bisections that find the largest chroma in a gamut. Limit: 2^-20 of the range is smaller than a step of a
 # 16-bit file.
 _BISECTIONS = 20
 # Number of colours in a slice that one thread transforms. Limit: with larger slices, small pictures use fewer threads.
 _TOGETHER = 8192
-# Smallest value of a divisor that may be zero; it prevents a division by zero.
+# Lower bound of a divisor; it prevents a division by zero.
 _LEAST = 1e-30
 
 
@@ -118,10 +121,14 @@ GAMUTS: dict[GamutName, Gamut] = {
 
 
 def auto_exposure(luminances: ArrayLike, display: Display) -> float:
-    """Return the factor that maps the mean of luminances to `MEAN_SHOWN`, without the brightest 0.01 %; 1 for black."""
+    """Return the exposure factor that scales the mean luminance, without the brightest 0.01 %, to `MEAN_SHOWN`.
+
+    If all luminances are 0, the factor is 1.
+    """
     luminance = np.sort(np.asarray(luminances, dtype=np.float64).ravel())
     most = luminance[: len(luminance) - math.ceil(_TOO_BRIGHT * len(luminance))]
-    # With very few luminances, excluding the brightest would exclude all. In that case the mean includes all of them.
+    # With very few luminances, the brightest 0.01 % rounds up to all of them. In that case the mean includes all
+    # luminances.
     mean = float(np.mean(most if most.size else luminance)) if luminance.size else 0.0
     return MEAN_SHOWN[display] / mean if mean > 0.0 else 1.0
 
@@ -167,7 +174,8 @@ def to_srgb(
     return encode(factor * 2.0**stops * colours, display, "srgb")
 
 
-# Linear algebra is restricted to one thread here: more threads do not make products with 3 × 3 matrices faster.
+# The linear algebra library is restricted to one thread here: more threads do not make products with 3 × 3 matrices
+# faster.
 @single_threaded_blas()
 def encode(xyz: ArrayLike, display: Display, gamut: GamutName, *, exact: bool = True) -> NDArray[np.float64]:
     """Transform colours to display RGB from 0 to 1, with the transfer function of sRGB.
@@ -176,7 +184,7 @@ def encode(xyz: ArrayLike, display: Display, gamut: GamutName, *, exact: bool = 
         xyz: Linear CIE XYZ after exposure, shape (..., 3).
         display: Display transform, one of ``DISPLAYS``.
         gamut: Gamut of the display, one of ``GAMUTS``.
-        exact: Whether ACES is computed for each colour; otherwise it is interpolated in a table.
+        exact: Whether ACES is computed for each colour. Otherwise its result is interpolated in a table.
 
     Returns:
         R, G and B, shape (..., 3).
@@ -267,7 +275,7 @@ def compress_chroma(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @functools.cache
 def most_chroma() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return hues [rad], and the largest ratio of chroma to lightness in Display P3 for each hue, at any brightness."""
+    """Return hues [rad] and, for each hue, the largest ratio of chroma to lightness of any colour in Display P3."""
     hues = np.linspace(-np.pi, np.pi, _HUES + 1)
     towards = np.stack([np.zeros_like(hues), np.cos(hues), np.sin(hues)], axis=1)
 
@@ -292,8 +300,8 @@ def _reduce_chroma(xyz: NDArray[np.float64], to_rgb: NDArray[np.float64]) -> NDA
     roots_to_rgb = (to_rgb @ _CONES_TO_XYZ).T
 
     def with_chroma(share: NDArray[np.float64]) -> NDArray[np.float64]:
-        # A grey of lightness L has three cone responses whose cube roots all equal L. Chroma is added as a multiple of
-        # ``slopes``, the change of these roots per unit of chroma.
+        # The cube roots of the three cone responses of a grey all equal its lightness L. Chroma is added as a multiple
+        # of ``slopes``, the change of these roots per unit of chroma.
         roots = grey + share[:, None] * slopes
         return np.asarray((roots * roots * roots) @ roots_to_rgb)
 
@@ -336,8 +344,8 @@ def aces_table(gamut: GamutName) -> NDArray[np.float32]:
 def _interpolate(xyz: NDArray[np.float64], gamut: GamutName) -> NDArray[np.float64]:
     """Return the ACES display RGB of chroma-compressed XYZ (n, 3), interpolated in tetrahedra of the table.
 
-    Of each grid cell, four corners are used: those on the path from its first to its last corner that follows the axes
-    in the order of decreasing fractional coordinates.
+    A colour is interpolated between four corners of its grid cell. They lie on a path along the edges from the first to
+    the last corner, which follows the axes in the order of the decreasing fractional coordinates of the colour.
     """
     light = np.clip(xyz @ _XYZ_TO_P3.T, 0.0, WHITE)
     places = np.log1p(light / TOE) / np.log1p(WHITE / TOE) * (_NODES - 1)

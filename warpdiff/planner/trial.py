@@ -160,9 +160,9 @@ class Trial:
 
     @property
     def bright(self) -> tuple[float, float]:
-        """Number of validation directions that are brighter than the highest floor, and than the lowest floor.
+        """Numbers of bright validation directions: with the highest luminance floor, and with the lowest one.
 
-        Both are infinite if the validation set has all directions of the call.
+        Both numbers are infinite if the validation set has all directions of the call.
         """
         if len(self.validation_set) == len(self._candidates):
             return math.inf, math.inf

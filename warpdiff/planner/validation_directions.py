@@ -163,9 +163,8 @@ def _order_light(
     # of a direction from the order. Replicas have no window, and get an arbitrary falloff of 1 µm².
     falloff_um2 = 1.0
     if plan.coherence.kind != "replicas":
-        # For a centred window, the falloff of amplitudes is used. With that of powers, which is twice as large,
-        # directions in the minima between orders would not be edge cases, although tables have their largest errors
-        # there.
+        # For a centred window, the falloff of an order's amplitude is used, not that of its power, which is twice as
+        # large. Directions in the minima between orders are then edge cases; tables have their largest errors there.
         falloff_um2 = coefficient_table.falloff_um2(plan.coherence, 0.5)
     strength = np.log(np.maximum(powers, TINY)) - falloff_um2 * away
     return np.asarray(strength + np.log(np.maximum(sample.gains, TINY))[:, None])

@@ -1,8 +1,8 @@
-"""Plots of height fields and results with matplotlib, public as ``wd.plot`` (extra ``plot``).
+"""Plots of height fields and results with matplotlib, public as ``wd.plot``; requires ``pip install 'warpdiff[plot]'``.
 
-In: height fields, order efficiencies, spectra, pictures and plans. Each function accepts ``ax=``, matplotlib axes that
-it draws into; the default is a new figure.
-Out: the axes. ``ax.figure.savefig("plot.png")`` writes a file.
+The functions plot height fields, order efficiencies, spectra, pictures and plans. Each function accepts ``ax=``, the
+matplotlib axes to draw into; by default it makes a new figure. It returns the axes, and
+``axes.figure.savefig("plot.png")`` writes the figure to a file.
 
 matplotlib is imported when the first plot is drawn.
 

@@ -1,4 +1,4 @@
-"""Common parts of all plots: new axes, colours, units of lengths, scale bars and colour bars."""
+"""Elements that all plots share: new axes, colours of lines, units of heights, scale bars and colour bars."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ from warpdiff.core.wording import ArgumentTypeError, ref
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Colours of lines by Okabe and Ito (2008), which colour-blind readers distinguish, without their yellow, which is too
-# pale on white.
+# Colours of lines: the palette of Okabe and Ito (2008), which colour-blind readers can distinguish. Its yellow is
+# omitted, because it is too pale on white.
 LINE_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
-# Second mark of lines, for prints without colours and after all colours are used.
+# Line styles of matplotlib. When all colours of lines are used, the colours repeat with the next style.
 LINE_STYLES = ("-", "--", ":", "-.")
-# Colour of grid lines, and of samples without a value.
+# Light grey of grid lines and backgrounds, and the colour of missing samples in height maps.
 FAINT, MISSING = "0.85", "white"
-# Largest length of a scale bar, as a share of the width of the plot. Limit: it is a mark, not an axis.
+# Maximum length of a scale bar, as a share of the width of the map. Limit: a longer bar hides more of the map.
 _LONGEST_BAR = 0.25
 # Length of the longer side of a map in a new figure [inches].
 _MAP_INCHES = 4.3
-# Mantissas of the lengths of scale bars.
+# Lengths of scale bars are one of these numbers times a power of ten.
 _ROUND_LENGTHS = (1.0, 2.0, 5.0)
-# Height range [µm] from which heights are shown in µm, and nanometres per micrometre.
+# First number: height range [µm] at and above which heights are shown in µm instead of nm. Second number: nanometres
+# per micrometre.
 _LEAST_MICROMETRES, _NM_PER_UM = 1.0, 1e3
 
 
@@ -44,7 +45,7 @@ def axes_for(ax: Axes | None, *, width: float, height: float) -> Axes:
     except ImportError as error:
         raise ImportError(f"plots require matplotlib ({error}): pip install 'warpdiff[plot]'") from error
     if ax is None:
-        # pyplot shows the figure in notebooks, and chooses a backend without windows where there is no display.
+        # The figure is made by pyplot, which shows it in notebooks and also works on computers without a display.
         import matplotlib.pyplot as plt
 
         ax = plt.subplots(figsize=(width, height), dpi=120, layout="constrained")[1]
@@ -56,7 +57,7 @@ def axes_for(ax: Axes | None, *, width: float, height: float) -> Axes:
 
 
 def line_style(index: int) -> dict[str, Any]:
-    """Return matplotlib's keywords for the colour and the style of a line, by its index."""
+    """Return matplotlib's keyword arguments for the colour and the style of line number ``index``, from 0."""
     count = len(LINE_COLOURS)
     return {
         "color": LINE_COLOURS[index % count], "linestyle": LINE_STYLES[(index // count) % len(LINE_STYLES)],
@@ -64,25 +65,25 @@ def line_style(index: int) -> dict[str, Any]:
 
 
 def length_unit(range_um: float) -> tuple[str, float]:
-    """Return the unit in which a range of heights is shown, and its number per micrometre."""
+    """Return the unit of a height axis, ``"µm"`` or ``"nm"``, and the factor that converts µm to this unit."""
     return ("µm", 1.0) if range_um >= _LEAST_MICROMETRES else ("nm", _NM_PER_UM)
 
 
 def round_length(most: float) -> float:
-    """Return the largest length 1, 2 or 5 × 10ⁿ that is at most ``most``, which is positive."""
+    """Return the largest number that is 1, 2 or 5 times a power of ten and at most ``most``, a positive number."""
     power = 10.0 ** math.floor(math.log10(most))
     return max(mantissa * power for mantissa in _ROUND_LENGTHS if mantissa * power <= most * (1.0 + 1e-9))
 
 
 def clean_grid(ax: Axes) -> None:
-    """Show faint grid lines behind the data, and no frame at the top and on the right."""
+    """Draw faint grid lines behind the data, and hide the frame at the top and on the right."""
     ax.grid(color=FAINT, linewidth=0.6)
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)
 
 
 def start_at_zero(ax: Axes) -> None:
-    """Let the y axis of quantities that are not negative begin at 0."""
+    """Let the y axis begin at 0, for quantities that cannot be negative."""
     _, top = ax.get_ylim()
     if top > 0.0 and ax.get_yscale() == "linear":
         ax.set_ylim(0.0, top)
@@ -112,9 +113,9 @@ def add_colour_bar(ax: Axes, picture: Any, label: str, *, extend: str = "neither
 
     Args:
         ax: Axes of the map.
-        picture: Picture of ``ax.imshow``.
-        label: Quantity with its unit.
-        extend: Ends of the bar beyond which values exist, as matplotlib names them.
+        picture: Picture that ``ax.imshow`` returned.
+        label: Text at the bar: a quantity with its unit.
+        extend: Ends of the bar beyond which values exist: ``"neither"``, ``"min"``, ``"max"`` or ``"both"``.
     """
     bar = ax.figure.colorbar(picture, cax=ax.inset_axes((1.025, 0.0, 0.045, 1.0)), extend=extend)
     bar.set_label(label)
@@ -123,13 +124,13 @@ def add_colour_bar(ax: Axes, picture: Any, label: str, *, extend: str = "neither
 
 
 def map_size(extent_y: float, extent_x: float) -> tuple[float, float]:
-    """Return width and height of a map [inches] for the extents of its axes."""
+    """Return the width and height of a map [inches] with the aspect ratio of its extents, but at most 4 to 1."""
     ratio = min(max(extent_y / extent_x, 0.25), 4.0)
     return (_MAP_INCHES, _MAP_INCHES * ratio) if ratio <= 1.0 else (_MAP_INCHES / ratio, _MAP_INCHES)
 
 
 def outlined(colour: str = "white", behind: str = "black") -> dict[str, Any]:
-    """Return matplotlib's keywords of a text that is legible on any colour."""
+    """Return matplotlib's keyword arguments for a text with an outline, which is legible on any background."""
     from matplotlib.patheffects import withStroke
 
     return {"color": colour, "path_effects": [withStroke(linewidth=2.0, foreground=behind)]}

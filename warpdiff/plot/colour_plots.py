@@ -1,4 +1,4 @@
-"""Plots in display colours: reflectance over directions, and over an angle."""
+"""Plots in display colours: reflectance over all view directions, and against the view angle in one plane."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import ArrayLike, NDArray
 
-# Size of reflectance maps that a plot computes [pixels].
+# Width and height of the reflectance map that is computed to plot a height field [pixels].
 _MAP_PIXELS = 480
-# Angles of the directions of a strip that a plot computes [degrees]. The step is about half of a coherence lobe.
+# View angles at which a colour strip evaluates a height field [degrees]. The step is about half of the angular width of
+# a diffraction order with the default window.
 _STRIP_DEG = np.arange(-89.75, 89.76, 0.25)
-# Angles from the normal of the circles in a reflectance map [degrees].
+# Angles from the normal at which a reflectance map has circles [degrees].
 _CIRCLES_DEG = (30.0, 60.0)
 
 
@@ -35,16 +36,16 @@ def reflectance_map(
     exposure_stops: Annotated[float, Interval(ge=-MOST_STOPS, le=MOST_STOPS), Unit("stops")] = 0.0,
     title: str | None = None,
 ) -> Axes:  # fmt: skip
-    """Plot the colours of the reflectance over all view directions, as the eye sees them, for one light.
+    """Plot the display colours of the reflectance over all view directions, for one direction to the light.
 
-    The disc is the hemisphere in direction cosines: its centre is the normal and its rim the horizon. Circles are at
-    30° and 60° from the normal. A cross marks the mirror direction of the light.
+    The plot is a disc over the x and y components of the view direction: its centre is the normal and its rim the
+    horizon. Circles are at 30° and 60° from the normal. A cross marks the mirror direction of the light.
 
     Args:
         source: Height field, which is evaluated with default settings, or the picture that
             :func:`warpdiff.reflectance_map` returned.
-        to_light: Direction to the light in the local frame, shape (3,); required for a height field. For a picture it
-            marks the mirror direction; None marks nothing.
+        to_light: Direction to the light in the local frame, shape (3,); required for a height field. The plot
+            marks its mirror direction; None, which is possible for a picture, marks nothing.
         ax: Axes to draw into; None makes a figure.
         display: Display transform, as in :meth:`warpdiff.Image.display`.
         exposure: Linear factor of the light; None is automatic.
@@ -72,7 +73,7 @@ def reflectance_map(
     if isinstance(source, HeightField):
         if to_light is None:
             raise ArgumentValueError(f"{ref('to_light')} is required with a height field, got None: give a direction")
-        # Warp is loaded only here, as other plots do without it.
+        # This import loads Warp, which is needed only to evaluate a height field.
         from warpdiff.evaluate.reflectance import reflectance_map as evaluate
 
         source = evaluate(source, to_light, size=_MAP_PIXELS)
@@ -91,7 +92,7 @@ def reflectance_map(
 
 
 def _add_directions(ax: Axes, light: NDArray[np.float64] | None) -> None:
-    """Add circles of equal angle from the normal, the axes and the mirror direction to a disc of directions."""
+    """Draw circles of equal angle from the normal, axis labels and the mirror direction into a map of directions."""
     from matplotlib.patches import Circle
 
     for angle in _CIRCLES_DEG:
@@ -130,12 +131,12 @@ def colour_strip(
     Args:
         source: Height field, which is evaluated with default settings, or the XYZ of
             :func:`warpdiff.reflectance` in the directions of ``angles_deg``, shape (n, 3).
-        to_light: Direction to the light in the local frame, shape (3,); required for a height field. It marks the
-            mirror direction if that is in the plane.
+        to_light: Direction to the light in the local frame, shape (3,); required for a height field. The plot
+            marks its mirror direction if it lies in the plane.
         angles_deg: View angles from the normal [degrees], increasing, shape (n,). None is −89.75 to 89.75 in steps of
             0.25 for a height field.
         azimuth_deg: Azimuth of the plane from the x axis [degrees]; positive view angles are on that side. None is the
-            plane of the light, in which its azimuth is from −90 to 90 degrees; 0 for a light along the normal.
+            plane of the light, with an azimuth from −90 to 90 degrees. For a light along the normal, None is 0.
         ax: Axes to draw into; None makes a figure.
         display: Display transform, as in :meth:`warpdiff.Image.display`.
         exposure: Linear factor of the light; None is automatic.
@@ -189,7 +190,7 @@ def colour_strip(
             )
     ax = axes_for(ax, width=7.0, height=1.9)
     colours = to_srgb(xyz, display, exposure=exposure, exposure_stops=exposure_stops)
-    # Cells end half-way between two angles.
+    # Each colour fills the view angles up to half-way to the neighbouring angles.
     edges = np.concatenate([[angles[0]], 0.5 * (angles[1:] + angles[:-1]), [angles[-1]]])
     ax.pcolormesh(edges, [0.0, 1.0], colours[None], rasterized=True)
     ax.set_yticks([])
@@ -201,15 +202,16 @@ def colour_strip(
             "mirror direction", (mirror, 1.0), xycoords=ax.get_xaxis_transform(), xytext=(0, 6),
             textcoords="offset points", ha="center", fontsize="small",
         )  # fmt: skip
-    angle = "" if light is None else f", light at {math.degrees(math.acos(min(light[2], 1.0))):.3g}° from the normal"
-    ax.set_title(
-        f"Colour against the view angle{angle}" if title is None else title, pad=18.0 if light is not None else None
-    )
+    angle = "" if light is None else f", light at {math.degrees(math.acos(min(light[2], 1.0))):.3g}°"
+    ax.set_title(f"Colour against view angle{angle}" if title is None else title, pad=None if light is None else 18.0)
     return ax
 
 
 def _azimuth_of(light: NDArray[np.float64] | None) -> float:
-    """Return the azimuth of the plane through the normal and a light [rad], from −π/2 to π/2; 0 for the normal."""
+    """Return the azimuth of the plane through the normal and the light, from −π/2 to π/2 [rad].
+
+    Without a light, and for a light along the normal, it is 0.
+    """
     if light is None or math.hypot(light[0], light[1]) < 1e-9:
         return 0.0
     azimuth = math.atan2(light[1], light[0])

@@ -17,9 +17,11 @@ from warpdiff.request.signatures import checked
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Ratio of the ends of the colour range of errors to the tolerance. Limit: larger errors have the colour of the end.
+# The colours of an error image range from the tolerance divided by this number to the tolerance times this number.
+# Limit: errors outside of this range cannot be distinguished from those at its ends.
 _ERROR_RANGE = 30.0
-# Smallest error of a plan that has a bar, relative to the tolerance.
+# Start of the logarithmic error axis in the plot of a plan, relative to the tolerance. Smaller errors have bars of
+# length 0.
 _LEAST_BAR = 1e-4
 
 
@@ -36,7 +38,7 @@ def error_image(
     Args:
         image: Picture of :func:`warpdiff.shade`, :class:`warpdiff.Renderer` or :func:`warpdiff.reflectance_map`.
         ax: Axes to draw into; None makes a figure.
-        tolerance: Tolerance that is marked; None is that of the picture.
+        tolerance: Tolerance to mark; None is the tolerance with which the picture was computed.
         title: Title; None states the share of pixels within the tolerance.
 
     Returns:
@@ -87,12 +89,12 @@ def error_image(
 
 @checked
 def plan(plan: Plan, *, ax: Axes | None = None, title: str | None = None) -> Axes:
-    """Plot the predicted errors of a plan by their source, with its tolerance and its cost.
+    """Plot the predicted errors of a plan by their source; a line marks the tolerance, and the title states the cost.
 
     Args:
         plan: Plan, for example of :func:`warpdiff.plan` or ``image.plan``.
         ax: Axes to draw into; None makes a figure.
-        title: Title; None states whether the plan meets its tolerance.
+        title: Title; None states whether the plan meets its tolerance, and its computing time.
 
     Returns:
         The axes.
@@ -136,7 +138,7 @@ def plan(plan: Plan, *, ax: Axes | None = None, title: str | None = None) -> Axe
 
 
 def _summary(plan: Plan) -> str:
-    """Return the verdict on a plan and its cost in two lines."""
+    """Return the title for the plot of a plan: whether it meets its tolerance, its method and its computing time."""
     meets = "meets" if plan.error <= plan.tolerance or plan.method == "direct" else "does not meet"
     terms = "" if plan.method == "direct" else f", {plan.terms} terms"
     table = f", table {_seconds(plan.table_seconds)}" if plan.table_seconds > 0.0 else ""
@@ -145,7 +147,7 @@ def _summary(plan: Plan) -> str:
 
 
 def _seconds(value: float) -> str:
-    """Return a time with two digits in a suitable unit."""
+    """Return a time in seconds as a text with two significant digits, in s, ms, µs or ns."""
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
         if value >= size:
             return f"{float(f'{value / size:.2g}'):g} {unit}"

@@ -1,4 +1,4 @@
-"""Plots over wavelengths and angles: efficiencies of orders, and reflectance spectra."""
+"""Plots against the wavelength or an angle: efficiencies of orders, and reflectance spectra."""
 
 from __future__ import annotations
 
@@ -22,13 +22,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import ArrayLike, NDArray
 
-# Largest luminance of a coloured line on white, whose luminance is 1.
+# Maximum luminance of the colour of a line, relative to the white background. Derived: the contrast to white is then at
+# least (1 + 0.05)/(0.3 + 0.05) = 3.
 _LINE_LUMINANCE = 0.3
-# Height of the band with the colours of the wavelengths, relative to the plot, and its number of colours.
+# Band below the wavelength axis that shows the colour of each wavelength: its height as a share of the height of the
+# plot, and its number of colours.
 _BAND_HEIGHT, _BAND_COLOURS = 0.03, 256
-# Smallest linear RGB that is used as a divisor; it prevents a division by zero.
+# Lower bound of an RGB component before a division by it; it prevents a division by zero.
 _LEAST_RGB = 1e-9
-# Largest number of orders whose names are written next to them. Limit: more names overlap.
+# Maximum number of orders that a plot against the view angle labels with their numbers. Limit: more labels overlap.
 _MOST_NAMED = 25
 Against = Literal["wavelength", "angle", "incidence"]
 
@@ -47,15 +49,16 @@ def orders(
             the surface, with a colour per wavelength. ``"incidence"`` draws a line per order over the angle of the
             light, for several lights. None is ``"incidence"`` for several lights, otherwise ``"wavelength"`` for
             several wavelengths.
-        count: Number of orders that are drawn as lines, the strongest ones; at least 1.
-        title: Title; None states what is drawn.
+        count: Number of orders that are drawn as lines, at least 1; the strongest orders are drawn.
+        title: Title; None names the plotted quantity and, for a single wavelength, the wavelength.
 
     Returns:
         The axes.
 
     Raises:
         ImportError: matplotlib is not installed.
-        ValueError: The plot requires one light, or several lights and one wavelength.
+        ValueError: ``against`` does not fit the result: ``"incidence"`` requires several lights and one wavelength, the
+            others one light.
 
     Examples:
         >>> import warpdiff as wd
@@ -98,13 +101,13 @@ def spectra(
     source: ReflectanceSpectra | ArrayLike, values: ArrayLike | None = None, *, ax: Axes | None = None,
     labels: Sequence[str] | None = None, title: str | None = None,
 ) -> Axes:  # fmt: skip
-    """Plot reflectance spectra against the wavelength; the visible range has its colours below the axis.
+    """Plot reflectance spectra against the wavelength; a band below the axis shows the colours of visible wavelengths.
 
     Args:
         source: Result of :func:`warpdiff.reflectance_spectra`, or wavelengths [nm], shape (m,).
-        values: Reflectances, shape (m,) or (n, m), with wavelengths; None with a result.
+        values: Reflectances at these wavelengths, shape (m,) or (n, m); None if ``source`` is a result.
         ax: Axes to draw into; None makes a figure.
-        labels: Names of the n spectra in the legend; None names the view angles of a result.
+        labels: Names of the n spectra in the legend; None states the view angles of a result.
         title: Title; None is "Reflectance spectra", or "Reflectance spectrum".
 
     Returns:
@@ -167,14 +170,15 @@ def spectra(
 
 
 def _add_colours(ax: Axes) -> None:
-    """Add a band with the colours of the wavelengths at the lower edge of a plot over wavelengths."""
+    """Add a band that shows the colour of each visible wavelength, below the axis of a plot against the wavelength."""
     (low, high), ends = ax.get_xlim(), ax.get_ylim()
     first, last = max(low, colorimetry.LAMBDA_MIN_NM), min(high, colorimetry.LAMBDA_MAX_NM)
     if first >= last:
         return
     wavelengths = np.linspace(first, last, _BAND_COLOURS)
     rgb = _spectral_rgb(wavelengths)
-    # The root of the brightness fades more slowly to black at the ends of the visible range.
+    # Each colour is divided by the square root of its largest component. This makes the dark colours at the ends of the
+    # visible range brighter, so that the band fades to black slowly.
     colours = colorimetry.srgb_encode(rgb / np.sqrt(np.maximum(rgb.max(axis=1, keepdims=True), _LEAST_RGB)))
     ax.imshow(
         colours[None], extent=(first, last, -_BAND_HEIGHT, 0.0), transform=ax.get_xaxis_transform(), aspect="auto",
@@ -186,7 +190,7 @@ def _add_colours(ax: Axes) -> None:
 
 
 def _draw_over_wavelengths(ax: Axes, result: OrderEfficiencies, count: int) -> str:
-    """Draw a line per order, the strongest ones; return the title."""
+    """Draw a line for each of the strongest orders against the wavelength; return the title of the plot."""
     _draw_lines(ax, result, result.wavelengths_nm, result.efficiencies, result.to_view[..., 0], count)
     ax.set_xlabel("wavelength [nm]")
     _add_colours(ax)
@@ -194,7 +198,7 @@ def _draw_over_wavelengths(ax: Axes, result: OrderEfficiencies, count: int) -> s
 
 
 def _draw_over_incidence(ax: Axes, result: OrderEfficiencies, count: int) -> str:
-    """Draw a line per order over the angle of the light, the strongest ones; return the title."""
+    """Draw a line for each of the strongest orders against the angle of the light; return the title of the plot."""
     angles = signed_angles_deg(result.to_light)
     _draw_lines(ax, result, angles, result.efficiencies[:, 0], result.to_view[:, 0, :, 0], count)
     ax.set_xlabel("angle of the light from the normal [°], negative towards −x")
@@ -205,20 +209,20 @@ def _draw_lines(
     ax: Axes, result: OrderEfficiencies, positions: NDArray[np.float64], efficiencies: NDArray[np.float64],
     components: NDArray[np.float64], count: int,
 ) -> None:  # fmt: skip
-    """Draw a line per order, the strongest ones, with a legend.
+    """Draw a line for each of the strongest orders, and a legend.
 
     Args:
-        ax: Axes.
-        result: Result with the names of the orders.
+        ax: Axes to draw into.
+        result: Result that holds the numbers of the orders.
         positions: Wavelengths or angles, shape (m,).
         efficiencies: Efficiencies of n orders, shape (m, n).
-        components: Component of the direction of each order, shape (m, n); NaN where an order is evanescent.
+        components: x component of the direction of each order, shape (m, n); NaN where an order is evanescent.
         count: Number of lines.
     """
     strongest = np.argsort(-efficiencies.max(axis=0), kind="stable")[:count]
     order = np.argsort(positions)
     values = 100.0 * np.where(np.isnan(components), np.nan, efficiencies)
-    # The legend lists the orders in their own order, not by strength.
+    # The legend lists the orders by their numbers, not by their efficiencies.
     for index, column in enumerate(sorted(strongest.tolist())):
         marker = "o" if len(order) < 3 else None
         ax.plot(
@@ -230,13 +234,13 @@ def _draw_lines(
 
 
 def _of_all(result: OrderEfficiencies, count: int) -> str:
-    """Return words of a title that state how many orders are drawn."""
+    """Return the end of a title, which states how many of the orders are drawn; empty if all orders are drawn."""
     total = len(result.orders)
     return f", the {count} strongest of {total}" if total > count else ""
 
 
 def _draw_over_angles(ax: Axes, result: OrderEfficiencies) -> str:
-    """Draw each order at its angle, a colour per wavelength; return the title."""
+    """Draw each order at its angle from the normal, in the colour of the wavelength; return the title of the plot."""
     many = len(result.wavelengths_nm) > len(LINE_COLOURS)
     for row in np.argsort(result.wavelengths_nm).tolist():
         wavelength = float(result.wavelengths_nm[row])
@@ -264,7 +268,7 @@ def _draw_over_angles(ax: Axes, result: OrderEfficiencies) -> str:
 
 
 def _name(result: OrderEfficiencies, column: int) -> str:
-    """Return the name of an order: its number, or both numbers for a surface with two axes."""
+    """Return the label of an order: its number, or the pair (m_y, m_x) if there are orders along both axes."""
     m_y, m_x = result.orders[column].tolist()
     both = np.asarray(result.orders.any(axis=0))
     if both.all():
@@ -273,7 +277,7 @@ def _name(result: OrderEfficiencies, column: int) -> str:
 
 
 def wavelength_colour(wavelength_nm: float) -> NDArray[np.float64]:
-    """Return a display colour for a wavelength, dark enough for lines on white; grey outside of the visible range."""
+    """Return a colour for a wavelength that is dark enough for a line on white; grey for invisible wavelengths."""
     if not colorimetry.LAMBDA_MIN_NM <= wavelength_nm <= colorimetry.LAMBDA_MAX_NM:
         return np.full(3, 0.45)
     (rgb,) = _spectral_rgb(np.array([wavelength_nm]))
@@ -282,6 +286,6 @@ def wavelength_colour(wavelength_nm: float) -> NDArray[np.float64]:
 
 
 def _spectral_rgb(wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the linear sRGB of visible wavelengths (m,), at most 1, without negative components, shape (m, 3)."""
+    """Return linear sRGB colours of m visible wavelengths, shape (m, 3), limited to components from 0 to 1."""
     rgb = np.clip(colorimetry.xyz_to_rgb(colorimetry.colour_products("D65")), 0.0, None)
     return np.stack([np.interp(wavelengths_nm, colorimetry.VISIBLE_NM, channel) for channel in (rgb / rgb.max()).T], 1)

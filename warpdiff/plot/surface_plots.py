@@ -29,30 +29,36 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.periods import Period
 
-# Share of the power of a spectrum that its plot contains. Limit: the highest frequencies contain noise only.
+# Share of the total power that a plot of the power spectrum shows; the highest frequencies are cut off. Limit: the
+# frequencies that are cut off contain noise only.
 _SHOWN_POWER = 0.999
-# Frequency range of a spectrum relative to its highest period, so that marks are not at the edge.
+# The frequency axes of a power spectrum extend at least to this multiple of the highest frequency of the periods. It is
+# more than 1, so that the marks of the periods are not at the edge.
 _AROUND_PERIODS = 1.4
-# Share of the frequencies whose power is below the range of the colours, and the smallest range, a ratio of powers.
+# Colours of a power spectrum. First number: share of the frequencies that have the darkest colour, because their power
+# is below the range of the colours. Second number: the range begins at most at this share of the largest power.
 _DARKEST, _POWER_RANGE = 0.3, 1e-2
-# Ratio of the smallest power in the plot of a profile's spectrum to the largest one.
+# Smallest power on the axis of the spectrum of a field that is constant along x or y, relative to the largest power.
 _LINE_RANGE = 1e-7
-# Heights of a profile below a map, and of the gap between both, relative to the width of the map.
+# Height of a profile below a map, and height of the gap between map and profile, relative to the width of the map.
 _PROFILE, _GAP = 0.3, 0.24
-# Smallest power density, which prevents logarithms of 0.
+# Lower bound of a power density before its logarithm is drawn; it prevents a logarithm of 0.
 _LEAST_POWER = 1e-30
-# Markers of periods, from the strongest on.
+# Mean slope that a shaded relief has after its heights are scaled. Choice: the light is at 45°, so that most of the
+# surface is neither black nor white. If doubled, walls of grooves are black.
+_RELIEF_SLOPE = 0.5
+# Marker shapes of matplotlib for the periods in a power spectrum, the strongest period first.
 _MARKERS = "osD^vph*"
 
 
 @checked
 def height_map(
     heightfield: HeightField, *, ax: Axes | None = None, profile_along: Axis | None = None,
-    at_um: float | None = None, cmap: str = "cividis", title: str | None = None,
+    at_um: float | None = None, is_shaded: bool = False, cmap: str = "cividis", title: str | None = None,
 ) -> Axes:  # fmt: skip
     """Plot the heights as a map with a scale bar and a colour bar, x to the right and y up.
 
-    Heights are in nm, or in µm from a height range of 1 µm on. Missing samples are white.
+    Heights are in nm, or in µm if their range is at least 1 µm. Missing samples are white.
 
     Args:
         heightfield: Height field.
@@ -60,6 +66,8 @@ def height_map(
         profile_along: Axis of a profile below the map, ``"x"`` or ``"y"``; None draws no profile. With ``ax``, leave
             space below it, or draw :func:`warpdiff.plot.profile` into axes of its own.
         at_um: Position of the profile on the other axis [µm]; None is the middle.
+        is_shaded: Whether the map is shaded as a relief in oblique light from the upper left. Slopes are exaggerated or
+            reduced to a mean of 27°.
         cmap: Name of a colour map of matplotlib.
         title: Title; None states the size of the field.
 
@@ -79,16 +87,22 @@ def height_map(
     unit, factor = length_unit(heightfield.height_range_um)
     line = None if profile_along is None else _Line.of(heightfield, profile_along, at_um)
     (ly, lx), (ny, nx) = heightfield.size_um, heightfield.shape
-    # A field that is constant along an axis has one sample there, and is drawn as a band.
+    # A field that is constant along an axis has one sample along it. The map shows such a field as a band.
     is_band = min(ny, nx) == 1 < max(ny, nx)
     extent_y, extent_x = (lx / 4.0 if is_band and ny == 1 else ly), (ly / 4.0 if is_band and nx == 1 else lx)
     width, height = map_size(extent_y, extent_x)
     below = 0.0 if line is None else (_PROFILE + _GAP) * width + 0.4
     ax = axes_for(ax, width=max(width + 2.0, 3.6), height=height + below + 0.9)
-    picture = ax.imshow(
-        factor * np.ma.masked_invalid(heightfield.heights_um), origin="lower", extent=(0.0, extent_x, 0.0, extent_y),
-        cmap=_with_gaps(cmap), interpolation="nearest", aspect="equal",
-    )  # fmt: skip
+    values = factor * np.ma.masked_invalid(heightfield.heights_um)
+    placed = {
+        "origin": "lower",
+        "extent": (0.0, extent_x, 0.0, extent_y),
+        "interpolation": "nearest",
+        "aspect": "equal",
+    }
+    picture = ax.imshow(values, cmap=_with_gaps(cmap), **placed)
+    if is_shaded and min(ny, nx) > 1 and heightfield.mean_slope > 0.0:
+        ax.imshow(_shaded(heightfield, picture.to_rgba(values)), **placed)
     ax.set_xlabel("x [µm]" if nx > 1 or not is_band else "constant along x")
     ax.set_ylabel("y [µm]" if ny > 1 or not is_band else "constant along y")
     if is_band:
@@ -106,12 +120,28 @@ def height_map(
     return ax
 
 
+def _shaded(heightfield: HeightField, colours: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the colours (ny, nx, 4) of a height map with the shading of a relief; gaps keep their colour."""
+    from matplotlib.colors import LightSource
+
+    dy, dx = heightfield.pitch_um
+    lowest = float(np.nanmin(heightfield.heights_um))
+    # The light source assumes that rows run downwards; in a map they run upwards.
+    result = LightSource(azdeg=315.0, altdeg=45.0).shade_rgb(
+        colours[..., :3], np.nan_to_num(heightfield.heights_um, nan=lowest), blend_mode="soft",
+        vert_exag=_RELIEF_SLOPE / heightfield.mean_slope, dx=dx, dy=-dy,
+    )  # fmt: skip
+    return np.where(heightfield.missing[..., None], colours, np.dstack([result, colours[..., 3]]))
+
+
 @checked
 def profile(
     heightfield: HeightField, *, ax: Axes | None = None, along: Axis = "x", at_um: float | None = None,
     label: str | None = None, title: str | None = None,
 ) -> Axes:  # fmt: skip
-    """Plot the heights along a line that is parallel to an axis; calls with the same ``ax`` compare profiles.
+    """Plot the heights along a line that is parallel to the x axis or the y axis.
+
+    Calls with the same ``ax`` draw several profiles into one plot.
 
     Args:
         heightfield: Height field.
@@ -137,7 +167,7 @@ def profile(
     """
     line = _Line.of(heightfield, along, at_um)
     ax = axes_for(ax, width=6.4, height=3.2)
-    # Lines that are added to a plot have the unit of its axis.
+    # If the axes already show a profile, the new profile has the unit of their height axis.
     unit, factor = length_unit(heightfield.height_range_um)
     if ax.get_ylabel() in ("height [nm]", "height [µm]"):
         unit, factor = length_unit(0.0 if ax.get_ylabel() == "height [nm]" else 1.0)
@@ -161,9 +191,9 @@ def power_spectrum(
 ) -> Axes:  # fmt: skip
     """Plot the power spectrum of the heights and mark the periods that :meth:`~warpdiff.HeightField.periods` finds.
 
-    The field is levelled, missing samples are filled, and a Hann window is applied. A field with two axes is drawn over
-    the plane of spatial frequencies; each period is marked at its frequency and at the opposite one. A field that is
-    constant along an axis is drawn as a line.
+    The field is levelled, missing samples are filled, and a Hann window is applied. A field with two axes has a
+    map of the power over both spatial frequencies; each period is marked at its frequency and at the opposite one. For
+    a field that is constant along an axis, the power is drawn as a line.
 
     Args:
         heightfield: Height field.
@@ -213,7 +243,7 @@ def _draw_plane(
     ax: Axes, density: NDArray[np.float64], frequencies: list[NDArray[np.float64]], periods: tuple[Period, ...],
     cmap: str,
 ) -> None:  # fmt: skip
-    """Draw the spectrum of a field with two axes, with marks of the periods."""
+    """Draw the power spectrum of a field with two axes as a map, and mark the periods."""
     from matplotlib.colors import LogNorm
 
     fy, fx = frequencies
@@ -224,7 +254,7 @@ def _draw_plane(
     limit = float(radius[order][min(np.searchsorted(shares, _SHOWN_POWER * shares[-1]), len(order) - 1)])
     limit = max(limit, _AROUND_PERIODS * max((np.hypot(*period.frequency) for period in periods), default=0.0))
     if not limit > 0.0:
-        # The spectrum of a flat field has no power, and is drawn up to its ends.
+        # The spectrum of a flat field has no power. It is drawn up to its highest frequency.
         limit = float(radius[order][-1])
     shown = density.ravel()[radius <= limit]
     most = max(float(shown.max()), _LEAST_POWER)
@@ -233,7 +263,8 @@ def _draw_plane(
         np.maximum(density, least), origin="lower", cmap=cmap, norm=LogNorm(least, most), interpolation="nearest",
         extent=(fx[0] - half[1], fx[-1] + half[1], fy[0] - half[0], fy[-1] + half[0]),
     )  # fmt: skip
-    # Axes of equal length with few frequencies are drawn up to their ends.
+    # Both axes have the same range of frequencies. If the frequencies along an axis end within this range, the axis
+    # ends there.
     for set_limits, f, step in ((ax.set_xlim, fx, half[1]), (ax.set_ylim, fy, half[0])):
         edge = min(limit, float(step - f[0]))
         set_limits(-edge, edge)
@@ -250,16 +281,16 @@ def _draw_plane(
 
 
 def _words(period: Period) -> str:
-    """Return the text of a period in a legend."""
     return f"period {period}"
 
 
 def _draw_line(
     ax: Axes, density: NDArray[np.float64], frequencies: NDArray[np.float64], periods: tuple[Period, ...], axis: str
 ) -> None:
-    """Draw the spectrum of a field that is constant along an axis."""
+    """Draw the power spectrum of a field that is constant along x or y: a line plot with marks of the periods."""
     positive = frequencies > 0.0
-    # The power at negative frequencies is added, so that the integral over positive ones is the variance.
+    # The power at negative frequencies equals that at positive ones. Twice the density at positive frequencies
+    # therefore integrates to the variance of the heights.
     ax.loglog(frequencies[positive], 2.0 * np.maximum(density[positive], _LEAST_POWER), color=LINE_COLOURS[0])
     for index, period in enumerate(periods):
         ax.axvline(
@@ -274,13 +305,13 @@ def _draw_line(
 
 
 class _Line:
-    """Profile of a height field parallel to an axis.
+    """Profile of a height field along a line that is parallel to the x axis or the y axis.
 
     Attributes:
-        along: Axis of the profile.
+        along: Axis of the profile, ``"x"`` or ``"y"``.
         positions_um: Positions of the samples on that axis [µm], shape (n,).
         heights_um: Heights [µm], shape (n,); NaN where a sample is missing.
-        at_um: Position on the other axis [µm]; None for a field that is constant along it.
+        at_um: Position of the line on the other axis [µm]; None if the field is constant along the other axis.
     """
 
     def __init__(
@@ -290,7 +321,7 @@ class _Line:
 
     @classmethod
     def of(cls, heightfield: HeightField, along: Axis, at_um: float | None) -> _Line:
-        """Return the profile at the sample that is nearest to a position."""
+        """Return the profile through the samples nearest to a position on the other axis [µm]; None is the middle."""
         other = 0 if along == "x" else 1
         count, pitch = heightfield.shape[other], heightfield.pitch_um[other]
         size = heightfield.size_um[other]
@@ -309,7 +340,7 @@ class _Line:
 
 
 def _add_profile(ax: Axes, line: _Line, unit: str, factor: float, ratio: float) -> None:
-    """Draw a profile below a map whose width is ``ratio`` times its height, and its line in the map."""
+    """Draw a profile below a map, and its line into the map; ``ratio`` is the width of the map over its height."""
     if line.at_um is not None:
         draw = ax.axhline if line.along == "x" else ax.axvline
         draw(line.at_um, color="white", linewidth=2.4)
@@ -324,7 +355,7 @@ def _add_profile(ax: Axes, line: _Line, unit: str, factor: float, ratio: float) 
 
 
 def _with_gaps(cmap: str) -> Any:
-    """Return a colour map by its name, in which samples without a value are white."""
+    """Return matplotlib's colour map of this name, with white for missing samples."""
     import matplotlib as mpl
 
     if cmap not in mpl.colormaps:

@@ -105,7 +105,7 @@ class LightRefinement:
 
     @property
     def _resolved(self) -> list[wp.array]:
-        """Arrays of the sums that are overwritten when pixels get the weighted sums over their cells."""
+        """Arrays with one value per pixel that refinement overwrites with the sums over the cells of each pixel."""
         sums = self.sums
         return [sums.xyz, sums.errors, sums.coverage, sums.coverage_levels, sums.illuminated, sums.edges]
 

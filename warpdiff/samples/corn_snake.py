@@ -405,7 +405,7 @@ def _scales(skin: _Skin, n: int) -> list[_Patch]:
 def _wall(top: tuple[Floats, ...], low: tuple[Floats, ...], u: float, faces: NDArray[np.int64]) -> _Patch:
     """Return the walls between free edges (``top``) and the edges below (``low``).
 
-    In the texture, a wall is ``u`` rows wide across the body and |u|/2 scales along it.
+    In the texture, a wall extends ``u`` rows of scales across the body, and |u|/2 scales along the body.
     """
     corners = tuple(np.concatenate(pair, axis=1) for pair in zip(top, low, strict=True))
     texture = (np.concatenate([top[0], top[0] + u], axis=1), np.concatenate([top[1], top[1] + abs(u) / 2.0], axis=1))

@@ -25,6 +25,8 @@ from warpdiff.heightfield.field import HeightField
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+__all__ = ["blazed", "bumps", "disc", "fingers", "lamellar", "sinusoidal"]
+
 # Largest default pitch [µm], a tenth of the shortest visible wavelength. If doubled, directions near the horizon suffer
 # from aliasing.
 _COARSEST_PITCH_UM = 0.04

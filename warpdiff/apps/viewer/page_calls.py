@@ -224,7 +224,7 @@ class Scene:
 
     @property
     def shading(self) -> dict[str, Any]:
-        """Options of ``Renderer`` and ``shade`` by name, in which calls are replaced by their results."""
+        """Options of ``Renderer`` and ``shade`` by name. An option that is a call, such as a material, is evaluated."""
         return {name: _result(value) for name, value in self.options}
 
     def python(self, view: wd.View, tolerance: float, saving: Mapping[str, Any]) -> str:

@@ -255,10 +255,8 @@ def odd_cell(form: Form, line: str, width: int) -> str | None:
 def _without_outer_separators(lines: Sequence[str], form: Form) -> tuple[Sequence[str], tuple[int, int]]:
     """Return lines without separators before the first and after the last number, if every row has them.
 
-    The pair of numbers counts the columns, before and after, that may be missing samples instead. This is possible if
-    other cells in the text are empty, too.
-
-    An empty first or last column may also be one of missing samples, if other cells are empty.
+    Such a separator may also belong to an empty column of missing samples. This is possible only if other cells of the
+    text are empty, too. The second result is the possible number of such columns, 0 or 1, before and after the numbers.
     """
     separator = form.separator
     if separator is None:

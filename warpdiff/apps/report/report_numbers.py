@@ -1,0 +1,113 @@
+"""Numbers of a report as dictionaries for JSON, and as tables for CSV."""
+
+from __future__ import annotations
+
+import datetime
+import math
+from importlib import metadata
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.apps.report.report_data import ANGLES_DEG
+from warpdiff.core.table import Table
+
+if TYPE_CHECKING:
+    from warpdiff.apps.report.report_data import ReportData
+
+
+def numbers_of(data: ReportData, title: str) -> dict[str, Any]:
+    """Return the numbers of a report; None where there is no number."""
+    request = data.request
+    field = request.heightfield
+    result: dict[str, Any] = {
+        "title": title,
+        "warpdiff": metadata.version("warpdiff"),
+        "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "surface": {
+            "shape": list(field.shape), "size_um": list(field.size_um), "pitch_um": list(field.pitch_um),
+            "height_range_um": field.height_range_um, "missing": int(np.count_nonzero(field.missing)),
+            "source": _source(data),
+        },
+        "history": list(field.history),
+        "periods_part_um": list(data.part.size_um), "optics_part_um": list(data.patch_um),
+        "light": {
+            "to_light": data.to_light.tolist(), "angle_deg": data.light_deg, "azimuth_deg": data.azimuth_deg,
+            "illuminant": str(request.illuminant),
+        },
+        "settings": {name: str(value) for name, value in request.settings.items() if value is not None},
+        **{name: _rows(table) for name, table in tables_of(data).items() if name != "colours"},
+    }  # fmt: skip
+    if data.roughness is not None:
+        result["roughness_order"] = data.roughness.order
+        result["lay_deg"] = data.roughness.lay_deg
+    if data.map is not None and data.map.report is not None:
+        result["map_error"] = float(np.quantile(data.map.error[data.map.mask], 0.99))
+    if data.comparison is not None:
+        comparison = data.comparison
+        result["fit"] = {
+            "file": comparison.measured.path.name, "column": comparison.measured.name, "computed": comparison.what,
+            "scale": comparison.scale, "scale_standard_error": comparison.scale_error,
+            "residual": comparison.residual, "correlation": _number(comparison.correlation),
+            "rows_without_value": comparison.measured.skipped,
+        }  # fmt: skip
+    return {**result, "not_found": dict(data.reasons), "warnings": list(data.warnings)}
+
+
+def _source(data: ReportData) -> dict[str, Any] | None:
+    """Return file, channel, orientation and metadata of a field; None for one from an array."""
+    source = data.request.heightfield.source
+    if source is None:
+        return None
+    return {
+        "file": PurePath(source.path).name, "channel": source.channel, "rows": source.rows,
+        "metadata": {str(name): str(value) for name, value in source.metadata.items()},
+    }  # fmt: skip
+
+
+def tables_of(data: ReportData) -> dict[str, Table]:
+    """Return the tables of the results that were found, by the name of their file."""
+    tables: dict[str, Table] = {}
+    if data.roughness is not None:
+        tables["roughness"] = data.roughness.table()
+    if data.periods:
+        tables["periods"] = data.periods.table()
+    if data.verdicts:
+        tables["theory"] = Table({
+            "wavelength_nm": [verdict.wavelength_nm for verdict in data.verdicts],
+            "expected_error": [verdict.error for verdict in data.verdicts],
+            "grade": [verdict.grade for verdict in data.verdicts],
+            "reason": [verdict.reason for verdict in data.verdicts],
+        })  # fmt: skip
+    if data.orders is not None:
+        tables["orders"] = data.orders
+    if data.colours:
+        count = len(data.colours)
+        xyz = np.concatenate(list(data.colours.values()))
+        tables["colours"] = Table({
+            "sigma_um": np.repeat(list(data.colours), len(ANGLES_DEG)), "angle_deg": np.tile(ANGLES_DEG, count),
+            "X": xyz[:, 0], "Y": xyz[:, 1], "Z": xyz[:, 2],
+        })  # fmt: skip
+    if data.comparison is not None:
+        comparison = data.comparison
+        measured = comparison.measured
+        columns = {
+            measured.against: measured.positions, "measured": measured.values, "computed": comparison.computed,
+            "computed_scaled": comparison.scale * comparison.computed,
+        }  # fmt: skip
+        if measured.errors is not None:
+            columns["measured_error"] = measured.errors
+        tables["comparison"] = Table(columns)
+    return tables
+
+
+def _rows(table: Table) -> list[dict[str, Any]]:
+    """Return the rows of a table as dictionaries."""
+    names = list(table.columns)
+    return [{name: _number(value) for name, value in zip(names, row, strict=True)} for row in table.rows]
+
+
+def _number(value: Any) -> Any:
+    """Return a value, or None for a number that is not finite, which JSON does not have."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,203 @@
+"""Function ``report``, which writes the report of a height field: a web page, and its numbers as JSON and CSV."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Unpack
+
+import numpy as np
+
+from warpdiff.apps.report import report_page
+from warpdiff.apps.report.measured_curve import read_curve
+from warpdiff.apps.report.report_data import Request, collect
+from warpdiff.apps.report.report_figures import check_matplotlib, figures_of
+from warpdiff.apps.report.report_numbers import numbers_of, tables_of
+from warpdiff.core import files, validation
+from warpdiff.core.progress import Progress, reporter
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, marked, ref
+from warpdiff.heightfield.field import HeightField
+from warpdiff.kernels.thresholds import HORIZON
+from warpdiff.optics import colorimetry
+from warpdiff.request.evaluation import Evaluation
+from warpdiff.request.settings import EvaluationSettings
+from warpdiff.request.signatures import accepts
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from warpdiff.core.table import Table
+    from warpdiff.optics.spectra import Spectrum
+    from warpdiff.request.keywords import EvaluationKeywords
+
+# Largest number of coherence windows and of wavelengths. Limit: tables and pictures of one page.
+_MOST_SIGMAS, _MOST_WAVELENGTHS = 6, 12
+
+
+@dataclass(frozen=True, eq=False)
+class ScanReport:
+    """Files and numbers of a report; ``print`` shows its main results.
+
+    Attributes:
+        page: Path of the web page.
+        paths: Paths of all files, the page first.
+        numbers: Numbers of the report as dictionaries and lists, as in the JSON file; None where there is no number.
+        reasons: Reasons of results that could not be found, by name.
+        warnings: Warnings of the calls, each once. They are on the page, and are not issued.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> grating = wd.gratings.sinusoidal(2.0, 0.1)
+        >>> report = wd.report(grating, "report", sigmas_um=[10.0])
+        >>> report.page.name, report.reasons["periods"][:38]
+        ('report.html', 'no wave repeats at least three times i')
+    """
+
+    page: Path
+    paths: tuple[Path, ...]
+    numbers: dict[str, Any]
+    reasons: dict[str, str]
+    warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"ScanReport({str(self.page)!r}, {len(self.paths)} files, {len(self.warnings)} warnings)"
+
+    def __str__(self) -> str:
+        return report_page.summary_text(self.numbers, self.warnings)
+
+
+@accepts(EvaluationSettings)
+def report(
+    heightfield: HeightField, folder: str | os.PathLike[str], *, to_light: ArrayLike | None = None,
+    to_view: ArrayLike | None = None, wavelengths_nm: ArrayLike = (450.0, 550.0, 650.0),
+    sigmas_um: Sequence[float] = (5.0, 16.25, 50.0), compare: str | os.PathLike[str] | None = None,
+    illuminant: str | Spectrum = "D65", title: str | None = None, progress: Progress = None,
+    **settings: Unpack[EvaluationKeywords],
+) -> ScanReport:  # fmt: skip
+    """Write the report of a height field: one web page without links to other files, and its numbers.
+
+    The page has the map of the heights and a profile, the cleaning steps, the ISO 25178 parameters, the power spectrum
+    and its periods, the verdict on scalar diffraction, the orders with their angles and efficiencies, colours against
+    the view angle, and a reflectance map. Each number has its error, or the reason why it has none. A field without
+    some of these results has a page that says what could not be found. The report requires the extra ``plot``.
+
+    Missing samples are interpolated for optics; other cleaning is yours, see `HeightField.levelled`. Periods of a field
+    with more than 1,536 samples along an axis are those of the part in its middle, and optics of a field wider than
+    about 100 µm as well.
+
+    Args:
+        heightfield: Height field, cleaned as it should be reported.
+        folder: Folder of the files; it is created if it does not exist. Files of an earlier report are replaced.
+        to_light: Direction to the light in the local frame, shape (3,). None is 30° from the normal, in the plane of
+            the strongest wave vector.
+        to_view: Direction to the viewer for a measured spectrum, shape (3,). None is the mirror direction, or the view
+            angle in the file.
+        wavelengths_nm: Wavelengths of the orders and verdicts [nm], shape (m,) or one number.
+        sigmas_um: Standard deviations of the coherence windows whose colours are shown [µm], one to six.
+        compare: Text file of a measured spectrum or goniometer curve, which is drawn over the computed one. It has a
+            column ``wavelength_nm`` or ``angle_deg``, one column of values, and optionally one with ``error`` in its
+            name. View angles are from the normal in the plane of the light, positive towards +x, or +y where x is 0.
+        illuminant: Name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
+        title: Title of the page; None is the name of the file of the height field.
+        progress: Function that is called with the finished share, 0 to 1; True shows a progress bar.
+
+    Returns:
+        Paths of the files, and the numbers.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+        TypeError: An argument has the wrong type.
+        ValueError: An argument is out of its range, or the measured curve cannot be read.
+        OSError: A file cannot be written.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> report = wd.report(wd.gratings.blazed(2.0, 0.2), "report", sigmas_um=[10.0])
+        >>> [path.name for path in report.paths]
+        ['report.html', 'report.json', 'roughness.csv', 'theory.csv', 'orders.csv', 'colours.csv']
+    """
+    validation.instance(heightfield, HeightField, "heightfield")
+    if title is not None and not isinstance(title, str):
+        raise ArgumentTypeError(f"{ref('title')} must be a string, got {title!r:.40}")
+    check_matplotlib()
+    request = Request(
+        heightfield, _direction(to_light, "to_light"), _direction(to_view, "to_view"), _wavelengths(wavelengths_nm),
+        _sigmas(sigmas_um), illuminant, None if compare is None else read_curve(compare), dict(settings),
+    )  # fmt: skip
+    # A wrong setting is an error here, and not a reason on the page.
+    flat = HeightField.of_known_scale([[0.0]], 1.0)
+    Evaluation.of(flat, EvaluationSettings(**settings), illuminants=(illuminant,))
+    target = _folder(folder)
+    announce = reporter(progress, "report") or (lambda _: None)
+    data = collect(request, announce)
+    figures = figures_of(data)
+    numbers = numbers_of(data, _title(heightfield) if title is None else title)
+    tables = tables_of(data)
+    page = report_page.page_of(data, numbers, figures, ["report.json", *(f"{key}.csv" for key in tables)])
+    paths = _write(target, page, numbers, tables)
+    announce(1.0)
+    return ScanReport(paths[0], paths, numbers, dict(data.reasons), tuple(data.warnings))
+
+
+def _direction(value: ArrayLike | None, name: str) -> NDArray[np.float64] | None:
+    """Return a direction above the horizon as a unit vector; None stays None."""
+    if value is None:
+        return None
+    unit: NDArray[np.float64] = validation.unit_directions(validation.vector(value, name), name)[0][0]
+    if unit[2] <= HORIZON:
+        raise ArgumentValueError(f"{ref(name)} must be above the horizon (z > 0), got {np.asarray(value).tolist()}")
+    return unit
+
+
+def _wavelengths(value: ArrayLike) -> NDArray[np.float64]:
+    wavelengths = np.unique(colorimetry.check_wavelengths(value))
+    if not 1 <= len(wavelengths) <= _MOST_WAVELENGTHS:
+        raise ArgumentValueError(
+            f"{ref('wavelengths_nm')} must be 1 to {_MOST_WAVELENGTHS} wavelengths, got {len(wavelengths)}"
+        )
+    return wavelengths
+
+
+def _sigmas(value: Sequence[float]) -> tuple[float, ...]:
+    sigmas = np.unique(np.atleast_1d(validation.finite_array(value, "sigmas_um", most=validation.MOST))).tolist()
+    if not 1 <= len(sigmas) <= _MOST_SIGMAS or not all(sigma >= validation.LEAST for sigma in sigmas):
+        raise ArgumentValueError(
+            f"{ref('sigmas_um')} must be 1 to {_MOST_SIGMAS} numbers of at least {validation.LEAST:g}, got "
+            f"{value!r:.60}"
+        )
+    return tuple(sigmas)
+
+
+def _folder(folder: str | os.PathLike[str]) -> Path:
+    """Return the folder of the files, which exists and is writable."""
+    target = validation.path(folder, "folder")
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise marked(type(error), f"{ref('folder')}: {target} cannot be created: {error.strerror}") from None
+    files.check_folder(target, "folder")
+    return target
+
+
+def _title(heightfield: HeightField) -> str:
+    source = heightfield.source
+    if source is None or not source.path:
+        return "Height field"
+    name = source.path.replace("\\", "/").rpartition("/")[2]
+    return f"{name}, {source.channel}" if source.channel else name
+
+
+def _write(target: Path, page: str, numbers: dict[str, Any], tables: dict[str, Table]) -> tuple[Path, ...]:
+    """Write all files; each replaces an earlier one when it is complete, and the page comes last."""
+    paths = [target / "report.json"]
+    with files.atomic_write(paths[0]) as temporary:
+        text = json.dumps(numbers, ensure_ascii=False, indent=1, allow_nan=False)
+        temporary.write_text(text + "\n", encoding="utf-8")
+    paths += [table.save(target / f"{name}.csv") for name, table in tables.items()]
+    with files.atomic_write(target / "report.html", suffix=".html") as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    return target / "report.html", *paths

@@ -1,0 +1,237 @@
+"""Autocorrelation of heights with missing samples, and the distances over which it decays."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from warpdiff.heightfield.blocks import Block
+
+# Value of the autocorrelation at which it counts as decayed. Limit: the default of ISO 25178-3. If doubled, lengths are
+# shorter.
+THRESHOLD = 0.2
+# Largest lag along an axis, as a share of the field. Limit: a quarter of the pairs of samples remains at half of both
+# sides. If doubled, lags of a single pair count.
+MOST_LAG = 0.5
+# Least number of pairs of a lag that counts, as a share of the measured samples. Limit: gaps may leave fewer. If
+# doubled, Str of fields with many gaps has no value more often.
+_LEAST_PAIRS = 0.05
+# Distance of samples along a ray [pixels]. Limit: a crossing and a return within half a pixel is noise. If doubled,
+# narrow valleys of the autocorrelation are missed.
+_STEP = 0.5
+# Number of azimuths over half a turn, and of further levels around the extremes, each with as many azimuths. Limit: the
+# last level has steps of 0.001°, so that Str down to 0.001 is exact to 1 %. If doubled, the time doubles.
+_AZIMUTHS, _LEVELS, _AZIMUTHS_OF_LEVEL = 360, 3, 17
+# Number of azimuths for a standard error. Limit: the further levels find the extremes. If doubled, the time doubles.
+AZIMUTHS_OF_PART = 60
+# Number of secant steps to a crossing. Limit: the error is far below that of the spline.
+_SECANTS = 4
+
+
+@dataclass(frozen=True)
+class Decay:
+    """Distances at which an autocorrelation falls to the threshold; azimuths are from x towards y.
+
+    Attributes:
+        fastest_um: Shortest distance over all azimuths [µm]; NaN if it does not decay at any.
+        slowest_um: Longest distance over all azimuths [µm]; a lower bound if ``is_closed`` is False.
+        slowest_deg: Azimuth of the longest distance [degrees], 0 to 180.
+        is_closed: Whether the autocorrelation decays at all azimuths, within the lags that were measured.
+        extents: Largest lags (y, x) of the region around the origin where it exceeds the threshold [samples].
+    """
+
+    fastest_um: float
+    slowest_um: float
+    slowest_deg: float
+    is_closed: bool
+    extents: tuple[float, float]
+
+
+def lag_sums(
+    heights: NDArray[np.float64], known: NDArray[np.bool_], block: Block, reach: tuple[int, int]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Sum the products of pairs of heights by their lag, and count the pairs, for first samples in a block.
+
+    Sums over all blocks of a field are those of the field. Each pair counts half at either sample.
+
+    Args:
+        heights: Heights without mean, 0 where a sample is missing, shape (ny, nx).
+        known: Mask of the measured samples, shape (ny, nx).
+        block: Rows and columns of the first samples.
+        reach: Largest lags (y, x) [samples].
+
+    Returns:
+        Sums and numbers of pairs, shape (2 · reach_y + 1, 2 · reach_x + 1) each, with lag 0 in the centre.
+    """
+    from scipy import fft
+
+    own = tuple(part.stop - part.start for part in block)
+    around, inner = [], []
+    for part, n, most in zip(block, heights.shape, reach, strict=True):
+        low, high = max(part.start - most, 0), min(part.stop + most, n)
+        around.append(slice(low, high))
+        inner.append(slice(low - part.start + most, high - part.start + most))
+    size = tuple(n + 2 * most for n, most in zip(own, reach, strict=True))
+    padded = tuple(fft.next_fast_len(n, real=True) for n in size)
+
+    def correlated(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        large = np.zeros(size)
+        large[inner[0], inner[1]] = values[around[0], around[1]]
+        spectrum = fft.rfft2(large, padded) * np.conj(fft.rfft2(values[block], padded))
+        sums = np.asarray(fft.irfft2(spectrum, padded))[: 2 * reach[0] + 1, : 2 * reach[1] + 1]
+        return np.asarray(0.5 * (sums + sums[::-1, ::-1]))
+
+    if known.all():
+        overlaps = []
+        for part, n, most in zip(block, heights.shape, reach, strict=True):
+            lags = np.arange(-most, most + 1)
+            count = np.minimum(part.stop + lags, n) - np.maximum(part.start + lags, 0)
+            overlaps.append(np.maximum(count, 0).astype(np.float64))
+        pairs = np.outer(*overlaps)
+        pairs = 0.5 * (pairs + pairs[::-1, ::-1])
+    else:
+        pairs = np.rint(2.0 * correlated(known.astype(np.float64))) / 2.0
+    return correlated(heights), pairs
+
+
+def decay_of(
+    products: NDArray[np.float64], pairs: NDArray[np.float64], pitch_um: tuple[float, float], samples: float,
+    azimuths: int = _AZIMUTHS,
+) -> Decay:  # fmt: skip
+    """Return the distances at which the autocorrelation decays.
+
+    The distance at an azimuth is that of the first crossing of the threshold on a straight line from the origin.
+
+    Args:
+        products: Sums of products by lag, as `lag_sums` returns them.
+        pairs: Numbers of pairs by lag.
+        pitch_um: Distance of the samples (dy, dx) [µm].
+        samples: Number of measured samples.
+        azimuths: Number of azimuths over half a turn from which the extremes are refined.
+    """
+    rays = _Rays(products, pairs, pitch_um, _LEAST_PAIRS * samples)
+    angles = np.linspace(0.0, math.pi, azimuths + 1) if min(products.shape) > 1 else np.zeros(1)
+    if products.shape[1] == 1:
+        angles = np.full(1, math.pi / 2.0)
+    lengths, crosses = rays.lengths(angles)
+    extents = (
+        float(np.max(lengths * np.abs(np.sin(angles)))), float(np.max(lengths * np.abs(np.cos(angles)))),
+    )  # fmt: skip
+    distances = lengths * rays.scale(angles)
+    is_closed = bool(crosses.all())
+    fastest = float(np.min(distances[crosses])) if crosses.any() else math.nan
+    place = int(np.argmax(distances))
+    slowest, slowest_angle = float(distances[place]), float(angles[place])
+    if len(angles) > 1:
+        step = float(angles[1])
+        if crosses.any():
+            angle = float(angles[np.argmin(np.where(crosses, distances, np.inf))])
+            fastest = min(fastest, _extreme(rays, angle, step, sign=-1.0)[0])
+        slowest, slowest_angle, closes = _extreme(rays, slowest_angle, step, sign=1.0)
+        is_closed = is_closed and closes
+    dy, dx = pitch_um
+    directions = np.arctan2(dy * np.sin(angles), dx * np.cos(angles))
+    if crosses.all():
+        azimuth = math.atan2(dy * math.sin(slowest_angle), dx * math.cos(slowest_angle))
+    else:
+        # Azimuths without an end are on both sides of the lay. They are the same after half a turn.
+        azimuth = 0.5 * float(np.angle(np.sum(np.exp(2j * directions[~crosses]))))
+    return Decay(fastest, slowest, math.degrees(azimuth) % 180.0, is_closed, extents)
+
+
+def _extreme(rays: _Rays, angle: float, step: float, *, sign: float) -> tuple[float, float, bool]:
+    """Return the largest distance, for ``sign`` 1, or the smallest one near an angle, its angle, and if rays cross."""
+    best, closes = -math.inf, True
+    for _ in range(_LEVELS):
+        angles = angle + np.linspace(-step, step, _AZIMUTHS_OF_LEVEL)
+        lengths, crosses = rays.lengths(angles)
+        distances = sign * lengths * rays.scale(angles)
+        if sign < 0.0:
+            distances[~crosses] = -math.inf
+        closes = closes and bool(crosses.all())
+        place = int(np.argmax(distances))
+        best, angle = max(best, float(distances[place])), float(angles[place])
+        step *= 2.0 / (_AZIMUTHS_OF_LEVEL - 1)
+    return sign * best, angle, closes
+
+
+class _Rays:
+    """Interpolated autocorrelation on straight lines from the origin; angles and lengths are in units of samples."""
+
+    def __init__(
+        self, products: NDArray[np.float64], pairs: NDArray[np.float64], pitch_um: tuple[float, float], least: float
+    ) -> None:
+        from scipy import ndimage
+
+        self._pitch = pitch_um
+        self._centre = np.array([n // 2 for n in products.shape], dtype=np.float64)
+        self._usable = pairs >= max(least, 1.0)
+        self._has_gaps = not self._usable.all()
+        zero = tuple(n // 2 for n in products.shape)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            values = np.where(self._usable, products / pairs, 0.0) / (products[zero] / pairs[zero])
+        # The autocorrelation is even, so that the mirrored continuation of the spline at the edges does little harm.
+        self._spline = ndimage.spline_filter(values, order=3, mode="mirror") if min(values.shape) > 1 else values
+        self._line = values.ravel()
+
+    def scale(self, angles: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Length of a sample along each angle [µm]."""
+        dy, dx = self._pitch
+        return np.hypot(dy * np.sin(angles), dx * np.cos(angles))
+
+    def lengths(self, angles: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Return the distance of the first crossing, or of the last usable sample, and whether there is a crossing."""
+        units = np.stack([np.sin(angles), np.cos(angles)])
+        count = math.ceil(float(np.hypot(*self._centre)) / _STEP) + 1
+        distances = _STEP * np.arange(count)
+        values, usable = self._at(units[:, :, None] * distances)
+        ends = ~usable | (values < THRESHOLD)
+        ends[:, -1] = True
+        first = np.argmax(ends, axis=1)
+        rows = np.arange(len(angles))
+        crosses = usable[rows, first] & (values[rows, first] < THRESHOLD)
+        low, high = distances[np.maximum(first - 1, 0)], distances[first]
+        at_low, at_high = values[rows, np.maximum(first - 1, 0)], values[rows, first]
+        for _ in range(_SECANTS):
+            # The bracket is halved at least every second step, because the secant is kept off its ends.
+            with np.errstate(divide="ignore", invalid="ignore"):
+                share = np.clip((at_low - THRESHOLD) / (at_low - at_high), 0.1, 0.9)
+            middle = np.where(crosses, low + share * (high - low), low)
+            at_middle, _ = self._at(units * middle)
+            above = at_middle >= THRESHOLD
+            low, at_low = np.where(above, middle, low), np.where(above, at_middle, at_low)
+            high, at_high = np.where(above, high, middle), np.where(above, at_high, at_middle)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crossing = low + (at_low - THRESHOLD) / (at_low - at_high) * (high - low)
+        return np.where(crosses, crossing, distances[np.maximum(first - 1, 0)]), crosses
+
+    def _at(self, lags: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Interpolate at lags, shape (2, …): values, and whether all samples around are usable."""
+        from scipy import ndimage
+
+        # Lags on a sample have no neighbour but for rounding.
+        roundings = (np.floor, 1e-9), (np.ceil, -1e-9)
+        places = lags + self._centre.reshape(2, *[1] * (lags.ndim - 1))
+        usable = np.ones(lags.shape[1:], dtype=bool)
+        for axis, n in enumerate(self._usable.shape):
+            usable &= (places[axis] > -1e-9) & (places[axis] < n - 1 + 1e-9)
+        if self._has_gaps:
+            ends = [
+                [np.clip(whole(place + shift).astype(np.intp), 0, n - 1) for whole, shift in roundings]
+                for place, n in zip(places, self._usable.shape, strict=True)
+            ]
+            for row in ends[0]:
+                for column in ends[1]:
+                    usable &= self._usable[row, column]
+        if min(self._usable.shape) > 1:
+            values = ndimage.map_coordinates(self._spline, places, order=3, mode="mirror", prefilter=False)
+        else:
+            axis = int(np.argmax(self._usable.shape))
+            values = ndimage.map_coordinates(self._line, places[axis][None], order=3, mode="mirror")
+        return np.asarray(values), usable
