@@ -4,6 +4,7 @@
 #pragma once
 
 #include "simd.h"
+#include "vectors.h"
 
 namespace warpdiff {
 
@@ -11,53 +12,39 @@ namespace warpdiff {
 // dark (UNLIT), or does not hit the mesh (MISSED).
 constexpr unsigned char LIT = 1, UNLIT = 2, MISSED = 4;
 
-// The scatter of a pixel is estimated from the means over square blocks of its cells. This is the largest number of
-// blocks along an axis of the pixel. Limit: size of local arrays.
-constexpr int BLOCKS = 4;
-
 // Sums over the cells of one subdivided pixel. `filtered_sums[i][j]` is this pixel's contribution to the pixel that
 // lies 1 − i rows below and 1 − j columns to the right: the sum of colours times weights, and the sum of weights.
-// `blocks` has the sum of colours of each block and the number of its cells that hit the mesh. `lighting` has the bits
-// LIT, UNLIT and MISSED.
+// `quadrants` has the mean colours of the four quadrants, row by row. `lighting` has the bits LIT, UNLIT and MISSED.
 struct CellSums {
-    float filtered_sums[3][3][4] = {}, blocks[BLOCKS][BLOCKS][4] = {};
-    int across, cells; // number of blocks along an axis, number of cells per block
+    float filtered_sums[3][3][4] = {}, quadrants[4][3] = {};
     unsigned char lighting = 0;
-
-    // Compute the mean colour of one of the four quadrants of the pixel. The row and the column of the quadrant are 0
-    // or 1.
-    WARPDIFF_INLINE void quadrant(int row, int column, float* mean) const
-    {
-        const int half = across / 2;
-        for (int c = 0; c < 3; ++c) {
-            mean[c] = 0.0f;
-            for (int i = 0; i < half; ++i)
-                for (int j = 0; j < half; ++j) mean[c] += blocks[half * row + i][half * column + j][c];
-            mean[c] /= (float)(half * half * cells);
-        }
-    }
-
-    // Return the estimated standard deviation ‖ΔXYZ‖ of the pixel's mean colour. The means of the blocks count as
-    // independent samples. Cells that hit nothing are black without noise, and do not contribute.
-    WARPDIFF_INLINE float scatter() const
-    {
-        float total[4] = {}, square = 0.0f;
-        int used = 0;
-        for (const auto& row : blocks)
-            for (const auto& block : row) {
-                used += block[3] > 0.0f;
-                for (int c = 0; c < 4; ++c) total[c] += block[c];
-            }
-        if (used < 2) return 0.0f;
-        for (const auto& row : blocks)
-            for (const auto& block : row)
-                for (int c = 0; c < 3; ++c) {
-                    const float off = block[c] - block[3] * total[c] / total[3];
-                    square += off * off;
-                }
-        return wp::sqrt(square * (float)used / (float)(used - 1)) / (float)(across * across * cells);
-    }
 };
+
+// Return the estimated standard deviation ‖ΔXYZ‖ of the mean of `across` × `across` cells with random directions to the
+// light. It is estimated from differences within squares of four cells, so that slow changes of colour over the pixel do
+// not count as scatter. Cells that hit nothing are black without noise, and do not contribute.
+WARPDIFF_INLINE float scatter_of(const float* colours, const int* hit, int across)
+{
+    float sum = 0.0f;
+    for (int row = 0; row < across; row += 2)
+        for (int column = 0; column < across; column += 2) {
+            float total[3] = {}, square = 0.0f;
+            int hits = 0;
+            for (int k = 0; k < 4; ++k) {
+                const int cell = (row + k / 2) * across + column + k % 2;
+                if (hit[cell] == 0) continue;
+                ++hits;
+                for (int c = 0; c < 3; ++c) {
+                    total[c] += colours[3 * cell + c];
+                    square += colours[3 * cell + c] * colours[3 * cell + c];
+                }
+            }
+            if (hits < 2) continue;
+            const float off = square - dot(total, total) / (float)hits;
+            sum += wp::max(off, 0.0f) * (float)hits / (float)(hits - 1);
+        }
+    return wp::sqrt(sum) / (float)(across * across);
+}
 
 // Sum the `across` × `across` cells of a pixel, row by row. `along` has the weights of the cells along one axis: first
 // for the previous pixel, then for their own and for the next one. `is_sampled` states whether each cell has drawn a
@@ -66,9 +53,7 @@ WARPDIFF_INLINE CellSums sum_cells(
     const float* colours, const int* hit, bool is_sampled, const float* along, int across)
 {
     CellSums sums;
-    sums.across = across < BLOCKS ? across : BLOCKS;
-    const int per_block = across / sums.across;
-    sums.cells = per_block * per_block;
+    const int half = across / 2;
     int cell = 0;
     for (int row = 0; row < across; ++row) {
         float of_row[3][4] = {};
@@ -81,8 +66,8 @@ WARPDIFF_INLINE CellSums sum_cells(
             // If the direction to the light is random, a black cell may still be illuminated from another direction.
             // All cells that hit the mesh then count as illuminated.
             sums.lighting |= is_sampled || value[0] + value[1] + value[2] > 0.0f ? LIT : UNLIT;
-            float* const block = sums.blocks[row / per_block][column / per_block];
-            for (int c = 0; c < 4; ++c) block[c] += value[c];
+            float* const quadrant = sums.quadrants[row / half * 2 + column / half];
+            for (int c = 0; c < 3; ++c) quadrant[c] += value[c] / (float)(half * half);
             for (int k = 0; k < 3; ++k)
                 for (int c = 0; c < 4; ++c) of_row[k][c] += along[k * across + column] * value[c];
         }
@@ -108,17 +93,17 @@ WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const 
         const int pixel = numbers<const int>(pixels)[tile];
         if (pixel < 0) continue;
         const long long first = (long long)tile * across * across;
-        const CellSums sums = sum_cells(numbers<const float>(colours) + 3 * first, numbers<const int>(hit) + first,
-            is_sampled, numbers<const float>(weights), across);
+        const float* const cells = numbers<const float>(colours) + 3 * first;
+        const int* const hits = numbers<const int>(hit) + first;
+        const CellSums sums = sum_cells(cells, hits, is_sampled, numbers<const float>(weights), across);
         const long long rank = is_empty(ranks) ? pixel : numbers<const int>(ranks)[pixel];
         memcpy(numbers<float>(filtered_sums_out) + 36 * rank, sums.filtered_sums, sizeof(sums.filtered_sums));
         numbers<unsigned char>(levels_out)[rank] = (unsigned char)level;
         numbers<unsigned char>(lighting_out)[rank] = sums.lighting;
-        if (is_sampled) numbers<float>(changes_out)[rank] = sums.scatter();
+        if (is_sampled) numbers<float>(changes_out)[rank] = scatter_of(cells, hits, across);
         if (is_sampled || !is_base) continue;
         float* const quadrants = numbers<float>(quadrants_out) + 12 * rank;
-        for (int quadrant = 0; quadrant < 4; ++quadrant)
-            sums.quadrant(quadrant / 2, quadrant % 2, quadrants + 3 * quadrant);
+        memcpy(quadrants, sums.quadrants, sizeof(sums.quadrants));
         float change2 = 0.0f;
         for (int c = 0; c < 3; ++c) {
             const float mean = 0.25f * (quadrants[c] + quadrants[3 + c] + quadrants[6 + c] + quadrants[9 + c]);

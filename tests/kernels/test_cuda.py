@@ -39,6 +39,7 @@ KERNELS = {
     "light_samples": {"balance_energy", "pixel_footprints", "scattering_vectors", "select_material",
                       "add_light_rotation", "add_light_extent"},
     "disc_samples": {"draw_disc"},
+    "light_choice": {"choose_lights"},
     "sky_samples": {"mirror_deflections", "sample_sky"},
     "subdivision": {"accumulate", "select_levels",
                     "raise_levels", "resolve_pixels", "estimate_errors", "splat_cells"},

@@ -51,14 +51,14 @@ def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
 
 
 @pytest.mark.parametrize("level", [2, 3])
-def test_the_scatter_of_samples_follows_from_the_means_of_16_blocks(level, rng):
-    """The scatter of a subdivided pixel equals the one computed explicitly from the means of 16 blocks of its cells.
+def test_the_scatter_of_samples_follows_from_squares_of_four_cells(level, rng):
+    """The scatter of a subdivided pixel equals the one computed explicitly from the variances within 2 × 2 cells.
 
-    Cells that miss the mesh do not add to the variance; here they include one whole block.
+    Cells that miss the mesh do not add to the variance; here they include one whole square.
     """
     across = 2**level
     colours, hit = rng.lognormal(size=(across, across, 3)).astype(np.float32), rng.uniform(size=(across, across)) < 0.8
-    hit[: across // 4, : across // 4] = False
+    hit[:2, :2] = False
     changes = wp.zeros(9, dtype=wp.float32, device="cpu")
     inputs = [
         array(colours.reshape(-1, 3), wp.vec3f), array(hit.ravel(), wp.int32), array([5], wp.int32),
@@ -68,11 +68,12 @@ def test_the_scatter_of_samples_follows_from_the_means_of_16_blocks(level, rng):
     unread = [wp.zeros((9, size), dtype=dtype, device="cpu") for size, dtype in ((9, wp.vec4f), (4, wp.vec3f))]
     outputs = [*unread, changes, *(wp.zeros(9, dtype=wp.uint8, device="cpu") for _ in range(2))]
     wp.launch(subdivision.splat_cells, (1, 1), inputs, outputs, device="cpu")
-    blocks = (colours * hit[..., None]).reshape(4, across // 4, 4, across // 4, 3).sum(axis=(1, 3)).reshape(16, 3)
-    hits = hit.reshape(4, across // 4, 4, across // 4).sum(axis=(1, 3)).ravel()
-    used = np.count_nonzero(hits)
-    away = blocks - hits[:, None] * blocks.sum(axis=0) / hits.sum()
-    expected = np.sqrt(np.sum(away**2) * used / (used - 1)) / across**2
+    square = 0.0
+    for row in range(0, across, 2):
+        for column in range(0, across, 2):
+            cells = colours[row : row + 2, column : column + 2][hit[row : row + 2, column : column + 2]]
+            square += len(cells) * np.var(cells, axis=0, ddof=1).sum() if len(cells) > 1 else 0.0
+    expected = np.sqrt(square) / across**2
     assert changes.numpy()[5] == pytest.approx(expected, rel=1e-4)
     # Equal colours have no variance, even if some cells miss the mesh.
     inputs[0] = array(np.ones((across**2, 3)), wp.vec3f)

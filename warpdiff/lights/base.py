@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 
 # Largest power of a light, a linear factor. Limit: kernels square colours in float32, which is at most 3e38.
 MOST_POWER = 1e12
+# Fewest directional lights with the same illuminant of which each subpixel cell chooses one. Fitted to a snake and a
+# tube: with fewer lights, cells that evaluate all of them save time on one of the two.
+MANY_LIGHTS = 64
 # Number of directions per pixel that are drawn on a disc light too wide for one lobe, in pictures with
 # ``refine=False``. Limit: time is proportional to it.
 DISC_SAMPLES = 128
@@ -110,6 +113,11 @@ class Lobe:
     profile: EmissionProfile | None = None
     name: str = "lights"
 
+    @property
+    def is_direction(self) -> bool:
+        """Whether equal light arrives everywhere from a single direction."""
+        return self.power > 0.0 and self.deviations is None and self.position is None and self.profile is None
+
 
 @dataclass(frozen=True, eq=False)
 class LobeSet(LightPart):
@@ -135,6 +143,18 @@ class LobeSet(LightPart):
         from warpdiff.lights.lobe_pass import LobePass
 
         return LobePass(self, context)
+
+
+@dataclass(frozen=True, eq=False)
+class LobeChoice(LobeSet):
+    """Set of many lobes with one illuminant, each with a single direction. Each subpixel cell chooses one lobe."""
+
+    def make_pass(self, context: PassContext) -> LightPass:
+        """Return the pass that chooses lobes."""
+        # Warp is imported here, so that the help of the command line can describe lights without loading Warp.
+        from warpdiff.lights.choice_pass import ChoicePass
+
+        return ChoicePass(self, context)
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,7 +35,7 @@ class DiscPass(LobePass):
     Gaussian lobe with the extent of the whole disc.
     """
 
-    is_sampled = True
+    is_sampled, first_level = True, 2
 
     def __init__(self, part: DiscPart, context: PassContext) -> None:
         super().__init__(part, context)

@@ -231,6 +231,8 @@ class LightPass(ABC):
     Attributes:
         is_sampled: Whether directions to the light are drawn at random, so that colours have noise.
         has_directions: Whether each ray has its own direction or weight: sampled lights and emission profiles.
+        first_level: Level of the first cells. Sampled lights begin at a finer one, because four cells are too few to
+            estimate noise.
         context: Context that all passes of the picture share.
         lobe_count: Number of lobes, which are processed one after the other; for sampled lights, number of directions
             per pixel in a picture whose pixels are not subdivided.
@@ -238,6 +240,7 @@ class LightPass(ABC):
     """
 
     is_sampled = has_directions = False
+    first_level = 1
 
     def __init__(self, context: PassContext, spectra_of_lobes: Sequence[Sequence[str | Spectrum]]) -> None:
         self.context, self.lobe_count = context, len(spectra_of_lobes)

@@ -83,12 +83,20 @@ def distribution_for(
         blocks: Cumulative shares and densities of the sky's blocks, as :func:`upload_sky` returns them.
         sky_share: Share of the samples that are drawn from the sky's blocks.
     """
+    result = surface_distribution(lookup, illuminated)
+    result.row_cdf, result.column_cdf, result.block_densities = blocks
+    result.sky_share = sky_share
+    return result
+
+
+def surface_distribution(
+    lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]]
+) -> sky_samples.SkyDistribution:
+    """Return the struct of :func:`distribution_for` for the surface alone; the fields for a sky are empty."""
     key = tuple(map(tuple, illuminated))
     result = sky_samples.SkyDistribution()
     of_surface = lookup.derived.get_or_make(key, lambda: _of_surface(lookup, illuminated))
     result.ring_cdf, result.starts, result.spoke_cdf, result.densities, result.least_log, result.per_log = of_surface
-    result.row_cdf, result.column_cdf, result.block_densities = blocks
-    result.sky_share = sky_share
     return result
 
 

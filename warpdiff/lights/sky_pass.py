@@ -39,6 +39,7 @@ class SkyPass(LightPass):
     """
 
     is_sampled = has_directions = True
+    first_level = 2
 
     def __init__(self, grid: SkyGrid, context: PassContext) -> None:
         super().__init__(context, [grid.spectra])

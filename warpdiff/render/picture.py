@@ -217,7 +217,7 @@ class Picture:
                 of_light.illuminated.zero_()
             share = subprogress(progress, light / count, (light + 1) / count)
             self._add_own_rays(light, batch, lookup, subprogress(share, 0.0, _PROGRESS_OF_FIRST_RAYS))
-            policy = replace(policy, is_sampled=light_pass.is_sampled)
+            policy = replace(policy, is_sampled=light_pass.is_sampled, first_level=light_pass.first_level)
             refinement = LightRefinement(light_pass, lookup, batch, of_light, policy, is_first=light == 0)
             if self._loop is None:
                 rays = self.rays

@@ -41,14 +41,15 @@ class RefinementPolicy:
         tolerance: Tolerance of the picture, or of a preview.
         least_level: Level to which all pixels are subdivided.
         refine: Whether pixels with larger estimated errors are subdivided further.
-        is_sampled: Whether each cell draws a direction to the light. If so, the base level is at least 2, because the
-            four cells of level 1 are too few to estimate noise.
+        is_sampled: Whether each cell draws a direction to the light.
+        first_level: Least level of the first cells under the light.
     """
 
     tolerance: float
     least_level: int
     refine: bool
     is_sampled: bool = False
+    first_level: int = 1
 
     @property
     def subdivides(self) -> bool:
@@ -58,7 +59,7 @@ class RefinementPolicy:
     @property
     def base_level(self) -> int:
         """Level of the first cells of a tile; the colours of these cells determine the level at which the tile ends."""
-        return max(self.least_level, 2 if self.is_sampled else 1)
+        return max(self.least_level, self.first_level)
 
     @property
     def most_level(self) -> int:

@@ -12,7 +12,7 @@ from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.kernels import refinement_levels
-from warpdiff.lights.base import Light, LobeSet, listed
+from warpdiff.lights.base import MANY_LIGHTS, Light, LobeChoice, LobeSet, listed
 from warpdiff.lights.light_pass import SurfaceOptics
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.planner.refusals import warn_outside
@@ -297,7 +297,8 @@ def parts_of(lights: Sequence[Light], evaluation: Evaluation, *, refine: bool, m
     """Check lights and return their parts. Without refinement, discs of up to 5° become single lobes.
 
     The lobes of all lights form one part, so that the error of a pixel is estimated under all of them. An uneven
-    surface causes errors under each light, and separate estimates would not bound the sum of these errors.
+    surface causes errors under each light, and separate estimates would not bound the sum of these errors. Refined
+    pictures choose one of many directional lights in each cell.
     """
     lobes: list[Lobe] = []
     others: list[LightPart] = []
@@ -311,4 +312,11 @@ def parts_of(lights: Sequence[Light], evaluation: Evaluation, *, refine: bool, m
                 lobes += [replace(lobe, name=f"{ref(name)} ({type(light).__name__})") for lobe in part.lobes]
             else:
                 others.append(part)
-    return [LobeSet(tuple(lobes)), *others] if lobes else others
+    chosen: list[LightPart] = []
+    if refine and evaluation.footprint and evaluation.coherence.kind == "averaged":
+        for spectrum in dict.fromkeys(lobe.illuminant for lobe in lobes):
+            group = tuple(lobe for lobe in lobes if lobe.illuminant == spectrum and lobe.is_direction)
+            if len(group) >= MANY_LIGHTS:
+                chosen.append(LobeChoice(group))
+                lobes = [lobe for lobe in lobes if lobe not in group]
+    return [*([LobeSet(tuple(lobes))] if lobes else []), *chosen, *others]

@@ -1,0 +1,54 @@
+"""Choice of one of many distant lights for each ray, by the light that the surface is expected to scatter."""
+
+import warp as wp
+
+from warpdiff.kernels import compile_options
+from warpdiff.kernels.light_samples import Lights
+from warpdiff.kernels.sample_sequence import light_point, sample_index
+from warpdiff.kernels.sky_samples import SkyDistribution
+from warpdiff.kernels.structs import Footprint, Pixels
+
+wp.set_module_options(compile_options.options("light_choice.h"))
+
+
+@wp.func_native("warpdiff::choose_light<16>(lights, table, diffuse, pixels, footprints, ray, random, towards_out);")
+def choose(
+    lights: Lights, table: SkyDistribution, diffuse: wp.float32, pixels: Pixels, footprints: wp.array(dtype=Footprint),
+    ray: wp.int32, random: wp.float32, towards_out: wp.array(dtype=wp.vec4f),
+):  # fmt: skip
+    """Choose a light for a ray that hits the mesh, by a random number from 0 to 1."""
+
+
+@wp.kernel
+def choose_lights(
+    # Inputs of the kernel:
+    lights: Lights, table: SkyDistribution, diffuse: wp.float32, pixels: Pixels, footprints: wp.array(dtype=Footprint),
+    tiles: wp.array(dtype=wp.int32), width: wp.int32, across: wp.int32, sample: wp.int32, samples: wp.int32,
+    first: wp.int32, run: wp.int32,
+    # Outputs of the kernel:
+    towards_out: wp.array(dtype=wp.vec4f),
+):  # fmt: skip
+    """Choose one of many distant lights for each ray. The probability is proportional to the expected brightness.
+
+    Args:
+        lights: The lights, which have the same spectrum.
+        table: Distribution of the light that the surface scatters over (u, v).
+        diffuse: Brightness that is added to that of the table for all directions, times the cosine of the light.
+        pixels: Hits of the rays.
+        footprints: Footprints of the rays' filters for light from the mirror direction.
+        tiles: Pixels whose cells are the rays; if empty, the rays are one per pixel of the picture.
+        width: Number of pixels per row.
+        across: Number of cells along a side of a pixel.
+        sample: Index of the sample among the ``samples`` of each ray.
+        samples: Number of samples per ray.
+        first: Index of the first thread's first ray.
+        run: Number of rays per thread.
+        towards_out: Unit vectors towards the chosen lights, world frame, and weights. A weight is the power of the
+            light relative to that of the first light, divided by the probability. It is 0 without a light.
+    """
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        towards_out[i] = wp.vec4f(0.0, 1.0, 0.0, 0.0)
+        if pixels.hit[i] != 0:
+            point = light_point(sample_index(tiles, width, across, i, sample, samples))
+            choose(lights, table, diffuse, pixels, footprints, i, point[0], towards_out)

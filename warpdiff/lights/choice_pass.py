@@ -1,0 +1,72 @@
+"""Pass of many directional lights: each ray chooses a light by the colours of the surface, and traces a shadow ray."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from warpdiff.device.kernel_calls import KernelCall
+from warpdiff.kernels import light_choice, sky_samples
+from warpdiff.lights import sky_distribution
+from warpdiff.lights.light_pass import Counting
+from warpdiff.lights.lobe_pass import LobePass
+from warpdiff.scene.occluder_grid import no_grid
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from warpdiff.lights.light_pass import RayBatch
+    from warpdiff.tables.lookup import ColourLookup
+
+# Number of lights that each pixel chooses before it is subdivided. Choice: these colours serve only to estimate the
+# reference luminance of the picture.
+_FIRST_SAMPLES = 4
+# Brightness that is expected of all directions besides the diffraction, without and with a pigment. The mean of the
+# diffraction over (u, v) is 0.08. Choices: they change the noise, not the mean.
+_DIFFUSE, _DIFFUSE_OF_PIGMENT = 0.002, 0.08
+
+
+class ChoicePass(LobePass):
+    """Pass of many directional lights with the same illuminant.
+
+    Lobe indices below the number of lights are the lights; those above are samples.
+    """
+
+    is_sampled, first_level = True, 3
+
+    @property
+    def first_lobes(self) -> range:
+        """Samples that are evaluated with one ray per pixel."""
+        return range(self.lobe_count, self.lobe_count + _FIRST_SAMPLES)
+
+    def cell_lobes(self, level: int) -> range:  # noqa: ARG002 (of lights that are not refined)
+        """Return one sample per cell."""
+        return range(self.lobe_count, self.lobe_count + 1)
+
+    def prepare_shadow_rays(self, count: Callable[[], int]) -> None:  # noqa: ARG002 (of grids)
+        """Make no occluder grids, because neighbouring rays choose different lights."""
+        self._grids[:] = self.lobe_count * [no_grid(self.context.rays.scene)]
+
+    def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
+        """Return the kernel calls that compute scattering vectors: of a light, or of light from the mirror direction.
+
+        The latter are for samples, whose lights are chosen later, by :meth:`colour`.
+        """
+        if lobe < self.lobe_count:
+            return super().scatter(lobe, batch, counting)
+        inputs = [batch.gbuffer.pixels, counting.counted, counting.begins, counting.resets]
+        outputs = [batch.samples.scattering_vectors, batch.samples.gains, *batch.sums]
+        return [KernelCall(sky_samples.mirror_deflections, inputs, outputs, in_runs=True)]
+
+    def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
+        """Return the kernel calls that choose a light for each ray, and add its colour."""
+        samples, context = batch.samples, self.context
+        count = len(self.cell_lobes(batch.level) if batch.level else self.first_lobes)
+        diffuse = _DIFFUSE_OF_PIGMENT if context.pigment_strength > 0.0 else _DIFFUSE
+        inputs = [
+            self._lights, sky_distribution.surface_distribution(lookup, self.illuminated[0]), diffuse,
+            batch.gbuffer.pixels, samples.footprints, batch.tiles, context.rays.width, 1 << batch.level,
+            lobe - self.lobe_count, count,
+        ]  # fmt: skip
+        choose = KernelCall(light_choice.choose_lights, inputs, [samples.towards], in_runs=True)
+        scatter = self.scatter_towards(samples.towards, 0, 1.0 / count, batch, Counting())
+        return [self.filter_footprints(batch), choose, *scatter, *super().colour(0, batch, lookup)]
