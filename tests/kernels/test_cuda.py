@@ -37,7 +37,7 @@ KERNELS = {
     "primary_hits": {"rasterize", "intersect_known_faces", "place_samples", "make_shading_frames"},
     "shadow_rays": {"count", "fill", "trace_shadow_rays", "project"},
     "light_samples": {"balance_energy", "pixel_footprints", "scattering_vectors", "select_material",
-                      "add_light_rotation", "add_light_extent"},
+                      "add_light_rotation", "add_light_extent", "add_source_extent"},
     "disc_samples": {"draw_disc"},
     "light_choice": {"choose_lights"},
     "sky_samples": {"mirror_deflections", "sample_sky"},
