@@ -148,7 +148,7 @@ def _kernels() -> tuple[Any, Any]:
             u, w = abs(scattering_vectors[i, 0]), scattering_vectors[i, 2]
             red = green = blue = 0.0
             for n in range(1, ORDERS + 1):
-                # Wavelengths from 0.5 to 1 µm are mapped to the range from 0 to 1, in which the parabolas are defined.
+                # Stam's chapter states the parabolas for red, green and blue as functions of 2λ − 1 (λ in µm).
                 at = 2.0 * period * u / n - 1.0
                 red += max(0.0, 1.0 - (NARROWNESS * (at - PARABOLAS[0])) ** 2)
                 green += max(0.0, 1.0 - (NARROWNESS * (at - PARABOLAS[1])) ** 2)

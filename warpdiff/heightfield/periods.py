@@ -71,7 +71,7 @@ _COHERENT_AT, _WAVERING_AT = (0.43, 0.32), (0.4, 0.7)
 # spectrum of the phase error.
 _WALKS = (0.0, *(10.0 ** np.arange(-0.5, 5.1, 0.5)).tolist())
 
-# Periods of a field by their largest number.
+# Cache: for each field, the periods found by calls, with the argument ``count`` of the call as the key.
 _found: weakref.WeakKeyDictionary[HeightField, dict[int, tuple[Period, ...]]] = weakref.WeakKeyDictionary()
 
 

@@ -44,7 +44,8 @@ _STRIP, _MOST_ALONG = 0.15, 40
 # fields of two axes; and in single rows or columns, which have fewer coefficients.
 _HIGHEST = (1.8, 2.4)
 # The coarse background is estimated in bins of the frequency plane: number of rings per octave of frequency, and number
-# of sectors of half of the plane. The third number is that of the coefficients used in large spectra. Limit: time.
+# of sectors in half of the plane. The third number is the largest number of coefficients that are used in total; of a
+# larger spectrum, every nth coefficient is used. Limit: time.
 _RINGS, _SECTORS, _MOST_SAMPLED = 8, 12, 200_000
 # Frequency [cycles over the longer side of the field] below which all coefficients are used for the coarse background,
 # also in large spectra.

@@ -86,9 +86,9 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
         error = coarser_error
     plan, error = refine(plan, trial, coordinates, target)
     if error > target and automatic and plan.method != trial.reference.method:
-        # In some directions, sums of powers lose their digits in float32, because large terms cancel. If only the
-        # validation set contains such directions, the error becomes visible only at the end of a search. A plan with
-        # amplitudes does not have it.
+        # A plan that expands powers |H|² in a series has large terms of both signs. In some directions they cancel, so
+        # that float32 loses most digits. If only the validation set contains such directions, this error becomes
+        # visible only at the end of a search. A plan that expands the amplitudes H does not have this error.
         plan, error = refine(_by_amplitudes(plan, trial), trial, coordinates, target)
     # The predicted error is divided among its sources in proportion to their measured errors.
     share = predicted_error(error, plan, trial) / sum(errors.values())

@@ -164,7 +164,7 @@ class _Table:
         return self.peak * dr.exp((x * x + y * y) * (-0.5 / self.deviation**2))
 
     def cell_density(self, x: Variant, y: Variant) -> Variant:
-        """Return the density with which the cells are sampled at the coordinates (x, y) of the grid."""
+        """Return the probability density at (x, y) in the table of sampled directions, per unit area of the table."""
         import drjit as dr
         import mitsuba as mi
 

@@ -105,7 +105,7 @@ _FORMATS: tuple[tuple[str, str, tuple[str, ...], Callable[[Path], bool] | None],
 
 
 def _read(name: str, file: Path) -> Channels:
-    """Return the channels of a file that contain heights. ``name`` is the name of the format in the library."""
+    """Return the channels of a file that contain heights. ``name`` is SurfaceTopography's name of its format."""
     try:
         from SurfaceTopography.IO import open_topography
     except ImportError as error:
