@@ -62,9 +62,9 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
     # The pixels have the same colour, but different samples of the sky. Their mean has less noise, and mainly the
     # table's error.
     result = result.mean(axis=(0, 1))
-    # The exact colour is a sum over directions to a grey sky of radiance L with the spectrum of D65. A solid angle dω adds
-    # ρ L dω / Ω, where Ω = λ²/(4πσ²) is the solid angle of the light to which ρ refers. The grid has equal steps of the
-    # direction's x and y components, so that dω = dx dy / cos θ.
+    # The exact colour is a sum over directions to a grey sky of radiance L with the spectrum of D65. A solid angle dω
+    # adds ρ L dω / Ω, where Ω = λ²/(4πσ²) is the solid angle of the light to which ρ refers. The grid has equal steps
+    # of the direction's x and y components, so that dω = dx dy / cos θ.
     step = 0.0125
     x, y = np.meshgrid(np.arange(-1.0 + step / 2, 1.0, step), np.arange(-1.0 + step / 2, 1.0, step))
     inside = x**2 + y**2 < 1.0
