@@ -103,6 +103,8 @@ WITH_PROFILE = (
 )
 
 
+# This test compiles kernels in a copy of the package, which takes 15 s.
+@pytest.mark.slow
 def test_the_light_of_the_page_about_lights_can_be_added_to_the_library(tmp_path):
     """A copy of the package with the files of the page meets the rules for imports, and finds the light by its name."""
     for folder in ("warpdiff", "kernels"):

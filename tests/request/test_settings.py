@@ -146,6 +146,8 @@ def test_a_field_is_an_option_everywhere(tmp_path):
     assert "    sparkle: float\n" in keywords(source)
 
 
+# This test starts five processes with a copy of the package, which takes 17 s.
+@pytest.mark.slow
 def test_a_field_of_the_display_is_an_option_everywhere(tmp_path):
     copied(tmp_path, "exposure: Linear factor", "exposure: Annotated")
     *_, result = run(tmp_path, DISPLAY_PROBE).splitlines()

@@ -177,7 +177,7 @@ def profile(
     ax.set_title(line.title if title is None else title)
     ax.margins(x=0.0)
     clean_grid(ax)
-    if label is not None:
+    if label:
         ax.legend(frameon=False)
     return ax
 
