@@ -15,7 +15,7 @@ import warpdiff as wd
 FOLDER = Path(__file__).parents[2] / "examples"
 SCRIPTS = sorted(FOLDER.glob("*/plot_*.py"))
 # Largest number of lines of a script, and of pixels along the longer side of a test picture.
-MOST_LINES, MOST_PIXELS = 40, 48
+MOST_LINES, MOST_PIXELS = 40, 32
 
 
 def smaller(view):
@@ -52,6 +52,9 @@ def _small(monkeypatch, request):
     monkeypatch.setattr(wd, "reflectance_map", rough(wd.reflectance_map, size=16, tolerance=0.3))
     if request.node.callspec.params["script"].parent.name != "scans":
         monkeypatch.setattr(wd.gratings, "fingers", rough(wd.gratings.fingers, size_um=3.2, pitch_um=0.1))
+        monkeypatch.setattr(wd.gratings, "disc", rough(wd.gratings.disc, tracks=2, length_um=12.5, pitch_um=0.1))
+    monkeypatch.setattr(wd.meshes, "tube", rough(wd.meshes.tube, segments_along=48, segments_around=16))
+    monkeypatch.setattr(wd.meshes, "disc", rough(wd.meshes.disc, segments=64, rings=4))
     for name in ("shade", "Renderer"):
         monkeypatch.setattr(wd, name, rough(getattr(wd, name), tolerance=0.3, coherence=wd.Coherence(sigma_um=1.5)))
     monkeypatch.setattr(wd, "report", rough(wd.report, sigmas_um=[1.5], tolerance=0.5, wavelengths_nm=550.0))
