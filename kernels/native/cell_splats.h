@@ -21,8 +21,8 @@ struct CellSums {
 };
 
 // Return the estimated standard deviation ‖ΔXYZ‖ of the mean of `across` × `across` cells with random directions to the
-// light. It is estimated from differences within squares of four cells, so that slow changes of colour over the pixel do
-// not count as scatter. Cells that hit nothing are black without noise, and do not contribute.
+// light. It is estimated from differences within squares of four cells, so that slow changes of colour over the pixel
+// do not count as scatter. Cells that hit nothing are black without noise, and do not contribute.
 WARPDIFF_INLINE float scatter_of(const float* colours, const int* hit, int across)
 {
     float sum = 0.0f;

@@ -46,8 +46,8 @@ struct ScatteringPoint {
 // Compute the expected brightness of a point under N lights from the index `first` on, without shadows. It is 0 for
 // lights below the horizon.
 template <int N, class Lights, class Table>
-WARPDIFF_INLINE void expect_brightness(const Lights& lights, const Table& table, const ScatteringPoint& point,
-    float diffuse, int first, Batch<N>& result)
+WARPDIFF_INLINE void expect_brightness(
+    const Lights& lights, const Table& table, const ScatteringPoint& point, float diffuse, int first, Batch<N>& result)
 {
     const double* const places = numbers<const double>(lights.places);
     const double* const strengths = numbers<const double>(lights.strengths);
