@@ -95,8 +95,9 @@ def changed(code, *replacements):
     return code
 
 
-# Line that is left out where kernel and profile are in the same file, and lines that give the profile to the lobes.
+# Import that the page needs only in the library, where kernel and profile are in two files. In one file it is left out.
 IMPORT_OF_KERNEL = "        from warpdiff.kernels.tube_emission import emit_from_tube\n"
+# Replacements in the light of the page: before and after. They give the emission profile to its lobes.
 WITH_PROFILE = (
     ("deviations, tuple(position))", "deviations, tuple(position), TubeProfile(axis))"),
     ("        along = np", "        axis = tuple((spacing / np.linalg.norm(spacing)).tolist())\n        along = np"),
