@@ -28,6 +28,14 @@ _ROUND_LENGTHS = (1.0, 2.0, 5.0)
 _LEAST_MICROMETRES, _NM_PER_UM = 1.0, 1e3
 
 
+def check_matplotlib(subject: str = "plots require") -> None:
+    """Raise an error that begins with ``subject`` if matplotlib is not installed."""
+    try:
+        import matplotlib.axes  # noqa: F401
+    except ImportError as error:
+        raise ImportError(f"{subject} matplotlib ({error}): pip install 'warpdiff[plot]'") from error
+
+
 def axes_for(ax: Axes | None, *, width: float, height: float) -> Axes:
     """Return the axes that a plot draws into.
 
@@ -40,10 +48,9 @@ def axes_for(ax: Axes | None, *, width: float, height: float) -> Axes:
         ImportError: matplotlib is not installed.
         TypeError: ``ax`` is no axes of matplotlib.
     """
-    try:
-        from matplotlib.axes import Axes
-    except ImportError as error:
-        raise ImportError(f"plots require matplotlib ({error}): pip install 'warpdiff[plot]'") from error
+    check_matplotlib()
+    from matplotlib.axes import Axes
+
     if ax is None:
         # The figure is made by pyplot, which shows it in notebooks and also works on computers without a display.
         import matplotlib.pyplot as plt

@@ -10,7 +10,6 @@ import numpy as np
 
 from warpdiff import plot
 from warpdiff.apps.report.report_data import ANGLES_DEG
-from warpdiff.core.wording import marked
 from warpdiff.heightfield.field import HeightField
 from warpdiff.plot.axes import clean_grid, line_style
 
@@ -49,16 +48,6 @@ class Figure(NamedTuple):
     alt: str
     caption: str
     is_wide: bool = True
-
-
-def check_matplotlib() -> None:
-    """Raise an error if matplotlib is not installed."""
-    try:
-        import matplotlib as mpl  # noqa: F401
-    except ImportError as error:
-        raise marked(
-            ImportError, f"a report requires matplotlib, which is not installed: pip install 'warpdiff[plot]' ({error})"
-        ) from error
 
 
 def figures_of(data: ReportData) -> list[Figure]:

@@ -11,7 +11,7 @@ import numpy as np
 from warpdiff.apps.report import report_page
 from warpdiff.apps.report.measured_curve import read_curve
 from warpdiff.apps.report.report_data import Request, collect
-from warpdiff.apps.report.report_figures import check_matplotlib, figures_of
+from warpdiff.apps.report.report_figures import figures_of
 from warpdiff.apps.report.report_numbers import numbers_of, tables_of
 from warpdiff.core import files, validation
 from warpdiff.core.progress import Progress, reporter
@@ -19,6 +19,7 @@ from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, marked,
 from warpdiff.heightfield.field import HeightField
 from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry
+from warpdiff.plot.axes import check_matplotlib
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.settings import EvaluationSettings
 from warpdiff.request.signatures import accepts
@@ -125,7 +126,7 @@ def report(
     validation.instance(heightfield, HeightField, "heightfield")
     if title is not None and not isinstance(title, str):
         raise ArgumentTypeError(f"{ref('title')} must be a string, got {title!r:.40}")
-    check_matplotlib()
+    check_matplotlib("a report requires")
     request = Request(
         heightfield, _direction(to_light, "to_light"), _direction(to_view, "to_view"), _wavelengths(wavelengths_nm),
         _sigmas(sigmas_um), illuminant, None if compare is None else read_curve(compare), dict(settings),
