@@ -6,7 +6,7 @@ import csv
 import html
 import io
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, Protocol, overload
 
 import numpy as np
 
@@ -25,6 +25,47 @@ if TYPE_CHECKING:
 _MOST_PRINTED = 40
 # Number of significant digits with which ``str`` prints the numbers of a `Table`.
 _DIGITS = 5
+
+
+class Tabular(Protocol):
+    """Result that can be shown as a table."""
+
+    def table(self) -> Table:
+        """Return the table."""
+
+
+def save_table(self: Table | Tabular, path: str | os.PathLike[str]) -> Path:  # noqa: D417 (the object of the method)
+    """Write the table to a CSV file with a header; an existing file is replaced once the new one is complete.
+
+    Numbers have all of their digits, so that reading the file restores them exactly. The text is UTF-8.
+
+    Args:
+        path: File to write; its name ends in ``.csv``.
+
+    Returns:
+        The path of the file.
+
+    Raises:
+        ValueError: The name does not end in ``.csv``.
+        OSError: The folder does not exist, or the file cannot be written.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> wd.Table({"order": [0, 1]}).save("orders.csv").name
+        'orders.csv'
+        >>> wd.gratings.fingers(size_um=12.8).periods().save("periods.csv").name
+        'periods.csv'
+    """
+    # This function is the method ``save`` of `Table` and of all results with a method ``table``.
+    table = self if isinstance(self, Table) else self.table()
+    target = check_csv(path)
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table.columns)
+    writer.writerows(table.rows)
+    with files.atomic_write(target) as temporary:
+        temporary.write_text(text.getvalue(), encoding="utf-8", newline="")
+    return target
 
 
 class Table:
@@ -128,34 +169,7 @@ class Table:
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(str(self))}</pre>"
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the table to a CSV file with a header; an existing file is replaced once the new one is complete.
-
-        Numbers have all of their digits, so that reading the file restores them exactly. The text is UTF-8.
-
-        Args:
-            path: File to write; its name ends in ``.csv``.
-
-        Returns:
-            The path of the file.
-
-        Raises:
-            ValueError: The name does not end in ``.csv``.
-            OSError: The folder does not exist, or the file cannot be written.
-
-        Examples:
-            >>> import warpdiff as wd
-            >>> wd.Table({"order": [0, 1]}).save("orders.csv").name
-            'orders.csv'
-        """
-        target = check_csv(path)
-        text = io.StringIO(newline="")
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(self._columns)
-        writer.writerows(self.rows)
-        with files.atomic_write(target) as temporary:
-            temporary.write_text(text.getvalue(), encoding="utf-8", newline="")
-        return target
+    save = save_table
 
 
 def check_csv(path: str | os.PathLike[str]) -> Path:

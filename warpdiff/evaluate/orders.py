@@ -18,7 +18,7 @@ from annotated_types import Interval
 
 from warpdiff.core import memory, validation
 from warpdiff.core.angles import angles_deg
-from warpdiff.core.table import Table
+from warpdiff.core.table import Table, save_table
 from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
@@ -32,9 +32,6 @@ from warpdiff.request.settings import Energy  # noqa: TC001 (its values are desc
 from warpdiff.request.signatures import checked
 
 if TYPE_CHECKING:
-    import os
-    from pathlib import Path
-
     from numpy.typing import ArrayLike, NDArray
 
     from warpdiff.heightfield.field import HeightField
@@ -145,24 +142,7 @@ class OrderEfficiencies:
             }
         )  # fmt: skip
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write `table` to a CSV file; an existing file is replaced once the new one is complete.
-
-        Args:
-            path: File to write; its name ends in ``.csv``.
-
-        Returns:
-            The path of the file.
-
-        Raises:
-            ValueError: The name does not end in ``.csv``.
-            OSError: The folder does not exist, or the file cannot be written.
-
-        Examples:
-            >>> wd.order_efficiencies(wd.gratings.sinusoidal(1.0, 0.1), (0, 0, 1), 600.0).save("orders.csv").name
-            'orders.csv'
-        """
-        return self.table().save(path)
+    save = save_table
 
 
 @checked

@@ -8,12 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpdiff.core.angles import angles_deg
-from warpdiff.core.table import Table
+from warpdiff.core.table import Table, save_table
 
 if TYPE_CHECKING:
-    import os
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
 
@@ -74,22 +71,4 @@ class ReflectanceSpectra:
             }
         )
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write `table` to a CSV file; an existing file is replaced once the new one is complete.
-
-        Args:
-            path: File to write; its name ends in ``.csv``.
-
-        Returns:
-            The path of the file.
-
-        Raises:
-            ValueError: The name does not end in ``.csv``.
-            OSError: The folder does not exist, or the file cannot be written.
-
-        Examples:
-            >>> grating = wd.gratings.sinusoidal(2.0, 0.1)
-            >>> wd.reflectance_spectra(grating, (0, 0, 1), (0, 0, 1), [450.0, 650.0]).save("spectrum.csv").name
-            'spectrum.csv'
-        """
-        return self.table().save(path)
+    save = save_table

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.core.table import Table
+from warpdiff.core.table import Table, save_table
 from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.heightfield import cleaning
@@ -17,9 +17,6 @@ from warpdiff.heightfield.harmonic_fit import FEWEST_PERIODS, MOST_HARMONICS, Ha
 from warpdiff.heightfield.spectral_lines import Line, WindowedSpectrum
 
 if TYPE_CHECKING:
-    import os
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
     from warpdiff.heightfield.field import HeightField
@@ -162,24 +159,7 @@ class Periods(tuple[Period, ...]):
             }
         )
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write `table` to a CSV file; an existing file is replaced once the new one is complete.
-
-        Args:
-            path: File to write; its name ends in ``.csv``.
-
-        Returns:
-            The path of the file.
-
-        Raises:
-            ValueError: The name does not end in ``.csv``.
-            OSError: The folder does not exist, or the file cannot be written.
-
-        Examples:
-            >>> wd.gratings.fingers(size_um=12.8).periods().save("periods.csv").name
-            'periods.csv'
-        """
-        return self.table().save(path)
+    save = save_table
 
 
 def fit(heightfield: HeightField, count: int) -> tuple[Period, ...]:

@@ -8,16 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.core.table import Table
+from warpdiff.core.table import Table, save_table
 from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.wording import ArgumentValueError, did_you_mean, ref
 from warpdiff.heightfield import autocorrelation
 from warpdiff.heightfield.blocks import blocks_of, standard_error
 
 if TYPE_CHECKING:
-    import os
     from collections.abc import Iterator
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -156,24 +154,7 @@ class Roughness:
         texts = {name: [getattr(parameter, name) for parameter in self] for name in ("unit", "meaning", "reason")}
         return Table({"parameter": [parameter.name for parameter in self], **numbers, **texts})
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write `table` to a CSV file; an existing file is replaced once the new one is complete.
-
-        Args:
-            path: File to write; its name ends in ``.csv``.
-
-        Returns:
-            The path of the file.
-
-        Raises:
-            ValueError: The name does not end in ``.csv``.
-            OSError: The folder does not exist, or the file cannot be written.
-
-        Examples:
-            >>> wd.gratings.fingers(size_um=12.8).roughness().save("roughness.csv").name
-            'roughness.csv'
-        """
-        return self.table().save(path)
+    save = save_table
 
 
 def with_error(value: float, standard_error: float) -> str:
