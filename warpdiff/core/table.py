@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-# Maximum number of rows of a `Table` that ``str`` prints. Of a longer table, half of them are from the beginning and
-# half from the end.
+# Maximum number of rows of a `Table` that ``str`` prints. If a table is longer, half of the printed rows are its first
+# rows, and the other half are its last rows.
 _MOST_PRINTED = 40
-# Number of significant digits with which ``str`` prints the numbers of a `Table`.
+# Number of significant digits with which ``str`` prints floating-point numbers; integers are printed in full.
 _DIGITS = 5
 
 
@@ -34,7 +34,7 @@ class Tabular(Protocol):
         """Return the table."""
 
 
-def save_table(self: Table | Tabular, path: str | os.PathLike[str]) -> Path:  # noqa: D417 (the object of the method)
+def save_table(self: Table | Tabular, path: str | os.PathLike[str]) -> Path:  # noqa: D417 (self is the object)
     """Write the table to a CSV file with a header; an existing file is replaced once the new one is complete.
 
     Numbers have all of their digits, so that reading the file restores them exactly. The text is UTF-8.
@@ -69,17 +69,17 @@ def save_table(self: Table | Tabular, path: str | os.PathLike[str]) -> Path:  # 
 
 
 class Table:
-    """Rows of a result with named columns; ``print`` shows it, `save` writes a CSV file.
+    """Table of a result with named columns; ``print`` shows the table, `save` writes it to a CSV file.
 
-    Names of columns end in their unit, as in ``wavelength_nm``; a column without a unit holds ratios, counts or texts.
-    A table is a sequence of rows: ``table[0]`` is a row, and ``table["efficiency"]`` is a column.
+    The name of a column ends in its unit, as in ``wavelength_nm``; a column without a unit holds ratios, counts or
+    texts. A table is a sequence of rows: ``table[0]`` is a row, and ``table["efficiency"]`` is a column.
 
     Args:
         columns: Columns by name, each of shape (n,).
 
     Raises:
-        TypeError: A column is no array of numbers or texts.
-        ValueError: There is no column, or the columns differ in length.
+        TypeError: ``columns`` is not a dictionary, or a column is not an array of numbers or texts.
+        ValueError: There is no column, a column is not one-dimensional, or the columns differ in length.
 
     Examples:
         >>> import warpdiff as wd
@@ -132,7 +132,7 @@ class Table:
     def __getitem__(self, key: int) -> tuple[Any, ...]: ...
 
     def __getitem__(self, key: str | int) -> NDArray[Any] | tuple[Any, ...]:
-        """Return the column with a name, or the row with an index."""
+        """Return the column of the given name, or the row of the given index."""
         if isinstance(key, (int, np.integer)):
             return tuple(column[key].item() for column in self._columns.values())
         if key not in self._columns:

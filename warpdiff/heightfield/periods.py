@@ -31,8 +31,8 @@ _ROUNDED_PERIODS = 0.02
 # the field].
 _BAND, _LEAST_BAND = 0.35, 3.0
 # Distance from the frequency of a wavering wave, relative to that frequency, up to which weaker lines belong to the
-# same wave. Chosen from waves whose phase varies by 2.4 radians, which have no line at their mean frequency. If
-# doubled, other waves are lost.
+# same wave. Fitted to simulated waves whose phase varies as a sine with an amplitude of 2.4 radians: nearly all of
+# their power is in lines beside the mean frequency. If doubled, lines of other waves are discarded.
 _SIDE_LINES = 0.55
 # Radius of the bands that are excluded around the harmonics of a wave, relative to the frequency of the wave.
 _HARMONIC_BAND = 0.5

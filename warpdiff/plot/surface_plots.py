@@ -44,8 +44,8 @@ _LINE_RANGE = 1e-7
 _PROFILE, _GAP = 0.3, 0.24
 # Lower bound of a power density before its logarithm is drawn; it prevents a logarithm of 0.
 _LEAST_POWER = 1e-30
-# Mean slope that a shaded relief has after its heights are scaled. Choice: the light is at 45°, so that most of the
-# surface is neither black nor white. If doubled, walls of grooves are black.
+# Mean slope that a shaded relief has after its heights are scaled. Choice: the brightness of a slope saturates at about
+# 1, the slope of the light's direction. If doubled, steep and steeper walls of grooves look alike.
 _RELIEF_SLOPE = 0.5
 # Marker shapes of matplotlib for the periods in a power spectrum, the strongest period first.
 _MARKERS = "osD^vph*"
@@ -119,12 +119,12 @@ def height_map(
 
 
 def _shaded(heightfield: HeightField, colours: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the colours (ny, nx, 4) of a height map with the shading of a relief; gaps keep their colour."""
+    """Return the RGBA colours (ny, nx, 4) of a height map, shaded as a relief; missing samples keep their colour."""
     from matplotlib.colors import LightSource
 
     dy, dx = heightfield.pitch_um
     lowest = float(np.nanmin(heightfield.heights_um))
-    # The light source assumes that rows run downwards; in a map they run upwards.
+    # The light source assumes that rows run downwards. In a map they run upwards, so that dy is negative.
     result = LightSource(azdeg=315.0, altdeg=45.0).shade_rgb(
         colours[..., :3], np.nan_to_num(heightfield.heights_um, nan=lowest), blend_mode="soft",
         vert_exag=_RELIEF_SLOPE / heightfield.mean_slope, dx=dx, dy=-dy,
