@@ -143,8 +143,8 @@ def fill(
 ):
     """Write the indices of faces into the lists of the cells that they overlap, in arbitrary order.
 
-    The order depends on the threads, but occlusion does not depend on it. Before the launch ``ends_out`` has the index
-    at which each
+    The order depends on the threads, but occlusion does not depend on it. Before the launch, ``ends_out`` has the index
+    at which each cell's list begins. After it, ``ends_out`` has the index at which the list ends.
     """
     thread, _ = wp.tid()
     for face in range(first + thread * run, first + (thread + 1) * run):

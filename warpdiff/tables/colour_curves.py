@@ -216,7 +216,11 @@ def _material_products(
 
 
 def _places(rings_per_octave: int, low: float, high: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return equally spaced |w| from ``low`` to ``high``, and 1/λ [1/µm] of the rings that contribute to one colour."""
+    """Return equally spaced |w| from ``low`` to ``high``, and the wavenumbers 1/λ [1/µm] of one colour.
+
+    At a fixed (u, v), each ring |(u, v)|/λ belongs to one wavenumber. The result has those of all rings that contribute
+    to one colour.
+    """
     per_um = np.exp(LOG_RED + (np.arange(ring_count(rings_per_octave)) - 1.0) * math.log(2.0) / rings_per_octave)
     return np.linspace(low, high, _ENTRIES_OVER_W), per_um
 
