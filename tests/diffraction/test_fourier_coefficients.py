@@ -153,7 +153,8 @@ def test_bessel_functions_equal_tabulated_values():
 def test_a_block_contains_all_orders_up_to_a_frequency_and_its_neighbours():
     """Up to a frequency of 0.7/µm there are 7 orders of a period of 10 µm, and 14 orders of a period of 20 µm.
 
-    The block adds 1 and 3 neighbours on either side.
+    The test requests 1 neighbour beyond the last order along the axis of 10 µm, and 3 along the other axis. The orders
+    of the block therefore end at ±8 and ±17.
     """
     grid = fourier_coefficients.Grid((101, 203), (10.0, 20.0))
     block = fourier_coefficients.Block.covering(grid, 0.7 - 1e-9, (1, 3))

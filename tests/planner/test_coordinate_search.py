@@ -285,10 +285,8 @@ def test_searches_of_all_tolerances_try_the_same_bandwidths_and_weights(fingers,
 def test_budgets_grow_evenly_from_the_error_of_the_start_to_the_target(fingers, start):
     """Budgets are limits of the error while a search reduces one number of the plan after another.
 
-    They have equal steps.
-
-    If there are few bright directions, the step of the terms is a tenth of an equal step, and the neighbourhood is not
-    reduced.
+    They increase in equal steps. A few bright directions do not represent all bright directions of a call well. In this
+    case the step of the terms is a tenth of an equal step, and the neighbourhood is not reduced.
     """
     trial, error = ClosedForm(fingers, start), 0.4 * TARGET
     coordinates = coordinate_search._coordinates(start, trial, error, TARGET)

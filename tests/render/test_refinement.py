@@ -119,7 +119,10 @@ def test_reported_errors_bound_and_rank_the_true_ones(truth, fingers, table):
 
 
 def test_more_cells_are_never_worse(truth, fingers, table):
-    """More cells do not increase errors: with footprint means, and with points where no table supports means."""
+    """More subpixel cells do not increase errors, neither with footprints nor with point samples.
+
+    Footprints require a table. The second plan has none, so that its cells are point samples.
+    """
     mesh, camera, exact = truth
     for plan in (table, dataclasses.replace(table, coherence=table.coherence, rings_per_octave=0)):
         result = [
