@@ -26,7 +26,7 @@ class Lights:
     )  # power at a distance of 1; and the pigment's strength over R(0), which is 0 without a pigment
     deviations: wp.array2d(
         dtype=wp.vec3f
-    )  # deviations along two perpendicular vectors, of directions [rad], or of positions for a light at a position
+    )  # two perpendicular vectors, as long as the standard deviations of directions [rad], or of a light's positions
     white_rgb: wp.array(dtype=wp.vec3d)  # colour of a white pigment, ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ, in linear sRGB
     rgb_to_xyz: wp.mat33d  # matrix from linear sRGB to XYZ
 

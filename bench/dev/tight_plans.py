@@ -59,8 +59,8 @@ KINDS = ("averaged", "centred", "source", "replicas")
 TOLERANCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3)
 REPLICAS_TOLERANCES = (1e-1, 3e-2, 1e-2)
 PITCH_UM = 0.09  # sample spacing of the synthetic surfaces [µm]
-# Numbers of wavelengths below 16, in steps of a quarter octave (a factor of 2^(1/4)). They are equal for all
-# directions, because a plan with different numbers per direction has at least 16.
+# Numbers of wavelengths below 16, in steps of about a factor 2^(1/4). They are equal for all directions, because a plan
+# with different numbers per direction has at least 16.
 FEWER = (8, 10, 11, 13)
 # The bandwidth of a plan has a constant part, a part that is proportional to the order rate, and a part that is
 # proportional to |w|. `CONSTANTS` are the tried shares of the constant part, in steps of a factor 2^(1/4). `SPLITS` are

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 LANES = numba_published.LANES
-# Settings of the published algorithm that are searched: numbers of wavelengths in quarter octaves, and numbers of
-# terms.
+# Settings of the published algorithm that are searched: numbers of wavelengths in steps of a factor 2^(1/4), and
+# numbers of terms.
 MORE_WAVELENGTHS = [round(81 * 2 ** (k / 4)) for k in range(-4, 21)]
 MORE_TERMS = (8, 16, 24, 32, 37, 48)
 # Largest neighbour extent by kind of coherence. Limit: with larger extents, the first weight of the Gaussian's

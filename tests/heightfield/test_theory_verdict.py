@@ -162,7 +162,7 @@ def test_usual_surfaces_are_qualitative_and_not_warned_of(name):
 
 @pytest.mark.parametrize("call", ["plan", "reflectance", "shade", "order_efficiencies"])
 def test_all_calls_warn_in_the_words_of_the_verdict(call):
-    """Scalar diffraction has the grade invalid on this deep grating, for any directions.
+    """On this deep grating, scalar diffraction has the grade invalid for all directions of light and view.
 
     Each call must warn of it with grade, wavelength, error and reason.
     """

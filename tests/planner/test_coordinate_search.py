@@ -292,7 +292,7 @@ def test_budgets_grow_evenly_from_the_error_of_the_start_to_the_target(fingers, 
     coordinates = coordinate_search._coordinates(start, trial, error, TARGET)
     np.testing.assert_allclose([c.budget for c in coordinates], np.linspace(error, TARGET, 6)[1:])
     # Largest numbers of steps by which a search may reduce a plan: 3 of its 4 registers of terms, 8 factors of e in the
-    # least weight (up to 1e-5), and 12 quarter octaves of each part of the bandwidth.
+    # least weight (up to 1e-5), and 12 factors of 2^(1/4) of each part of the bandwidth.
     assert [c.most for c in coordinates] == [3, 8, 12, 12, 12]
     trial.bright = (63.0, 64.0)
     few = coordinate_search._coordinates(start, trial, error, TARGET)

@@ -281,7 +281,7 @@ def test_replicated_periods_near_resonance_are_accurate(periods, away):
 
 
 def test_the_published_form_of_replicated_periods_fails_in_float32():
-    """In float32 the published ratio of sines has an error of 5 % at a phase of 1e-3 and is not finite at 1e-4."""
+    """In float32 the published sum over periods has an error of 5 % at a phase of 1e-3 and is not finite at 1e-4."""
     for periods in (10, 100, 1000):
         exact, single = (
             methods.published_replicas(np.array([1e-3, 1e-4]) / (2.0 * np.pi), periods, dtype)

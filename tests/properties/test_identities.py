@@ -182,10 +182,10 @@ def mirror_power(sigma_um, theta_deg, ior):
 
 @pytest.mark.parametrize("period_um", [slow(0.7), 1.0, slow(2.0)])
 def test_the_excess_energy_of_a_shallow_sine_follows_its_formula(period_um):
-    """The reflected power of a sine with amplitude a is 1 + (2πa/λ)² (1 − c)²/(2c) in scalar theory, and must be 1.
+    """Scalar theory violates the conservation of energy for a mirror with a shallow sine profile of amplitude a.
 
-    Here c is the cosine of the first order. The excess over 1 is about a millionth of the light. Measuring it requires
-    float64, a shallow profile and narrow lobes.
+    The reflected power is 1 + (2πa/λ)² (1 − c)²/(2c) times the incident power, where c is the cosine of the first
+    order. The excess is about a millionth. Measuring it requires float64, a shallow profile and narrow lobes.
     """
     wavelength = 0.55
     amplitude = 0.001 * wavelength

@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 # Smallest |κ| of the basis of a spectrum, as a share of its largest |κ|. At smaller |κ|, all orders except the zeroth
 # one are negligible.
 _SMALLEST_KAPPA = 1e-3
-# Permitted errors by truncating the functions of w, as shares of the tolerance. First number: for a basis of powers of
-# κ or for a fitted basis. Second number: for interpolating polynomials in |κ|. Their sums may be much smaller than
-# their single terms, so that errors of the terms count more.
+# Permitted errors by truncating the functions of w, as shares of the tolerance. First number: for spectra in which
+# powers |H|² add. Second number: for other spectra, which are interpolated by polynomials in |κ|. Sums of their terms
+# may be much smaller than the single terms, so that an error of a term counts more.
 _FUNCTIONS_SHARE, _CARDINALS_SHARE = 0.5, 0.05
 # First number: number of coefficients from whose rows the typical size of each basis term is computed. Second number:
 # smallest size that is assumed for a term, relative to the largest term.
