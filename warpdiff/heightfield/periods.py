@@ -57,15 +57,16 @@ _TWIN = 0.25
 # Search for the mean frequency of a wavering wave: largest number of steps; largest step, relative to the radius of the
 # band; and step [cycles over the field] below which the search ends.
 _MOST_STEPS, _LARGEST_STEP, _CONVERGED = 12, 0.3, 1e-3
-# The standard error of a wave's frequency is estimated from the lowest frequencies in the spectrum of its phase error
-# [cycles over the field]. `_COHERENT_ORDINATES` of them are used along each axis for coherent waves, and those below
-# `_WAVERING_ORDINATES` for wavering waves. Their power is extrapolated to the frequency `_COHERENT_AT` or
-# `_WAVERING_AT`. Pairs of numbers are for fields of two axes and of one. For an endless random walk of the phase this
-# frequency is 0.5; the values are fitted by bench/reproduce/periods.py.
+# The standard error of a wave's frequency follows from the spectrum of its phase error. All frequencies here are in
+# cycles over the field. For a coherent wave, the lowest `_COHERENT_ORDINATES` frequencies along each axis are used; for
+# a wavering wave, those below `_WAVERING_ORDINATES`. The powers at these frequencies are extrapolated to the lower
+# frequency `_COHERENT_AT` or `_WAVERING_AT`. If the phase were an endless random walk, the frequency would be 0.5; the
+# values are fitted by bench/reproduce/periods.py. In a pair, the first number is for fields of two axes, and the second
+# for fields of one axis.
 _COHERENT_ORDINATES, _WAVERING_ORDINATES = 24, (5.0, 3.2)
 _COHERENT_AT, _WAVERING_AT = (0.43, 0.32), (0.4, 0.7)
-# Ratios of the power of a random walk to that of white noise, at one cycle over the field, that are tried as the
-# spectrum of the phase error.
+# The spectrum of the phase error is modelled as white noise plus a random walk. These are the ratios of the walk's
+# power to that of the noise, at one cycle over the field, that are compared with the measured powers.
 _WALKS = (0.0, *(10.0 ** np.arange(-0.5, 5.1, 0.5)).tolist())
 
 # Cache: for each field, the periods found by calls, with the argument ``count`` of the call as the key.
@@ -327,7 +328,11 @@ class _Search:
         self, line: Line, band: float, before: float, after: float, rest: WindowedSpectrum,
         residual: NDArray[np.float64], cycles: NDArray[np.float64],
     ) -> bool:  # fmt: skip
-        """Return whether one sine explains the power around a line, or nearly does so with a second, separate sine."""
+        """Return whether one sine explains the power around a line.
+
+        It also does so if most of the power that it leaves is in a second sine, whose frequency is more than 2 cycles
+        over the field away. The second sine is then another wave.
+        """
         coefficients = math.pi * band**2 / 2.25 if self.is_plane else band / 0.75
         noise = 2.0 * line.background * math.sqrt(coefficients)
         if after - noise < _COHERENT * (before - after):
@@ -366,9 +371,9 @@ class _Search:
     def _noise(self, fit: HarmonicFit, residual: NDArray[np.float64]) -> list[float]:
         """Return the variance of white noise that causes the same error of the frequency as the residual, per axis.
 
-        The residual of a fit, times the derivative of the wave with respect to its phase, is the score of the phase.
-        Only its lowest frequencies disturb the fitted frequency. They come from noise, from steps between scan lines or
-        from variations of the phase.
+        The residual of a fit is multiplied by the derivative of the wave with respect to its phase. In the spectrum of
+        this product, only the lowest spatial frequencies cause an error of the wave's fitted frequency. Their power
+        comes from noise, from steps between scan lines or from variations of the phase.
         """
         slopes = np.where(self.known, fit.slopes(), 0.0)
         power = np.abs(np.fft.fft2(residual * slopes)) ** 2 / float(np.sum(slopes**2))

@@ -42,8 +42,8 @@ _MOST_DIFFERENCE = 0.01
 _ZYGO_LINES = 8
 # Smallest share of the positions of a grid at which a file of points x, y, z must have points.
 _LEAST_FILLED = 0.5
-# Number of even steps from which on a first row or column counts as positions instead of heights. If halved, more small
-# matrices of heights are refused.
+# Least number of equally spaced numbers in the first row or column that count as positions or indices instead of
+# heights. If halved, more small matrices of heights are refused.
 _LEAST_NUMBERED = 4
 
 
