@@ -105,8 +105,8 @@ class Roughness:
         parameters: Sa, Sq, Sdq, Sdr, Sal and Str.
         order: Degree of the polynomial that was subtracted from the heights first.
         blocks: Number of blocks (y, x) into which the field was split to estimate the standard errors.
-        lay_deg: Azimuth of the slowest decay of the autocorrelation [degrees], from x towards y, 0 to 180, which is
-            the direction of the lay; None for a profile or a flat field.
+        lay_deg: Azimuth of the slowest decay of the autocorrelation [degrees], from x towards y, 0 to 180, which is the
+            lay, the direction of grooves or scratches; None for a profile or a flat field.
 
     Examples:
         >>> import warpdiff as wd
@@ -335,8 +335,9 @@ def _block_counts(shape: tuple[int, ...], pitch_um: tuple[float, float], decay: 
         length = max(extent, decay.fastest_um / pitch) * _DECAYS_PER_BLOCK
         counts.append(1 if n == 1 else max(min(int(n / length), most), 1))
     if not decay.is_closed and min(shape) > 1:
-        # Parts of a field along its lay resemble each other, so that the field is split only across the lay. If the lay
-        # is oblique, the field is split into at most two blocks along each axis.
+        # The autocorrelation does not decay along grooves. Parts of a field along its grooves resemble each other, so
+        # that the field is split only across them. If the grooves are oblique, the field is split into at most two
+        # blocks along each axis.
         across = [
             max(min(int(n * pitch / (decay.fastest_um * _DECAYS_PER_BLOCK)), most), 1)
             for n, pitch in zip(shape, pitch_um, strict=True)

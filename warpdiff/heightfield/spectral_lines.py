@@ -265,8 +265,9 @@ class WindowedSpectrum:
         centroid = np.array([np.sum(weight * rows[:, None]), np.sum(weight * columns)]) / float(np.sum(weight))
         if min(self.power.shape) > 1:
             ratio, inside, outside = self._over_ridge(centroid, mean, width)
-            # The straight lines through the maximum contain only about √n of the n coefficients of the spectrum. Noise
-            # has fewer maxima among them, so that a larger probability is accepted for each maximum.
+            # Each straight line through the maximum contains only about √n of the n coefficients of the spectrum. Noise
+            # has fewer maxima on it than in the whole spectrum, so that a larger probability is accepted for each
+            # maximum.
             if not _is_significant(ratio, inside, outside, level * math.sqrt(tried), width):
                 return None
         exponent = 0.0

@@ -7,8 +7,8 @@ the largest estimate is the verdict:
   1/λ.
 - deep: 0.05 (4πs/λ)² min(1, λ/P). Here s is the standard deviation of the heights, and P = 4√2 s/g with the mean
   absolute slope g. P is the period of a sine that has the same s and g.
-- narrow: the share of the light that features with periods below two wavelengths diffract, divided by 0.7. The light is
-  that of the phase 2πh/λ, which a surface of height h has for |w| = 1.
+- narrow: the share of the light that features with periods below two wavelengths diffract, divided by 0.7. It is
+  computed from the spectrum of exp(2πih/λ), the reflected wave of the heights h for |w| = 1.
 - energy: 1.1 times the deviation of the sum over Stam's orders from the power that a flat surface reflects; 0.4 times
   this deviation if the efficiencies are normalised. Without a direction to the light, the largest deviation of light
   from 0°, 30° and 60° counts.

@@ -25,8 +25,8 @@ _COVERED_PIXELS = 4.0 * math.pi * FILTER_SIGMA**2
 # pixel. It is at most the second number, which is that of the whole disc. Choice: if the first number is doubled,
 # directions are drawn on a smaller part of the disc, and penumbrae become narrower.
 _EXTENT, _MOST_EXTENT = 1.0, 0.5
-# Number of samples per pixel from which the range of the scattering vectors is determined, for which a plan is then
-# chosen. Limit: time is proportional to it.
+# Number of samples per pixel whose scattering vectors determine the range for which a plan is chosen. Limit: time is
+# proportional to it.
 _MEASURED = 16
 
 

@@ -262,7 +262,7 @@ class LightPass(ABC):
 
     @property
     def measured_lobes(self) -> range:
-        """Lobes from which the range of the scattering vectors is determined, for which a plan is then chosen."""
+        """Lobes whose scattering vectors determine the range for which a plan is chosen."""
         return range(self.lobe_count)
 
     def cell_lobes(self, level: int) -> range:
