@@ -47,8 +47,8 @@ _BIN = 0.08
 # Sinkhorn's iteration, which finds the factors, ends after the first number of steps, or when no factor changes by more
 # than the second number, relative to it.
 _MOST_SWEEPS, _CONVERGED = 200, 1e-10
-# Number of entries in the table of a bin's power over |κ|, per two radians of the phase 2π|κ| · (height range). This
-# phase belongs to the fastest oscillation of a power. Parabolas interpolate between entries.
+# Number of entries in the table of a bin's power over |κ|, per radian of π|κ| · (height range). The phase of the
+# fastest oscillation of a power is twice that. Parabolas interpolate between entries.
 _PER_RADIAN = 6.0
 # Largest number of entries of each cache of energy factors; an entry belongs to one height field.
 _CACHED = 8

@@ -31,7 +31,7 @@ _MOST_CHANGE = 0.4
 # Ratio of the jump across opposite edges to the largest steps between neighbouring samples. Up to this ratio, the jump
 # may be a wall of a grating, and no warning follows.
 _MOST_JUMP = 1.5
-# Least share of the interfering pairs of points with an edge of the field between them at which a warning follows.
+# A warning follows if an edge of the field lies between the points of at least this share of the interfering pairs.
 _LEAST_SHARE = 0.1
 _warned: weakref.WeakSet[HeightField] = weakref.WeakSet()
 

@@ -46,7 +46,7 @@ _BAND_IN_DEVIATIONS = 2.5
 # the Hann window.
 _RESOLUTION = 2.5
 # A wave counts as coherent if, after its best sine is subtracted, less power remains around its frequency than this
-# fraction of the power of the sine.
+# fraction of the power of the sine. Otherwise its phase varies over the field, and it is called a wavering wave.
 _COHERENT = 0.5
 # After a sine is subtracted, a second sine counts as another wave if it explains at least this share of the power that
 # remains near the first one. Otherwise this power belongs to the first wave, whose phase varies.
@@ -78,7 +78,7 @@ class Period:
     """Periodic wave in a height field, with its harmonics.
 
     A period is found if its line in the spectrum is significantly higher than the spectrum at lower and at higher
-    frequencies of the same direction. Noise of any correlation has no such line.
+    frequencies of the same direction. Noise has no such line, whatever its autocorrelation is.
 
     Attributes:
         period_um: Mean length of the period [µm]: the inverse of the mean frequency of the wave, weighted by its power.

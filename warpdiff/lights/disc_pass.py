@@ -57,7 +57,7 @@ class DiscPass(LobePass):
 
     @property
     def measured_lobes(self) -> range:
-        """Lobes whose directions are measured to choose a plan.
+        """Lobes whose scattering vectors determine the range for which a plan is chosen.
 
         A few suffice, because every pixel draws other directions on the disc.
         """

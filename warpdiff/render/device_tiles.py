@@ -33,7 +33,7 @@ class DeviceTiles:
     """
 
     def __init__(self, light: LightRefinement) -> None:
-        """Allocate all arrays for pictures of the size and with the options of the picture of ``light``.
+        """Allocate all arrays for the picture of ``light``, and for further pictures with the same size and options.
 
         A recorded graph requires that the arrays persist.
         """

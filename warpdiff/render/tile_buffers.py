@@ -28,8 +28,8 @@ class BufferKind(NamedTuple):
     """Flags that say which optional arrays tile buffers have.
 
     In the order of the flags, the arrays are: geometry factors of directions that a table cannot serve; base colours;
-    geometry factors at faces with the present material, if faces have several materials; and the rays' own directions
-    to the light.
+    geometry factors at faces with the material that is being evaluated, if faces have several materials; and the rays'
+    own directions to the light.
     """
 
     needs_sampling: bool

@@ -102,7 +102,8 @@ class ReportData:
         azimuth_deg: Azimuth of the plane of the view angles [degrees], above −90 and at most 90.
         periods: Periodic waves in ``part``, strongest first.
         roughness: ISO 25178 parameters of the whole field.
-        verdicts: Verdict on scalar diffraction at each wavelength.
+        verdicts: Verdict on scalar diffraction at each wavelength: expected error of an order's efficiency, and its
+            reason.
         efficiencies: Efficiencies of the orders that the picture of the orders shows.
         orders: Table of the orders; for a field without orders, of the power in the mirror direction and the scattered
             power.
