@@ -46,10 +46,11 @@ _BAND_IN_DEVIATIONS = 2.5
 # the Hann window.
 _RESOLUTION = 2.5
 # A wave counts as coherent if, after its best sine is subtracted, less power remains around its frequency than this
-# fraction of the power of the sine. Otherwise its phase varies over the field, and it is called a wavering wave.
+# fraction of the power of the sine.
 _COHERENT = 0.5
 # After a sine is subtracted, a second sine counts as another wave if it explains at least this share of the power that
-# remains near the first one. Otherwise this power belongs to the first wave, whose phase varies.
+# remains near the first one. Otherwise this power belongs to the first wave, whose phase varies over the field: it is
+# called a wavering wave.
 _SECOND = 0.7
 # A line near a coherent wave is a side line, caused by variations of the phase, if the mirrored frequency on the other
 # side of the wave has more than this fraction of the power of the line.
@@ -330,8 +331,8 @@ class _Search:
     ) -> bool:  # fmt: skip
         """Return whether one sine explains the power around a line.
 
-        It also does so if most of the power that it leaves is in a second sine, whose frequency is more than 2 cycles
-        over the field away. The second sine is then another wave.
+        The result is also True if most of the power that this sine leaves is in a second sine, whose frequency is more
+        than 2 cycles over the field away. The second sine is then another wave.
         """
         coefficients = math.pi * band**2 / 2.25 if self.is_plane else band / 0.75
         noise = 2.0 * line.background * math.sqrt(coefficients)

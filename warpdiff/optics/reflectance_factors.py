@@ -46,8 +46,8 @@ def gain(
 
     C = R(θd)/R(0) · (1 + ωi·ωr)² / ((cos θi + cos θr)² cos θr) is eq. 3.15 of Single 2014, corrected: Schlick's
     reflectance R is a power and is therefore not squared. M is the V-cavity masking and shadowing of Cook and Torrance
-    (1982). For a source of finite size the factor is C·M/cos θi: a flat mirror then shows the radiance of the source, ρ
-    = R(θi)/R(0).
+    (1982). For a source of finite size the factor is C·M/cos θi: a flat mirror then shows the radiance of the source,
+    ρ = R(θi)/R(0).
 
     Args:
         to_light: Unit vectors, shape (n, 3).

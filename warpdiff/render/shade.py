@@ -74,7 +74,7 @@ def shade(
         MemoryError: More memory than is free; the message states what fits.
 
     Examples:
-        Pixels of such a small picture are too coarse for the tolerance, so that its estimated error is larger:
+        This picture is so small that it does not meet its tolerance:
 
         >>> import warpdiff as wd
         >>> body, grating = wd.meshes.tube(), wd.gratings.sinusoidal(2.0, 0.1)
@@ -240,8 +240,8 @@ class PictureInputs:
     def refined(self, *, refine: bool) -> PictureInputs:
         """Return these inputs with or without refinement.
 
-        The parts of the lights are made again, because discs of 1.5° to 5° depend on it. Without refinement, one lobe
-        approximates such a disc; with refinement, its directions are sampled.
+        The parts of the lights are made again, because those of discs of 1.5° to 5° depend on refinement. Without
+        refinement, one lobe approximates such a disc; with refinement, its directions are sampled.
         """
         settings = replace(self.settings, refine=refine)
         parts = parts_of(self.lights, self.evaluation, refine=refine, means=self.evaluation.footprint)
