@@ -30,9 +30,10 @@ _ROUNDED_PERIODS = 0.02
 # Radius of the band of frequencies around a line, relative to the frequency of the line; and its minimum [cycles over
 # the field].
 _BAND, _LEAST_BAND = 0.35, 3.0
-# Distance from the frequency of a wavering wave, relative to that frequency, up to which weaker lines belong to the
-# same wave. Fitted to simulated waves whose phase varies as a sine with an amplitude of 2.4 radians: nearly all of
-# their power is in lines beside the mean frequency. If doubled, lines of other waves are discarded.
+# Distance from the frequency of a wavering wave, whose phase varies over the field, up to which weaker lines belong to
+# the same wave. It is relative to this frequency. Fitted to simulated waves whose phase varies as a sine with an
+# amplitude of 2.4 radians: nearly all of their power is in lines beside the mean frequency. If doubled, lines of other
+# waves are discarded.
 _SIDE_LINES = 0.55
 # Radius of the bands that are excluded around the harmonics of a wave, relative to the frequency of the wave.
 _HARMONIC_BAND = 0.5
@@ -49,8 +50,7 @@ _RESOLUTION = 2.5
 # fraction of the power of the sine.
 _COHERENT = 0.5
 # After a sine is subtracted, a second sine counts as another wave if it explains at least this share of the power that
-# remains near the first one. Otherwise this power belongs to the first wave, whose phase varies over the field: it is
-# called a wavering wave.
+# remains near the first one. Otherwise this power belongs to the first wave, which is then a wavering wave.
 _SECOND = 0.7
 # A line near a coherent wave is a side line, caused by variations of the phase, if the mirrored frequency on the other
 # side of the wave has more than this fraction of the power of the line.
