@@ -18,8 +18,8 @@ FILTER_SHARES = (0.5 - 0.5 * _MIDDLE, _MIDDLE, 0.5 - 0.5 * _MIDDLE)
 # level before, and takes four times as long.
 MOST_LEVEL = 6
 LEVELS = range(1, MOST_LEVEL + 1)
-# Tolerance from which on the finest level of subpixel cells is MOST_LEVEL − 1. Limit: errors that remain at that level
-# are smaller than this tolerance.
+# Tolerance at and above which the finest level of subpixel cells is MOST_LEVEL − 1. Limit: errors that remain at that
+# level are smaller than this tolerance.
 COARSE_TOLERANCE = 0.05
 # Least level of refinement of pictures without footprints. Limit: with one ray per pixel, the variation of colours
 # within a pixel is unknown.

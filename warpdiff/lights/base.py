@@ -30,8 +30,9 @@ if TYPE_CHECKING:
 
 # Largest power of a light, a linear factor. Limit: kernels square colours in float32, which is at most 3e38.
 MOST_POWER = 1e12
-# Fewest directional lights with the same illuminant of which each subpixel cell chooses one. Fitted to a snake and a
-# tube: with fewer lights, cells that evaluate all of them save time on one of the two.
+# Smallest number of directional lights with the same illuminant at which each subpixel cell chooses one of them at
+# random, instead of evaluating all. Fitted to pictures of a snake and of a tube: with fewer lights, one of these
+# pictures takes less time if all lights are evaluated.
 MANY_LIGHTS = 64
 # Number of directions per pixel that are drawn on a disc light too wide for one lobe, in pictures with
 # ``refine=False``. Limit: time is proportional to it.

@@ -235,7 +235,7 @@ def _plain(line: str, form: Form) -> str:
 
 
 def _words(key: str) -> str:
-    """Return a key in the form of the sets of keys: in lower case, and without units in brackets."""
+    """Return a key as sets such as `_UNITS_XY` list it: in lower case, and without units in brackets."""
     return " ".join(_IN_KEY.sub("", key).replace("_", " ").lower().strip(" ,;-").split())
 
 

@@ -42,8 +42,8 @@ _MOST_DIFFERENCE = 0.01
 _ZYGO_LINES = 8
 # Smallest share of the positions of a grid at which a file of points x, y, z must have points.
 _LEAST_FILLED = 0.5
-# Number of even steps from which on a first row or column counts as positions instead of heights. If halved, more small
-# matrices of heights are refused.
+# Least number of equally spaced numbers in the first row or column that count as positions or indices instead of
+# heights. If halved, more small matrices of heights are refused.
 _LEAST_NUMBERED = 4
 
 
@@ -252,7 +252,7 @@ def _without_labels(file: Path, block: Block, form: Form) -> tuple[np.ndarray, t
         return values[:, 1:], None
     if _is_counted(values[0]) and has_fractions and len(values[0]) >= _LEAST_NUMBERED:
         return values[1:], None
-    # The heights of a tilted plane also have even steps, but in every row. The second row is therefore tested, too.
+    # The heights of a tilted plane are also equally spaced, but in every row. The second row is therefore tested, too.
     if min(values.shape) > _LEAST_NUMBERED and _has_even_edges(values) and not text_table.is_even(values[1, 1:]):
         raise refusal(file, "has a first row and a first column of even steps, as positions have; remove them")
     return values, None
@@ -284,7 +284,7 @@ def _is_counted(values: np.ndarray) -> bool:
 
 
 def _has_even_edges(values: np.ndarray) -> bool:
-    """Whether the first row and the first column of a matrix have even steps; their common corner is ignored."""
+    """Whether the first row and the first column of a matrix are equally spaced numbers; their corner is ignored."""
     return text_table.is_even(values[0, 1:]) and text_table.is_even(values[1:, 0])
 
 
