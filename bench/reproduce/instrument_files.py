@@ -31,7 +31,7 @@ TEXTS = (".txt", ".csv", ".asc", ".gz", ".hfm")
 # Suffixes of scans of heights that the package refuses. The other programs of this comparison cannot open such a file
 # and confirm that it is a scan. Its suffix is therefore sufficient.
 REFUSED_SCANS = (".nms", ".h5-jpk")
-# Suffixes of files in the folder that no instrument writes. They are skipped.
+# Suffixes of the files in the folder that are no files of instruments. They are skipped.
 OTHERS = (".yaml", ".npy", ".py", ".nc", ".list", ".log", ".sh")
 SIZE_TOLERANCE, HEIGHT_TOLERANCE = 1e-4, 1e-3
 _TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}

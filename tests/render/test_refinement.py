@@ -333,8 +333,8 @@ def estimate_by_hand(colours, uv, hit, floor, bound):
 @pytest.mark.parametrize("slices", [1, 6])
 def test_errors_are_estimated_from_neighbouring_pixels(size, slices, rng):
     colours = rng.lognormal(0.0, 1.0, (*size, 3)).astype(np.float32)
-    # The estimate treats two kinds of pixels separately, and the picture has both: rows that miss the mesh, and pixels
-    # at which (u, v) changes irregularly.
+    # The kernel estimates the error of a pixel differently at the rim of the mesh and where (u, v) changes irregularly
+    # between pixels. This picture has both: every sixth row of pixels misses the mesh, and (u, v) is noisy.
     hit = (rng.uniform(size=size) < 0.9) & (np.arange(size[0]) % 6 != 3)[:, None]
     y, x = np.mgrid[: size[0], : size[1]]
     uv = np.stack([0.3 + 0.01 * x + 0.002 * y, 0.02 * y], axis=-1)

@@ -94,7 +94,8 @@ def _code_digest(*folders: Path) -> str:
     """
     digest = hashlib.sha256()
     for path in sorted(path for folder in folders for path in folder.rglob("*") if path.suffix in (".py", ".h")):
-        # Symbolic links without a target are skipped. Some editors make such a link to mark a file as open.
+        # Beside a source file that is open, some editors put a symbolic link without a target. It is skipped, because
+        # it cannot be read.
         if path.is_file():
             digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -124,7 +124,7 @@ class Period:
 
 
 class Periods(tuple[Period, ...]):
-    """Periods of a height field, a tuple of :class:`warpdiff.Period`, strongest first, which also is a table.
+    """Periods of a height field: a tuple of :class:`warpdiff.Period`, strongest first. Its methods print and save them.
 
     Examples:
         >>> import numpy as np

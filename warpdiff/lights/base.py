@@ -140,7 +140,7 @@ class LobeSet(LightPart):
         )  # fmt: skip
 
     def make_pass(self, context: PassContext) -> LightPass:
-        """Return the pass that samples the lobes."""
+        """Return the pass in which every ray adds the colours of all lobes."""
         from warpdiff.lights.lobe_pass import LobePass
 
         return LobePass(self, context)
@@ -151,7 +151,7 @@ class LobeChoice(LobeSet):
     """Set of many lobes with one illuminant, each with a single direction. Each subpixel cell chooses one lobe."""
 
     def make_pass(self, context: PassContext) -> LightPass:
-        """Return the pass that chooses lobes."""
+        """Return the pass in which every subpixel cell adds the colour of one lobe, chosen at random."""
         # Warp is imported here, so that the help of the command line can describe lights without loading Warp.
         from warpdiff.lights.choice_pass import ChoicePass
 
@@ -170,7 +170,7 @@ class DiscPart(LobeSet):
         vars(self).update(sample_count=DISC_SAMPLES)
 
     def make_pass(self, context: PassContext) -> LightPass:
-        """Return the pass that samples the disc."""
+        """Return the pass in which every ray draws a direction on the disc and adds its colour."""
         from warpdiff.lights.disc_pass import DiscPass
 
         return DiscPass(self, context)
