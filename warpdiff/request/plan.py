@@ -299,7 +299,7 @@ class Plan:
 
         Examples:
             >>> import warpdiff as wd
-            >>> plan = wd.plan(wd.gratings.sinusoidal(period_um=2.0, depth_um=0.1))
+            >>> plan = wd.plan(wd.gratings.sinusoidal(period_um=2.0, depth_um=0.1), (0, 0, 1), (0, 0, 1))
             >>> wd.Plan.from_json(plan.to_json()) == plan
             True
         """
@@ -317,7 +317,7 @@ class Plan:
 
         Examples:
             >>> import warpdiff as wd
-            >>> plan = wd.plan(wd.gratings.blazed(period_um=2.0, depth_um=0.2))
+            >>> plan = wd.plan(wd.gratings.blazed(period_um=2.0, depth_um=0.2), (0, 0, 1), (0, 0, 1))
             >>> wd.Plan.from_json(plan.to_json()).method == plan.method
             True
         """
@@ -355,7 +355,7 @@ class Plan:
         Examples:
             >>> import pathlib, tempfile
             >>> import warpdiff as wd
-            >>> plan = wd.plan(wd.gratings.sinusoidal(period_um=2.0, depth_um=0.1))
+            >>> plan = wd.plan(wd.gratings.sinusoidal(period_um=2.0, depth_um=0.1), (0, 0, 1), (0, 0, 1))
             >>> path = plan.save(pathlib.Path(tempfile.mkdtemp()) / "plan.json")
             >>> wd.Plan.load(path) == plan
             True
