@@ -40,6 +40,9 @@ class Reflection:
     per_light_cosine: wp.bool  # whether gains are divided by the light's cosine, for coherence of kind "source"
     transmittances: wp.array2d(dtype=wp.vec3f)  # 1 − R in linear RGB, by material and by the angle's cosine from 0 to 1
     materials: wp.array(dtype=wp.int32)  # material of each face; empty for a single material
+    surface: wp.int32  # number of the surface; faces of other surfaces reflect nothing in its pass
+    surfaces: wp.array(dtype=wp.int32)  # number of each face's surface; empty if all faces have the same surface
+    unit: wp.float64  # factor from colours of this surface to the unit of the picture
     # Factors a of the energy normalisation, tabulated by the angle from the normal and the azimuth. If the array is
     # empty, the energy of Stam's model is not normalised.
     energy: wp.array2d(dtype=wp.float32)
@@ -59,6 +62,14 @@ def scattering_vectors_run(
     illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
     """Compute scattering vectors, directions to the light and gains of pixels, and add hits to the coverage."""
+
+
+@wp.func
+def has_surface(reflection: Reflection, face: wp.int32) -> wp.bool:
+    """Return whether a face has the surface of the present pass."""
+    if reflection.surfaces.shape[0] == 0:
+        return True
+    return reflection.surfaces[face] == reflection.surface
 
 
 @wp.func
@@ -98,7 +109,7 @@ def scattering_vectors(
     """
     place = lights.places[light_index]
     strength = lights.strengths[light_index]
-    scale = weight * strength[0]
+    scale = weight * strength[0] * reflection.unit
     thread, _ = wp.tid()
     begin = first + thread * run
     scattering_vectors_run(

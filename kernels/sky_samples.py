@@ -11,7 +11,7 @@ import warp as wp
 
 from warpdiff.kernels import compile_options, thresholds
 from warpdiff.kernels.bvh import FAR
-from warpdiff.kernels.light_samples import Lights, Reflection, energy_factor, transmittance
+from warpdiff.kernels.light_samples import Lights, Reflection, energy_factor, has_surface, transmittance
 from warpdiff.kernels.sample_sequence import filter_point, light_point, sample_index
 from warpdiff.kernels.shading_frames import LEAST_COSINE
 from warpdiff.kernels.structs import Footprint, Pixels
@@ -241,11 +241,14 @@ def sample_sky(
     """
     thread, _ = wp.tid()
     pigment = wp.float32(lights.strengths[0][1])
-    weight = 1.0 / wp.float32(samples)
+    weight = wp.float32(reflection.unit) / wp.float32(samples)
     for i in range(first + thread * run, first + (thread + 1) * run):
         for spectrum in range(3):
             gains_out[spectrum, i] = 0.0
-        if pixels.hit[i] == 0:
+        reflects = pixels.hit[i] != 0
+        if reflects:
+            reflects = has_surface(reflection, pixels.face[i])
+        if not reflects:
             scattering_vectors_out[i] = wp.vec3d()
             to_lights_out[i] = wp.vec3f()
             continue

@@ -47,6 +47,7 @@ from warpdiff.planner.strategy import plan as plan
 from warpdiff.render.renderer import Renderer as Renderer
 from warpdiff.render.shade import shade as shade
 from warpdiff.request.plan import Plan as Plan
+from warpdiff.request.surface import Surface as Surface
 from warpdiff.samples import gratings as gratings
 from warpdiff.samples import meshes as meshes
 from warpdiff.scene.camera import View as View

@@ -134,6 +134,8 @@ WARPDIFF_INLINE void find_scattering_vectors(const Pixels& pixels, const Vector&
     const int* const hit = numbers<const int>(pixels.hit);
     const float* const directions = is_empty(towards) ? nullptr : numbers<const float>(towards);
     const bool* const is_occluded = is_empty(occluded) ? nullptr : numbers<const bool>(occluded);
+    const int* const faces = numbers<const int>(pixels.face);
+    const int* const surfaces = is_empty(reflection.surfaces) ? nullptr : numbers<const int>(reflection.surfaces);
     const bool sums = !is_empty(coverage_out);
     const SumsOfPixels sums_of = {numbers<float>(xyz_out), numbers<double>(coverage_out),
         numbers<bool>(illuminated_out), sums && resets, sums && begins};
@@ -154,7 +156,8 @@ WARPDIFF_INLINE void find_scattering_vectors(const Pixels& pixels, const Vector&
         scatter(light, directions != nullptr, reflection, scale, horizon, batch);
         for (int i = 0; i < count; ++i) {
             const bool is_hit = hit[from + i] != 0;
-            const bool is_illuminated = is_hit && batch.gain[i] > 0.0f && !(is_occluded && is_occluded[from + i]);
+            const bool reflects = is_hit && (!surfaces || surfaces[faces[from + i]] == reflection.surface);
+            const bool is_illuminated = reflects && batch.gain[i] > 0.0f && !(is_occluded && is_occluded[from + i]);
             for (int c = 0; c < 3; ++c) scattering_vectors[3 * i + c] = is_hit ? -batch.uvw[c][i] : 0.0;
             for (int c = 0; c < 3; ++c) to_lights[3 * i + c] = is_illuminated ? (float)batch.light[c][i] : 0.0f;
             gains[i] = is_illuminated ? batch.gain[i] : 0.0f;

@@ -21,6 +21,7 @@ from warpdiff.core.options import describe
 from warpdiff.core.wording import ArgumentValueError, marked, ref, renaming
 from warpdiff.image.image import check_target
 from warpdiff.optics.materials import check_reflection
+from warpdiff.request.plan import plan_text
 from warpdiff.request.settings import EvaluationSettings, PictureSettings, SinglePictureSettings
 
 if TYPE_CHECKING:
@@ -65,7 +66,8 @@ def _save(image: wd.Image, options: argparse.Namespace, background: NDArray[np.f
     saving = given(options, describe(wd.Image.save)) | ({} if background is None else {"background": background})
     path = image.save(options.output, **saving)
     print(image.report)
-    print(image.plan)
+    if image.plan is not None:
+        print(plan_text(image.plan))
     print(path)
 
 
@@ -100,7 +102,7 @@ def sequence(options: argparse.Namespace) -> None:
 
             client = stack.enter_context(Client(options.scheduler))
         paths = wd.sequence(renderer, shots, options.output, **saving, client=client, progress=options.progress)
-    print(renderer.plan)
+    print(plan_text(renderer.plan))
     print(f"{len(paths)} frames in {Path(options.output).resolve()}")
     if "animation" in options:
         print(options.animation)

@@ -14,6 +14,7 @@ from warpdiff.core import files, memory, openimageio, validation
 from warpdiff.core.wording import ArgumentValueError, marked, ref
 from warpdiff.image import display_transform
 from warpdiff.optics import colorimetry
+from warpdiff.request.plan import plan_text
 from warpdiff.request.settings import Display, DisplaySettings, GamutSettings
 from warpdiff.request.signatures import accepts
 
@@ -56,7 +57,8 @@ class Image:
             files.
         error: Estimated relative error of each pixel, ‖ΔXYZ‖ / max(‖XYZ‖, 1e-3 · Y*) as in ``tolerance``, shape
             (height, width), float32; 0 where nothing is illuminated.
-        plan: Plan of the computation; None for a picture that :meth:`load` has read.
+        plan: Plan of the computation; plans by part of the mesh for several surfaces; None for a picture that
+            :meth:`load` has read.
         report: Report on the picture's errors and refinement; None for a picture that :meth:`load` has read.
         layers: Further outputs by name, as requested from :func:`warpdiff.shade`, at the first hit of the ray through
             each pixel's centre. ``"normal"``: unit shading normal on the viewer's side, world frame, shape (height,
@@ -81,7 +83,7 @@ class Image:
     illuminated: NDArray[np.bool_]
     coverage: NDArray[np.float32]
     error: NDArray[np.float32]
-    plan: Plan | None
+    plan: Plan | Mapping[str, Plan] | None
     report: Report | None = None
     layers: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
@@ -310,7 +312,7 @@ class Image:
         spec.alpha_channel = channels.index("A") if "A" in channels else -1
         spec.attribute("Software", "warpdiff")
         if self.plan is not None:
-            spec.attribute("ImageDescription", f"{self.plan}\n\n{self.report}")
+            spec.attribute("ImageDescription", f"{plan_text(self.plan)}\n\n{self.report}")
         if self.report is not None and self.report.history:
             spec.attribute("warpdiff:history", " ".join(self.report.history))
         spec.attribute("warpdiff:display", transform)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.scene.camera_rays import CameraRays
     from warpdiff.scene.gbuffer import GBuffer
-    from warpdiff.tables.lookup import ColourLookup
+    from warpdiff.tables.lookup import Lookup
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +48,8 @@ class SurfaceOptics:
             perfect mirror do not sum to 1.
         pigment: Linear factor of the light that the pigment reflects; 0 is no pigment.
         shadows: Whether the mesh may occlude the lights.
+        is_plain: Whether the surface has no height field: it is matte, and only its base colour reflects light.
+        unit: Factor from the colours of this surface to the unit of the picture; 1 if the picture has one surface.
     """
 
     coherence: Coherence
@@ -58,10 +60,12 @@ class SurfaceOptics:
     energy: NDArray[np.float32] | None = None
     pigment: float = 0.0
     shadows: bool = True
+    is_plain: bool = False
+    unit: float = 1.0
 
 
 class PassContext:
-    """Context that all passes of a picture share: its rays, its surface's optics, and structs for the kernels.
+    """Context that all passes over one surface of a picture share: rays, optics, and structs for the kernels.
 
     Attributes:
         rays: Camera rays, on whose hits the light is sampled.
@@ -76,8 +80,14 @@ class PassContext:
     """
 
     def __init__(
-        self, rays: CameraRays, optics: SurfaceOptics, materials_of_faces: NDArray[np.int32] | None, *, refines: bool
-    ) -> None:
+        self, rays: CameraRays, optics: SurfaceOptics, materials_of_faces: NDArray[np.int32] | None, *, refines: bool,
+        surface: int = 0, surfaces_of_faces: wp.array | None = None,
+    ) -> None:  # fmt: skip
+        """Fill the structs of the kernels.
+
+        ``surfaces_of_faces`` has the number of each face's surface on the device, and ``surface`` is the number of this
+        one. None stands for a picture with one surface.
+        """
         device = rays.options["device"]
         self.rays, self.optics, self.refines = rays, optics, refines
         self.is_pigmented = optics.pigment > 0.0 and rays.surface.has_base_colour
@@ -88,7 +98,9 @@ class PassContext:
         grid_um = colorimetry.VISIBLE_NM * 1e-3
         self._solid_angle = reflectance_factors.pigment_solid_angle(grid_um, optics.coherence, optics.area_um2)
         through = np.zeros((0, 0, 3), dtype=np.float32)
-        if self.is_pigmented:
+        if optics.is_plain:
+            through = np.ones((1, 2, 3), dtype=np.float32)
+        elif self.is_pigmented:
             through = np.asarray([transmittances(normal, material) for material in optics.materials], dtype=np.float32)
         energy = np.zeros((0, 0), dtype=np.float32) if optics.energy is None else optics.energy
         self.reflection = light_samples.Reflection()
@@ -99,6 +111,9 @@ class PassContext:
         self.reflection.transmittances = wp.empty(through.shape[:2], dtype=wp.vec3f, device=device)
         self.reflection.transmittances.assign(through)
         self.reflection.materials = self.materials_of_faces
+        self.reflection.surface, self.reflection.unit = surface, optics.unit
+        empty = wp.empty(0, dtype=wp.int32, device=device)
+        self.reflection.surfaces = empty if surfaces_of_faces is None else surfaces_of_faces
 
     @property
     def device(self) -> wp.Device:
@@ -311,11 +326,11 @@ class LightPass(ABC):
         """Return the kernel calls that sample a lobe at the hits of a batch, and add the light of the pigment."""
 
     @abstractmethod
-    def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
+    def colour(self, lobe: int, batch: RayBatch, lookup: Lookup) -> list[KernelCall]:
         """Return the kernel calls that look up the colours at the samples of a batch, and add them to its sums."""
 
     def look_up(
-        self, lobe: int, gains: Sequence[wp.array], footprints: wp.array | None, batch: RayBatch, lookup: ColourLookup
+        self, lobe: int, gains: Sequence[wp.array], footprints: wp.array | None, batch: RayBatch, lookup: Lookup
     ) -> list[KernelCall]:
         """Return the kernel calls that look up the colours of a lobe, and add them to the batch's sums.
 
@@ -336,7 +351,7 @@ class LightPass(ABC):
                 )  # fmt: skip
         return calls
 
-    def shade(self, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
+    def shade(self, batch: RayBatch, lookup: Lookup) -> list[KernelCall]:
         """Return the kernel calls that compute the colours of subpixel cells, added over all lobes of the light."""
         calls = []
         for lobe in self.cell_lobes(batch.level):

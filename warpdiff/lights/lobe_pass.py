@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from warpdiff.kernels.shadow_rays import ShadowGrid
     from warpdiff.lights.base import Lobe, LobeSet
     from warpdiff.lights.light_pass import Counting, PassContext, RayBatch
-    from warpdiff.tables.lookup import ColourLookup
+    from warpdiff.tables.lookup import Lookup
 
 # Largest ratio of a point light's power to the square of the mesh's radius. Limit: colours increase near the light, and
 # their squares must remain below the largest float32.
@@ -153,9 +153,9 @@ class LobePass(LightPass):
         widen = [KernelCall(kernel, inputs, [batch.samples.footprints], in_runs=True) for kernel, inputs in kernels]
         return [self.filter_footprints(batch), *widen]
 
-    def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
+    def colour(self, lobe: int, batch: RayBatch, lookup: Lookup) -> list[KernelCall]:
         """Return the kernel calls that look up the colours of a lobe, separately for the faces of each material."""
         calls, footprints = [], None
-        if lookup.plan.uses_footprints:
+        if lookup.uses_footprints:
             calls, footprints = self.footprint_calls(lobe, batch), batch.samples.footprints
         return [*calls, *self.look_up(lobe, [batch.samples.gains], footprints, batch, lookup)]

@@ -12,6 +12,7 @@ import warp as wp
 from warpdiff.kernels import sky_samples
 from warpdiff.kernels.structs import Footprint
 from warpdiff.tables import polar_grid
+from warpdiff.tables.lookup import ColourLookup, Lookup
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
     from warpdiff.lights.sky_grid import SkyGrid
     from warpdiff.optics.materials import IlluminatedMaterial
-    from warpdiff.tables.lookup import ColourLookup
 
 # Grid of (u, v) on which directions are drawn by the surface's colours: rings per octave of |(u, v)|, largest |(u, v)|,
 # and radius of a disc in the middle without rings, in standard deviations of an order's lobe. Choices: they change only
@@ -54,12 +54,14 @@ def upload_sky(grid: SkyGrid, device: wp.Device) -> tuple[wp.array, ...]:
     )
 
 
-def lookup_for_skies(lookup: ColourLookup) -> ColourLookup:
+def lookup_for_skies(lookup: Lookup) -> Lookup:
     """Return a look-up with the smaller colour table that suffices for skies, from a cache.
 
     Directional lights of the same picture may require a table with up to eight times as many rings. A sky has three
     spectra, and each of them would require such a large table.
     """
+    if not isinstance(lookup, ColourLookup):
+        return lookup
     plan = lookup.plan
     rings, azimuths = polar_grid.size_for_skies(plan)
     if rings == plan.rings_per_octave:
@@ -70,7 +72,7 @@ def lookup_for_skies(lookup: ColourLookup) -> ColourLookup:
 
 
 def distribution_for(
-    lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], blocks: Sequence[wp.array], *,
+    lookup: Lookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], blocks: Sequence[wp.array], *,
     sky_share: float,
 ) -> sky_samples.SkyDistribution:  # fmt: skip
     """Return the distribution from which kernels draw directions to a sky, by the colours of surface and sky.
@@ -83,18 +85,27 @@ def distribution_for(
         blocks: Cumulative shares and densities of the sky's blocks, as :func:`upload_sky` returns them.
         sky_share: Share of the samples that are drawn from the sky's blocks.
     """
-    result = surface_distribution(lookup, illuminated)
+    result = surface_distribution(lookup, illuminated, blocks[0].device)
     result.row_cdf, result.column_cdf, result.block_densities = blocks
     result.sky_share = sky_share
     return result
 
 
 def surface_distribution(
-    lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]]
+    lookup: Lookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], device: wp.Device
 ) -> sky_samples.SkyDistribution:
-    """Return the struct of :func:`distribution_for` for the surface alone; the fields for a sky are empty."""
+    """Return the struct of :func:`distribution_for` for the surface alone; the fields for a sky are empty.
+
+    Without a height field, (u, v) is drawn evenly from a disc that has all values of (u, v).
+    """
     key = tuple(map(tuple, illuminated))
     result = sky_samples.SkyDistribution()
+    if not isinstance(lookup, ColourLookup):
+        ones, starts = wp.full(1, 1.0, dtype=wp.float32, device=device), wp.array([0, 1], dtype=wp.int32, device=device)
+        result.ring_cdf, result.starts, result.spoke_cdf = ones, starts, ones
+        result.densities = wp.full(1, 1.0 / (math.pi * _FARTHEST**2), dtype=wp.float32, device=device)
+        result.least_log, result.per_log = math.log(_FARTHEST), 1.0
+        return result
     of_surface = lookup.derived.get_or_make(key, lambda: _of_surface(lookup, illuminated))
     result.ring_cdf, result.starts, result.spoke_cdf, result.densities, result.least_log, result.per_log = of_surface
     return result

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from warpdiff.lights.light_pass import Counting, PassContext, RayBatch
     from warpdiff.lights.sky_grid import SkyGrid
-    from warpdiff.tables.lookup import ColourLookup
+    from warpdiff.tables.lookup import Lookup
 
 # Share of the directions that are drawn by the brightness of the sky alone, without and with a pigment. The others are
 # drawn by the colours of the surface. A pigment reflects light from all directions, so that more are drawn by the sky.
@@ -82,7 +82,7 @@ class SkyPass(LightPass):
         outputs = [batch.samples.scattering_vectors, batch.samples.gains, *batch.sums]
         return [KernelCall(sky_samples.mirror_deflections, inputs, outputs, in_runs=True)]
 
-    def colour(self, lobe: int, batch: RayBatch, lookup: ColourLookup) -> list[KernelCall]:
+    def colour(self, lobe: int, batch: RayBatch, lookup: Lookup) -> list[KernelCall]:
         """Return kernel calls that draw a direction of the sky for each ray, and add the colour from this direction."""
         samples, context = batch.samples, self.context
         pixels, gains = batch.gbuffer.pixels, samples.spectral_gains

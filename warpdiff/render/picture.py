@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
     from warpdiff.scene.camera import View
     from warpdiff.scene.mesh_import import Surface
-    from warpdiff.tables.lookup import ColourLookup
+    from warpdiff.tables.lookup import Lookup
 
     Progress = Callable[[float], None] | None
     Previews = Sequence[tuple[float, Callable[[], None]]]
@@ -60,16 +60,29 @@ def load_kernels(device: wp.Device) -> None:
     load([primary_hits.intersect_known_faces, light_samples.scattering_vectors, trace_shadow_rays], device)
 
 
+@dataclass(frozen=True, eq=False)
+class Coat:
+    """Optics of the faces with one surface.
+
+    Attributes:
+        optics: Optics, except for the diffraction of the height field.
+        materials_of_faces: Index of each face's material; None for a single material.
+    """
+
+    optics: SurfaceOptics
+    materials_of_faces: NDArray[np.int32] | None = None
+
+
 class Picture:
-    """Picture of a surface, whose view and lights may change between renderings.
+    """Picture of a mesh with one or several surfaces, whose view and lights may change between renderings.
 
     :meth:`set_lights` makes the passes of the lights. :meth:`render` or :meth:`render_directly` then computes the
-    colours.
+    colours. Each surface has passes of its own, in which the faces of other surfaces reflect nothing.
     """
 
     def __init__(
-        self, surface: Surface, view: View, optics: SurfaceOptics, *, smooth: bool = True, samples_per_pixel: int = 1,
-        means: bool = False, refine: bool = False, margin: int = 0, materials_of_faces: NDArray[np.int32] | None = None,
+        self, surface: Surface, view: View, coats: Sequence[Coat], *, coats_of_faces: NDArray[np.int32] | None = None,
+        smooth: bool = True, samples_per_pixel: int = 1, means: bool = False, refine: bool = False, margin: int = 0,
         device_driven: bool = False, device: wp.Device, threads: int,
     ) -> None:  # fmt: skip
         """Allocate the arrays of a picture.
@@ -77,14 +90,14 @@ class Picture:
         Args:
             surface: The prepared mesh.
             view: Camera of the first rendering; later ones may have other cameras.
-            optics: Optics of the surface, except for the diffraction of its height field.
+            coats: Optics of each surface.
+            coats_of_faces: Index of each face's surface; None for a single surface.
             smooth: Whether vertex normals are interpolated.
             samples_per_pixel: Number of samples per pixel; with ``means``, the least number of cells per pixel.
             means: Whether pixels show means over footprints; otherwise they show points.
             refine: Whether pixels that show means are subdivided further where their errors are large.
             margin: Number of pixels that are added on each side, because the filter of a pixel at the border extends to
                 them.
-            materials_of_faces: Index of each face's material; None for a single material.
             device_driven: Whether the CPU uses the algorithms of the GPU, whose launches can be recorded. On the CPU
                 they are slower.
             device: The Warp device.
@@ -95,9 +108,16 @@ class Picture:
         )
         self._means, self._refine, self._least_samples = means, refine, samples_per_pixel
         self._samples_per_pixel = 1 if means else samples_per_pixel
-        self.context = PassContext(self.rays, optics, materials_of_faces, refines=means and refine)
+        numbers = None if coats_of_faces is None else wp.array(coats_of_faces, dtype=wp.int32, device=device)
+        self._contexts = [
+            PassContext(
+                self.rays, coat.optics, coat.materials_of_faces, refines=means and refine, surface=index,
+                surfaces_of_faces=numbers,
+            )
+            for index, coat in enumerate(coats)
+        ]  # fmt: skip
         self.sampler = PixelSampler(
-            self.context, samples_per_pixel=self._samples_per_pixel, means=means,
+            self._contexts, samples_per_pixel=self._samples_per_pixel, means=means,
             shadow_rays_per_hit=max(samples_per_pixel, _SHADOW_RAYS_REFINED if means and refine else 1),
         )  # fmt: skip
         self._sums = Accumulators.allocate(self.rays.size, means=means, device=device)
@@ -107,6 +127,8 @@ class Picture:
         self._own_sums: Accumulators | None = None
         self._parts: list[LightPart] = []
         self._passes: list[LightPass] = []
+        # Index of the surface of each pass.
+        self._coats: list[int] = []
         self._inner = (slice(margin, margin + view.height), slice(margin, margin + view.width))
         self._shown_xyz: wp.array | None = None
         self._unserved_gain = wp.empty(0, dtype=wp.float32, device=device)
@@ -126,18 +148,29 @@ class Picture:
         """Discard hits and samples, so that the next rendering computes them again."""
         self.sampler.invalidate()
 
-    def set_lights(self, parts: Sequence[LightPart]) -> None:
-        """Set the lights.
+    @property
+    def context(self) -> PassContext:
+        """Context of the passes over the first surface."""
+        return self._contexts[0]
+
+    def set_lights(self, parts_by_coat: Sequence[Sequence[LightPart]]) -> None:
+        """Set the parts of the lights for each surface.
 
         The passes of the new lights reuse the arrays of the previous passes, because a recorded CUDA graph reads these
         arrays.
         """
+        parts = [part for of_coat in parts_by_coat for part in of_coat]
         before: list[LightPass | None] = [*self._passes, *[None] * len(parts)]
         # If a light is not accepted, making its pass raises an error here, and the previous passes stay in use.
-        passes = [part.make_pass(self.context) for part in parts]
+        passes = [
+            part.make_pass(context)
+            for context, of_coat in zip(self._contexts, parts_by_coat, strict=True)
+            for part in of_coat
+        ]
         for light_pass, previous in zip(passes, before, strict=False):
             light_pass.begin(previous)
-        self._parts, self._passes = list(parts), passes
+        self._parts, self._passes = parts, passes
+        self._coats = [coat for coat, of_coat in enumerate(parts_by_coat) for _ in of_coat]
         self.sampler.set_lights(self._passes)
         self._light_sums = self._sums
         if self._means and len(parts) > 1:
@@ -149,11 +182,15 @@ class Picture:
     def graph_key(self) -> tuple[Hashable, ...]:
         """Key of a recorded CUDA graph: everything that its launches depend on, except the values in arrays."""
         passes = tuple(light_pass.graph_key for light_pass in self._passes)
-        return *passes, self.view.extent_y is None, self.context.casts_shadows
+        return *passes, *self._coats, self.view.extent_y is None, self.context.casts_shadows
 
-    def measure_directions(self, heightfield: HeightField) -> tuple[DirectionRange, DirectionSample, int]:
-        """Return the directions for which a plan is required: their range, a sample of them, and how many there are."""
-        return self.sampler.measure_directions(heightfield, self.context.optics.coherence, self._light_sums)
+    def measure_directions(
+        self, heightfield: HeightField, coat: int = 0
+    ) -> tuple[DirectionRange, DirectionSample, int]:
+        """Return the directions for which the plan of a surface is required: range, sample and number."""
+        passes = [index for index, of_coat in enumerate(self._coats) if of_coat == coat]
+        coherence = self._contexts[coat].optics.coherence
+        return self.sampler.measure_directions(heightfield, coherence, self._light_sums, passes)
 
     def _sampled(self, progress: Progress) -> Iterator[tuple[LobeIndex, Progress]]:
         """Sample every lobe for every camera ray, one ray per pixel at a time.
@@ -168,22 +205,23 @@ class Picture:
                 yield index, subprogress(progress, at / count, (at + 1) / count)
 
     def render(
-        self, lookup: ColourLookup, *, tolerance: float, progress: Progress = None, previews: Previews = ()
+        self, lookups: Sequence[Lookup], *, tolerance: float, progress: Progress = None, previews: Previews = ()
     ) -> None:
         """Compute the picture by look-ups of colours.
 
         Args:
-            lookup: Look-up of the colours by the table or the wavelengths of a plan.
+            lookups: Look-up of the colours of each surface, by the table or the wavelengths of its plan.
             tolerance: Tolerance of the picture.
             progress: Callable that gets the share that is done; None reports nothing.
             previews: Pairs of a larger tolerance and a callable, the largest tolerance first. The callable is called
                 when the picture meets the tolerance. Previews have no effect on a GPU.
         """
-        if lookup.needs_sampling and not len(self._unserved_gain):
+        if any(lookup.needs_sampling for lookup in lookups) and not len(self._unserved_gain):
             self._unserved_gain = wp.empty(self.rays.size, dtype=wp.float32, device=self.context.device)
         if not self._means:
             batch = self.sampler.batch(self._sums, self._unserved_gain)
             for index, share in self._sampled(progress):
+                lookup = lookups[self._coats[index.light]]
                 calls = self._passes[index.light].colour(index.lobe, batch, lookup)
                 launch_pipeline(
                     calls, self.rays.size, slice_size=lookup.slice_size, progress=share, **self.rays.options
@@ -192,21 +230,23 @@ class Picture:
         # The callables of previews are called by the host between launches. A recorded graph is launched without the
         # host, so it has no previews.
         previews = previews if isinstance(self.rays, RasterizedRays) else ()
-        least_level = pixel_filter.level_of(self._least_samples, means=lookup.plan.uses_footprints)
+        least_level = pixel_filter.level_of(
+            self._least_samples, means=any(lookup.uses_footprints for lookup in lookups)
+        )
         if len(self._passes) > 1:
             # Each light is refined to its final tolerance before the next light begins. A preview requires all lights,
             # so that they are all rendered at the tolerance of the preview first.
             count = len(previews) + 1
             for at, (preview, completed) in enumerate(previews):
                 policy = RefinementPolicy(preview, least_level, self._refine)
-                self._render_means(lookup, policy, subprogress(progress, at / count, (at + 1) / count))
+                self._render_means(lookups, policy, subprogress(progress, at / count, (at + 1) / count))
                 completed()
                 self.sampler.set_lights(self._passes)
             progress, previews = subprogress(progress, 1.0 - 1.0 / count, 1.0), ()
-        self._render_means(lookup, RefinementPolicy(tolerance, least_level, self._refine), progress, previews)
+        self._render_means(lookups, RefinementPolicy(tolerance, least_level, self._refine), progress, previews)
 
     def _render_means(
-        self, lookup: ColourLookup, policy: RefinementPolicy, progress: Progress, previews: Previews = ()
+        self, lookups: Sequence[Lookup], policy: RefinementPolicy, progress: Progress, previews: Previews = ()
     ) -> None:
         """Compute pixels as means over footprints, one light after the other."""
         self._sums.clear_errors()
@@ -216,6 +256,7 @@ class Picture:
             self._sums.illuminated.zero_()
         batch = self.sampler.batch(of_light, self._unserved_gain, deviation=pixel_filter.deviation_at(0, means=True))
         for light, light_pass in enumerate(self._passes):
+            lookup = lookups[self._coats[light]]
             if count > 1:
                 of_light.illuminated.zero_()
             share = subprogress(progress, light / count, (light + 1) / count)
@@ -236,7 +277,7 @@ class Picture:
                 sums = [self._sums.xyz, self._sums.errors, self._sums.illuminated]
                 self.rays.launch([KernelCall(subdivision.accumulate, light_sums, sums, in_runs=True)])
 
-    def _add_own_rays(self, light: int, batch: RayBatch, lookup: ColourLookup, progress: Progress) -> None:
+    def _add_own_rays(self, light: int, batch: RayBatch, lookup: Lookup, progress: Progress) -> None:
         """Compute the colours under a light with one ray per pixel. Refinement starts from these colours."""
         light_pass, sums = self._passes[light], self._light_sums
         lobes = light_pass.first_lobes
@@ -284,8 +325,8 @@ class Picture:
         return np.ascontiguousarray(values.reshape(self.rays.height, self.rays.width, *values.shape[1:])[self._inner])
 
     @np.errstate(under="ignore")
-    def image(self, plan: Plan) -> Image:
-        """Return the finished picture."""
+    def image(self, plans: Sequence[Plan], tolerance: float) -> Image:
+        """Return the finished picture, with the estimated errors of the least accurate plan. Its plan is the first."""
         sums = self._sums
         xyz, coverage, illuminated = map(self._cropped, (sums.xyz, sums.coverage, sums.illuminated))
         coverage = coverage.astype(np.float32)
@@ -301,18 +342,18 @@ class Picture:
             contrasts = part(pixel_filter.contrasts(padded).ravel())
         parts = ErrorParts(xyz[illuminated], contrasts, cells=part(sums.errors))
         error = np.zeros(illuminated.shape, dtype=np.float32)
-        error[illuminated] = relative_errors(combined_errors(parts, plan.error), parts.xyz)
+        error[illuminated] = relative_errors(combined_errors(parts, max(plan.error for plan in plans)), parts.xyz)
         # The number of subdivided pixels may exceed the number of covered pixels: it includes the margin, and pixels
         # whose centre misses the mesh.
         subdivided = 0 if self._loop is None else self._loop.tiles.count
         covered = int(np.count_nonzero(sums.coverage.numpy()))
         edges = self._cropped(sums.edges) if self._means and self._refine else None
         report = report_of(
-            error, illuminated, edges, tolerance=plan.tolerance,
+            error, illuminated, edges, tolerance=tolerance,
             light_sample_count=sum(light.sample_count for light in self._parts),
             refined_share=min(subdivided / max(covered, 1), 1.0),
         )  # fmt: skip
         return Image(
-            xyz=xyz, mask=coverage > 0.0, illuminated=illuminated, coverage=coverage, error=error, plan=plan,
+            xyz=xyz, mask=coverage > 0.0, illuminated=illuminated, coverage=coverage, error=error, plan=plans[0],
             report=report,
         )  # fmt: skip

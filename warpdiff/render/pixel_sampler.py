@@ -43,13 +43,16 @@ class PixelSampler:
         samples: Samples of the lobe of the last call of :meth:`scatter`, one entry per pixel.
     """
 
-    def __init__(self, context: PassContext, *, samples_per_pixel: int, means: bool, shadow_rays_per_hit: int) -> None:
+    def __init__(
+        self, contexts: Sequence[PassContext], *, samples_per_pixel: int, means: bool, shadow_rays_per_hit: int
+    ) -> None:
+        context = contexts[0]
         self._context, self._samples_per_pixel, self._means = context, samples_per_pixel, means
         self._shadow_rays_per_hit = shadow_rays_per_hit
+        has_materials = any(each.has_materials for each in contexts)
         self.samples = LightSamples.allocate(
-            context.rays.size, means=means, has_materials=context.has_materials, has_directions=False,
-            device=context.device,
-        )  # fmt: skip
+            context.rays.size, means=means, has_materials=has_materials, has_directions=False, device=context.device
+        )
         self._passes: Sequence[LightPass] = ()
         self._no_tiles = wp.empty(0, dtype=wp.int32, device=context.device)
         self._no_gains = wp.empty(0, dtype=wp.float32, device=context.device)
@@ -73,10 +76,13 @@ class PixelSampler:
                 towards=wp.empty(rays, dtype=wp.vec4f, device=device),
             )  # fmt: skip
 
-    def lobes(self) -> Iterator[LobeIndex]:
-        """Yield all lobes whose scattering vectors determine the range for which a plan is chosen."""
-        for light, light_pass in enumerate(self._passes):
-            for lobe in light_pass.measured_lobes:
+    def lobes(self, passes: Sequence[int] | None = None) -> Iterator[LobeIndex]:
+        """Yield the lobes whose scattering vectors determine the range for which a plan is chosen.
+
+        ``passes`` has the indices of the passes whose lobes are yielded; None stands for all passes.
+        """
+        for light in range(len(self._passes)) if passes is None else passes:
+            for lobe in self._passes[light].measured_lobes:
                 yield LobeIndex(light, lobe)
 
     def batch(self, sums: Accumulators, unserved_gain: wp.array | None = None, *, deviation: float = 0.0) -> RayBatch:
@@ -136,15 +142,17 @@ class PixelSampler:
         return scattering_vectors, to_lights, gains
 
     def measure_directions(
-        self, heightfield: HeightField, coherence: Coherence, sums: Accumulators
+        self, heightfield: HeightField, coherence: Coherence, sums: Accumulators, passes: Sequence[int]
     ) -> tuple[DirectionRange, DirectionSample, int]:
         """Return the illuminated directions for which a plan is made: their range, a sample of them, and their number.
+
+        ``passes`` has the indices of the passes over the surface for which the plan is made.
 
         Additional rays are traced for this purpose. They require about 1 % of the time in which the picture's colours
         are computed.
         """
         within, count = DirectionRange(0.0, 0.0, 0.0, 0.0), 0
-        sampled, lobes = [], list(self.lobes())
+        sampled, lobes = [], list(self.lobes(passes))
         # If pixels show points, only some of their rays are used. If pixels show means, several rays per pixel
         # represent the directions of subpixel cells.
         per_pixel, measured = self._samples_per_pixel, min(self._samples_per_pixel, _SAMPLES_MEASURED)

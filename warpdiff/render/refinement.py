@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from warpdiff.lights.light_pass import LightPass, RayBatch
     from warpdiff.render.accumulators import Accumulators
     from warpdiff.render.tile_buffers import TileBuffers
-    from warpdiff.tables.lookup import ColourLookup
+    from warpdiff.tables.lookup import Lookup
 
 # Number of pixels per slice of a launch on the CPU. Fitted: launches then add 1 % to the time of the kernels.
 SLICE = 32_768
@@ -91,7 +91,7 @@ class LightRefinement:
     """
 
     light_pass: LightPass
-    lookup: ColourLookup
+    lookup: Lookup
     batch: RayBatch
     sums: Accumulators
     policy: RefinementPolicy
@@ -132,7 +132,7 @@ class LightRefinement:
         sampling.tiles, sampling.places = buffers.tiles[level], pixel_filter.places_at(level, device)
         inputs = [
             batch.xyz, batch.gbuffer.pixels.hit, buffers.tiles[level], self.sums.xyz, sums.ranks,
-            pixel_filter.weights_at(level, self.lookup.plan.uses_footprints, device), level,
+            pixel_filter.weights_at(level, self.lookup.uses_footprints, device), level,
             level == self.policy.base_level, self.policy.is_sampled,
         ]  # fmt: skip
         outputs = [sums.filtered_sums, sums.quadrants, sums.changes, sums.levels, sums.lighting]
@@ -174,9 +174,7 @@ class LightRefinement:
         result.changes = wp.empty(tiles, dtype=wp.float32, device=device)
         result.levels, result.lighting = (wp.empty(tiles, dtype=wp.uint8, device=device) for _ in range(2))
         result.ranks = wp.empty(0, dtype=wp.int32, device=device)
-        result.filter_normalisation = pixel_filter.filter_normalisation_on(
-            self.lookup.plan.uses_footprints, device.alias
-        )
+        result.filter_normalisation = pixel_filter.filter_normalisation_on(self.lookup.uses_footprints, device.alias)
         return result
 
 

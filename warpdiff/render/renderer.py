@@ -18,27 +18,22 @@ from warpdiff.device.devices import resolve_threads
 from warpdiff.lights.base import listed
 from warpdiff.planner.strategy import directions_of
 from warpdiff.render.picture import load_kernels
-from warpdiff.render.shade import (
-    PictureInputs,
-    parts_of,
-    picture_memory,
-    require_picture_memory,
-    warn_unconverged,
-    with_history,
-)
+from warpdiff.render.picture_inputs import PictureInputs, picture_memory, require_picture_memory
+from warpdiff.render.shade import warn_unconverged
+from warpdiff.request.plan import Plan
 from warpdiff.request.settings import PictureSettings
 from warpdiff.request.signatures import accepts
 from warpdiff.scene.camera import View
 from warpdiff.scene.mesh_import import prepare_surface
-from warpdiff.tables.lookup import ColourLookup
+from warpdiff.tables.lookup import Lookup, PlainLookup
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
 
-    from warpdiff.heightfield.field import HeightField
     from warpdiff.image.image import Image
     from warpdiff.lights.base import Light, LightPart
     from warpdiff.render.picture import Picture
+    from warpdiff.render.picture_inputs import SurfacesOfMesh
     from warpdiff.request.keywords import PictureKeywords
     from warpdiff.scene.mesh_import import Surface
 
@@ -62,7 +57,7 @@ class Renderer:
     plan; tables are computed again.
 
     Attributes:
-        plan: The plan, which states what is computed and why.
+        plan: The plan, which states what is computed and why; with several surfaces, plans by part of the mesh.
 
     Examples:
         >>> import warpdiff as wd
@@ -77,7 +72,7 @@ class Renderer:
 
     @accepts(PictureSettings)
     def __init__(
-        self, mesh: Any, heightfield: HeightField, lights: Light | Sequence[Light], view: View,
+        self, mesh: Any, heightfield: SurfacesOfMesh, lights: Light | Sequence[Light], view: View,
         **settings: Unpack[PictureKeywords],
     ) -> None:  # fmt: skip
         """Prepare pictures, and draw the first one.
@@ -87,12 +82,13 @@ class Renderer:
 
         Args:
             mesh: Mesh with texture coordinates or tangents: see :func:`warpdiff.shade`.
-            heightfield: Height field, whose x axis lies along the tangents of the mesh.
+            heightfield: Height field, whose x axis lies along the tangents of the mesh, or a mapping from parts of the
+                mesh to surfaces, as for :func:`warpdiff.shade`.
             lights: Lights of the first picture.
             view: Camera of the first picture.
         """
         checked = PictureSettings(**settings)
-        if (checked.method if checked.plan is None else checked.plan.method) == "direct":
+        if (checked.plan.method if isinstance(checked.plan, Plan) else checked.method) == "direct":
             raise ArgumentValueError(
                 f"{ref('method', 'direct')} is for single pictures: use warpdiff.shade, or another {ref('method')}"
             )
@@ -105,24 +101,31 @@ class Renderer:
 
     @classmethod
     def _from_parts(
-        cls, inputs: PictureInputs, surface: Surface, view: View, lookup: ColourLookup | None = None
+        cls, inputs: PictureInputs, surface: Surface, view: View, lookups: Sequence[Lookup] = ()
     ) -> Renderer:
         """Return a renderer for inputs that are already checked and a mesh that is already prepared."""
         result = cls.__new__(cls)
-        result._begin(inputs, surface, view, lookup)
+        result._begin(inputs, surface, view, lookups)
         return result
 
-    def _begin(self, inputs: PictureInputs, surface: Surface, view: View, lookup: ColourLookup | None = None) -> None:
-        """Choose the plan, and make the tables and the picture. Tables that exist already are passed as ``lookup``."""
-        evaluation = inputs.evaluation
+    def _begin(
+        self, inputs: PictureInputs, surface: Surface, view: View, lookups: Sequence[Lookup] = ()
+    ) -> None:  # fmt: skip
+        """Choose the plans, and make the tables and the picture. Tables that exist already are in ``lookups``."""
+        device = inputs.evaluation.device
         self._inputs, self._surface = inputs, surface
+        self._plans: list[Plan] = []
+        self._lookups: list[Lookup] = list(lookups)
         with picture_memory(view):
-            direction_range, sample, count = directions_of(evaluation)
-            self.plan = inputs.planned(direction_range, sample, count)
-            self._lookup = lookup or ColourLookup(
-                evaluation.heightfield, self.plan, direction_range, device=evaluation.device, threads=evaluation.threads
-            )
-            self._recorded = records(evaluation.device)
+            for own in inputs.surfaces.values():
+                if own.is_plain:
+                    self._lookups += [] if lookups else [PlainLookup()]
+                    continue
+                direction_range, sample, count = directions_of(own.evaluation)
+                self._plans.append(own.planned(direction_range, sample, count))
+                self._lookups += [] if lookups else [own.lookup(self._plans[-1], direction_range)]
+            self.plan = inputs.by_key(self._plans)
+            self._recorded = records(device)
             self._mine = _ThreadPicture(
                 functools.partial(inputs.picture, surface, view, device_driven=self._recorded),
                 inputs.parts,
@@ -131,6 +134,11 @@ class Renderer:
         self._turn: contextlib.AbstractContextManager[object] = (
             threading.Lock() if self._recorded else contextlib.nullcontext()
         )
+
+    @property
+    def _tolerance(self) -> float:
+        """Tolerance of the pictures."""
+        return min(plan.tolerance for plan in self._plans)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -151,12 +159,11 @@ class Renderer:
             MemoryError: More memory than is free; the message says what fits.
         """
         validation.instance(view, View, "view")
-        evaluation = replace(self._inputs.evaluation, plan=self.plan)
-        require_picture_memory(view, evaluation.device)
-        inputs = replace(self._inputs, evaluation=evaluation)
+        require_picture_memory(view, self._inputs.evaluation.device)
+        inputs = self._inputs.with_plans(self._plans)
         if refine is not None:
             inputs = inputs.refined(refine=validation.flag(refine, "refine"))
-        return self._from_parts(inputs, self._surface, view, self._lookup)
+        return self._from_parts(inputs, self._surface, view, self._lookups)
 
     def __reduce__(self) -> tuple[Callable[..., Renderer], tuple[dict[str, Any]]]:
         return _unpickled, (self.__getstate__(),)
@@ -168,11 +175,12 @@ class Renderer:
         # have another number of cores.
         threads = None if evaluation.threads == resolve_threads(None) else evaluation.threads
         settings = replace(
-            self._inputs.settings, plan=self.plan, coherence=None, tangents=None, footprint=evaluation.footprint,
+            self._inputs.settings, plan=self.plan, tangents=None, footprint=evaluation.footprint,
+            coherence=self._inputs.settings.coherence if len(self._inputs.surfaces) > 1 else None,
             device=evaluation.device.alias, threads=threads,
         )  # fmt: skip
         return {
-            "settings": settings, "heightfield": evaluation.heightfield, "lights": self._inputs.lights,
+            "settings": settings, "heightfield": self._inputs.heightfield, "lights": self._inputs.lights,
             "surface": self._surface, "view": self._mine.view,
         }  # fmt: skip
 
@@ -209,11 +217,10 @@ class Renderer:
         if mine.is_drawing:
             raise RuntimeError("draw() was called from its own progress or previews callable: call it afterwards")
         steps = self._preview_steps(mine, previews)
-        evaluation, parts = self._inputs.evaluation, mine.parts
+        parts = mine.parts
         if lights is not None:
-            parts = parts_of(
-                listed(lights), evaluation, refine=self._inputs.settings.refine, means=self.plan.uses_footprints
-            )
+            means = all(plan.uses_footprints for plan in self._plans)
+            parts = self._inputs.parts_under(listed(lights), means=means)
         if view is not None:
             validation.instance(view, View, "view")
             if (view.width, view.height) != (mine.view.width, mine.view.height):
@@ -240,7 +247,7 @@ class Renderer:
                     self._launch(mine, progress, steps)
             finally:
                 mine.is_drawing = False
-            mine.is_drawn, mine.tolerance = True, self.plan.tolerance
+            mine.is_drawn, mine.tolerance = True, self._tolerance
         return mine.picture.xyz
 
     def image(self) -> Image:
@@ -258,8 +265,8 @@ class Renderer:
         if not self._mine.is_drawn:
             self.draw()
         with self._turn:
-            image = self._mine.picture.image(replace(self.plan, tolerance=self._mine.tolerance))
-        image = with_history(image, self._inputs.evaluation.heightfield)
+            plans = [replace(plan, tolerance=self._mine.tolerance) for plan in self._plans]
+            image = self._inputs.image(self._mine.picture, plans)
         warn_unconverged(image)
         if not self._inputs.evaluation.device.is_cpu:
             return image
@@ -285,9 +292,9 @@ class Renderer:
                 mine.is_drawn = False
 
         for tolerance, function in callables.items():
-            if not validation.number(tolerance, "previews", most=0.5) > self.plan.tolerance:
+            if not validation.number(tolerance, "previews", most=0.5) > self._tolerance:
                 raise ArgumentValueError(
-                    f"{ref('previews')} must have tolerances above the plan's {self.plan.tolerance:g}, got "
+                    f"{ref('previews')} must have tolerances above the plan's {self._tolerance:g}, got "
                     f"{tolerance!r}: omit it"
                 )
             if not callable(function):
@@ -305,7 +312,7 @@ class Renderer:
         previews: Sequence[tuple[float, Callable[[], None]]] = (),
     ) -> None:
         """Launch the kernels of a picture."""
-        mine.picture.render(self._lookup, tolerance=self.plan.tolerance, progress=progress, previews=previews)
+        mine.picture.render(self._lookups, tolerance=self._tolerance, progress=progress, previews=previews)
 
     def _replay(self, mine: _ThreadPicture) -> None:
         """Replay the recorded graph of a picture, if it is still valid. Otherwise draw once, and record a new graph."""
@@ -336,7 +343,7 @@ class _ThreadPicture(threading.local):
 
     Attributes:
         picture: Rays, passes and sums of this thread's pictures.
-        parts: Parts of the lights with which this thread drew last.
+        parts: Parts of the lights, for each surface, with which this thread drew last.
         view: View with which this thread drew last.
         is_drawn: Whether the picture is complete.
         is_drawing: Whether the picture is being drawn.
@@ -346,7 +353,7 @@ class _ThreadPicture(threading.local):
             graph.
     """
 
-    def __init__(self, make: Callable[[], Picture], parts: list[LightPart], view: View) -> None:
+    def __init__(self, make: Callable[[], Picture], parts: list[list[LightPart]], view: View) -> None:
         self.picture, self.parts, self.view, self.is_drawn, self.tolerance = make(), parts, view, False, 0.0
         self.is_drawing = False
         self.graph: wp.Graph | None = None

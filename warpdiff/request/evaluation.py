@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from warpdiff.core import forks
+from warpdiff.core import forks, validation
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.device.devices import resolve_device, resolve_threads
 from warpdiff.diffraction import energy_normalisation
@@ -13,6 +13,7 @@ from warpdiff.heightfield.edge_checks import warn_of_edges
 from warpdiff.heightfield.field import check_whole
 from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import IlluminatedMaterial, check_materials
+from warpdiff.request.plan import Plan
 
 if TYPE_CHECKING:
     import numpy as np
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.materials import Material
-    from warpdiff.request.plan import Plan
     from warpdiff.request.settings import CommonSettings
 
 
@@ -87,6 +87,8 @@ class Evaluation:
             band_nm = (float(wavelengths_nm.min()), float(wavelengths_nm.max()))
         normal, materials = check_materials(settings.ior, settings.material, band_nm, by_geometry=by_geometry)
         plan = getattr(settings, "plan", None)
+        if plan is not None:
+            validation.instance(plan, Plan, "plan")
         if wavelengths_nm is None and plan is not None and plan.wavelengths == 0:
             raise ArgumentValueError(
                 f"{ref('plan')} has no wavelengths, as it was made for a spectrum; make one with "

@@ -36,7 +36,7 @@ class PlanKeywords(CommonKeywords, total=False):
 class PlannedKeywords(CommonKeywords, total=False):
     """Keyword arguments of :class:`warpdiff.request.settings.PlannedSettings`."""
 
-    plan: Plan | None
+    plan: Plan | Mapping[str, Plan] | None
 
 
 class EnergyKeywords(CommonKeywords, total=False):

@@ -424,3 +424,10 @@ def has_table(expansion: str, coherence: Coherence) -> bool:
         coherence.kind != "replicas"
         and holds_powers(expansion, adds_powers=coherence.adds_powers) == coherence.adds_powers
     )
+
+
+def plan_text(plan: Plan | Mapping[str, Plan]) -> str:
+    """Return the text of a plan, or the texts of the plans of several surfaces with the parts of the mesh."""
+    if isinstance(plan, Plan):
+        return str(plan)
+    return "\n\n".join(f"{part}\n{text}" for part, text in plan.items())

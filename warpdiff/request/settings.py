@@ -106,14 +106,14 @@ class PlannedSettings(CommonSettings):
 
     Attributes:
         plan: Explicit plan instead of ``tolerance``, ``method``, ``integration`` and ``coherence``; implies
-            ``strict=False``.
+            ``strict=False``. Pictures with several surfaces also accept a mapping from parts of the mesh to plans.
     """
 
-    plan: Plan | None = None
+    plan: Plan | Mapping[str, Plan] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.plan is not None and self.coherence not in (None, self.plan.coherence):
+        if isinstance(self.plan, Plan) and self.coherence not in (None, self.plan.coherence):
             raise ArgumentValueError(
                 f"{ref('coherence')} differs from the coherence of {ref('plan')}; give one of them, or change the plan "
                 "by dataclasses.replace"
@@ -122,7 +122,7 @@ class PlannedSettings(CommonSettings):
     @property
     def effective_coherence(self) -> Coherence:
         """Coherence of the explicit plan, or that of the settings, or the default coherence."""
-        return super().effective_coherence if self.plan is None else self.plan.coherence
+        return self.plan.coherence if isinstance(self.plan, Plan) else super().effective_coherence
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,14 +183,14 @@ class PictureSettings(EvaluationSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.footprint:
-            check_footprint(self.method if self.plan is None else self.plan.method)
+            check_footprint(self.plan.method if isinstance(self.plan, Plan) else self.method)
 
     @property
     def effective_footprint(self) -> bool:
         """Whether pixels show means over their filter."""
         if self.footprint is not None:
             return self.footprint
-        if self.plan is not None:
+        if isinstance(self.plan, Plan):
             return self.plan.footprint
         return self.effective_coherence.adds_powers and self.method != "direct"
 

@@ -85,6 +85,12 @@ class Surface:
     centre: NDArray[np.float64]
     radius: float
     geometry_names: tuple[str, ...] = ("",)
+    material_names: tuple[str, ...] = ()
+
+    @property
+    def materials(self) -> NDArray[np.int32]:
+        """Return −1: no face has a material."""
+        return np.full(len(self.faces), -1, np.int32)
 
     @forks.cached_property
     def is_closed(self) -> bool:

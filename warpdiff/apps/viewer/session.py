@@ -18,7 +18,7 @@ import traceback
 import warnings
 from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, cast, NamedTuple
 
 import numpy as np
 
@@ -473,7 +473,8 @@ class Studio:
 
         def plan() -> dict[str, Any]:
             made.append(wd.Renderer(surface, heightfield, lights, view, tolerance=scene.tolerance, **options))
-            return {"plan": made[0].plan.to_json()}
+            # The viewer shows one height field, so that the renderer has one plan.
+            return {"plan": cast("wd.Plan", made[0].plan).to_json()}
 
         # The viewer computes one plan for pictures with and without shadows, because shadows do not change a plan.
         planned = tuple((name, value) for name, value in scene.options if name != "shadows")

@@ -1,0 +1,422 @@
+"""Checked inputs of pictures: one or several surfaces of a mesh, lights and settings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.core import memory, validation
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref, renaming
+from warpdiff.heightfield.field import HeightField
+from warpdiff.kernels import refinement_levels
+from warpdiff.lights.base import MANY_LIGHTS, Light, LobeChoice, LobeSet, listed
+from warpdiff.lights.light_pass import SurfaceOptics
+from warpdiff.optics import colorimetry, reflectance_factors
+from warpdiff.optics.materials import IlluminatedMaterial
+from warpdiff.planner.refusals import warn_outside
+from warpdiff.planner.strategy import plan_for
+from warpdiff.render.picture import Coat, Picture
+from warpdiff.request.evaluation import Evaluation
+from warpdiff.request.plan import AUTOMATIC, Plan, has_table
+from warpdiff.request.surface import Surface
+from warpdiff.scene.camera import View
+from warpdiff.scene.part_names import key_of_faces
+from warpdiff.tables import polar_grid
+from warpdiff.tables.lookup import ColourLookup, Lookup
+
+if TYPE_CHECKING:
+    import contextlib
+    from collections.abc import Sequence
+
+    import warp as wp
+    from numpy.typing import NDArray
+
+    from warpdiff.image.image import Image
+    from warpdiff.lights.base import LightPart, Lobe
+    from warpdiff.optics.coherence import Coherence
+    from warpdiff.request.directions import DirectionRange, DirectionSample
+    from warpdiff.request.settings import PictureSettings
+    from warpdiff.scene.mesh_import import Surface as Mesh
+
+SurfacesOfMesh = HeightField | Mapping[str, HeightField | Surface | None]
+
+# Largest memory per pixel that any kind of picture requires during its computation [bytes]. Fitted to measurements.
+_BYTES_PER_PIXEL = 210
+
+
+# Height field of a plain surface, whose colours are never looked up.
+_FLAT = HeightField(np.zeros((1, 1)), 1.0)
+
+
+@dataclass(frozen=True)
+class SurfaceInputs:
+    """Checked inputs of pictures for one of their surfaces.
+
+    Attributes:
+        evaluation: Inputs of the colours: height field, coherence, materials, method, tolerance and device.
+        settings: Options of the call, with those of the surface.
+        parts: Parts that the lights consist of: lobes, discs and skies.
+        is_plain: Whether the surface has no height field, and only its base colour reflects light.
+        unit: Factor from the colours of the surface to the unit of the picture.
+    """
+
+    evaluation: Evaluation
+    settings: PictureSettings
+    parts: list[LightPart]
+    is_plain: bool = False
+    unit: float = 1.0
+
+    @classmethod
+    def of(cls, heightfield: HeightField | None, lights: Sequence[Light], settings: PictureSettings) -> SurfaceInputs:
+        """Combine settings, lights and a height field, or None for a plain surface; raise errors about them."""
+        footprint = settings.effective_footprint
+        evaluation = Evaluation.of(
+            _FLAT if heightfield is None else heightfield, settings, by_geometry=True, footprint=footprint
+        )
+        parts = parts_of(lights, evaluation, refine=settings.refine, means=footprint)
+        plan = None if evaluation.plan is None else replace(evaluation.plan, footprint=footprint)
+        # The planner tries tables for the spectra of lobes. If only a sky illuminates, tables for one of its three
+        # primary spectra suffice, because all three are smooth.
+        spectra = [name for part in parts if part.has_lobes for name in part.spectra] or parts[0].spectra[:1]
+        illuminated = IlluminatedMaterial.of(spectra, evaluation.materials.values())
+        evaluation = replace(evaluation, plan=plan, illuminated=illuminated)
+        return cls(evaluation, settings, parts, heightfield is None)
+
+    def coat(self, surface: Mesh) -> Coat:
+        """Return the optics of the surface for a picture of a mesh."""
+        settings = self.settings
+        energy, size_um = self.evaluation.energy_factors, self.evaluation.heightfield.size_um
+        optics = SurfaceOptics(
+            self.evaluation.coherence, size_um[0] * size_um[1], self.evaluation.normal_reflectance,
+            tuple(self.evaluation.materials.values()), self.evaluation.masking,
+            None if energy is None else energy.values,
+            settings.pigment if self.is_plain or surface.has_base_colour else 0.0,
+            settings.shadows, self.is_plain, self.unit,
+        )  # fmt: skip
+        return Coat(optics, self.materials_of_faces(surface))
+
+    def materials_of_faces(self, surface: Mesh) -> NDArray[np.int32] | None:
+        """Return the index of each face's material; None for a single material."""
+        materials = self.evaluation.materials
+        if "" in materials:
+            return None
+        names, known = surface.geometry_names, list(materials)
+        if differing := sorted(set(names) - set(known)) or sorted(set(known) - set(names)):
+            raise ArgumentValueError(
+                f"{ref('material')} must name each of the mesh's geometries, "
+                f"{', '.join(map(repr, sorted(set(names))))}, "
+                f"and no others, got {', '.join(map(repr, known))}: see {differing[0]!r}"
+            )
+        return np.array([known.index(name) for name in names], dtype=np.int32)[surface.geometries]
+
+    def planned(self, direction_range: DirectionRange, sample: DirectionSample, count: float) -> Plan:
+        """Return the user's plan, or choose a plan for the measured directions.
+
+        Lights with an extent require a plan with a table. If no table meets the tolerance for lobes with an extent, the
+        plan has the best table. The smallest table that is expected to suffice is used for skies, and for lights under
+        which all measured directions are dark.
+        """
+        request = evaluation = self.evaluation
+        if evaluation.plan is not None:
+            warn_outside(evaluation.plan, evaluation.heightfield, direction_range)
+        if evaluation.integration == "auto" and not any(part.has_lobes for part in self.parts):
+            # The planner tries no table for skies: a sky averages over many directions, so that errors in single
+            # directions have no effect.
+            request = replace(evaluation, integration="sampled", footprint=False)
+        plan = evaluation.plan or plan_for(request, direction_range, sample, count)
+        if not plan.uses_footprints and any(part.has_extent for part in self.parts):
+            method = plan.method if has_table(plan.method, plan.coherence) else AUTOMATIC
+            if any(part.has_lobes and part.has_extent for part in self.parts):
+                by_table = replace(
+                    evaluation, plan=None, method=method, integration="table", tolerance=plan.tolerance, strict=False
+                )
+                plan = plan_for(by_table, direction_range, sample, count)
+            if not plan.uses_footprints:
+                rings, azimuths = polar_grid.size_for_skies(plan)
+                plan = replace(plan, method=method, rings_per_octave=rings, azimuths_per_width=azimuths, footprint=True)
+        return evaluation.with_energy(plan)
+
+    def lookup(self, plan: Plan, direction_range: DirectionRange) -> Lookup:
+        """Return the look-up of the surface's colours by a plan."""
+        evaluation = self.evaluation
+        return ColourLookup(
+            evaluation.heightfield, plan, direction_range, device=evaluation.device, threads=evaluation.threads
+        )
+
+    def parts_under(self, lights: Sequence[Light], *, means: bool) -> list[LightPart]:
+        """Return the parts of other lights."""
+        return parts_of(lights, self.evaluation, refine=self.settings.refine, means=means)
+
+    def refined(self, lights: Sequence[Light], *, refine: bool) -> SurfaceInputs:
+        """Return these inputs with or without refinement.
+
+        The parts of the lights are made again, because those of discs of 1.5° to 5° depend on refinement. Without
+        refinement, one lobe approximates such a disc; with refinement, its directions are sampled.
+        """
+        settings = replace(self.settings, refine=refine)
+        parts = parts_of(lights, self.evaluation, refine=refine, means=self.evaluation.footprint)
+        return replace(self, settings=settings, parts=parts)
+
+
+@dataclass(frozen=True)
+class PictureInputs:
+    """Checked inputs of pictures of a mesh.
+
+    Attributes:
+        heightfield: Height field or surfaces, as the user gave them.
+        settings: Options of the call.
+        lights: Lights as the user gave them.
+        surfaces: Inputs of each surface by the key of its part; the key is ``""`` for one height field.
+    """
+
+    heightfield: SurfacesOfMesh
+    settings: PictureSettings
+    lights: list[Light]
+    surfaces: dict[str, SurfaceInputs]
+
+    @classmethod
+    def of(
+        cls, heightfield: SurfacesOfMesh, lights: Light | Sequence[Light], view: View, settings: PictureSettings
+    ) -> PictureInputs:
+        """Combine settings, surfaces, lights and view; raise errors about them before any kernel runs."""
+        lights = listed(lights)
+        if isinstance(heightfield, Mapping):
+            surfaces = _inputs_by_key(heightfield, lights, settings)
+        else:
+            if isinstance(settings.plan, Mapping):
+                raise ArgumentValueError(
+                    f"{ref('plan')} must be a warpdiff.Plan for one {ref('heightfield')}, got a mapping"
+                )
+            surfaces = {"": SurfaceInputs.of(heightfield, lights, settings)}
+        first = next(iter(surfaces.values()))
+        validation.instance(view, View, "view")
+        require_picture_memory(view, first.evaluation.device)
+        most = refinement_levels.rays_at(refinement_levels.MOST_LEVEL)
+        if first.evaluation.footprint and settings.samples_per_pixel > most:
+            raise ArgumentValueError(
+                f"{ref('samples_per_pixel')} must be at most {most} with footprints, got {settings.samples_per_pixel}; "
+                f"{ref('footprint', False)} accepts more"
+            )
+        return cls(heightfield, settings, lights, surfaces)
+
+    @property
+    def evaluation(self) -> Evaluation:
+        """Evaluation of the first surface; device, threads and footprints are the same for all surfaces."""
+        return next(iter(self.surfaces.values())).evaluation
+
+    @property
+    def parts(self) -> list[list[LightPart]]:
+        """Parts of the lights for each surface."""
+        return [surface.parts for surface in self.surfaces.values()]
+
+    def parts_under(self, lights: Sequence[Light], *, means: bool) -> list[list[LightPart]]:
+        """Return the parts of other lights for each surface."""
+        return [surface.parts_under(lights, means=means) for surface in self.surfaces.values()]
+
+    def by_key(self, plans: Sequence[Plan]) -> Plan | dict[str, Plan]:
+        """Return the plans of the surfaces as the user knows them: one plan, or plans by the keys of the parts.
+
+        Plain surfaces have no plan, and are omitted.
+        """
+        if not isinstance(self.heightfield, Mapping):
+            return plans[0]
+        keys = [key for key, surface in self.surfaces.items() if not surface.is_plain]
+        return dict(zip(keys, plans, strict=True))
+
+    def picture(self, surface: Mesh, view: View, **options: Any) -> Picture:
+        """Return a picture of a mesh, whose arrays are allocated but not yet computed."""
+        footprint, settings = self.evaluation.footprint, self.settings
+        # Filters of pixels at the picture's border include cells of pixels beyond the border. These pixels form a
+        # margin.
+        margin = int(footprint and (settings.refine or settings.samples_per_pixel > 1))
+        coats, coats_of_faces = [each.coat(surface) for each in self.surfaces.values()], None
+        if isinstance(self.heightfield, Mapping):
+            coats_of_faces = key_of_faces(surface, list(self.surfaces), "heightfield")
+            if not surface.has_base_colour:
+                # Without a base colour, plain surfaces are white.
+                surface = replace(surface, texture=np.ones((1, 1, 3), dtype=np.float32), has_base_colour=True)
+        return Picture(
+            surface, view, coats, coats_of_faces=coats_of_faces, smooth=settings.smooth,
+            samples_per_pixel=settings.samples_per_pixel, means=footprint,
+            refine=settings.refine, margin=margin, device=self.evaluation.device, threads=self.evaluation.threads,
+            **options,
+        )  # fmt: skip
+
+    def image(self, picture: Picture, plans: Sequence[Plan], tolerance: float | None = None) -> Image:
+        """Return a finished picture with its plan or plans, and the steps that made its height fields.
+
+        ``tolerance`` is the tolerance that the picture meets; None is that of the plans.
+        """
+        if tolerance is None:
+            tolerance = min(plan.tolerance for plan in plans)
+        image = replace(picture.image(plans, tolerance), plan=self.by_key(plans))
+        histories = {key: own.evaluation.heightfield.history for key, own in self.surfaces.items()}
+        history = tuple(f"{key}: {step}" if key else step for key, steps in histories.items() for step in steps)
+        if image.report is None or not history:
+            return image
+        return replace(image, report=replace(image.report, history=history))
+
+    def refined(self, *, refine: bool) -> PictureInputs:
+        """Return these inputs with or without refinement."""
+        surfaces = {key: surface.refined(self.lights, refine=refine) for key, surface in self.surfaces.items()}
+        return replace(self, settings=replace(self.settings, refine=refine), surfaces=surfaces)
+
+    def with_plans(self, plans: Sequence[Plan]) -> PictureInputs:
+        """Return these inputs with explicit plans for the surfaces that have a height field."""
+        given = iter(plans)
+        surfaces = {
+            key: surface
+            if surface.is_plain
+            else replace(surface, evaluation=replace(surface.evaluation, plan=next(given)))
+            for key, surface in self.surfaces.items()
+        }
+        return replace(self, surfaces=surfaces)
+
+
+def _inputs_by_key(
+    surfaces: Mapping[str, HeightField | Surface | None], lights: Sequence[Light], settings: PictureSettings
+) -> dict[str, SurfaceInputs]:
+    """Return the inputs of each surface of a mapping from keys of parts. The first one may be plain."""
+    checked = {key: _checked_surface(key, value) for key, value in surfaces.items()}
+    gratings = {key: surface for key, surface in checked.items() if surface is not None}
+    if not gratings:
+        raise ArgumentValueError(f"{ref('heightfield')} must have a height field for at least one part, got none")
+    for name in ("material", "plan"):
+        given = getattr(settings, name)
+        if isinstance(given, Mapping) and (unknown := [key for key in given if key not in gratings]):
+            raise ArgumentValueError(
+                f"{ref(name)} must have the keys of {ref('heightfield')}, {', '.join(map(repr, gratings))}, got "
+                f"{unknown[0]!r}"
+            )
+    if (settings.plan is not None and not isinstance(settings.plan, Mapping)) or settings.method == "direct":
+        word = ref("method", "direct") if settings.method == "direct" else "one plan"
+        raise ArgumentValueError(
+            f"{ref('heightfield')} has several surfaces, for which {word} is not supported, got "
+            f"{', '.join(map(repr, gratings))}: give {ref('plan')} by their keys, or another {ref('method')}"
+        )
+    of_plain = replace(settings, material=None, ior=None, plan=None)
+    reference = settings.coherence or type(settings)().effective_coherence
+    first = next(iter(gratings.values())).heightfield
+    inputs = {}
+    for key, surface in checked.items():
+        if surface is None:
+            inputs[key] = SurfaceInputs.of(None, lights, replace(of_plain, pigment=1.0))
+            continue
+        with renaming({"heightfield": f"heightfield[{key!r}]"}):
+            own = SurfaceInputs.of(surface.heightfield, lights, _settings_of(surface, key, settings))
+        solid_angles = [
+            _mean_solid_angle(coherence, of.size_um[0] * of.size_um[1])
+            for coherence, of in ((reference, first), (own.evaluation.coherence, surface.heightfield))
+        ]
+        unit = own.evaluation.normal_reflectance * solid_angles[0] / solid_angles[1]
+        inputs[key] = replace(own, unit=unit)
+    if len({own.evaluation.footprint for own in inputs.values()}) > 1:
+        raise ArgumentValueError(
+            f"{ref('heightfield')} must have surfaces of which all or none have footprints, got both, because "
+            f"{ref('coherence')} of the kinds 'centred' and 'replicas' has none: give {ref('footprint', False)}"
+        )
+    return inputs
+
+
+def _checked_surface(key: object, value: object) -> Surface | None:
+    """Return a value of the mapping as a surface; None is a plain surface."""
+    if not isinstance(key, str):
+        raise ArgumentTypeError(f"{ref('heightfield')} must have names of parts as keys, got {type(key).__name__}")
+    if isinstance(value, HeightField):
+        return Surface(value)
+    if value is None or isinstance(value, Surface):
+        return value
+    raise ArgumentTypeError(
+        f"{ref(f'heightfield[{key!r}]')} must be a HeightField, a Surface or None, got {type(value).__name__}"
+    )
+
+
+def _settings_of(surface: Surface, key: str, settings: PictureSettings) -> PictureSettings:
+    """Return the options of the call with those of a surface."""
+    material = settings.material.get(key) if isinstance(settings.material, Mapping) else settings.material
+    plan = settings.plan.get(key) if isinstance(settings.plan, Mapping) else settings.plan
+    ior = settings.ior
+    if surface.material is not None or surface.ior is not None:
+        material, ior = surface.material, surface.ior
+    return replace(
+        settings, material=material, ior=ior, plan=plan,
+        coherence=surface.coherence or (settings.coherence if plan is None else plan.coherence),
+        pigment=settings.pigment if surface.pigment is None else surface.pigment,
+    )  # fmt: skip
+
+
+def _mean_solid_angle(coherence: Coherence, area_um2: float) -> float:
+    """Return Ω(λ) of a coherence [sr], averaged over the wavelengths with the luminous efficiency under D65."""
+    wavelengths_um = 1e-3 * colorimetry.VISIBLE_NM
+    solid_angle = reflectance_factors.light_solid_angle(wavelengths_um, coherence, area_um2)
+    return float(solid_angle @ colorimetry.colour_products("D65")[:, 1])
+
+
+def require_picture_memory(view: View, device: wp.Device) -> None:
+    """Raise MemoryError before work starts if the host has too little memory for a picture."""
+    if device.is_cpu:
+        memory.require_memory(
+            _BYTES_PER_PIXEL * view.width * view.height, f"a picture of {view.width} × {view.height} pixels",
+            "take a view of at most {side} times the width and height",
+        )  # fmt: skip
+
+
+def picture_memory(view: View) -> contextlib.AbstractContextManager[None]:
+    """Return a context that turns a failed allocation into a MemoryError with the picture's size and a remedy."""
+    remedy = (
+        f"take a smaller {ref('view')}, {ref('mesh')} or {ref('heightfield')}, fewer {ref('samples_per_pixel')}, or a "
+        f"larger {ref('tolerance')}"
+    )
+    return memory.as_memory_error(f"a picture of {view.width} × {view.height} pixels", remedy)
+
+
+def check_extent(light: Light, name: str, coherence: Coherence, *, means: bool) -> None:
+    """Raise an error for a light with an extent, if the coherence or the settings exclude it.
+
+    With a coherence of the kind ``"source"``, which has an angular diameter itself, lights must have no extent. With
+    other coherences, lights with an extent require footprints.
+    """
+    if coherence.kind == "source":
+        raise ArgumentValueError(
+            f"{ref(name)} must not have an extent of its own with {ref('coherence')} of kind 'source', whose diameter "
+            f"is that of all lights, got {light!r}: give one of them"
+        )
+    if not (means and coherence.adds_powers):
+        raise ArgumentValueError(
+            f"{ref(name)} has an extent and requires footprints, which {ref('coherence')} of kind {coherence.kind!r}, "
+            f"{ref('footprint', False)}, {ref('method', 'direct')} or a {ref('plan')} without footprints excludes, got "
+            f"{light!r}: give several lights without an extent"
+        )
+
+
+def parts_of(lights: Sequence[Light], evaluation: Evaluation, *, refine: bool, means: bool) -> list[LightPart]:
+    """Check lights and return their parts. Without refinement, discs of up to 5° become single lobes.
+
+    The lobes of all lights form one part, so that the error of a pixel is estimated under all of them. An uneven
+    surface causes errors under each light, and separate estimates would not bound the sum of these errors. Many
+    directional lights with the same illuminant are an exception: in refined pictures they form a part of their own, of
+    which each cell chooses one light.
+    """
+    lobes: list[Lobe] = []
+    others: list[LightPart] = []
+    for index, light in enumerate(lights):
+        name = f"lights[{index}]"
+        for part in light.parts(evaluation.coherence, single_lobe=not refine, name=name):
+            if part.has_extent:
+                check_extent(light, name, evaluation.coherence, means=means)
+            # A subclass of ``LobeSet`` with a pass of its own is a separate part.
+            if isinstance(part, LobeSet) and type(part).make_pass is LobeSet.make_pass:
+                lobes += [replace(lobe, name=f"{ref(name)} ({type(light).__name__})") for lobe in part.lobes]
+            else:
+                others.append(part)
+    chosen: list[LightPart] = []
+    if refine and evaluation.footprint and evaluation.coherence.kind == "averaged":
+        for spectrum in dict.fromkeys(lobe.illuminant for lobe in lobes):
+            group = tuple(lobe for lobe in lobes if lobe.illuminant == spectrum and lobe.is_direction)
+            if len(group) >= MANY_LIGHTS:
+                chosen.append(LobeChoice(group))
+                lobes = [lobe for lobe in lobes if lobe not in group]
+    return [*([LobeSet(tuple(lobes))] if lobes else []), *chosen, *others]

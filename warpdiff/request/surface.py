@@ -1,0 +1,41 @@
+"""``Surface``: height field and optics of one part of a mesh, for pictures with several surfaces."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from annotated_types import Ge, Interval
+
+from warpdiff.core.options import Checked
+from warpdiff.heightfield.field import HeightField  # noqa: TC001 (fields are described at run time)
+from warpdiff.optics.coherence import Coherence  # noqa: TC001 (fields are described at run time)
+from warpdiff.optics.materials import Material  # noqa: TC001 (fields are described at run time)
+
+
+@dataclass(frozen=True)
+class Surface(Checked):
+    """Height field and optics of one part of a mesh, for pictures with several surfaces.
+
+    A value of None takes the setting of the call, such as ``shade(..., coherence=...)``.
+
+    Attributes:
+        heightfield: Height field, whose x axis lies along the tangents of the mesh.
+        coherence: Window, source or periods.
+        material: Material; None takes ``ior``, if it is given, or the material of the call.
+        ior: Index of refraction; ``math.inf`` is a perfect mirror.
+        pigment: Strength of the mesh's base colour, which lies under the relief, at least 0.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> track = wd.Surface(wd.gratings.disc("CD", tracks=2, length_um=12.5), material=wd.Material.metal("Al"))
+        >>> track.coherence is None
+        True
+    """
+
+    heightfield: HeightField
+    coherence: Coherence | None = None
+    material: Material | None = None
+    ior: Annotated[float, Interval(gt=1.0, le=math.inf)] | None = None
+    pigment: Annotated[float, Ge(0.0)] | None = None

@@ -1,0 +1,106 @@
+"""Parts of a mesh by name: keys such as ``"gold"``, ``"lid/silver"`` and ``"*"`` select faces.
+
+A part has the faces of one geometry with one material. A key is the name of a geometry or of a material, both as
+``geometry/material``, or ``"*"`` for all parts that no other key names.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from warpdiff.core.wording import ArgumentValueError, did_you_mean, ref
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from warpdiff.scene.mesh_import import Surface
+
+REST = "*"
+# Largest number of names in a message; further names are counted.
+_MOST_NAMES = 12
+
+
+class _Part(NamedTuple):
+    """Names of a part of a mesh."""
+
+    geometry: str
+    material: str
+
+    def __str__(self) -> str:
+        return "/".join(filter(None, self)) or "the whole mesh"
+
+    def precedence(self, key: str) -> int | None:
+        """Return the precedence with which a key selects this part, 0 being the highest; None if it does not."""
+        matches = key == str(self), key in self, key == REST
+        return matches.index(True) if any(matches) else None
+
+
+def key_of_faces(surface: Surface, keys: Sequence[str], argument: str) -> NDArray[np.int32]:
+    """Return for each face the index of the key that selects it.
+
+    A key ``geometry/material`` takes precedence over the name of a geometry or a material, and these over ``"*"``.
+
+    Args:
+        surface: The prepared mesh.
+        keys: Keys of parts, each once.
+        argument: Name of the argument in messages.
+
+    Returns:
+        Shape (m,) for m faces.
+
+    Raises:
+        ValueError: A key selects no part, or is the name of a geometry and of another material; a part has no key, or
+            two keys of the same precedence.
+    """
+    pairs = np.stack([surface.geometries, surface.materials])
+    numbers, part_of_faces = np.unique(pairs, axis=1, return_inverse=True)
+    materials = (*surface.material_names, "")  # the index −1 of a face without a material selects the last name
+    parts = [_Part(surface.geometry_names[geometry], materials[material]) for geometry, material in numbers.T]
+    for key in keys:
+        _check_key(key, parts, argument)
+    key_of_parts = [_key_of(part, keys, argument) for part in parts]
+    if missing := [part for part, key in zip(parts, key_of_parts, strict=True) if key is None]:
+        raise ArgumentValueError(
+            f"{ref(argument)} must have a surface for each part of the mesh, got none for {_listed(missing)}: add "
+            f"{REST!r} for all other parts; None makes them plain"
+        )
+    return np.array(key_of_parts, dtype=np.int32)[part_of_faces.ravel()]
+
+
+def _check_key(key: str, parts: Sequence[_Part], argument: str) -> None:
+    """Raise an error if a key selects no part, or has two meanings."""
+    selected = [part for part in parts if part.precedence(key) is not None]
+    if not selected and key != REST:
+        names = [name for part in parts for name in (*part, str(part)) if name]
+        raise ArgumentValueError(
+            f"{ref(argument)} must have names of parts of the mesh as keys, which are {_listed(parts)}, got {key!r}"
+            f"{did_you_mean(key, names)}"
+        )
+    by_geometry, by_material = ([part for part in selected if part[place] == key] for place in (0, 1))
+    if by_geometry and by_material and by_geometry != by_material and key not in map(str, parts):
+        raise ArgumentValueError(
+            f"{ref(argument)} must have unique names as keys, got {key!r}, the name of a geometry "
+            f"({_listed(by_geometry)}) and of a material ({_listed(by_material)}): give keys geometry/material"
+        )
+
+
+def _key_of(part: _Part, keys: Sequence[str], argument: str) -> int | None:
+    """Return the index of the key that selects a part; None if no key does."""
+    ranked = sorted((rank, index) for index, key in enumerate(keys) if (rank := part.precedence(key)) is not None)
+    if len(ranked) > 1 and ranked[0][0] == ranked[1][0]:
+        raise ArgumentValueError(
+            f"{ref(argument)} must have one surface for each part of the mesh, got the keys {keys[ranked[0][1]]!r} and "
+            f"{keys[ranked[1][1]]!r} for '{part}': add the key '{part}'"
+        )
+    return ranked[0][1] if ranked else None
+
+
+def _listed(parts: Iterable[_Part]) -> str:
+    """Return the names of parts for a message."""
+    names = [f"'{part}'" for part in parts]
+    more = len(names) - _MOST_NAMES
+    return ", ".join(names[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
