@@ -3,7 +3,7 @@
 import warp as wp
 
 from warpdiff.kernels import compile_options
-from warpdiff.kernels.light_samples import Lights
+from warpdiff.kernels.light_samples import Lights, Reflection, finish_of
 from warpdiff.kernels.sample_sequence import light_point, sample_index
 from warpdiff.kernels.sky_samples import SkyDistribution
 from warpdiff.kernels.structs import Footprint, Pixels
@@ -22,8 +22,9 @@ def choose(
 @wp.kernel
 def choose_lights(
     # Inputs of the kernel:
-    lights: Lights, table: SkyDistribution, diffuse: wp.float32, pixels: Pixels, footprints: wp.array(dtype=Footprint),
-    tiles: wp.array(dtype=wp.int32), width: wp.int32, across: wp.int32, sample: wp.int32, samples: wp.int32,
+    lights: Lights, table: SkyDistribution, reflection: Reflection, surface: wp.int32, diffuse: wp.float32,
+    pixels: Pixels, footprints: wp.array(dtype=Footprint), tiles: wp.array(dtype=wp.int32), width: wp.int32,
+    across: wp.int32, sample: wp.int32, samples: wp.int32,
     first: wp.int32, run: wp.int32,
     # Outputs of the kernel:
     towards_out: wp.array(dtype=wp.vec4f),
@@ -33,6 +34,8 @@ def choose_lights(
     Args:
         lights: The lights, which have the same spectrum.
         table: Distribution of the light that the surface scatters over (u, v).
+        reflection: Parameters of the reflectance, of which only the surfaces of faces are used.
+        surface: Surface for whose faces lights are chosen; the results of other rays are unchanged.
         diffuse: Brightness that is added to that of the table for all directions, times the cosine of the light.
         pixels: Hits of the rays.
         footprints: Footprints of the rays' filters for light from the mirror direction.
@@ -48,7 +51,9 @@ def choose_lights(
     """
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
-        towards_out[i] = wp.vec4f(0.0, 1.0, 0.0, 0.0)
-        if pixels.hit[i] != 0:
+        if pixels.hit[i] == 0:
+            towards_out[i] = wp.vec4f(0.0, 1.0, 0.0, 0.0)
+        elif reflection.surfaces[finish_of(reflection, pixels.face[i])] == surface:
+            towards_out[i] = wp.vec4f(0.0, 1.0, 0.0, 0.0)
             point = light_point(sample_index(tiles, width, across, i, sample, samples))
             choose(lights, table, diffuse, pixels, footprints, i, point[0], towards_out)

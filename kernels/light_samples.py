@@ -21,9 +21,7 @@ class Lights:
     """
 
     places: wp.array(dtype=wp.vec4d)  # homogeneous coordinates: the direction to a light and 0, or its position and 1
-    strengths: wp.array(
-        dtype=wp.vec2d
-    )  # power at a distance of 1; and the pigment's strength over R(0), which is 0 without a pigment
+    strengths: wp.array(dtype=wp.float64)  # power at a distance of 1
     deviations: wp.array2d(
         dtype=wp.vec3f
     )  # two perpendicular vectors, as long as the standard deviations of directions [rad], or of a light's positions
@@ -33,19 +31,26 @@ class Lights:
 
 @wp.struct
 class Reflection:
-    """Parameters of a surface's reflectance that are the same for all directions."""
+    """Parameters of the reflectance that are the same for all directions.
 
-    normal_reflectance: wp.float64  # R(0) of Schlick's approximation; 1 if the integral over λ already includes R
+    A finish is a surface with one of its materials.
+    """
+
+    finishes: wp.array(dtype=wp.int32)  # finish of each face; empty if all faces have the finish 0
+    surfaces: wp.array(dtype=wp.int32)  # surface of each finish
+    normal_reflectances: wp.array(
+        dtype=wp.float64
+    )  # R(0) of Schlick's approximation by finish; 1 if the integral over λ already includes R
+    units: wp.array(dtype=wp.float64)  # factor from the colours of each finish to the unit of the picture
+    pigments: wp.array(dtype=wp.float64)  # strength of the pigment over R(0) by finish; empty if there is no pigment
+    per_light_cosine: wp.array(
+        dtype=wp.bool
+    )  # by finish: whether gains are divided by the light's cosine, for coherence of kind "source"
     masking: wp.bool
-    per_light_cosine: wp.bool  # whether gains are divided by the light's cosine, for coherence of kind "source"
-    transmittances: wp.array2d(dtype=wp.vec3f)  # 1 − R in linear RGB, by material and by the angle's cosine from 0 to 1
-    materials: wp.array(dtype=wp.int32)  # material of each face; empty for a single material
-    surface: wp.int32  # number of the surface; faces of other surfaces reflect nothing in its pass
-    surfaces: wp.array(dtype=wp.int32)  # number of each face's surface; empty if all faces have the same surface
-    unit: wp.float64  # factor from colours of this surface to the unit of the picture
-    # Factors a of the energy normalisation, tabulated by the angle from the normal and the azimuth. If the array is
-    # empty, the energy of Stam's model is not normalised.
-    energy: wp.array2d(dtype=wp.float32)
+    transmittances: wp.array2d(dtype=wp.vec3f)  # 1 − R in linear RGB, by finish and by the angle's cosine from 0 to 1
+    # Factors a of the energy normalisation by surface, tabulated by the angle from the normal and the azimuth. If the
+    # array is empty, the energy of Stam's model is not normalised.
+    energy: wp.array3d(dtype=wp.float32)
 
 
 @wp.func_native(
@@ -65,28 +70,28 @@ def scattering_vectors_run(
 
 
 @wp.func
-def has_surface(reflection: Reflection, face: wp.int32) -> wp.bool:
-    """Return whether a face has the surface of the present pass."""
-    if reflection.surfaces.shape[0] == 0:
-        return True
-    return reflection.surfaces[face] == reflection.surface
-
-
-@wp.func
 def away_from(place: wp.vec4d, point: wp.vec3f) -> wp.vec3d:
     """Return the vector from a point to a point light, or the direction to a distant light."""
     return wp.vec3d(place[0], place[1], place[2]) - place[3] * wp.vec3d(point)
 
 
 @wp.func
-def transmittance(reflection: Reflection, material: wp.int32, cosine: wp.float32) -> wp.vec3f:
-    """Return the transmittance of a material's surface to the pigment below, in linear RGB, by the angle's cosine."""
+def finish_of(reflection: Reflection, face: wp.int32) -> wp.int32:
+    """Return the finish of a face."""
+    if reflection.finishes.shape[0] == 0:
+        return 0
+    return reflection.finishes[face]
+
+
+@wp.func
+def transmittance(reflection: Reflection, finish: wp.int32, cosine: wp.float32) -> wp.vec3f:
+    """Return the transmittance of a finish to the pigment below, in linear RGB, by the angle's cosine."""
     last = reflection.transmittances.shape[1] - 1
     place = wp.clamp(cosine, 0.0, 1.0) * wp.float32(last)
     entry = wp.min(wp.int32(place), last - 1)
     t = place - wp.float32(entry)
-    before = reflection.transmittances[material, entry]
-    return (1.0 - t) * before + t * reflection.transmittances[material, entry + 1]
+    before = reflection.transmittances[finish, entry]
+    return (1.0 - t) * before + t * reflection.transmittances[finish, entry + 1]
 
 
 @wp.kernel
@@ -108,25 +113,22 @@ def scattering_vectors(
     a direction to the light and a weight per pixel; an empty array stands for the direction of the light.
     """
     place = lights.places[light_index]
-    strength = lights.strengths[light_index]
-    scale = weight * strength[0] * reflection.unit
+    scale = weight * lights.strengths[light_index]
     thread, _ = wp.tid()
     begin = first + thread * run
     scattering_vectors_run(
         pixels, place, towards, reflection, scale, counted, begins, resets, occluded, begin, begin + run,
         scattering_vectors_out, to_lights_out, gains_out, xyz_out, coverage_out, illuminated_out,
     )  # fmt: skip
-    if strength[1] == wp.float64(0.0) or xyz_out.shape[0] == 0:
+    if reflection.pigments.shape[0] == 0 or xyz_out.shape[0] == 0:
         return
     for i in range(begin, begin + run):
         if gains_out[i] > 0.0:
             cos_i = to_lights_out[i][2]
             cos_r = -wp.float32(scattering_vectors_out[i][2]) - cos_i
-            material = wp.int32(0)
-            if reflection.materials.shape[0] > 0:
-                material = reflection.materials[pixels.face[i]]
-            under = transmittance(reflection, material, cos_i)
-            under = wp.cw_mul(under, transmittance(reflection, material, cos_r))
+            finish = finish_of(reflection, pixels.face[i])
+            under = transmittance(reflection, finish, cos_i)
+            under = wp.cw_mul(under, transmittance(reflection, finish, cos_r))
             base = wp.vec3d(wp.cw_mul(pixels.base_colour[i], under))
             colour = lights.rgb_to_xyz * wp.cw_mul(base, lights.white_rgb[light_index])
             falloff = wp.float64(cos_i)
@@ -134,14 +136,15 @@ def scattering_vectors(
                 falloff *= wp.float64(towards[i][3])
             if place[3] != wp.float64(0.0):
                 falloff = falloff / (wp.length_sq(away_from(place, pixels.shadow_origin[i])) + wp.float64(1.0e-8))
-            xyz_out[i] = xyz_out[i] + wp.vec3f(scale * strength[1] * falloff * colour)
+            strength = scale * reflection.units[finish] * reflection.pigments[finish]
+            xyz_out[i] = xyz_out[i] + wp.vec3f(strength * falloff * colour)
 
 
 @wp.func
-def energy_factor(reflection: Reflection, direction: wp.vec3f) -> wp.float32:
+def energy_factor(reflection: Reflection, surface: wp.int32, direction: wp.vec3f) -> wp.float32:
     """Return the factor a of the energy normalisation for a direction in the surface's frame, from a table."""
-    rows = reflection.energy.shape[0]
-    columns = reflection.energy.shape[1]
+    rows = reflection.energy.shape[1]
+    columns = reflection.energy.shape[2]
     if rows == 0:
         return 1.0
     # The rows of the table of factors are equally spaced in √(1 − cos θ), nearly equally in θ. Its columns are equally
@@ -157,15 +160,15 @@ def energy_factor(reflection: Reflection, direction: wp.vec3f) -> wp.float32:
     after = (column + 1) % columns
     s = place - wp.float32(row)
     t = around - wp.float32(column)
-    upper = (1.0 - t) * reflection.energy[row, column] + t * reflection.energy[row, after]
-    lower = (1.0 - t) * reflection.energy[row + 1, column] + t * reflection.energy[row + 1, after]
+    upper = (1.0 - t) * reflection.energy[surface, row, column] + t * reflection.energy[surface, row, after]
+    lower = (1.0 - t) * reflection.energy[surface, row + 1, column] + t * reflection.energy[surface, row + 1, after]
     return (1.0 - s) * upper + s * lower
 
 
 @wp.kernel
 def balance_energy(
-    scattering_vectors: wp.array(dtype=wp.vec3d), to_lights: wp.array(dtype=wp.vec3f), reflection: Reflection,
-    first: wp.int32, run: wp.int32,
+    pixels: Pixels, scattering_vectors: wp.array(dtype=wp.vec3d), to_lights: wp.array(dtype=wp.vec3f),
+    reflection: Reflection, first: wp.int32, run: wp.int32,
     gains_out: wp.array(dtype=wp.float32),
 ):  # fmt: skip
     """Multiply gains by the factors a(ωi) a(ωr) of the energy normalisation."""
@@ -173,8 +176,9 @@ def balance_energy(
     for i in range(first + thread * run, first + (thread + 1) * run):
         if gains_out[i] > 0.0:
             light = to_lights[i]
-            both = energy_factor(reflection, light) * energy_factor(
-                reflection, -wp.vec3f(scattering_vectors[i]) - light
+            surface = reflection.surfaces[finish_of(reflection, pixels.face[i])]
+            both = energy_factor(reflection, surface, light) * energy_factor(
+                reflection, surface, -wp.vec3f(scattering_vectors[i]) - light
             )
             gains_out[i] = both * gains_out[i]
 
@@ -316,16 +320,16 @@ def add_source_extent(
 
 
 @wp.kernel
-def select_material(
-    gains: wp.array(dtype=wp.float32), faces: wp.array(dtype=wp.int32), materials: wp.array(dtype=wp.int32),
-    material: wp.int32, first: wp.int32, run: wp.int32,
+def select_finish(
+    gains: wp.array(dtype=wp.float32), faces: wp.array(dtype=wp.int32), finishes: wp.array(dtype=wp.int32),
+    finish: wp.int32, first: wp.int32, run: wp.int32,
     gains_out: wp.array(dtype=wp.float32),
 ):  # fmt: skip
-    """Copy the gains of pixels whose faces have the given material, and set the gains of all other pixels to 0."""
+    """Copy the gains of pixels whose faces have the given finish, and set the gains of all other pixels to 0."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         gain = gains[i]
-        if gain > 0.0 and materials[faces[i]] != material:
+        if gain > 0.0 and finishes[faces[i]] != finish:
             gain = 0.0
         gains_out[i] = gain
 

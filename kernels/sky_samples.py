@@ -11,7 +11,7 @@ import warp as wp
 
 from warpdiff.kernels import compile_options, thresholds
 from warpdiff.kernels.bvh import FAR
-from warpdiff.kernels.light_samples import Lights, Reflection, energy_factor, has_surface, transmittance
+from warpdiff.kernels.light_samples import Reflection, energy_factor, finish_of, transmittance
 from warpdiff.kernels.sample_sequence import filter_point, light_point, sample_index
 from warpdiff.kernels.shading_frames import LEAST_COSINE
 from warpdiff.kernels.structs import Footprint, Pixels
@@ -161,7 +161,9 @@ def density_of_direction(table: SkyDistribution, place: wp.vec2f) -> wp.float32:
 
 
 @wp.func
-def gain_over_cosine(reflection: Reflection, uv: wp.vec2f, light: wp.vec3f, view: wp.vec3f) -> wp.float32:
+def gain_over_cosine(
+    reflection: Reflection, finish: wp.int32, uv: wp.vec2f, light: wp.vec3f, view: wp.vec3f
+) -> wp.float32:  # fmt: skip
     """Return the gain of ``light_samples.h`` divided by cos θi.
 
     The integral over the sky is computed over (u, v) instead of solid angle ω, and du dv = dω cos θi.
@@ -172,9 +174,10 @@ def gain_over_cosine(reflection: Reflection, uv: wp.vec2f, light: wp.vec3f, view
     gain = overlap * overlap / (w * w * view[2] * light[2])
     if reflection.masking:
         gain *= wp.min(wp.min(light[2], view[2]) * w * wp.sqrt(2.0 / overlap) / cosine, 1.0)
-    gain *= energy_factor(reflection, view) * energy_factor(reflection, light)
+    surface = reflection.surfaces[finish]
+    gain *= energy_factor(reflection, surface, view) * energy_factor(reflection, surface, light)
     rest = 1.0 - wp.min(cosine, 1.0)
-    beyond_normal = 1.0 / wp.float32(reflection.normal_reflectance) - 1.0
+    beyond_normal = 1.0 / wp.float32(reflection.normal_reflectances[finish]) - 1.0
     return gain * (1.0 + beyond_normal * rest * rest * rest * rest * rest)
 
 
@@ -208,9 +211,9 @@ def mirror_deflections(
 
 @wp.kernel
 def sample_sky(
-    sky: Sky, table: SkyDistribution, pixels: Pixels, footprints: wp.array(dtype=Footprint), lights: Lights,
-    reflection: Reflection, mesh_id: wp.uint64, shadows: wp.bool, tiles: wp.array(dtype=wp.int32), width: wp.int32,
-    across: wp.int32, sample: wp.int32, samples: wp.int32, first: wp.int32, run: wp.int32,
+    sky: Sky, table: SkyDistribution, pixels: Pixels, footprints: wp.array(dtype=Footprint), rgb_to_xyz: wp.mat33d,
+    reflection: Reflection, surface: wp.int32, mesh_id: wp.uint64, shadows: wp.bool, tiles: wp.array(dtype=wp.int32),
+    width: wp.int32, across: wp.int32, sample: wp.int32, samples: wp.int32, first: wp.int32, run: wp.int32,
     scattering_vectors_out: wp.array(dtype=wp.vec3d), to_lights_out: wp.array(dtype=wp.vec3f),
     gains_out: wp.array2d(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     illuminated_out: wp.array(dtype=wp.bool),
@@ -222,8 +225,10 @@ def sample_sky(
         table: The distributions from which directions are drawn.
         pixels: Hits of the rays.
         footprints: Footprints of the rays' filters for light from the mirror direction.
-        lights: Struct of which only the strength of the pigment is used.
-        reflection: Parameters of the surface's reflectance.
+        rgb_to_xyz: Matrix from linear sRGB to XYZ.
+        reflection: Parameters of the reflectance.
+        surface: Surface for whose faces directions are drawn. Other rays get gains of 0; their directions are
+            unchanged.
         mesh_id: Id of the mesh with the hierarchy for shadow rays.
         shadows: Whether shadow rays are traced.
         tiles: Pixels whose cells are the rays; −1 is no pixel. If empty, the rays are one per pixel of the picture.
@@ -240,17 +245,16 @@ def sample_sky(
         illuminated_out: True is written where light arrives; an empty array is not written.
     """
     thread, _ = wp.tid()
-    pigment = wp.float32(lights.strengths[0][1])
-    weight = wp.float32(reflection.unit) / wp.float32(samples)
+    weight = 1.0 / wp.float32(samples)
     for i in range(first + thread * run, first + (thread + 1) * run):
         for spectrum in range(3):
             gains_out[spectrum, i] = 0.0
-        reflects = pixels.hit[i] != 0
-        if reflects:
-            reflects = has_surface(reflection, pixels.face[i])
-        if not reflects:
+        if pixels.hit[i] == 0:
             scattering_vectors_out[i] = wp.vec3d()
             to_lights_out[i] = wp.vec3f()
+            continue
+        finish = finish_of(reflection, pixels.face[i])
+        if reflection.surfaces[finish] != surface:
             continue
         index = sample_index(tiles, width, across, i, sample, samples)
         point = light_point(index)
@@ -302,20 +306,18 @@ def sample_sky(
         if shadows:
             if wp.mesh_query_ray_anyhit(mesh_id, pixels.shadow_origin[i], along, FAR):
                 continue
-        rgb = (weight / density) * power_at(sky, place)
-        gain = gain_over_cosine(reflection, uv, light, view)
+        rgb = (wp.float32(reflection.units[finish]) * (weight / density)) * power_at(sky, place)
+        gain = gain_over_cosine(reflection, finish, uv, light, view)
         for spectrum in range(3):
             gains_out[spectrum, i] = gain * rgb[spectrum]
         if illuminated_out.shape[0] > 0 and rgb[0] + rgb[1] + rgb[2] > 0.0:
             illuminated_out[i] = True
-        if pigment > 0.0:
-            material = wp.int32(0)
-            if reflection.materials.shape[0] > 0:
-                material = reflection.materials[pixels.face[i]]
-            into = transmittance(reflection, material, light[2])
-            base = wp.cw_mul(wp.cw_mul(pixels.base_colour[i], into), transmittance(reflection, material, view[2]))
+        if reflection.pigments.shape[0] > 0:
+            pigment = wp.float32(reflection.pigments[finish])
+            into = transmittance(reflection, finish, light[2])
+            base = wp.cw_mul(wp.cw_mul(pixels.base_colour[i], into), transmittance(reflection, finish, view[2]))
             white = wp.vec3f()
             for spectrum in range(3):
                 for channel in range(3):
                     white[channel] = white[channel] + rgb[spectrum] * sky.whites[spectrum, channel]
-            xyz_out[i] = xyz_out[i] + wp.vec3f(lights.rgb_to_xyz * wp.vec3d(pigment * wp.cw_mul(base, white)))
+            xyz_out[i] = xyz_out[i] + wp.vec3f(rgb_to_xyz * wp.vec3d(pigment * wp.cw_mul(base, white)))

@@ -60,7 +60,7 @@ WARPDIFF_INLINE void expect_brightness(
     for (int i = 0; i < N; ++i) {
         const long long light = first + i < count ? first + i : count - 1;
         for (int c = 0; c < 3; ++c) towards[c][i] = (float)places[4 * light + c];
-        power[i] = first + i < count ? (float)strengths[2 * light] : 0.0f;
+        power[i] = first + i < count ? (float)strengths[light] : 0.0f;
     }
     const ScatteringPoint at = point;
     const float least_log = table.least_log, per_log = table.per_log;
@@ -129,7 +129,7 @@ WARPDIFF_INLINE void choose_light(const Lights& lights, const Table& table, floa
     float* const towards = numbers<float>(towards_out) + 4LL * ray;
     const double* const strengths = numbers<const double>(lights.strengths);
     for (int c = 0; c < 3; ++c) towards[c] = (float)numbers<const double>(lights.places)[4 * chosen + c];
-    towards[3] = (float)(strengths[2 * chosen] / strengths[0]) * total / share;
+    towards[3] = (float)(strengths[chosen] / strengths[0]) * total / share;
 }
 
 } // namespace warpdiff

@@ -46,6 +46,8 @@ struct ScatteringBatch {
     Batch<N> frame[3][3], to_view[3], origin[3]; // by axis: tangent, bitangent, normal; start of the shadow ray
     Batch<N> towards[4];                         // direction to the light and weight, if each pixel has its own
     Batch<N, double> light[3], uvw[3];           // in the shading frame: direction to the light, scattering vector
+    Batch<N, double> beyond_normal, unit;        // 1/R(0) − 1, and the factor to the unit of the picture
+    Batch<N, bool> per_cosine;                   // whether the gain is divided by the light's cosine
     Batch<N> gain;
 
     template <class Pixels>
@@ -67,6 +69,26 @@ struct ScatteringBatch {
     }
 };
 
+// Set the parameters of each pixel's finish.
+template <int N, class Pixels, class Reflection>
+WARPDIFF_INLINE void load_finishes(
+    const Pixels& pixels, const Reflection& reflection, int from, int count, ScatteringBatch<N>& batch)
+{
+    const int* const hit = numbers<const int>(pixels.hit);
+    const int* const faces = numbers<const int>(pixels.face);
+    const int* const finishes = is_empty(reflection.finishes) ? nullptr : numbers<const int>(reflection.finishes);
+    const double* const normals = numbers<const double>(reflection.normal_reflectances);
+    const double* const units = numbers<const double>(reflection.units);
+    const bool* const per_cosine = numbers<const bool>(reflection.per_light_cosine);
+    for (int i = 0; i < N; ++i) {
+        const int at = from + (i < count ? i : 0);
+        const int finish = finishes && hit[at] ? finishes[faces[at]] : 0;
+        batch.beyond_normal[i] = 1.0 / normals[finish] - 1.0;
+        batch.unit[i] = units[finish];
+        batch.per_cosine[i] = per_cosine[finish];
+    }
+}
+
 // Return the gain: the factor between ⟨|P|²⟩ and ρ (Single 2014, eq. 3.15), times Schlick's reflectance relative to
 // normal incidence. `beyond_normal` is 1/R(0) − 1. The sum 1 + ωi·ωr is computed from the scattering vector, because
 // the direct formula would subtract nearly equal numbers.
@@ -87,15 +109,14 @@ template <int N, class Reflection>
 WARPDIFF_INLINE void scatter(const LightPlace& light, bool has_directions, const Reflection& reflection, double scale,
     double horizon, ScatteringBatch<N>& batch)
 {
-    const double beyond_normal = 1.0 / reflection.normal_reflectance - 1.0;
-    const bool masking = reflection.masking, per_cosine = reflection.per_light_cosine;
+    const bool masking = reflection.masking;
     for (int i = 0; i < N; ++i) {
         // The axes of the shading frame are rounded to float32, so that directions expressed in it do not have exactly
         // unit length. They are normalised again: otherwise (u, v) would not be 0 in the mirror direction.
         const double view_x = batch.to_view[0][i], view_y = batch.to_view[1][i], view_z = batch.to_view[2][i];
         const float origin[3] = {batch.origin[0][i], batch.origin[1][i], batch.origin[2][i]};
         double towards[3], to_light[3], to_view[3];
-        double strength = scale * light.from(origin, towards);
+        double strength = scale * batch.unit[i] * light.from(origin, towards);
         if (has_directions) {
             for (int c = 0; c < 3; ++c) towards[c] = batch.towards[c][i];
             strength *= batch.towards[3][i];
@@ -113,8 +134,8 @@ WARPDIFF_INLINE void scatter(const LightPlace& light, bool has_directions, const
             batch.uvw[c][i] = batch.light[c][i] + to_view[c] * per_view;
         }
         const double cos_i = batch.light[2][i], cos_r = to_view[2] * per_view;
-        const double result = gain_of(
-            batch.uvw[0][i], batch.uvw[1][i], batch.uvw[2][i], cos_i, cos_r, beyond_normal, masking, per_cosine);
+        const double result = gain_of(batch.uvw[0][i], batch.uvw[1][i], batch.uvw[2][i], cos_i, cos_r,
+            batch.beyond_normal[i], masking, batch.per_cosine[i]);
         batch.gain[i] = (cos_i < cos_r ? cos_i : cos_r) > horizon ? (float)(strength * result) : 0.0f;
     }
 }
@@ -134,8 +155,6 @@ WARPDIFF_INLINE void find_scattering_vectors(const Pixels& pixels, const Vector&
     const int* const hit = numbers<const int>(pixels.hit);
     const float* const directions = is_empty(towards) ? nullptr : numbers<const float>(towards);
     const bool* const is_occluded = is_empty(occluded) ? nullptr : numbers<const bool>(occluded);
-    const int* const faces = numbers<const int>(pixels.face);
-    const int* const surfaces = is_empty(reflection.surfaces) ? nullptr : numbers<const int>(reflection.surfaces);
     const bool sums = !is_empty(coverage_out);
     const SumsOfPixels sums_of = {numbers<float>(xyz_out), numbers<double>(coverage_out),
         numbers<bool>(illuminated_out), sums && resets, sums && begins};
@@ -153,11 +172,11 @@ WARPDIFF_INLINE void find_scattering_vectors(const Pixels& pixels, const Vector&
         }
         ScatteringBatch<N> batch;
         batch.load(pixels, place[3] != 0.0, directions, from, count);
+        load_finishes(pixels, reflection, from, count, batch);
         scatter(light, directions != nullptr, reflection, scale, horizon, batch);
         for (int i = 0; i < count; ++i) {
             const bool is_hit = hit[from + i] != 0;
-            const bool reflects = is_hit && (!surfaces || surfaces[faces[from + i]] == reflection.surface);
-            const bool is_illuminated = reflects && batch.gain[i] > 0.0f && !(is_occluded && is_occluded[from + i]);
+            const bool is_illuminated = is_hit && batch.gain[i] > 0.0f && !(is_occluded && is_occluded[from + i]);
             for (int c = 0; c < 3; ++c) scattering_vectors[3 * i + c] = is_hit ? -batch.uvw[c][i] : 0.0;
             for (int c = 0; c < 3; ++c) to_lights[3 * i + c] = is_illuminated ? (float)batch.light[c][i] : 0.0f;
             gains[i] = is_illuminated ? batch.gain[i] : 0.0f;

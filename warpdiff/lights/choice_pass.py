@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from warpdiff.lights.light_pass import RayBatch
-    from warpdiff.tables.lookup import Lookup
+    from warpdiff.tables.lookup import Lookups
 
 # Number of lights that each pixel chooses before it is subdivided. Choice: these colours serve only to estimate the
 # reference luminance of the picture.
@@ -59,16 +59,18 @@ class ChoicePass(LobePass):
         outputs = [batch.samples.scattering_vectors, batch.samples.gains, *batch.sums]
         return [KernelCall(sky_samples.mirror_deflections, inputs, outputs, in_runs=True)]
 
-    def colour(self, lobe: int, batch: RayBatch, lookup: Lookup) -> list[KernelCall]:
+    def colour(self, lobe: int, batch: RayBatch, lookups: Lookups) -> list[KernelCall]:
         """Return the kernel calls that choose a light for each ray, and add its colour."""
         samples, context = batch.samples, self.context
         count = len(self.cell_lobes(batch.level) if batch.level else self.first_lobes)
-        diffuse = _DIFFUSE_OF_PIGMENT if context.pigment_strength > 0.0 else _DIFFUSE
-        inputs = [
-            self._lights, sky_distribution.surface_distribution(lookup, self.illuminated[0], context.device), diffuse,
-            batch.gbuffer.pixels, samples.footprints, batch.tiles, context.rays.width, 1 << batch.level,
-            lobe - self.lobe_count, count,
-        ]  # fmt: skip
-        choose = KernelCall(light_choice.choose_lights, inputs, [samples.towards], in_runs=True)
+        diffuse = _DIFFUSE_OF_PIGMENT if context.is_pigmented else _DIFFUSE
+        choices = []
+        for surface, lookup in enumerate(lookups):
+            inputs = [
+                self._lights, sky_distribution.surface_distribution(lookup, self.of_surface(surface), context.device),
+                context.reflection, surface, diffuse, batch.gbuffer.pixels, samples.footprints, batch.tiles,
+                context.rays.width, 1 << batch.level, lobe - self.lobe_count, count,
+            ]  # fmt: skip
+            choices.append(KernelCall(light_choice.choose_lights, inputs, [samples.towards], in_runs=True))
         scatter = self.scatter_towards(samples.towards, 0, 1.0 / count, batch, Counting())
-        return [self.filter_footprints(batch), choose, *scatter, *super().colour(0, batch, lookup)]
+        return [self.filter_footprints(batch), *choices, *scatter, *super().colour(0, batch, lookups)]

@@ -41,7 +41,8 @@ class DiscPass(LobePass):
 
     def __init__(self, part: DiscPart, context: PassContext) -> None:
         super().__init__(part, context)
-        self._lobe = polar_grid.blur(context.optics.coherence) * polar_grid.MIDDLE_UM
+        blurs = [polar_grid.blur(optics.coherence) for optics in context.surfaces]
+        self._lobe = min(blurs) * polar_grid.MIDDLE_UM
         self.lobe_count = part.sample_count
         self.illuminated = (self.lobe_count + 1) * self.illuminated
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.scene.camera_rays import CameraRays
     from warpdiff.scene.gbuffer import GBuffer
-    from warpdiff.tables.lookup import Lookup
+    from warpdiff.tables.lookup import Lookups
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceOptics:
-    """Optics of the surface, except for the diffraction of its height field.
+    """Optics of one surface of a picture, except for the diffraction of its height field.
 
     Attributes:
         coherence: Coherence of the light at the surface.
@@ -64,79 +64,112 @@ class SurfaceOptics:
     unit: float = 1.0
 
 
+class PictureUnit(NamedTuple):
+    """Light to which the colours of a picture are relative: a perfect mirror shows it at the coherence of the unit.
+
+    Attributes:
+        coherence: Coherence of the unit.
+        area_um2: Area of the height field [µm²], used for periods only.
+    """
+
+    coherence: Coherence
+    area_um2: float
+
+
+class Finish(NamedTuple):
+    """Surface of a picture with one of its materials. Each face has one finish."""
+
+    surface: int
+    material: Material | None
+
+
 class PassContext:
-    """Context that all passes over one surface of a picture share: rays, optics, and structs for the kernels.
+    """Context that all passes of a picture share: its rays, the optics of its surfaces, and structs for the kernels.
 
     Attributes:
         rays: Camera rays, on whose hits the light is sampled.
-        optics: Optics of the surface, without the diffraction of its height field.
+        surfaces: Optics of the surfaces, without the diffraction of their height fields.
+        finishes: All surfaces with all of their materials.
         is_pigmented: Whether the mesh has base colours and the pigment is visible.
-        pigment_strength: Strength of the pigment divided by R(0), because pictures are relative to R(0); 0 without a
-            pigment.
-        materials_of_faces: Index of each face's material on the device; empty for a single material.
+        finish_of_faces: Index of each face's finish on the device; empty for a single finish.
         refines: Whether pixels with large errors are subdivided.
         reflection: The struct ``Reflection``, from which kernels compute reflectance, masking and the light of the
             pigment.
     """
 
     def __init__(
-        self, rays: CameraRays, optics: SurfaceOptics, materials_of_faces: NDArray[np.int32] | None, *, refines: bool,
-        surface: int = 0, surfaces_of_faces: wp.array | None = None,
+        self, rays: CameraRays, surfaces: Sequence[SurfaceOptics], unit: PictureUnit,
+        finish_of_faces: NDArray[np.int32] | None, *, refines: bool,
     ) -> None:  # fmt: skip
-        """Fill the structs of the kernels.
+        """Fill the structs of the kernels. ``finish_of_faces`` is None if all faces have the same finish."""
+        self._device = rays.options["device"]
+        self.rays, self.surfaces, self.refines = rays, tuple(surfaces), refines
+        self.finishes = [Finish(index, each) for index, optics in enumerate(surfaces) for each in optics.materials]
+        self.is_pigmented = rays.surface.has_base_colour and any(optics.pigment > 0.0 for optics in surfaces)
+        by_face = np.zeros(0, dtype=np.int32) if finish_of_faces is None else finish_of_faces
+        self.finish_of_faces = self._array(by_face, wp.int32)
+        self._surface_of_faces = np.array([finish.surface for finish in self.finishes], dtype=np.int32)[by_face]
+        self._unit = unit
+        self.reflection = self._reflection()
 
-        ``surfaces_of_faces`` has the number of each face's surface on the device, and ``surface`` is the number of this
-        one. None stands for a picture with one surface.
-        """
-        device = rays.options["device"]
-        self.rays, self.optics, self.refines = rays, optics, refines
-        self.is_pigmented = optics.pigment > 0.0 and rays.surface.has_base_colour
-        normal = optics.normal_reflectance
-        self.pigment_strength = optics.pigment / normal if self.is_pigmented else 0.0
-        faces = np.zeros(0, dtype=np.int32) if materials_of_faces is None else materials_of_faces
-        self.materials_of_faces = wp.array(faces, dtype=wp.int32, device=device)
-        grid_um = colorimetry.VISIBLE_NM * 1e-3
-        self._solid_angle = reflectance_factors.pigment_solid_angle(grid_um, optics.coherence, optics.area_um2)
+    def _array(self, values: Any, dtype: Any) -> wp.array:
+        return wp.array(np.asarray(values), dtype=dtype, device=self._device)
+
+    def _reflection(self) -> light_samples.Reflection:
+        """Return the struct of the kernels, with arrays by finish."""
+        optics = [self.surfaces[finish.surface] for finish in self.finishes]
+        reflection = light_samples.Reflection()
+        reflection.finishes = self.finish_of_faces
+        reflection.surfaces = self._array([finish.surface for finish in self.finishes], wp.int32)
+        reflection.normal_reflectances = self._array([each.normal_reflectance for each in optics], wp.float64)
+        reflection.units = self._array([each.unit for each in optics], wp.float64)
+        # A picture of one surface is relative to R(0), and so is the light of its pigment.
+        units = [each.normal_reflectance if len(self.surfaces) == 1 else each.unit for each in optics]
+        pigments = [each.pigment / unit for each, unit in zip(optics, units, strict=True)]
+        reflection.pigments = self._array(pigments if self.is_pigmented else [], wp.float64)
+        reflection.per_light_cosine = self._array([each.coherence.kind == "source" for each in optics], wp.bool)
+        reflection.masking = self.surfaces[0].masking
         through = np.zeros((0, 0, 3), dtype=np.float32)
-        if optics.is_plain:
-            through = np.ones((1, 2, 3), dtype=np.float32)
-        elif self.is_pigmented:
-            through = np.asarray([transmittances(normal, material) for material in optics.materials], dtype=np.float32)
-        energy = np.zeros((0, 0), dtype=np.float32) if optics.energy is None else optics.energy
-        self.reflection = light_samples.Reflection()
-        self.reflection.normal_reflectance = normal
-        self.reflection.masking = optics.masking
-        self.reflection.per_light_cosine = optics.coherence.kind == "source"
-        self.reflection.energy = wp.array(energy, dtype=wp.float32, device=device)
-        self.reflection.transmittances = wp.empty(through.shape[:2], dtype=wp.vec3f, device=device)
-        self.reflection.transmittances.assign(through)
-        self.reflection.materials = self.materials_of_faces
-        self.reflection.surface, self.reflection.unit = surface, optics.unit
-        empty = wp.empty(0, dtype=wp.int32, device=device)
-        self.reflection.surfaces = empty if surfaces_of_faces is None else surfaces_of_faces
+        if self.is_pigmented:
+            tables = [
+                np.ones_like(table) if each.is_plain else table
+                for each, finish in zip(optics, self.finishes, strict=True)
+                for table in [transmittances(each.normal_reflectance, finish.material)]
+            ]
+            through = np.asarray(tables, dtype=np.float32)
+        reflection.transmittances = wp.empty(through.shape[:2], dtype=wp.vec3f, device=self._device)
+        reflection.transmittances.assign(through)
+        energy = np.zeros((0, 0, 0), dtype=np.float32)
+        if self.surfaces[0].energy is not None:
+            energy = np.stack([np.asarray(each.energy) for each in self.surfaces])
+        reflection.energy = self._array(energy, wp.float32)
+        return reflection
 
     @property
     def device(self) -> wp.Device:
         """Warp device of the rays."""
-        return self.rays.options["device"]
+        return self._device
 
     @property
-    def has_materials(self) -> bool:
-        """Whether different faces may have different materials."""
-        return len(self.materials_of_faces) > 0
+    def has_finishes(self) -> bool:
+        """Whether different faces may have different finishes."""
+        return len(self.finish_of_faces) > 0
 
     @property
     def casts_shadows(self) -> bool:
         """Whether shadow rays are required: the mesh may occlude a light from a point that is visible in this view."""
-        return self.optics.shadows and self.rays.may_be_occluded
+        return self.surfaces[0].shadows and self.rays.may_be_occluded
+
+    def hits_surface(self, surface: int) -> NDArray[np.bool_]:
+        """Return for each ray whether a hit has a surface; the result is arbitrary for rays without a hit."""
+        if len(self.surfaces) == 1:
+            return np.ones(self.rays.size, dtype=np.bool_)
+        faces = self.rays.gbuffer.pixels.face.numpy()
+        return np.asarray(self._surface_of_faces[np.clip(faces, 0, len(self._surface_of_faces) - 1)] == surface)
 
     def pigment_white(self, illuminant: str | Spectrum) -> NDArray[np.float64]:
-        """Return the colour of a white pigment under an illuminant S, linear sRGB: ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ.
-
-        G converts the reflectance of a Lambertian surface to a relative reflectance ρ: see
-        :func:`warpdiff.optics.reflectance_factors.pigment_solid_angle`.
-        """
-        return colorimetry.xyz_to_rgb(self._solid_angle @ colorimetry.colour_products(illuminant))
+        """Return the colour of a white pigment under an illuminant in the unit of the picture, linear sRGB."""
+        return colorimetry.xyz_to_rgb(reflectance_factors.pigment_white(illuminant, *self._unit))
 
 
 @dataclass(frozen=True)
@@ -155,8 +188,8 @@ class LightSamples:
         towards: Each ray's own direction to the light, world frame, and its weight, (n,) of ``wp.vec4f``; empty unless
             a light is sampled or has an emission profile.
         footprints: Footprints of the rays' filters in (u, v), (n,); empty if pixels show points.
-        material_gains: Geometry factors where faces have one of several materials, else 0, (n,); empty for a single
-            material.
+        finish_gains: Geometry factors where faces have one of several finishes, else 0, (n,); empty for a single
+            finish.
     """
 
     occluded: wp.array
@@ -166,11 +199,11 @@ class LightSamples:
     spectral_gains: wp.array
     towards: wp.array
     footprints: wp.array
-    material_gains: wp.array
+    finish_gains: wp.array
 
     @classmethod
     def allocate(
-        cls, rays: int, *, means: bool, has_materials: bool, has_directions: bool, device: wp.Device
+        cls, rays: int, *, means: bool, has_finishes: bool, has_directions: bool, device: wp.Device
     ) -> LightSamples:
         """Return uninitialised arrays for a number of rays; footprints are empty unless pixels show ``means``."""
 
@@ -181,7 +214,7 @@ class LightSamples:
             empty(wp.bool), empty(wp.vec3d), empty(wp.vec3f), empty(wp.float32),
             wp.empty((3 * has_directions, rays * has_directions), dtype=wp.float32, device=device),
             empty(wp.vec4f, rays * has_directions),
-            empty(Footprint, rays * means), empty(wp.float32, rays * has_materials),
+            empty(Footprint, rays * means), empty(wp.float32, rays * has_finishes),
         )  # fmt: skip
 
     @property
@@ -251,7 +284,7 @@ class LightPass(ABC):
         context: Context that all passes of the picture share.
         lobe_count: Number of lobes, which are processed one after the other; for sampled lights, number of directions
             per pixel in a picture whose pixels are not subdivided.
-        illuminated: Illuminated materials (``IlluminatedMaterial``) by lobe, material and spectrum.
+        illuminated: Illuminated materials (``IlluminatedMaterial``) by lobe, finish and spectrum.
     """
 
     is_sampled = has_directions = False
@@ -261,14 +294,22 @@ class LightPass(ABC):
         self.context, self.lobe_count = context, len(spectra_of_lobes)
         self.illuminated = [
             tuple(
-                tuple(IlluminatedMaterial(spectrum, material) for spectrum in spectra)
-                for material in context.optics.materials
+                tuple(IlluminatedMaterial(spectrum, finish.material) for spectrum in spectra)
+                for finish in context.finishes
             )
             for spectra in spectra_of_lobes
         ]
         self._no_occlusion = wp.empty(0, dtype=wp.bool, device=context.device)
         self._lights = light_samples.Lights()
         self._lights.rgb_to_xyz = wp.mat33d(*colorimetry.RGB_TO_XYZ.ravel())
+
+    def of_surface(self, surface: int) -> tuple[tuple[IlluminatedMaterial, ...], ...]:
+        """Return the illuminated materials of the first lobe on a surface, by material and spectrum."""
+        return tuple(
+            spectra
+            for finish, spectra in zip(self.context.finishes, self.illuminated[0], strict=True)
+            if finish.surface == surface
+        )
 
     @property
     def first_lobes(self) -> range:
@@ -326,36 +367,45 @@ class LightPass(ABC):
         """Return the kernel calls that sample a lobe at the hits of a batch, and add the light of the pigment."""
 
     @abstractmethod
-    def colour(self, lobe: int, batch: RayBatch, lookup: Lookup) -> list[KernelCall]:
+    def colour(self, lobe: int, batch: RayBatch, lookups: Lookups) -> list[KernelCall]:
         """Return the kernel calls that look up the colours at the samples of a batch, and add them to its sums."""
 
     def look_up(
-        self, lobe: int, gains: Sequence[wp.array], footprints: wp.array | None, batch: RayBatch, lookup: Lookup
-    ) -> list[KernelCall]:
+        self, lobe: int, gains: Sequence[wp.array], footprints: wp.array | None, batch: RayBatch, lookups: Lookups,
+        surface: int | None = None,
+    ) -> list[KernelCall]:  # fmt: skip
         """Return the kernel calls that look up the colours of a lobe, and add them to the batch's sums.
 
-        ``gains`` has an array of geometry factors for each spectrum of the lobe. ``footprints`` is None for pixels that
-        show points.
+        Args:
+            lobe: Index of the lobe.
+            gains: Geometry factors for each spectrum of the lobe.
+            footprints: Footprints of the rays; None for pixels that show points.
+            batch: The rays and their sums.
+            lookups: Look-ups of the surfaces.
+            surface: The only surface whose colours are added; None stands for all surfaces.
         """
-        samples, calls = batch.samples, []
-        for material, spectra in enumerate(self.illuminated[lobe]):
+        samples, context, calls = batch.samples, self.context, []
+        for index, (finish, spectra) in enumerate(zip(context.finishes, self.illuminated[lobe], strict=True)):
+            lookup = lookups[finish.surface]
+            if lookup is None or surface not in (None, finish.surface):
+                continue
             for gain, illuminated in zip(gains, spectra, strict=True):
                 used = gain
-                if self.context.has_materials:
-                    inputs = [gain, batch.gbuffer.pixels.face, self.context.materials_of_faces, material]
-                    used = samples.material_gains
-                    calls.append(KernelCall(light_samples.select_material, inputs, [used], in_runs=True))
+                if context.has_finishes:
+                    inputs = [gain, batch.gbuffer.pixels.face, context.finish_of_faces, index]
+                    used = samples.finish_gains
+                    calls.append(KernelCall(light_samples.select_finish, inputs, [used], in_runs=True))
                 calls += lookup.kernel_calls(
-                    samples.scattering_vectors, samples.to_lights, used, illuminated, batch.xyz, footprints,
-                    batch.unserved_gain,
+                    samples.scattering_vectors, samples.to_lights, used, illuminated, batch.xyz,
+                    footprints if lookup.plan.uses_footprints else None, batch.unserved_gain,
                 )  # fmt: skip
         return calls
 
-    def shade(self, batch: RayBatch, lookup: Lookup) -> list[KernelCall]:
+    def shade(self, batch: RayBatch, lookups: Lookups) -> list[KernelCall]:
         """Return the kernel calls that compute the colours of subpixel cells, added over all lobes of the light."""
         calls = []
         for lobe in self.cell_lobes(batch.level):
-            calls += [*self.scatter(lobe, batch, Counting()), *self.colour(lobe, batch, lookup)]
+            calls += [*self.scatter(lobe, batch, Counting()), *self.colour(lobe, batch, lookups)]
         return calls
 
     def occlusion(self, samples: LightSamples) -> wp.array:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from warpdiff.kernels.shadow_rays import ShadowGrid
     from warpdiff.lights.base import Lobe, LobeSet
     from warpdiff.lights.light_pass import Counting, PassContext, RayBatch
-    from warpdiff.tables.lookup import Lookup
+    from warpdiff.tables.lookup import Lookups
 
 # Largest ratio of a point light's power to the square of the mesh's radius. Limit: colours increase near the light, and
 # their squares must remain below the largest float32.
@@ -51,7 +51,7 @@ class LobePass(LightPass):
         places, deviations, powers = zip(*self._sources, strict=True)
         values: dict[str, tuple[type, list[Any]]] = {
             "places": (wp.vec4d, list(places)), "deviations": (wp.vec3f, list(deviations)),
-            "strengths": (wp.vec2d, [(power, context.pigment_strength) for power in powers]),
+            "strengths": (wp.float64, list(powers)),
             "white_rgb": (wp.vec3d, [context.pigment_white(lobe.illuminant) for lobe in lobes]),
         }  # fmt: skip
         for name, (dtype, value) in values.items():
@@ -132,7 +132,7 @@ class LobePass(LightPass):
             calls.append(KernelCall(trace_shadow_rays, shadow_inputs, [occluded], in_runs=True))
         calls.append(KernelCall(light_samples.scattering_vectors, inputs, outputs, in_runs=True))
         if len(self.context.reflection.energy):
-            inputs = [samples.scattering_vectors, samples.to_lights, self.context.reflection]
+            inputs = [pixels, samples.scattering_vectors, samples.to_lights, self.context.reflection]
             calls.append(KernelCall(light_samples.balance_energy, inputs, [samples.gains], in_runs=True))
         return calls
 
@@ -153,9 +153,9 @@ class LobePass(LightPass):
         widen = [KernelCall(kernel, inputs, [batch.samples.footprints], in_runs=True) for kernel, inputs in kernels]
         return [self.filter_footprints(batch), *widen]
 
-    def colour(self, lobe: int, batch: RayBatch, lookup: Lookup) -> list[KernelCall]:
-        """Return the kernel calls that look up the colours of a lobe, separately for the faces of each material."""
+    def colour(self, lobe: int, batch: RayBatch, lookups: Lookups) -> list[KernelCall]:
+        """Return the kernel calls that look up the colours of a lobe, separately for the faces of each finish."""
         calls, footprints = [], None
-        if lookup.uses_footprints:
+        if lookups.uses_footprints:
             calls, footprints = self.footprint_calls(lobe, batch), batch.samples.footprints
-        return [*calls, *self.look_up(lobe, [batch.samples.gains], footprints, batch, lookup)]
+        return [*calls, *self.look_up(lobe, [batch.samples.gains], footprints, batch, lookups)]

@@ -12,7 +12,6 @@ import warp as wp
 from warpdiff.kernels import sky_samples
 from warpdiff.kernels.structs import Footprint
 from warpdiff.tables import polar_grid
-from warpdiff.tables.lookup import ColourLookup, Lookup
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
 
     from warpdiff.lights.sky_grid import SkyGrid
     from warpdiff.optics.materials import IlluminatedMaterial
+    from warpdiff.tables.lookup import ColourLookup
 
 # Grid of (u, v) on which directions are drawn by the surface's colours: rings per octave of |(u, v)|, largest |(u, v)|,
 # and radius of a disc in the middle without rings, in standard deviations of an order's lobe. Choices: they change only
@@ -54,14 +54,14 @@ def upload_sky(grid: SkyGrid, device: wp.Device) -> tuple[wp.array, ...]:
     )
 
 
-def lookup_for_skies(lookup: Lookup) -> Lookup:
+def lookup_for_skies(lookup: ColourLookup | None) -> ColourLookup | None:
     """Return a look-up with the smaller colour table that suffices for skies, from a cache.
 
     Directional lights of the same picture may require a table with up to eight times as many rings. A sky has three
     spectra, and each of them would require such a large table.
     """
-    if not isinstance(lookup, ColourLookup):
-        return lookup
+    if lookup is None:
+        return None
     plan = lookup.plan
     rings, azimuths = polar_grid.size_for_skies(plan)
     if rings == plan.rings_per_octave:
@@ -72,7 +72,7 @@ def lookup_for_skies(lookup: Lookup) -> Lookup:
 
 
 def distribution_for(
-    lookup: Lookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], blocks: Sequence[wp.array], *,
+    lookup: ColourLookup | None, illuminated: Sequence[Sequence[IlluminatedMaterial]], blocks: Sequence[wp.array], *,
     sky_share: float,
 ) -> sky_samples.SkyDistribution:  # fmt: skip
     """Return the distribution from which kernels draw directions to a sky, by the colours of surface and sky.
@@ -80,7 +80,7 @@ def distribution_for(
     The part that depends on the surface alone is cached in ``lookup``.
 
     Args:
-        lookup: Look-up of the surface's colours.
+        lookup: Look-up of the surface's colours; None for a plain surface.
         illuminated: Illuminated materials by material and spectrum.
         blocks: Cumulative shares and densities of the sky's blocks, as :func:`upload_sky` returns them.
         sky_share: Share of the samples that are drawn from the sky's blocks.
@@ -92,20 +92,20 @@ def distribution_for(
 
 
 def surface_distribution(
-    lookup: Lookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], device: wp.Device
+    lookup: ColourLookup | None, illuminated: Sequence[Sequence[IlluminatedMaterial]], device: wp.Device
 ) -> sky_samples.SkyDistribution:
     """Return the struct of :func:`distribution_for` for the surface alone; the fields for a sky are empty.
 
-    Without a height field, (u, v) is drawn evenly from a disc that has all values of (u, v).
+    For a plain surface, (u, v) is drawn evenly from a disc that contains all values of (u, v).
     """
-    key = tuple(map(tuple, illuminated))
     result = sky_samples.SkyDistribution()
-    if not isinstance(lookup, ColourLookup):
-        ones, starts = wp.full(1, 1.0, dtype=wp.float32, device=device), wp.array([0, 1], dtype=wp.int32, device=device)
-        result.ring_cdf, result.starts, result.spoke_cdf = ones, starts, ones
+    if lookup is None:
+        ones = wp.full(1, 1.0, dtype=wp.float32, device=device)
+        result.ring_cdf, result.starts, result.spoke_cdf = ones, wp.array([0, 1], dtype=wp.int32, device=device), ones
         result.densities = wp.full(1, 1.0 / (math.pi * _FARTHEST**2), dtype=wp.float32, device=device)
         result.least_log, result.per_log = math.log(_FARTHEST), 1.0
         return result
+    key = tuple(map(tuple, illuminated))
     of_surface = lookup.derived.get_or_make(key, lambda: _of_surface(lookup, illuminated))
     result.ring_cdf, result.starts, result.spoke_cdf, result.densities, result.least_log, result.per_log = of_surface
     return result

@@ -12,13 +12,13 @@ from warpdiff.device.kernel_calls import KernelCall
 from warpdiff.kernels import sky_samples
 from warpdiff.lights import sky_distribution
 from warpdiff.lights.light_pass import LightPass
+from warpdiff.tables.lookup import Lookups
 
 if TYPE_CHECKING:
     from collections.abc import Hashable
 
     from warpdiff.lights.light_pass import Counting, PassContext, RayBatch
     from warpdiff.lights.sky_grid import SkyGrid
-    from warpdiff.tables.lookup import Lookup
 
 # Share of the directions that are drawn by the brightness of the sky alone, without and with a pigment. The others are
 # drawn by the colours of the surface. A pigment reflects light from all directions, so that more are drawn by the sky.
@@ -63,8 +63,6 @@ class SkyPass(LightPass):
         if isinstance(previous, SkyPass) and previous.grid is self.grid:
             self._lights, self._sky, self._blocks = previous._lights, previous._sky, previous._blocks
             return
-        # A sky has no lobes, but kernels read the strength of the pigment from the array with one entry per lobe.
-        self._lights.strengths = wp.array([(1.0, context.pigment_strength)], dtype=wp.vec2d, device=context.device)
         self._sky = sky_samples.Sky()
         self._sky.powers, *self._blocks = self.grid.device_arrays.get_or_make(
             context.device.alias, lambda: sky_distribution.upload_sky(self.grid, context.device)
@@ -82,19 +80,22 @@ class SkyPass(LightPass):
         outputs = [batch.samples.scattering_vectors, batch.samples.gains, *batch.sums]
         return [KernelCall(sky_samples.mirror_deflections, inputs, outputs, in_runs=True)]
 
-    def colour(self, lobe: int, batch: RayBatch, lookup: Lookup) -> list[KernelCall]:
+    def colour(self, lobe: int, batch: RayBatch, lookups: Lookups) -> list[KernelCall]:
         """Return kernel calls that draw a direction of the sky for each ray, and add the colour from this direction."""
         samples, context = batch.samples, self.context
         pixels, gains = batch.gbuffer.pixels, samples.spectral_gains
         count = len(self.cell_lobes(batch.level) if batch.level else self.first_lobes)
-        lookup = sky_distribution.lookup_for_skies(lookup)
-        share = _SKY_SHARE_OF_PIGMENT if context.pigment_strength > 0.0 else _SKY_SHARE
-        table = sky_distribution.distribution_for(lookup, self.illuminated[0], self._blocks, sky_share=share)
+        lookups = Lookups(map(sky_distribution.lookup_for_skies, lookups))
+        share = _SKY_SHARE_OF_PIGMENT if context.is_pigmented else _SKY_SHARE
         mesh_id = context.rays.scene.with_hierarchy().mesh_id if context.casts_shadows else 0
-        inputs = [
-            self._sky, table, pixels, samples.footprints, self._lights, context.reflection, mesh_id,
-            context.casts_shadows, batch.tiles, context.rays.width, 1 << batch.level, lobe, count,
-        ]  # fmt: skip
         outputs = [samples.scattering_vectors, samples.to_lights, gains, batch.xyz, batch.illuminated]
-        calls = [self.filter_footprints(batch), KernelCall(sky_samples.sample_sky, inputs, outputs, in_runs=True)]
-        return [*calls, *self.look_up(0, [gains[spectrum] for spectrum in range(3)], None, batch, lookup)]
+        calls = [self.filter_footprints(batch)]
+        for surface, lookup in enumerate(lookups):
+            table = sky_distribution.distribution_for(lookup, self.of_surface(surface), self._blocks, sky_share=share)
+            inputs = [
+                self._sky, table, pixels, samples.footprints, self._lights.rgb_to_xyz, context.reflection, surface,
+                mesh_id, context.casts_shadows, batch.tiles, context.rays.width, 1 << batch.level, lobe, count,
+            ]  # fmt: skip
+            calls.append(KernelCall(sky_samples.sample_sky, inputs, outputs, in_runs=True))
+            calls += self.look_up(0, [gains[spectrum] for spectrum in range(3)], None, batch, lookups, surface)
+        return calls

@@ -13,6 +13,7 @@ import numpy as np
 from warpdiff.core import validation
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.kernels.thresholds import HORIZON
+from warpdiff.optics import colorimetry
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -114,6 +115,25 @@ def pigment_solid_angle(
     arguments are those of :func:`light_solid_angle`.
     """
     return light_solid_angle(wavelengths_um, coherence, patch_area_um2) / math.pi
+
+
+def pigment_white(
+    illuminant: colorimetry.Illuminant, coherence: Coherence, patch_area_um2: float
+) -> NDArray[np.float64]:
+    """Return the XYZ of a white pigment of strength 1 under an illuminant S, shape (3,).
+
+    The factor G(λ) of :func:`pigment_solid_angle` is replaced by its mean ∫ G S ȳ dλ / ∫ S ȳ dλ. The luminance is then
+    exact, and the pigment has the chromaticity of the illuminant. With G(λ) itself, which is proportional to λ² for a
+    window, a white pigment would look reddish.
+
+    Args:
+        illuminant: Name or spectrum of the illuminant.
+        coherence: The window, source or periods to which colours are relative.
+        patch_area_um2: Area of the patch [µm²]; used for periods only.
+    """
+    products = colorimetry.colour_products(illuminant)
+    solid_angle = pigment_solid_angle(1e-3 * colorimetry.VISIBLE_NM, coherence, patch_area_um2)
+    return np.asarray((solid_angle @ products[:, 1]) * products.sum(axis=0))
 
 
 def brdf_scale(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,12 +33,12 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
     from warpdiff.lights.base import LightPart
-    from warpdiff.lights.light_pass import LightPass, RayBatch, SurfaceOptics
+    from warpdiff.lights.light_pass import LightPass, PictureUnit, RayBatch, SurfaceOptics
     from warpdiff.request.directions import DirectionRange, DirectionSample
     from warpdiff.request.plan import Plan
     from warpdiff.scene.camera import View
     from warpdiff.scene.mesh_import import Surface
-    from warpdiff.tables.lookup import Lookup
+    from warpdiff.tables.lookup import Lookups
 
     Progress = Callable[[float], None] | None
     Previews = Sequence[tuple[float, Callable[[], None]]]
@@ -60,44 +60,33 @@ def load_kernels(device: wp.Device) -> None:
     load([primary_hits.intersect_known_faces, light_samples.scattering_vectors, trace_shadow_rays], device)
 
 
-@dataclass(frozen=True, eq=False)
-class Coat:
-    """Optics of the faces with one surface.
-
-    Attributes:
-        optics: Optics, except for the diffraction of the height field.
-        materials_of_faces: Index of each face's material; None for a single material.
-    """
-
-    optics: SurfaceOptics
-    materials_of_faces: NDArray[np.int32] | None = None
-
-
 class Picture:
     """Picture of a mesh with one or several surfaces, whose view and lights may change between renderings.
 
     :meth:`set_lights` makes the passes of the lights. :meth:`render` or :meth:`render_directly` then computes the
-    colours. Each surface has passes of its own, in which the faces of other surfaces reflect nothing.
+    colours.
     """
 
     def __init__(
-        self, surface: Surface, view: View, coats: Sequence[Coat], *, coats_of_faces: NDArray[np.int32] | None = None,
-        smooth: bool = True, samples_per_pixel: int = 1, means: bool = False, refine: bool = False, margin: int = 0,
-        device_driven: bool = False, device: wp.Device, threads: int,
+        self, surface: Surface, view: View, optics: Sequence[SurfaceOptics], unit: PictureUnit, *, smooth: bool = True,
+        samples_per_pixel: int = 1, means: bool = False, refine: bool = False, margin: int = 0,
+        finish_of_faces: NDArray[np.int32] | None = None, device_driven: bool = False, device: wp.Device, threads: int,
     ) -> None:  # fmt: skip
         """Allocate the arrays of a picture.
 
         Args:
             surface: The prepared mesh.
             view: Camera of the first rendering; later ones may have other cameras.
-            coats: Optics of each surface.
-            coats_of_faces: Index of each face's surface; None for a single surface.
+            optics: Optics of each surface, except for the diffraction of its height field.
+            unit: Unit of the colours.
             smooth: Whether vertex normals are interpolated.
             samples_per_pixel: Number of samples per pixel; with ``means``, the least number of cells per pixel.
             means: Whether pixels show means over footprints; otherwise they show points.
             refine: Whether pixels that show means are subdivided further where their errors are large.
             margin: Number of pixels that are added on each side, because the filter of a pixel at the border extends to
                 them.
+            finish_of_faces: Index of each face's finish, which is a surface with one of its materials; None for a
+                single finish.
             device_driven: Whether the CPU uses the algorithms of the GPU, whose launches can be recorded. On the CPU
                 they are slower.
             device: The Warp device.
@@ -108,16 +97,9 @@ class Picture:
         )
         self._means, self._refine, self._least_samples = means, refine, samples_per_pixel
         self._samples_per_pixel = 1 if means else samples_per_pixel
-        numbers = None if coats_of_faces is None else wp.array(coats_of_faces, dtype=wp.int32, device=device)
-        self._contexts = [
-            PassContext(
-                self.rays, coat.optics, coat.materials_of_faces, refines=means and refine, surface=index,
-                surfaces_of_faces=numbers,
-            )
-            for index, coat in enumerate(coats)
-        ]  # fmt: skip
+        self.context = PassContext(self.rays, optics, unit, finish_of_faces, refines=means and refine)
         self.sampler = PixelSampler(
-            self._contexts, samples_per_pixel=self._samples_per_pixel, means=means,
+            self.context, samples_per_pixel=self._samples_per_pixel, means=means,
             shadow_rays_per_hit=max(samples_per_pixel, _SHADOW_RAYS_REFINED if means and refine else 1),
         )  # fmt: skip
         self._sums = Accumulators.allocate(self.rays.size, means=means, device=device)
@@ -127,8 +109,6 @@ class Picture:
         self._own_sums: Accumulators | None = None
         self._parts: list[LightPart] = []
         self._passes: list[LightPass] = []
-        # Index of the surface of each pass.
-        self._coats: list[int] = []
         self._inner = (slice(margin, margin + view.height), slice(margin, margin + view.width))
         self._shown_xyz: wp.array | None = None
         self._unserved_gain = wp.empty(0, dtype=wp.float32, device=device)
@@ -148,29 +128,18 @@ class Picture:
         """Discard hits and samples, so that the next rendering computes them again."""
         self.sampler.invalidate()
 
-    @property
-    def context(self) -> PassContext:
-        """Context of the passes over the first surface."""
-        return self._contexts[0]
-
-    def set_lights(self, parts_by_coat: Sequence[Sequence[LightPart]]) -> None:
-        """Set the parts of the lights for each surface.
+    def set_lights(self, parts: Sequence[LightPart]) -> None:
+        """Set the lights.
 
         The passes of the new lights reuse the arrays of the previous passes, because a recorded CUDA graph reads these
         arrays.
         """
-        parts = [part for of_coat in parts_by_coat for part in of_coat]
         before: list[LightPass | None] = [*self._passes, *[None] * len(parts)]
         # If a light is not accepted, making its pass raises an error here, and the previous passes stay in use.
-        passes = [
-            part.make_pass(context)
-            for context, of_coat in zip(self._contexts, parts_by_coat, strict=True)
-            for part in of_coat
-        ]
+        passes = [part.make_pass(self.context) for part in parts]
         for light_pass, previous in zip(passes, before, strict=False):
             light_pass.begin(previous)
-        self._parts, self._passes = parts, passes
-        self._coats = [coat for coat, of_coat in enumerate(parts_by_coat) for _ in of_coat]
+        self._parts, self._passes = list(parts), passes
         self.sampler.set_lights(self._passes)
         self._light_sums = self._sums
         if self._means and len(parts) > 1:
@@ -182,15 +151,13 @@ class Picture:
     def graph_key(self) -> tuple[Hashable, ...]:
         """Key of a recorded CUDA graph: everything that its launches depend on, except the values in arrays."""
         passes = tuple(light_pass.graph_key for light_pass in self._passes)
-        return *passes, *self._coats, self.view.extent_y is None, self.context.casts_shadows
+        return *passes, self.view.extent_y is None, self.context.casts_shadows
 
     def measure_directions(
-        self, heightfield: HeightField, coat: int = 0
+        self, heightfield: HeightField, surface: int = 0
     ) -> tuple[DirectionRange, DirectionSample, int]:
         """Return the directions for which the plan of a surface is required: range, sample and number."""
-        passes = [index for index, of_coat in enumerate(self._coats) if of_coat == coat]
-        coherence = self._contexts[coat].optics.coherence
-        return self.sampler.measure_directions(heightfield, coherence, self._light_sums, passes)
+        return self.sampler.measure_directions(heightfield, surface, self._light_sums)
 
     def _sampled(self, progress: Progress) -> Iterator[tuple[LobeIndex, Progress]]:
         """Sample every lobe for every camera ray, one ray per pixel at a time.
@@ -204,35 +171,30 @@ class Picture:
                 self.sampler.scatter(sample, index, self._light_sums)
                 yield index, subprogress(progress, at / count, (at + 1) / count)
 
-    def render(
-        self, lookups: Sequence[Lookup], *, tolerance: float, progress: Progress = None, previews: Previews = ()
-    ) -> None:
+    def render(self, lookups: Lookups, *, tolerance: float, progress: Progress = None, previews: Previews = ()) -> None:
         """Compute the picture by look-ups of colours.
 
         Args:
-            lookups: Look-up of the colours of each surface, by the table or the wavelengths of its plan.
+            lookups: Look-ups of the colours of the surfaces, by the tables or the wavelengths of their plans.
             tolerance: Tolerance of the picture.
             progress: Callable that gets the share that is done; None reports nothing.
             previews: Pairs of a larger tolerance and a callable, the largest tolerance first. The callable is called
                 when the picture meets the tolerance. Previews have no effect on a GPU.
         """
-        if any(lookup.needs_sampling for lookup in lookups) and not len(self._unserved_gain):
+        if lookups.needs_sampling and not len(self._unserved_gain):
             self._unserved_gain = wp.empty(self.rays.size, dtype=wp.float32, device=self.context.device)
         if not self._means:
             batch = self.sampler.batch(self._sums, self._unserved_gain)
             for index, share in self._sampled(progress):
-                lookup = lookups[self._coats[index.light]]
-                calls = self._passes[index.light].colour(index.lobe, batch, lookup)
+                calls = self._passes[index.light].colour(index.lobe, batch, lookups)
                 launch_pipeline(
-                    calls, self.rays.size, slice_size=lookup.slice_size, progress=share, **self.rays.options
+                    calls, self.rays.size, slice_size=lookups.slice_size, progress=share, **self.rays.options
                 )
             return
         # The callables of previews are called by the host between launches. A recorded graph is launched without the
         # host, so it has no previews.
         previews = previews if isinstance(self.rays, RasterizedRays) else ()
-        least_level = pixel_filter.level_of(
-            self._least_samples, means=any(lookup.uses_footprints for lookup in lookups)
-        )
+        least_level = pixel_filter.level_of(self._least_samples, means=lookups.uses_footprints)
         if len(self._passes) > 1:
             # Each light is refined to its final tolerance before the next light begins. A preview requires all lights,
             # so that they are all rendered at the tolerance of the preview first.
@@ -246,7 +208,7 @@ class Picture:
         self._render_means(lookups, RefinementPolicy(tolerance, least_level, self._refine), progress, previews)
 
     def _render_means(
-        self, lookups: Sequence[Lookup], policy: RefinementPolicy, progress: Progress, previews: Previews = ()
+        self, lookups: Lookups, policy: RefinementPolicy, progress: Progress, previews: Previews = ()
     ) -> None:
         """Compute pixels as means over footprints, one light after the other."""
         self._sums.clear_errors()
@@ -256,13 +218,12 @@ class Picture:
             self._sums.illuminated.zero_()
         batch = self.sampler.batch(of_light, self._unserved_gain, deviation=pixel_filter.deviation_at(0, means=True))
         for light, light_pass in enumerate(self._passes):
-            lookup = lookups[self._coats[light]]
             if count > 1:
                 of_light.illuminated.zero_()
             share = subprogress(progress, light / count, (light + 1) / count)
-            self._add_own_rays(light, batch, lookup, subprogress(share, 0.0, _PROGRESS_OF_FIRST_RAYS))
+            self._add_own_rays(light, batch, lookups, subprogress(share, 0.0, _PROGRESS_OF_FIRST_RAYS))
             policy = replace(policy, is_sampled=light_pass.is_sampled, first_level=light_pass.first_level)
-            refinement = LightRefinement(light_pass, lookup, batch, of_light, policy, is_first=light == 0)
+            refinement = LightRefinement(light_pass, lookups, batch, of_light, policy, is_first=light == 0)
             if self._loop is None:
                 rays = self.rays
                 self._loop = RefinementLoop(
@@ -277,14 +238,14 @@ class Picture:
                 sums = [self._sums.xyz, self._sums.errors, self._sums.illuminated]
                 self.rays.launch([KernelCall(subdivision.accumulate, light_sums, sums, in_runs=True)])
 
-    def _add_own_rays(self, light: int, batch: RayBatch, lookup: Lookup, progress: Progress) -> None:
+    def _add_own_rays(self, light: int, batch: RayBatch, lookups: Lookups, progress: Progress) -> None:
         """Compute the colours under a light with one ray per pixel. Refinement starts from these colours."""
         light_pass, sums = self._passes[light], self._light_sums
         lobes = light_pass.first_lobes
         for at, lobe in enumerate(lobes):
             self.sampler.scatter(0, LobeIndex(light, lobe), sums)
             launch_pipeline(
-                light_pass.colour(lobe, batch, lookup), self.rays.size, slice_size=_COLOURS_OF_SLICE,
+                light_pass.colour(lobe, batch, lookups), self.rays.size, slice_size=_COLOURS_OF_SLICE,
                 progress=subprogress(progress, at / len(lobes), (at + 1) / len(lobes)), **self.rays.options,
             )  # fmt: skip
 
@@ -292,15 +253,15 @@ class Picture:
         """Compute the picture by the direct sum, without tables: for every ray and every light."""
         for index, share in self._sampled(progress):
             scattering_vectors, to_lights, gains = (values.astype(np.float64) for values in self.sampler.directions())
-            by_material = self._passes[index.light].illuminated[index.lobe]
-            materials = np.zeros(self.rays.size, dtype=np.int32)
-            if self.context.has_materials:
+            by_finish = self._passes[index.light].illuminated[index.lobe]
+            finishes = np.zeros(self.rays.size, dtype=np.int32)
+            if self.context.has_finishes:
                 faces = self.rays.gbuffer.pixels.face.numpy()
-                materials = self.context.materials_of_faces.numpy()[np.maximum(faces, 0)]
-            for material, (illuminated,) in enumerate(by_material):
-                part = subprogress(share, material / len(by_material), (material + 1) / len(by_material))
+                finishes = self.context.finish_of_faces.numpy()[np.maximum(faces, 0)]
+            for finish, (illuminated,) in enumerate(by_finish):
+                part = subprogress(share, finish / len(by_finish), (finish + 1) / len(by_finish))
                 added = direct_colour(
-                    heightfield, scattering_vectors, to_lights, np.where(materials == material, gains, 0.0), plan,
+                    heightfield, scattering_vectors, to_lights, np.where(finishes == finish, gains, 0.0), plan,
                     illuminated, progress=part,
                 )  # fmt: skip
                 self._sums.xyz.assign((self._sums.xyz.numpy() + added).astype(np.float32))

@@ -13,19 +13,20 @@ from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref, re
 from warpdiff.heightfield.field import HeightField
 from warpdiff.kernels import refinement_levels
 from warpdiff.lights.base import MANY_LIGHTS, Light, LobeChoice, LobeSet, listed
-from warpdiff.lights.light_pass import SurfaceOptics
+from warpdiff.lights.light_pass import PictureUnit, SurfaceOptics
 from warpdiff.optics import colorimetry, reflectance_factors
+from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.planner.refusals import warn_outside
 from warpdiff.planner.strategy import plan_for
-from warpdiff.render.picture import Coat, Picture
+from warpdiff.render.picture import Picture
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.plan import AUTOMATIC, Plan, has_table
 from warpdiff.request.surface import Surface
 from warpdiff.scene.camera import View
 from warpdiff.scene.part_names import key_of_faces
 from warpdiff.tables import polar_grid
-from warpdiff.tables.lookup import ColourLookup, Lookup
+from warpdiff.tables.lookup import ColourLookup
 
 if TYPE_CHECKING:
     import contextlib
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
 
     from warpdiff.image.image import Image
     from warpdiff.lights.base import LightPart, Lobe
-    from warpdiff.optics.coherence import Coherence
     from warpdiff.request.directions import DirectionRange, DirectionSample
     from warpdiff.request.settings import PictureSettings
     from warpdiff.scene.mesh_import import Surface as Mesh
@@ -58,7 +58,7 @@ class SurfaceInputs:
     Attributes:
         evaluation: Inputs of the colours: height field, coherence, materials, method, tolerance and device.
         settings: Options of the call, with those of the surface.
-        parts: Parts that the lights consist of: lobes, discs and skies.
+        parts: Parts that the lights consist of: lobes, discs and skies. Plans are chosen for their spectra.
         is_plain: Whether the surface has no height field, and only its base colour reflects light.
         unit: Factor from the colours of the surface to the unit of the picture.
     """
@@ -85,32 +85,30 @@ class SurfaceInputs:
         evaluation = replace(evaluation, plan=plan, illuminated=illuminated)
         return cls(evaluation, settings, parts, heightfield is None)
 
-    def coat(self, surface: Mesh) -> Coat:
-        """Return the optics of the surface for a picture of a mesh."""
-        settings = self.settings
-        energy, size_um = self.evaluation.energy_factors, self.evaluation.heightfield.size_um
-        optics = SurfaceOptics(
-            self.evaluation.coherence, size_um[0] * size_um[1], self.evaluation.normal_reflectance,
-            tuple(self.evaluation.materials.values()), self.evaluation.masking,
-            None if energy is None else energy.values,
-            settings.pigment if self.is_plain or surface.has_base_colour else 0.0,
-            settings.shadows, self.is_plain, self.unit,
+    def optics(self, mesh: Mesh) -> SurfaceOptics:
+        """Return the optics of the surface on a mesh, except for the diffraction of its height field."""
+        evaluation, settings = self.evaluation, self.settings
+        energy, size_um = evaluation.energy_factors, evaluation.heightfield.size_um
+        return SurfaceOptics(
+            evaluation.coherence, size_um[0] * size_um[1], evaluation.normal_reflectance,
+            tuple(evaluation.materials.values()), evaluation.masking, None if energy is None else energy.values,
+            settings.pigment if self.is_plain or mesh.has_base_colour else 0.0, settings.shadows, self.is_plain,
+            self.unit,
         )  # fmt: skip
-        return Coat(optics, self.materials_of_faces(surface))
 
-    def materials_of_faces(self, surface: Mesh) -> NDArray[np.int32] | None:
+    def materials_of_faces(self, mesh: Mesh) -> NDArray[np.int32] | None:
         """Return the index of each face's material; None for a single material."""
         materials = self.evaluation.materials
         if "" in materials:
             return None
-        names, known = surface.geometry_names, list(materials)
+        names, known = mesh.geometry_names, list(materials)
         if differing := sorted(set(names) - set(known)) or sorted(set(known) - set(names)):
             raise ArgumentValueError(
                 f"{ref('material')} must name each of the mesh's geometries, "
                 f"{', '.join(map(repr, sorted(set(names))))}, "
                 f"and no others, got {', '.join(map(repr, known))}: see {differing[0]!r}"
             )
-        return np.array([known.index(name) for name in names], dtype=np.int32)[surface.geometries]
+        return np.array([known.index(name) for name in names], dtype=np.int32)[mesh.geometries]
 
     def planned(self, direction_range: DirectionRange, sample: DirectionSample, count: float) -> Plan:
         """Return the user's plan, or choose a plan for the measured directions.
@@ -139,26 +137,12 @@ class SurfaceInputs:
                 plan = replace(plan, method=method, rings_per_octave=rings, azimuths_per_width=azimuths, footprint=True)
         return evaluation.with_energy(plan)
 
-    def lookup(self, plan: Plan, direction_range: DirectionRange) -> Lookup:
+    def lookup(self, plan: Plan, direction_range: DirectionRange) -> ColourLookup:
         """Return the look-up of the surface's colours by a plan."""
         evaluation = self.evaluation
         return ColourLookup(
             evaluation.heightfield, plan, direction_range, device=evaluation.device, threads=evaluation.threads
         )
-
-    def parts_under(self, lights: Sequence[Light], *, means: bool) -> list[LightPart]:
-        """Return the parts of other lights."""
-        return parts_of(lights, self.evaluation, refine=self.settings.refine, means=means)
-
-    def refined(self, lights: Sequence[Light], *, refine: bool) -> SurfaceInputs:
-        """Return these inputs with or without refinement.
-
-        The parts of the lights are made again, because those of discs of 1.5° to 5° depend on refinement. Without
-        refinement, one lobe approximates such a disc; with refinement, its directions are sampled.
-        """
-        settings = replace(self.settings, refine=refine)
-        parts = parts_of(lights, self.evaluation, refine=refine, means=self.evaluation.footprint)
-        return replace(self, settings=settings, parts=parts)
 
 
 @dataclass(frozen=True)
@@ -170,12 +154,14 @@ class PictureInputs:
         settings: Options of the call.
         lights: Lights as the user gave them.
         surfaces: Inputs of each surface by the key of its part; the key is ``""`` for one height field.
+        parts: Parts that the lights consist of, in the unit of the picture.
     """
 
     heightfield: SurfacesOfMesh
     settings: PictureSettings
     lights: list[Light]
     surfaces: dict[str, SurfaceInputs]
+    parts: list[LightPart]
 
     @classmethod
     def of(
@@ -200,21 +186,26 @@ class PictureInputs:
                 f"{ref('samples_per_pixel')} must be at most {most} with footprints, got {settings.samples_per_pixel}; "
                 f"{ref('footprint', False)} accepts more"
             )
-        return cls(heightfield, settings, lights, surfaces)
+        inputs = cls(heightfield, settings, lights, surfaces, [])
+        return replace(inputs, parts=inputs.parts_of(lights, means=first.evaluation.footprint))
+
+    @property
+    def _reference_area_um2(self) -> float:
+        """Area of the first height field [µm²], on which the unit of a picture with periods depends."""
+        fields = [own.evaluation.heightfield for own in self.surfaces.values() if not own.is_plain]
+        return fields[0].size_um[0] * fields[0].size_um[1]
 
     @property
     def evaluation(self) -> Evaluation:
         """Evaluation of the first surface; device, threads and footprints are the same for all surfaces."""
         return next(iter(self.surfaces.values())).evaluation
 
-    @property
-    def parts(self) -> list[list[LightPart]]:
-        """Parts of the lights for each surface."""
-        return [surface.parts for surface in self.surfaces.values()]
-
-    def parts_under(self, lights: Sequence[Light], *, means: bool) -> list[list[LightPart]]:
-        """Return the parts of other lights for each surface."""
-        return [surface.parts_under(lights, means=means) for surface in self.surfaces.values()]
+    def parts_of(self, lights: Sequence[Light], *, means: bool) -> list[LightPart]:
+        """Check lights for each surface, and return their parts in the unit of the picture."""
+        refine = self.settings.refine
+        for own in self.surfaces.values():
+            parts_of(lights, own.evaluation, refine=refine, means=means)
+        return parts_of(lights, _in_unit(self), refine=refine, means=means)
 
     def by_key(self, plans: Sequence[Plan]) -> Plan | dict[str, Plan]:
         """Return the plans of the surfaces as the user knows them: one plan, or plans by the keys of the parts.
@@ -226,23 +217,25 @@ class PictureInputs:
         keys = [key for key, surface in self.surfaces.items() if not surface.is_plain]
         return dict(zip(keys, plans, strict=True))
 
-    def picture(self, surface: Mesh, view: View, **options: Any) -> Picture:
+    def picture(self, mesh: Mesh, view: View, **options: Any) -> Picture:
         """Return a picture of a mesh, whose arrays are allocated but not yet computed."""
         footprint, settings = self.evaluation.footprint, self.settings
         # Filters of pixels at the picture's border include cells of pixels beyond the border. These pixels form a
         # margin.
         margin = int(footprint and (settings.refine or settings.samples_per_pixel > 1))
-        coats, coats_of_faces = [each.coat(surface) for each in self.surfaces.values()], None
+        optics = [own.optics(mesh) for own in self.surfaces.values()]
         if isinstance(self.heightfield, Mapping):
-            coats_of_faces = key_of_faces(surface, list(self.surfaces), "heightfield")
-            if not surface.has_base_colour:
+            finish_of_faces: NDArray[np.int32] | None = key_of_faces(mesh, list(self.surfaces), "heightfield")
+            if not mesh.has_base_colour:
                 # Without a base colour, plain surfaces are white.
-                surface = replace(surface, texture=np.ones((1, 1, 3), dtype=np.float32), has_base_colour=True)
+                mesh = replace(mesh, texture=np.ones((1, 1, 3), dtype=np.float32), has_base_colour=True)
+        else:
+            finish_of_faces = next(iter(self.surfaces.values())).materials_of_faces(mesh)
+        unit = PictureUnit(_in_unit(self).coherence, self._reference_area_um2)
         return Picture(
-            surface, view, coats, coats_of_faces=coats_of_faces, smooth=settings.smooth,
-            samples_per_pixel=settings.samples_per_pixel, means=footprint,
-            refine=settings.refine, margin=margin, device=self.evaluation.device, threads=self.evaluation.threads,
-            **options,
+            mesh, view, optics, unit, finish_of_faces=finish_of_faces, smooth=settings.smooth,
+            samples_per_pixel=settings.samples_per_pixel, means=footprint, refine=settings.refine, margin=margin,
+            device=self.evaluation.device, threads=self.evaluation.threads, **options,
         )  # fmt: skip
 
     def image(self, picture: Picture, plans: Sequence[Plan], tolerance: float | None = None) -> Image:
@@ -260,9 +253,13 @@ class PictureInputs:
         return replace(image, report=replace(image.report, history=history))
 
     def refined(self, *, refine: bool) -> PictureInputs:
-        """Return these inputs with or without refinement."""
-        surfaces = {key: surface.refined(self.lights, refine=refine) for key, surface in self.surfaces.items()}
-        return replace(self, settings=replace(self.settings, refine=refine), surfaces=surfaces)
+        """Return these inputs with or without refinement.
+
+        The parts of the lights are made again, because those of discs of 1.5° to 5° depend on refinement. Without
+        refinement, one lobe approximates such a disc; with refinement, its directions are sampled.
+        """
+        result = replace(self, settings=replace(self.settings, refine=refine))
+        return replace(result, parts=result.parts_of(self.lights, means=self.evaluation.footprint))
 
     def with_plans(self, plans: Sequence[Plan]) -> PictureInputs:
         """Return these inputs with explicit plans for the surfaces that have a height field."""
@@ -274,6 +271,14 @@ class PictureInputs:
             for key, surface in self.surfaces.items()
         }
         return replace(self, surfaces=surfaces)
+
+
+def _in_unit(inputs: PictureInputs) -> Evaluation:
+    """Return the evaluation of a surface with the coherence to which colours of the picture are relative."""
+    evaluation = inputs.evaluation
+    if not isinstance(inputs.heightfield, Mapping):
+        return evaluation
+    return replace(evaluation, coherence=inputs.settings.coherence or Coherence())
 
 
 def _inputs_by_key(
@@ -298,7 +303,7 @@ def _inputs_by_key(
             f"{', '.join(map(repr, gratings))}: give {ref('plan')} by their keys, or another {ref('method')}"
         )
     of_plain = replace(settings, material=None, ior=None, plan=None)
-    reference = settings.coherence or type(settings)().effective_coherence
+    reference = settings.coherence or Coherence()
     first = next(iter(gratings.values())).heightfield
     inputs = {}
     for key, surface in checked.items():

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from warpdiff.device.kernel_calls import KernelCall
     from warpdiff.heightfield.field import HeightField
     from warpdiff.lights.light_pass import LightPass, PassContext
-    from warpdiff.optics.coherence import Coherence
     from warpdiff.render.accumulators import Accumulators
 
 # Maximum numbers of rays whose scattering vectors are computed before a plan is chosen for their range; time is
@@ -43,16 +42,13 @@ class PixelSampler:
         samples: Samples of the lobe of the last call of :meth:`scatter`, one entry per pixel.
     """
 
-    def __init__(
-        self, contexts: Sequence[PassContext], *, samples_per_pixel: int, means: bool, shadow_rays_per_hit: int
-    ) -> None:
-        context = contexts[0]
+    def __init__(self, context: PassContext, *, samples_per_pixel: int, means: bool, shadow_rays_per_hit: int) -> None:
         self._context, self._samples_per_pixel, self._means = context, samples_per_pixel, means
         self._shadow_rays_per_hit = shadow_rays_per_hit
-        has_materials = any(each.has_materials for each in contexts)
         self.samples = LightSamples.allocate(
-            context.rays.size, means=means, has_materials=has_materials, has_directions=False, device=context.device
-        )
+            context.rays.size, means=means, has_finishes=context.has_finishes, has_directions=False,
+            device=context.device,
+        )  # fmt: skip
         self._passes: Sequence[LightPass] = ()
         self._no_tiles = wp.empty(0, dtype=wp.int32, device=context.device)
         self._no_gains = wp.empty(0, dtype=wp.float32, device=context.device)
@@ -76,13 +72,10 @@ class PixelSampler:
                 towards=wp.empty(rays, dtype=wp.vec4f, device=device),
             )  # fmt: skip
 
-    def lobes(self, passes: Sequence[int] | None = None) -> Iterator[LobeIndex]:
-        """Yield the lobes whose scattering vectors determine the range for which a plan is chosen.
-
-        ``passes`` has the indices of the passes whose lobes are yielded; None stands for all passes.
-        """
-        for light in range(len(self._passes)) if passes is None else passes:
-            for lobe in self._passes[light].measured_lobes:
+    def lobes(self) -> Iterator[LobeIndex]:
+        """Yield all lobes whose scattering vectors determine the range for which a plan is chosen."""
+        for light, light_pass in enumerate(self._passes):
+            for lobe in light_pass.measured_lobes:
                 yield LobeIndex(light, lobe)
 
     def batch(self, sums: Accumulators, unserved_gain: wp.array | None = None, *, deviation: float = 0.0) -> RayBatch:
@@ -142,17 +135,16 @@ class PixelSampler:
         return scattering_vectors, to_lights, gains
 
     def measure_directions(
-        self, heightfield: HeightField, coherence: Coherence, sums: Accumulators, passes: Sequence[int]
+        self, heightfield: HeightField, surface: int, sums: Accumulators
     ) -> tuple[DirectionRange, DirectionSample, int]:
-        """Return the illuminated directions for which a plan is made: their range, a sample of them, and their number.
-
-        ``passes`` has the indices of the passes over the surface for which the plan is made.
+        """Return the illuminated directions for which the plan of a surface is made: range, sample and number.
 
         Additional rays are traced for this purpose. They require about 1 % of the time in which the picture's colours
         are computed.
         """
         within, count = DirectionRange(0.0, 0.0, 0.0, 0.0), 0
-        sampled, lobes = [], list(self.lobes(passes))
+        coherence = self._context.surfaces[surface].coherence
+        sampled, lobes = [], list(self.lobes())
         # If pixels show points, only some of their rays are used. If pixels show means, several rays per pixel
         # represent the directions of subpixel cells.
         per_pixel, measured = self._samples_per_pixel, min(self._samples_per_pixel, _SAMPLES_MEASURED)
@@ -166,6 +158,7 @@ class PixelSampler:
                 # in the picture.
                 self.scatter(sample, index, sums, samples_per_pixel=1 if self._means and sample == 0 else per_pixel)
                 scattering_vectors, to_lights, gains = self.directions()
+                gains = np.where(self._context.hits_surface(surface), gains, np.float32(0.0))
                 within = within.joined(
                     DirectionRange.of(heightfield, coherence, scattering_vectors, to_lights, gains > 0.0)
                 )

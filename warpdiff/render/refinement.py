@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from warpdiff.lights.light_pass import LightPass, RayBatch
     from warpdiff.render.accumulators import Accumulators
     from warpdiff.render.tile_buffers import TileBuffers
-    from warpdiff.tables.lookup import Lookup
+    from warpdiff.tables.lookup import Lookups
 
 # Number of pixels per slice of a launch on the CPU. Fitted: launches then add 1 % to the time of the kernels.
 SLICE = 32_768
@@ -83,7 +83,7 @@ class LightRefinement:
 
     Attributes:
         light_pass: Pass that samples the light and looks up its colours.
-        lookup: Look-up of the light's colours.
+        lookups: Look-ups of the colours of the surfaces.
         batch: The rays of whole pixels, whose colours are computed already.
         sums: Colours, errors and illuminated pixels of the light, which refinement updates.
         policy: Rule by which pixels are subdivided.
@@ -91,7 +91,7 @@ class LightRefinement:
     """
 
     light_pass: LightPass
-    lookup: Lookup
+    lookups: Lookups
     batch: RayBatch
     sums: Accumulators
     policy: RefinementPolicy
@@ -102,7 +102,7 @@ class LightRefinement:
         """Flags that say which optional arrays of tile buffers this light requires."""
         context = self.light_pass.context
         return BufferKind(
-            self.lookup.needs_sampling, context.is_pigmented, context.has_materials, self.light_pass.has_directions
+            self.lookups.needs_sampling, context.is_pigmented, context.has_finishes, self.light_pass.has_directions
         )
 
     @property
@@ -132,14 +132,14 @@ class LightRefinement:
         sampling.tiles, sampling.places = buffers.tiles[level], pixel_filter.places_at(level, device)
         inputs = [
             batch.xyz, batch.gbuffer.pixels.hit, buffers.tiles[level], self.sums.xyz, sums.ranks,
-            pixel_filter.weights_at(level, self.lookup.uses_footprints, device), level,
+            pixel_filter.weights_at(level, self.lookups.uses_footprints, device), level,
             level == self.policy.base_level, self.policy.is_sampled,
         ]  # fmt: skip
         outputs = [sums.filtered_sums, sums.quadrants, sums.changes, sums.levels, sums.lighting]
         splat = KernelCall(
             subdivision.splat_cells, inputs, outputs, in_runs=True, block=refinement_levels.rays_at(level)
         )
-        return [*rays.calls(sampling, batch.gbuffer), *self.light_pass.shade(batch, self.lookup), splat]
+        return [*rays.calls(sampling, batch.gbuffer), *self.light_pass.shade(batch, self.lookups), splat]
 
     def resolve_pixels(self, group: TileGroup, marks: wp.array) -> KernelCall:
         """Return the kernel call that replaces the colours of pixels by weighted sums over cells.
@@ -174,7 +174,7 @@ class LightRefinement:
         result.changes = wp.empty(tiles, dtype=wp.float32, device=device)
         result.levels, result.lighting = (wp.empty(tiles, dtype=wp.uint8, device=device) for _ in range(2))
         result.ranks = wp.empty(0, dtype=wp.int32, device=device)
-        result.filter_normalisation = pixel_filter.filter_normalisation_on(self.lookup.uses_footprints, device.alias)
+        result.filter_normalisation = pixel_filter.filter_normalisation_on(self.lookups.uses_footprints, device.alias)
         return result
 
 

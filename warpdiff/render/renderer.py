@@ -25,7 +25,7 @@ from warpdiff.request.settings import PictureSettings
 from warpdiff.request.signatures import accepts
 from warpdiff.scene.camera import View
 from warpdiff.scene.mesh_import import prepare_surface
-from warpdiff.tables.lookup import Lookup, PlainLookup
+from warpdiff.tables.lookup import ColourLookup, Lookups
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
@@ -101,7 +101,7 @@ class Renderer:
 
     @classmethod
     def _from_parts(
-        cls, inputs: PictureInputs, surface: Surface, view: View, lookups: Sequence[Lookup] = ()
+        cls, inputs: PictureInputs, surface: Surface, view: View, lookups: Lookups | None = None
     ) -> Renderer:
         """Return a renderer for inputs that are already checked and a mesh that is already prepared."""
         result = cls.__new__(cls)
@@ -109,21 +109,22 @@ class Renderer:
         return result
 
     def _begin(
-        self, inputs: PictureInputs, surface: Surface, view: View, lookups: Sequence[Lookup] = ()
+        self, inputs: PictureInputs, surface: Surface, view: View, lookups: Lookups | None = None
     ) -> None:  # fmt: skip
         """Choose the plans, and make the tables and the picture. Tables that exist already are in ``lookups``."""
         device = inputs.evaluation.device
         self._inputs, self._surface = inputs, surface
         self._plans: list[Plan] = []
-        self._lookups: list[Lookup] = list(lookups)
+        made: list[ColourLookup | None] = []
         with picture_memory(view):
             for own in inputs.surfaces.values():
                 if own.is_plain:
-                    self._lookups += [] if lookups else [PlainLookup()]
+                    made.append(None)
                     continue
                 direction_range, sample, count = directions_of(own.evaluation)
                 self._plans.append(own.planned(direction_range, sample, count))
-                self._lookups += [] if lookups else [own.lookup(self._plans[-1], direction_range)]
+                made.append(own.lookup(self._plans[-1], direction_range))
+            self._lookups = lookups or Lookups(made)
             self.plan = inputs.by_key(self._plans)
             self._recorded = records(device)
             self._mine = _ThreadPicture(
@@ -220,7 +221,7 @@ class Renderer:
         parts = mine.parts
         if lights is not None:
             means = all(plan.uses_footprints for plan in self._plans)
-            parts = self._inputs.parts_under(listed(lights), means=means)
+            parts = self._inputs.parts_of(listed(lights), means=means)
         if view is not None:
             validation.instance(view, View, "view")
             if (view.width, view.height) != (mine.view.width, mine.view.height):
@@ -343,7 +344,7 @@ class _ThreadPicture(threading.local):
 
     Attributes:
         picture: Rays, passes and sums of this thread's pictures.
-        parts: Parts of the lights, for each surface, with which this thread drew last.
+        parts: Parts of the lights with which this thread drew last.
         view: View with which this thread drew last.
         is_drawn: Whether the picture is complete.
         is_drawing: Whether the picture is being drawn.
@@ -353,7 +354,7 @@ class _ThreadPicture(threading.local):
             graph.
     """
 
-    def __init__(self, make: Callable[[], Picture], parts: list[list[LightPart]], view: View) -> None:
+    def __init__(self, make: Callable[[], Picture], parts: list[LightPart], view: View) -> None:
         self.picture, self.parts, self.view, self.is_drawn, self.tolerance = make(), parts, view, False, 0.0
         self.is_drawing = False
         self.graph: wp.Graph | None = None

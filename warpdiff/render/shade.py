@@ -15,7 +15,7 @@ from warpdiff.render.picture_inputs import PictureInputs, picture_memory
 from warpdiff.request.settings import SinglePictureSettings
 from warpdiff.request.signatures import accepts
 from warpdiff.scene.mesh_import import prepare_surface
-from warpdiff.tables.lookup import Lookup, PlainLookup
+from warpdiff.tables.lookup import ColourLookup, Lookups
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -97,10 +97,10 @@ def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Calla
     picture = inputs.picture(surface, view)
     picture.set_lights(inputs.parts)
     plans: list[Plan] = []
-    lookups: list[Lookup] = []
+    lookups: list[ColourLookup | None] = []
     for index, own in enumerate(inputs.surfaces.values()):
         if own.is_plain:
-            lookups.append(PlainLookup())
+            lookups.append(None)
             continue
         count: float
         if all(part.has_lobes for part in own.parts):
@@ -113,7 +113,7 @@ def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Calla
     if plans[0].method == "direct":
         picture.render_directly(inputs.evaluation.heightfield, plans[0], progress=progress)
     else:
-        picture.render(lookups, tolerance=min(plan.tolerance for plan in plans), progress=progress)
+        picture.render(Lookups(lookups), tolerance=min(plan.tolerance for plan in plans), progress=progress)
     return inputs.image(picture, plans)
 
 

@@ -28,13 +28,13 @@ class BufferKind(NamedTuple):
     """Flags that say which optional arrays tile buffers have.
 
     In the order of the flags, the arrays are: geometry factors of directions that a table cannot serve; base colours;
-    geometry factors at faces with the material that is being evaluated, if faces have several materials; and the rays'
+    geometry factors at faces with the finish that is being evaluated, if faces have several finishes; and the rays'
     own directions to the light.
     """
 
     needs_sampling: bool
     is_pigmented: bool
-    has_materials: bool
+    has_finishes: bool
     has_directions: bool
 
 
@@ -67,7 +67,7 @@ class TileBuffers:
         return cls(
             GBuffer.allocate(rays, coloured=kind.is_pigmented, device=device),
             LightSamples.allocate(
-                rays, means=True, has_materials=kind.has_materials, has_directions=kind.has_directions, device=device
+                rays, means=True, has_finishes=kind.has_finishes, has_directions=kind.has_directions, device=device
             ),
             wp.empty(rays, dtype=wp.vec3f, device=device),
             wp.empty(rays * kind.needs_sampling, dtype=wp.float32, device=device),
@@ -106,7 +106,7 @@ class SharedTileBuffers:
         self._tiles = {level: tiles.numpy() for level, tiles in self.buffers.tiles.items()}
         self._colours = self.buffers.colours.numpy()
         samples = self.buffers.samples
-        self._gains = [samples.gains.numpy(), samples.material_gains.numpy(), *samples.spectral_gains.numpy()]
+        self._gains = [samples.gains.numpy(), samples.finish_gains.numpy(), *samples.spectral_gains.numpy()]
         # Several threads use this list without a lock, because the list methods ``append`` and ``pop`` are atomic.
         self._free = [part * self._size for part in range(parts)]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any
 
 import warp as wp
@@ -30,47 +29,28 @@ _MOST_DERIVED = 2
 _LOOK_UPS_OF_SLICE = 2048
 
 
-class Lookup(ABC):
-    """Look-up of the colours of one surface of a picture."""
+class Lookups(tuple["ColourLookup | None", ...]):
+    """Look-ups of the colours of the surfaces of a picture, one for each; None for a plain surface."""
+
+    __slots__ = ()
 
     @property
-    @abstractmethod
+    def uses_footprints(self) -> bool:
+        """Whether the colours of any surface are means over footprints."""
+        return any(lookup is not None and lookup.plan.uses_footprints for lookup in self)
+
+    @property
+    def needs_sampling(self) -> bool:
+        """Whether the table of any surface excludes some directions."""
+        return any(lookup is not None and lookup.needs_sampling for lookup in self)
+
+    @property
     def slice_size(self) -> int:
         """Number of directions in one slice of a launch."""
-
-    @property
-    @abstractmethod
-    def needs_sampling(self) -> bool:
-        """Whether the table excludes some directions, whose colours are then integrated over sampled wavelengths."""
-
-    @property
-    @abstractmethod
-    def uses_footprints(self) -> bool:
-        """Whether colours are means over footprints."""
-
-    @abstractmethod
-    def kernel_calls(
-        self, scattering_vectors: wp.array, to_lights: wp.array, gains: wp.array, illuminated: IlluminatedMaterial,
-        xyz: wp.array, footprints: wp.array | None = None, unserved_gain: wp.array | None = None,
-    ) -> list[KernelCall]:  # fmt: skip
-        """Return the kernel calls that add the XYZ of scattering vectors to the array ``xyz``.
-
-        The look-up writes the gains of directions that the table excludes into the array ``unserved_gain``, which has
-        at least n entries; those directions then sample wavelengths. None allocates the array.
-        """
+        return max(lookup.slice_size for lookup in self if lookup is not None)
 
 
-class PlainLookup(Lookup):
-    """Look-up for a surface without a height field: it adds nothing, because only the base colour reflects light."""
-
-    slice_size, needs_sampling, uses_footprints = ELEMENTS_OF_SLICE, False, False
-
-    def kernel_calls(self, *_: object) -> list[KernelCall]:
-        """Return no kernel calls."""
-        return []
-
-
-class ColourLookup(Lookup):
+class ColourLookup:
     """Look-up of XYZ by scattering vector: the kernels of a plan, with their tables from the cache if possible.
 
     Attributes:
@@ -131,11 +111,6 @@ class ColourLookup(Lookup):
         return _LOOK_UPS_OF_SLICE if self.plan.rings_per_octave and not self.needs_sampling else ELEMENTS_OF_SLICE
 
     @property
-    def uses_footprints(self) -> bool:
-        """Whether colours are means over footprints."""
-        return self.plan.uses_footprints
-
-    @property
     def needs_sampling(self) -> bool:
         """Whether the table excludes some directions, whose colours are then integrated over sampled wavelengths."""
         return bool(self.plan.rings_per_octave) and source_type(self.plan.coherence).has_lines
@@ -144,7 +119,11 @@ class ColourLookup(Lookup):
         self, scattering_vectors: wp.array, to_lights: wp.array, gains: wp.array, illuminated: IlluminatedMaterial,
         xyz: wp.array, footprints: wp.array | None = None, unserved_gain: wp.array | None = None,
     ) -> list[KernelCall]:  # fmt: skip
-        """Return the kernel calls that :meth:`accumulate` launches: see :meth:`Lookup.kernel_calls`."""
+        """Return the kernel calls that :meth:`accumulate` launches.
+
+        The look-up writes the gains of directions that the table excludes into the array ``unserved_gain``, which has
+        at least n entries; those directions then sample wavelengths. None allocates the array.
+        """
         directions = [scattering_vectors, to_lights]
         if not self.plan.rings_per_octave:
             return [self._sample([*directions, gains], illuminated, xyz)]

@@ -122,6 +122,7 @@ def export_html(
         arrays = Arrays()
         header = _add_mesh(arrays, surface) | _add_lobes(arrays, lobes) | _add_display(arrays)
         # A metal or a coated material transmits no light to the pigment below it.
+        white = colorimetry.xyz_to_rgb(reflectance_factors.pigment_white(lobes.illuminant, lobes.coherence, 0.0))
         pigmented = pigment > 0.0 and surface.has_base_colour and not lobes.has_material
         header |= {
             "view": {name: getattr(view, name) for name in ("eye", "target", "up", "fov_y_deg")},
@@ -133,7 +134,7 @@ def export_html(
             "exposure": exposure, "frames": _FRAMES, "mean_shown": display_transform.MEAN_SHOWN["aces"],
             "smooth": smooth, "masking": masking, "shadows": shadows and not surface.is_convex,
             "normal_reflectance": normal, "rgb_to_xyz": colorimetry.RGB_TO_XYZ.tolist(),
-            "pigment_white": (pigment / normal * _white(lobes)).tolist() if pigmented else None,
+            "pigment_white": (pigment / normal * white).tolist() if pigmented else None,
             "arrays": arrays.entries, "description": _description(lobes),
         }  # fmt: skip
         page = _filled(header, arrays, title)
@@ -292,16 +293,6 @@ def _add_display(arrays: Arrays) -> dict[str, Any]:
             **{name: matrix.tolist() for name, matrix in display_transform.MATRICES.items()},
         }
     }  # fmt: skip
-
-
-def _white(lobes: BakedLobes) -> Any:
-    """Return the linear sRGB colour of a white pigment of strength 1, ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ, shape (3,).
-
-    S is the illuminant. G(λ) converts the reflectance of a Lambertian surface to a relative reflectance ρ: see
-    :func:`warpdiff.optics.reflectance_factors.pigment_solid_angle`.
-    """
-    solid_angle = reflectance_factors.pigment_solid_angle(1e-3 * colorimetry.VISIBLE_NM, lobes.coherence, 0.0)
-    return colorimetry.xyz_to_rgb(solid_angle @ colorimetry.colour_products(lobes.illuminant))
 
 
 def _description(lobes: BakedLobes) -> str:
