@@ -179,6 +179,7 @@ class HeightField:
         make = cls.of_known_scale if content.is_known_scale else cls
         field = make(heights_um[::-1] if rows == "up" else heights_um, pitch_um)
         field._source = reader_registry.Source(path, channel, rows, dict(content.metadata))
+        field._history = content.notes
         return field
 
     @classmethod
