@@ -149,8 +149,9 @@ class HeightField:
 
         Raises:
             FileNotFoundError: The file does not exist.
-            ValueError: The file cannot be read, is a colour image or a profile, or contains infinities; its size
-                or pitch is not given exactly once; or it has no channel of the given name.
+            ValueError: The file cannot be read, is a colour image or a profile, or contains infinities (in a text,
+                ``inf`` is a missing sample); its size or pitch is not given exactly once; or it has no channel of the
+                given name.
 
         Examples:
             >>> import pathlib, tempfile

@@ -51,6 +51,9 @@ def columns_of(header: Sequence[str], form: Form, width: int) -> Columns | None:
             for position, cell in enumerate(cells):
                 if axis := _axis_of(cell):
                     axes.setdefault(axis, position)
+            # Words of a sentence are no headings.
+            if len(cells) != width and not all(map(_axis_of, cells)):
+                continue
             names = ("x", "y") if {"x", "y"} <= set(axes) else ("column", "row")
             names_z = "z" in axes
             if len(cells) == width == 3 and len(axes) == 2:

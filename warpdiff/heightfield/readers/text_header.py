@@ -39,6 +39,8 @@ _MOST_RATIO = 0.01
 # Absolute value above which a code of missing samples is compared with a tolerance, and that relative tolerance: such
 # codes are limits of number types, which programs round. Limit: no height has this size in any unit.
 _LEAST_ROUNDED_CODE, _MOST_CODE_DIFFERENCE = 1e30, 1e-5
+# Number of numbers in a line above which it is no statement of sizes, but a row of a table.
+_MOST_NUMBERS = 4
 _PER_COUNT = r"(?:\s*(?:/|per\b)\s*(?:lsb|digit|count|bit|dn|level|unit|step|inc|increment)s?\b)"
 # Matches the value of a line that states a unit of heights, such as "nm", "[nm]", "10 nm" or "0.5 nm/LSB".
 _UNIT_VALUE = re.compile(rf"(?:(?P<number>{NUMBER})\s*)?(?P<unit>{UNIT})(?P<per>{_PER_COUNT})?", re.IGNORECASE)
@@ -84,6 +86,7 @@ class Facts:
         metadata: Lines "key: value", as text.
         signs: Decimal signs of the header's numbers that are certainly no thousands signs.
         unclear_size: Reason why a line about the size or the pitch was not read, for an error message.
+        without_unit: Reason why a line about the size or the pitch without a unit was not read.
         unclear_unit: Reason why a line about the unit of the heights was not read, for an error message.
     """
 
@@ -103,6 +106,7 @@ class Facts:
     metadata: dict[str, str] = field(default_factory=dict)
     signs: dict[str, str] = field(default_factory=dict)
     unclear_size: str = ""
+    without_unit: str = ""
     unclear_unit: str = ""
     _stated: dict[str, list[tuple[bool, float, str]]] = field(default_factory=dict)
 
@@ -133,7 +137,16 @@ class Facts:
     def merge(self, first: Facts) -> None:
         """Take the facts that this header does not state from those of the file's first header."""
         if not self.has_scale and not self.unclear_size:
-            for name in ("size_x", "size_y", "size_of_both", "pitch_x", "pitch_y", "unclear_size", "_stated"):
+            for name in (
+                "size_x",
+                "size_y",
+                "size_of_both",
+                "pitch_x",
+                "pitch_y",
+                "unclear_size",
+                "without_unit",
+                "_stated",
+            ):
                 setattr(self, name, getattr(first, name))
         if not self.units and not self.not_length and not self.unclear_unit:
             self.units, self.unclear_unit = first.units, first.unclear_unit
@@ -236,10 +249,11 @@ def _add_unit(facts: Facts, line: str, signs: Signs) -> None:
         # heights.
         _add_unit_z(facts, line, value["unit"], None, signs)
     elif text and text_keys.states_unit_z(words, is_plain=value is not None and not value["number"]):
-        if value is not None:
-            _add_unit_z(facts, line, value["unit"], value["number"], signs)
-            if words in text_keys.GLOBAL_UNITS and not value["number"]:
-                facts.global_unit = length_units.factor_of(value["unit"])
+        if value is not None or length_units.factor_of(text) is not None:
+            name, number = (value["unit"], value["number"]) if value is not None else (text, None)
+            _add_unit_z(facts, line, name, number, signs)
+            if words in text_keys.GLOBAL_UNITS and not number:
+                facts.global_unit = length_units.factor_of(name)
         elif not _add_heights_in(facts, line, signs):
             tokens = re.findall(UNIT, text)
             if any(length_units.factor_of(token) is not None for token in tokens) and not re.search(r"[/^²³\d]", text):
@@ -299,8 +313,11 @@ def _add_statement(facts: Facts, statement: Statement, line: str, signs: Signs) 
         sign = text_statements.certain_sign(measure.number)
         if sign and (measure.unit is not None or key.kind):
             facts.signs.setdefault(sign, quoted(line))
-    if all(measure.counts in ("pixels", "columns", "rows") for measure in measures) or (
-        key.kind in ("count", "size or count") and _are_counts(statement, facts)
+    is_counted = measures[-1].counts == "pixels" and all(measure.counts == "" for measure in measures[:-1])
+    if (
+        (is_counted and not statement.units(None)[0])
+        or all(m.counts in ("pixels", "columns", "rows") for m in measures)
+        or (key.kind in ("count", "size or count") and _are_counts(statement, facts))
     ):
         _add_counts(facts, statement, line)
         return None
@@ -367,12 +384,14 @@ def _add_lengths(facts: Facts, statement: Statement, line: str, signs: Signs) ->
         and axes is None
     ):
         lengths, axes = lengths[:1], [key.axis]
-    if None in values:
-        facts.unclear_size = f"{quoted(line)} has a decimal sign or a thousands sign"
-    elif None in units and all(unit is None for unit in units):
+    if len(values) > _MOST_NUMBERS:
         return
+    if None in values:
+        facts.unclear_size = facts.unclear_size or f"the sign in {quoted(line)} may not be a decimal sign"
+    elif all(unit is None for unit in units):
+        facts.without_unit = facts.without_unit or f"{quoted(line)} has no unit of length"
     elif axes is None or len(lengths) != len(axes) or any(measure.counts for measure in statement.measures):
-        facts.unclear_size = f"{quoted(line)} is not clear"
+        facts.unclear_size = facts.unclear_size or f"{quoted(line)} is not clear"
     elif min(lengths) > 0.0:
         kind = "pitch" if key.kind == "pitch" else "size"
         for axis, length in zip(axes, lengths, strict=True):
@@ -415,7 +434,7 @@ def pitch_of(facts: Facts, nx: int, ny: int) -> tuple[tuple[float, float] | None
     dy = facts.pitch_y or (facts.size_y / ny if facts.size_y else None)
     # A header may state one size without an axis. It is used only if both axes have equally many samples, because it is
     # ambiguous otherwise.
-    reason = ""
+    reason = facts.without_unit
     if facts.size_of_both is not None and nx == ny:
         dx, dy = dx or facts.size_of_both / nx, dy or facts.size_of_both / ny
     elif facts.size_of_both is not None:

@@ -61,7 +61,7 @@ _UNITS_Z = _names(
     "value units|value unit|values unit|z unit|z units|zunit|unit z|units z|unit|units|height unit|height units",
     "heightunit|unit of height|unit of heights|data unit|data units|einheit|einheiten|z einheit|einheit z|höheneinheit",
     "unité|unités|unità|unità valore|unidad|unidades|unidades de valor|jednotky hodnot|единицы измерения",
-    "値の単位|값 단위|单位|z axis unit",
+    "値の単位|값 단위|单位|z axis unit|vertical unit|vertical units",
 )
 # Keys that state a unit only if their value is the unit alone.
 _WEAK_UNITS_Z = _names("heights|values|z")
@@ -97,7 +97,7 @@ class Key(NamedTuple):
 
 def words_of(key: str) -> str:
     """Return a key in the form of the sets of keys: in lower case, without units, hyphens and underscores."""
-    text = re.sub(r"[_\-()\[\]]", " ", IN_KEY.sub(" ", key)).lower()
+    text = re.sub(r"[_\-()\[\]:=]", " ", IN_KEY.sub(" ", key)).lower()
     return " ".join(text.split()).strip(" ,;:=.|")
 
 

@@ -21,7 +21,7 @@ NUMBER = (
 )
 _NUMBER = re.compile(rf"(?<![\w.,])(?P<number>{NUMBER})(?![.,:]?\d)")
 _UNIT = re.compile(
-    rf"\s*[;,\t]?\s*(?P<open>[\[(])?\s*(?P<word>{UNIT})(?P<power>\^?-?\d)?(?!\w)"
+    rf"\s*[;,\t)]?\s*(?P<open>[\[(])?\s*(?P<word>{UNIT})(?P<power>\^?-?\d)?(?!\w)"
     r"(?P<per>\s*(?:/|per\b)\s*(?:pixel|pix|px|sample|pt|point)s?\b)?(?P<other>\s*/\s*\w+)?(?(open)\s*[\])])"
 )
 # Matches a unit with other signs than letters, such as "%", or with a letter that was lost.
@@ -42,6 +42,9 @@ _ORDER = re.compile(
     rf"[(\[]?\b(?:(?P<x>{_WORDS_X})\s*[x×*,/]\s*(?:{_WORDS_Y})|(?P<y>{_WORDS_Y})\s*[x×*,/]\s*(?:{_WORDS_X}))\b[)\]]?",
     re.IGNORECASE,
 )
+# Matches two words in brackets, such as "(slow x fast)", which are the order of two numbers.
+_OTHER_ORDER = re.compile(r"[(\[]\s*\w+\s*[x×*,/]\s*\w+\s*[)\]]", re.IGNORECASE)
+_CLOSE_PRODUCT = re.compile(r"(?<=\d)\s*([x×*])\s*(?=\d)", re.IGNORECASE)
 _TOLERANCE = re.compile(rf"(?:±|\+/-)\s*{NUMBER}\s*(?:{UNIT})?")
 
 
@@ -127,7 +130,11 @@ class Statement:
     @property
     def key(self) -> Key:
         """Fact that the key states."""
-        return text_keys.key_of(self.words, per_pixel=self._unit_of_key()[1] or any(m.per_pixel for m in self.measures))
+        per_pixel = self._unit_of_key()[1] or any(measure.per_pixel for measure in self.measures)
+        key = text_keys.key_of(self.words, per_pixel=per_pixel)
+        # The order of two numbers, such as "(x, y)", also names the axes of a key such as "Step".
+        is_pair = not key.kind and len(self.measures) == 2 and _ORDER.search(self.text) is not None
+        return text_keys.key_of(f"x {self.words}")._replace(axis="") if is_pair else key
 
     def _unit_of_key(self) -> tuple[float | None, bool]:
         return text_keys.unit_in_key(self.text)
@@ -159,6 +166,8 @@ class Statement:
         order = _ORDER.search(self.text) or _ORDER.search(self.tail)
         if order is not None:
             return ["x", "y"] if order["x"] else ["y", "x"]
+        if _OTHER_ORDER.search(self.text) or _OTHER_ORDER.search(self.tail):
+            return None
         first, second = _FIRST_LABEL.search(self.text), _LATER_LABEL.fullmatch(self.between[0])
         if first is not None and second is not None and not _PRODUCT.fullmatch(self.between[0]):
             labels = [first[1].lower(), second[1].lower()]
@@ -172,7 +181,7 @@ class Statement:
 
 def statements_of(line: str) -> Iterator[Statement]:
     """Yield the statements of a header line, each with a key and its numbers."""
-    line = _TOLERANCE.sub("", line)
+    line = _CLOSE_PRODUCT.sub(r" \1 ", _TOLERANCE.sub("", line))
     parts = list(_parts(line))
     if not parts:
         return

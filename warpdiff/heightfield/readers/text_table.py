@@ -59,8 +59,8 @@ _NUMBERS = {
 _FORMS: tuple[tuple[str | None, str], ...] = (
     ("\t", "."), (";", "."), (",", "."), (None, "."), ("\t", ","), (";", ","), (",", ","), (None, ","),
 )  # fmt: skip
-# Thousands signs that are tried after these pairs, by the decimal sign. A no-break space is none if white space
-# separates the numbers.
+# Thousands signs that are tried after these pairs, by the decimal sign. A no-break space also stands for other spaces. It
+# is not tried if white space separates the numbers.
 _THOUSANDS = {".": (",", "\xa0"), ",": (".", "\xa0")}
 # Largest distance between a rounded position and the even axis, and largest width of a group of equal positions with
 # noise, both as shares of the step. If doubled, more scattered points are taken for a grid.
@@ -145,6 +145,8 @@ class Form(NamedTuple):
     def number(self, cell: str) -> float | None:
         """Return the number in a cell: NaN for a missing sample, None if the text of the cell is no number."""
         cell = cell.strip("\"' ")
+        if self.thousands == "\xa0":
+            cell = cell.replace(" ", "\xa0")
         if not cell or cell.lower() in _GAPS:
             return math.nan
         if _NUMBERS[self.decimal, self.thousands].fullmatch(cell) is None:
@@ -361,10 +363,15 @@ def even_steps(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]
     for bound, most_width in ((1e-9 * extent, math.inf), (_GROUP_GAP * float(np.max(gaps)), _MOST_NOISE)):
         ends = np.flatnonzero(np.append(gaps > bound, True))
         starts = np.append(0, ends[:-1] + 1)
-        centres = 0.5 * (ordered[starts] + ordered[ends])
-        axis = _axis_through(centres) if len(centres) > 1 else None
-        if axis is not None and float(np.max(ordered[ends] - ordered[starts])) <= most_width * axis[1]:
+        axis = _axis_through(0.5 * (ordered[starts] + ordered[ends])) if len(ends) > 1 else None
+        if axis is None or float(np.max(ordered[ends] - ordered[starts])) > most_width * axis[1]:
+            continue
+        if most_width == math.inf:
             return axis
+        # All values together give a more precise step than the first and the last group.
+        numbers = np.rint((values - axis[0][0]) / axis[1])
+        step, low = (float(number) for number in np.polyfit(numbers, values, 1))
+        return low + step * np.arange(len(axis[0]), dtype=np.float64), step
     return None
 
 
