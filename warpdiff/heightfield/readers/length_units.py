@@ -20,8 +20,8 @@ _WORDS = {
 
 def factor_of(text: str) -> float | None:
     """Return the size [µm] of a unit by its symbol or name in a file; None if the text is no unit of length."""
-    # The normal form joins the characters that Unicode has for µ, for Å and for symbols such as ㎚. "Âµ" is a micro sign
-    # in UTF-8 that was decoded as Latin-1.
+    # The normal form joins the characters that Unicode has for µ, for Å and for symbols such as ㎚. "Âµ" is a micro
+    # sign in UTF-8 that was decoded as Latin-1.
     name = unicodedata.normalize("NFKC", html.unescape(text)).strip().strip("[](){}.").strip()
     name = name.replace("μ", "µ").replace("Âµ", "µ")
     if name in SYMBOLS:

@@ -279,9 +279,10 @@ def _factor(content: FileContent, file: Path, unit: str | None) -> float:
             raise ArgumentValueError(f"{ref('unit')} must not be given: heights of {str(file)!r} have a unit already")
         return 1.0
     if unit is None:
+        text = "clear text" if content.why_no_unit else "text"
         raise ArgumentValueError(
-            f"{ref('unit')} must be given: {str(file)!r} has no {'clear ' if content.why_no_unit else ''}text that states "
-            f"the unit of its heights{_because(content.why_no_unit)}; it is one of {', '.join(length_units.SYMBOLS)}"
+            f"{ref('unit')} must be given: {str(file)!r} has no {text} that states the unit of its heights"
+            f"{_because(content.why_no_unit)}; it is one of {', '.join(length_units.SYMBOLS)}"
         )
     return length_units.factor_um(unit, "unit")
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 _AXES = {
     **dict.fromkeys(("x", "ix", "xi"), "x"), **dict.fromkeys(("y", "iy", "yi"), "y"), "z": "z",
     **dict.fromkeys(("row", "rows", "line", "zeile", "ligne", "riga", "fila", "linha", "行"), "row"),
-    **dict.fromkeys(("col", "column", "columns", "pixel", "spalte", "colonne", "colonna", "columna", "coluna"), "column"),
-    "列": "column",
+    **dict.fromkeys(("col", "column", "columns", "pixel", "spalte", "colonne", "colonna", "columna"), "column"),
+    **dict.fromkeys(("coluna", "列"), "column"),
     **dict.fromkeys(("height", "heights", "höhe", "hauteur", "altezza", "altura", "elevation", "topography"), "z"),
 }  # fmt: skip
 
@@ -117,7 +117,7 @@ def _unit_of_cell(cell: str, *, is_alone: bool) -> float | None:
 
 
 def unit_of_corner(cell: str) -> float | None:
-    """Return the size [µm] of the unit in the corner of a table with axes, such as "y \\ x [µm]"; None without one."""
+    """Return the size [µm] of the unit in the corner of a table with axes, such as "x / y [µm]"; None without one."""
     words = re.findall(r"[^\W\d_]+", text_keys.IN_KEY.sub(" ", cell).lower())
     is_position = bool(words) and {_AXES.get(word) for word in words} <= {"x", "y"}
     return text_keys.unit_in_key(cell)[0] if is_position else None

@@ -47,9 +47,10 @@ _PITCHES = _names(
 # Keys of a pitch if they name an axis. "Step" and "pitch" alone are not among the others, because they may state the
 # step of the focus along z.
 _PITCHES_OF_AXIS = _names("d|δ|step|step size|pitch|increment|sampling|interval|pixel")
+_OWN_PITCHES: dict[str, Axis] = {"pixel width": "x", "pixel height": "y"}
 _OF_ROWS = re.compile(r"(?:line|row)s? (?=spacing|distance|pitch|step)")
 _OF_COLUMNS = re.compile(r"(?:column|point)s? (?=spacing|distance|pitch|step)")
-_COUNTS = {
+_COUNTS: dict[str, Axis] = {
     **dict.fromkeys(("w", "columns", "cols", "ncols", "number of columns", "num columns", "numcols"), "x"),
     **dict.fromkeys(("horizontal", "horizont", "samples/line", "samps/line", "spalten"), "x"),
     **dict.fromkeys(("h", "rows", "nrows", "lines", "number of rows", "number of lines", "num rows", "numrows"), "y"),
@@ -108,25 +109,26 @@ def key_of(text: str, *, per_pixel: bool = False) -> Key:
         text: Key, as :func:`words_of` returns it.
         per_pixel: Whether the value has a unit per pixel, such as nm/pixel.
     """
-    if text in _COUNTS:
-        return Key("count", _COUNTS[text], names_axis=True)  # type: ignore[arg-type]
-    if text in _WIDTH or text in _HEIGHT:
-        return Key("size or count", "x" if text in _WIDTH else "y")
-    if text in ("pixel width", "pixel height"):
-        return Key("pitch", "x" if text == "pixel width" else "y", names_axis=True)
-    if _OF_ROWS.search(text) is not None:
-        return Key("pitch", "y", names_axis=True)
     axis, base = _axis_and_base(text)
-    if per_pixel and not re.search(r"\bz\b|height", text):
-        return Key("pitch", axis, names_axis=bool(axis))
-    if base in _PITCHES or _OF_COLUMNS.search(text) is not None or (axis and base in _PITCHES_OF_AXIS):
-        return Key("pitch", axis, names_axis=bool(axis))
-    if base in _SIZES or (axis and base in _SIZES_OF_AXIS):
-        is_count = base in _COUNTS_OF_AXIS
-        return Key("size or count" if is_count else "size", axis, names_axis=bool(axis))
-    if base in _COUNTS_OF_AXIS and (base not in ("n", "res", "dim") or axis):
-        return Key("count", axis, names_axis=bool(axis))
-    return Key("")
+    result = Key("")
+    if text in _COUNTS:
+        result = Key("count", _COUNTS[text], names_axis=True)
+    elif text in _WIDTH or text in _HEIGHT:
+        result = Key("size or count", "x" if text in _WIDTH else "y")
+    elif text in _OWN_PITCHES or _OF_ROWS.search(text) is not None:
+        result = Key("pitch", _OWN_PITCHES.get(text, "y"), names_axis=True)
+    elif (
+        (per_pixel and not re.search(r"\bz\b|height", text)) or base in _PITCHES or _OF_COLUMNS.search(text) is not None
+    ):
+        result = Key("pitch", axis, names_axis=bool(axis))
+    elif axis and base in _PITCHES_OF_AXIS:
+        result = Key("pitch", axis, names_axis=True)
+    elif base in _SIZES or (axis and base in _SIZES_OF_AXIS):
+        kind: Kind = "size or count" if base in _COUNTS_OF_AXIS else "size"
+        result = Key(kind, axis, names_axis=bool(axis))
+    elif base in _COUNTS_OF_AXIS and (base not in ("n", "res", "dim") or axis):
+        result = Key("count", axis, names_axis=bool(axis))
+    return result
 
 
 def _axis_and_base(text: str) -> tuple[Axis, str]:

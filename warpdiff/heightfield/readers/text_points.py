@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.heightfield.readers import text_columns, text_header, text_table
+from warpdiff.heightfield.readers import text_columns, text_facts, text_table
 from warpdiff.heightfield.readers.reader_registry import FileContent, refusal
 from warpdiff.heightfield.readers.text_columns import Columns
 from warpdiff.heightfield.readers.text_table import Form
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from warpdiff.heightfield.readers.text_header import Facts
+    from warpdiff.heightfield.readers.text_facts import Facts
     from warpdiff.heightfield.readers.text_table import Block
 
 # Number of the line, counted from 1, in which a Zygo XYZ file states the size of a pixel.
@@ -51,24 +51,22 @@ def of_points(file: Path, block: Block, form: Form, facts: Facts, zygo: float | 
         facts: Facts of the header.
         zygo: Result of :func:`zygo_pitch`.
     """
-    values = block.values
-    width = values.shape[1]
+    width = block.values.shape[1]
     columns = text_columns.columns_of(block.header, form, width)
     is_named = (columns is not None and columns.names_z) or zygo is not None
-    if columns is None and width in (3, 4) and not facts.has_scale:
+    unclear = None
+    if columns is None:
+        if width not in (3, 4) or facts.has_scale:
+            return None
         columns = Columns((0, 1, 2), (None, None, None))
         unclear = None if zygo is not None else text_columns.unclear_headings(block.header, form, width)
-    elif columns is None:
-        return None
-    else:
-        unclear = None
-    x, y, z = (values[:, position] for position in columns.positions)
+    x, y, z = (block.values[:, position] for position in columns.positions)
     positions = _grid(file, x, y, is_named=is_named)
     if positions is None:
         return None
     if unclear:
         raise refusal(file, f"has columns {', '.join(map(repr, unclear))}; name them x, y, z, or row, column, z")
-    z, notes = text_header.without_codes(z, facts)
+    z, notes = text_facts.without_codes(z, facts)
     (at_x, dx), (at_y, dy) = positions
     column, row = np.rint((x - at_x[0]) / dx).astype(np.int64), np.rint((y - at_y[0]) / dy).astype(np.int64)
     heights = np.full((len(at_y), len(at_x)), np.nan)
@@ -79,15 +77,9 @@ def of_points(file: Path, block: Block, form: Form, facts: Facts, zygo: float | 
     unit_x, unit_y, unit_z = columns.units
     if unit_x is None and unit_y is None:
         unit_x = unit_y = facts.lateral or facts.global_unit
-    why_no_unit = facts.why_no_unit
-    if unit_z is not None and (others := [line for unit, line in facts.units.items() if unit != unit_z]):
-        # The unit of all columns does not contradict the heading of one column.
-        if facts.global_unit is None or len(facts.units) > 2:
-            unit_z, why_no_unit = None, f"{others[0]} contradicts the heading of the heights"
-    else:
-        unit_z = unit_z or facts.unit
+    unit_z, why_no_unit = _unit_z(unit_z, facts)
     if unit_z is None:
-        text_header.require_length(file, facts)
+        text_facts.require_length(file, facts)
     pitch, own, why_no_pitch = None, None, facts.unclear_size
     if zygo is not None:
         pitch = (zygo * dy, zygo * dx) if zygo else None
@@ -95,13 +87,22 @@ def of_points(file: Path, block: Block, form: Form, facts: Facts, zygo: float | 
         pitch = unit_y * dy, unit_x * dx
     elif facts.has_scale and dx == dy == 1.0:
         # Positions with a step of 1 and no unit are indices of the samples, and the header states the size.
-        pitch, why_no_pitch = text_header.pitch_of(facts, *heights.shape[::-1])
+        pitch, why_no_pitch = text_facts.pitch_of(facts, *heights.shape[::-1])
     else:
         own = dy, dx
     return FileContent(
         heights if unit_z is None else unit_z * heights, pitch, rows="up", has_unit=unit_z is not None,
         pitch_in_unit=own, metadata=facts.metadata, notes=notes, why_no_pitch=why_no_pitch, why_no_unit=why_no_unit,
     )  # fmt: skip
+
+
+def _unit_z(heading: float | None, facts: Facts) -> tuple[float | None, str]:
+    """Return the unit of the heights [µm] from their heading or the header, and the reason if there is none."""
+    others = [line for unit, line in facts.units.items() if unit != heading]
+    # The unit of all columns does not contradict the heading of one column.
+    if heading is None or (facts.global_unit is not None and len(facts.units) <= 2):
+        return heading or facts.unit, facts.why_no_unit
+    return (None, f"{others[0]} contradicts the heading of the heights") if others else (heading, "")
 
 
 def _grid(

@@ -14,18 +14,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.core import memory
-from warpdiff.heightfield.readers import text_columns, text_header, text_points, text_table
+from warpdiff.heightfield.readers import text_columns, text_facts, text_header, text_points, text_table
 from warpdiff.heightfield.readers.reader_registry import FileContent, refusal, register_reader
 from warpdiff.heightfield.readers.text_statements import Signs
-from warpdiff.heightfield.readers.text_table import Form
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
     from warpdiff.heightfield.readers.reader_registry import Channels
-    from warpdiff.heightfield.readers.text_header import Facts
-    from warpdiff.heightfield.readers.text_table import Block
+    from warpdiff.heightfield.readers.text_facts import Facts
+    from warpdiff.heightfield.readers.text_table import Block, Form
 
 # Measured peak memory while a text is read, per byte of a text with numbers of one digit. If doubled, texts that fit
 # into memory are refused.
@@ -178,8 +177,8 @@ def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileConten
                 file, f"has {nx if axis == 'x' else ny} {name}, and its header states {count} in the line {line}; "
                 "export it again"
             )  # fmt: skip
-    text_header.require_length(file, facts)
-    values, notes = text_header.without_codes(values, facts)
+    text_facts.require_length(file, facts)
+    values, notes = text_facts.without_codes(values, facts)
     is_wsxm = any("WSxM" in line for line in block.header)
     if is_wsxm:
         # The program WSxM writes each row from the largest x to the smallest, and rows from the smallest y to the
@@ -189,7 +188,7 @@ def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileConten
             *notes,
             "Loaded: reversed the rows and the columns of the text, because WSxM writes them from the end.",
         )
-    pitch, why_no_pitch = text_header.pitch_of(facts, nx, ny)
+    pitch, why_no_pitch = text_facts.pitch_of(facts, nx, ny)
     unit = facts.unit
     corner = text_columns.unit_of_corner(form.cells(block.header[-1])[0]) if label_pitch and block.header else None
     if pitch is None and corner is not None and label_pitch is not None:
@@ -217,7 +216,7 @@ def _with_outer_columns(file: Path, values: np.ndarray, block: Block, facts: Fac
         return np.pad(values, ((0, 0), (0, 1)), constant_values=np.nan)
     if has_empty_first and nx - 1 in counts:
         return values[:, 1:]
-    if (block.outer and block.has_gaps) or text_header.contradict(facts.size_x, facts.pitch_x, nx):
+    if (block.outer and block.has_gaps) or text_facts.contradict(facts.size_x, facts.pitch_x, nx):
         raise refusal(
             file,
             "has an empty first or last column, of separators or of missing samples; write NaN for missing samples",

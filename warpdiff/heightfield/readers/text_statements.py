@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.readers.text_keys import Axis, Key
 
+# Number of characters of a header line that an error message quotes. Limit: a longer message is unreadable.
+_MOST_QUOTED = 80
 # A number with thousands signs, with a decimal sign or without, or a plain number.
 NUMBER = (
     r"[-+]?(?:\d{1,3}(?:,\d{3})+\.\d+|\d{1,3}(?:\.\d{3})+,\d+|\d{1,3}(?:(?:,\d{3}){2,}|(?:\.\d{3}){2,})"
@@ -32,9 +34,9 @@ _COLUMNS, _ROWS = frozenset(("columns", "cols")), frozenset(("rows", "lines"))
 _LINKS = frozenset(("x", "y", "by", "to", "and", "und", "et", "along", "in", "per", "axis", "direction", "at", "of"))
 _PRODUCT = re.compile(r"\s*(?:[x×*]|by)\s*", re.IGNORECASE)
 _LABEL = r"[(\s:]*(?:along |in )?\b([xy])\b(?:[ -](?:axis|direction))?[)\s]*[:=]?\s*"
-_FIRST_LABEL = re.compile(rf"(?:^|[\s(:=,;])(?:along |in )?([xy])[)\s]*[:=]?\s*$", re.IGNORECASE)
+_FIRST_LABEL = re.compile(r"(?:^|[\s(:=,;])(?:along |in )?([xy])[)\s]*[:=]?\s*$", re.IGNORECASE)
 _LATER_LABEL = re.compile(rf"(?:[\s,;()]|\band\b)*{_LABEL}$", re.IGNORECASE)
-_LABEL_BEHIND = re.compile(rf"{_LABEL}", re.IGNORECASE)
+_LABEL_BEHIND = re.compile(_LABEL, re.IGNORECASE)
 _WORDS_X = "x|width|breite|w|columns|horizontal"
 _WORDS_Y = "y|height|höhe|h|rows|lines|vertical"
 # Matches the order of two numbers, such as "(height x width)", "(x, y)" or "X/Y".
@@ -46,6 +48,12 @@ _ORDER = re.compile(
 _OTHER_ORDER = re.compile(r"[(\[]\s*\w+\s*[x×*,/]\s*\w+\s*[)\]]", re.IGNORECASE)
 _CLOSE_PRODUCT = re.compile(r"(?<=\d)\s*([x×*])\s*(?=\d)", re.IGNORECASE)
 _TOLERANCE = re.compile(rf"(?:±|\+/-)\s*{NUMBER}\s*(?:{UNIT})?")
+
+
+def quoted(line: str) -> str:
+    """Return a header line in quotes, shortened, for an error message."""
+    line = " ".join(line.split())
+    return repr(line if len(line) <= _MOST_QUOTED else f"{line[:_MOST_QUOTED]} …")
 
 
 class Signs(NamedTuple):
@@ -248,9 +256,7 @@ def _add_unit(measure: Measure, match: re.Match[str], *, has_count: bool) -> boo
         if has_count:
             return False
         measure.counts = "columns" if word in _COLUMNS else "rows"
-    elif word in _LINKS or match["open"] or text_keys.key_of(text_keys.words_of(match["word"])).kind:
-        return False
-    elif "," in match[0] or ";" in match[0] or "\t" in match[0]:
+    elif word in _LINKS or match["open"] or re.search(r"[,;\t]", match[0]) or text_keys.key_of(word).kind:
         return False
     else:
         measure.counts = "other"

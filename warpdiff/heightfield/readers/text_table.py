@@ -59,8 +59,8 @@ _NUMBERS = {
 _FORMS: tuple[tuple[str | None, str], ...] = (
     ("\t", "."), (";", "."), (",", "."), (None, "."), ("\t", ","), (";", ","), (",", ","), (None, ","),
 )  # fmt: skip
-# Thousands signs that are tried after these pairs, by the decimal sign. A no-break space also stands for other spaces. It
-# is not tried if white space separates the numbers.
+# Thousands signs that are tried after these pairs, by the decimal sign. A no-break space also stands for other spaces,
+# and is not tried if white space separates the numbers.
 _THOUSANDS = {".": (",", "\xa0"), ",": (".", "\xa0")}
 # Largest distance between a rounded position and the even axis, and largest width of a group of equal positions with
 # noise, both as shares of the step. If doubled, more scattered points are taken for a grid.
