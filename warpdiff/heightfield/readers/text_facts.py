@@ -150,7 +150,7 @@ def without_codes(heights: np.ndarray, facts: Facts) -> tuple[np.ndarray, tuple[
         )
         if count := int(np.count_nonzero(is_code)):
             heights = np.where(is_code, np.nan, heights)
-            notes.append(f"Loaded: read {count} samples as missing, as the header states in the line {line}.")
+            notes.append(f"Loaded: read {count} sample(s) as missing, as the header states in the line {line}.")
     return heights, tuple(notes)
 
 
