@@ -358,7 +358,7 @@ REFUSED = {
     ),
     "a page number": ("\n".join([*LINES[:4], "page 2", *LINES[4:]]), "text between its rows of numbers, before line 6"),
     "a page number in the middle": ("\n".join([*LINES[:3], "page 2", *LINES[3:]]), "has 2 matrices without names"),
-    "a factor": ("Z scale = 0.1\nUnit: nm\n" + table(BIG), "states a factor of its heights in the line 'Z scale = 0.1'"),
+    "a factor": ("Z scale = 0.1\nUnit: nm\n" + table(BIG), "states a factor of its heights .* 'Z scale = 0.1'"),
     "an overflow": (NM + table(GRID).replace("11.5", "1e400"), "1 infinite sample"),
     "comments behind numbers": ("\n".join(f"{line} # row" for line in table(BIG).splitlines()), "no rows of numbers"),
     "a list of Python": ("[[1, 2, 3],\n [4, 5, 6],\n [7, 8, 10]]\n", "no rows of numbers"),

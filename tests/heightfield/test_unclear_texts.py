@@ -78,6 +78,7 @@ READ: dict[str, tuple[str, np.ndarray, dict[str, Any]]] = {
     "rows and columns": (f"Row pitch: 400 nm\nColumn pitch: 500 nm\n{UNIT}{table()}", HEIGHTS, {}),
     "an order behind": (f"Scan size: 3.6 x 6 µm (height x width)\n{UNIT}{table()}", HEIGHTS, {}),
     "an order before": (f"Pixel size (y x x): 0.4 x 0.5 µm\n{UNIT}{table()}", HEIGHTS, {}),
+    "an order instead of a key": (f"Height x Width: 3.6 x 6 µm\n{UNIT}{table()}", HEIGHTS, {}),
     "an order of rows": (f"Field size (rows, columns): 3.6 µm, 6 µm\n{UNIT}{table()}", HEIGHTS, {}),
     "an order of steps": (f"Step (x,y): 0.5 µm, 0.4 µm\n{UNIT}{table()}", HEIGHTS, {}),
     "numbers of samples in brackets": (
@@ -99,9 +100,8 @@ READ: dict[str, tuple[str, np.ndarray, dict[str, Any]]] = {
     "a code of zero": (f"{SIZE}{UNIT}No-data value: 0\n{with_code('0')}", GAP, {}),
     "a code that is rounded": (f"{SIZE}{UNIT}NoData: 3.4028235e+38\n{with_code('3.40282346638529e+38')}", GAP, {}),
     "a code in a word": (f"{SIZE}{UNIT}Invalid = 999.9\n{with_code('999.9')}", GAP, {}),
-    "a number of missing samples": (
-        f"{SIZE}{UNIT}Missing: 6\n{with_code('6.000')}", np.where(np.isnan(GAP), 6.0, HEIGHTS), {}
-    ),
+    "a number of missing samples": (f"{SIZE}{UNIT}Missing: 6\n{table()}", HEIGHTS, {}),
+    "two codes": (f"{SIZE}{UNIT}No-data values: -9999, -8888\n{with_code('-8888')}", GAP, {}),
     "a code of points": (
         "No-data value: -1\nx[um]\ty[um]\tz[nm]\n" + points().replace(f"\t{HEIGHTS[2, 3]}", "\t-1"), GAP[::-1], {}
     ),
@@ -118,6 +118,7 @@ READ: dict[str, tuple[str, np.ndarray, dict[str, Any]]] = {
     "units of": (f"Heights in units of 10 nm\n{SIZE}{table(0.1 * HEIGHTS, form='{:.4f}')}", HEIGHTS, {}),
     "a length per count": (f"Z scale: 0.5 nm/LSB\n{SIZE}{table(2.0 * HEIGHTS)}", HEIGHTS, {}),
     "a length per count in the key": (f"Height scale [nm/digit] = 0.25\n{SIZE}{table(4.0 * HEIGHTS)}", HEIGHTS, {}),
+    "a length of a count": (f"1 LSB = 0.5 nm\n{SIZE}{table(2.0 * HEIGHTS)}", HEIGHTS, {}),
     "a factor of one": (f"{SIZE}{UNIT}Z scale: 1.000\n{table()}", HEIGHTS, {}),
     # Headings of points.
     "rows and columns of points": ("row,col,z [nm]\n" + points("{j},{i},{z}"), HEIGHTS, {"pitch_um": PITCH}),
@@ -193,13 +194,20 @@ UNCLEAR: dict[str, tuple[str, str, dict[str, Any]]] = {
         f"Pixel size: 0.1 µm\n{SIZE}{UNIT}{table()}", ASK_PITCH + "'Width: 6 µm' contradicts 'Pixel size: 0.1 µm'", {}
     ),
     "an empty last column that is needed": (
-        f"{SIZE}Pixel size X: 0.5 µm\n{UNIT}" + table(HEIGHTS[:, :11], ";").replace("\n", ";\n"), "empty .* last column",
-        {},
+        f"{SIZE}Pixel size X: 0.5 µm\n{UNIT}" + table(HEIGHTS[:, :11], ";").replace("\n", ";\n"),
+        "empty .* last column", {},
     ),
     "a multiplier": (f"{SIZE}{UNIT}Z multiplier: 1e-3\n{table()}", "factor .* 'Z multiplier: 1e-3'", {}),
     "a sentence with a factor": (f"{SIZE}{UNIT}Multiply values by 0.5\n{table()}", "'Multiply values by 0.5'", {}),
     "a scale that may be a range": (f"{SIZE}{UNIT}Z scale: 100 nm\n{table()}", "'Z scale: 100 nm'", {}),
     "a factor of points": ("Z scale: 0.5\nx[um]\ty[um]\tz[nm]\n" + points(), "'Z scale: 0.5'", {}),
+    "a code that may be a number of samples": (
+        f"{SIZE}{UNIT}Missing: 6\n{with_code('6.000')}", "may be a code of missing samples", {}
+    ),
+    "a unit in the key that contradicts another": (
+        f"Width (nm): 6 µm\nHeight: 3.6 µm\n{UNIT}{table()}", ASK_PITCH + "Width", {}
+    ),
+    "a factor of values": (f"{SIZE}z = value * 0.5\n{table()}", "factor of its heights", {"unit": "nm"}),
     "a unit that contradicts a scale": (
         f"{SIZE}{UNIT}Z scale: 0.5 nm/LSB\n{table()}", ASK_UNIT + "'Z unit: nm' contradicts 'Z scale: 0.5 nm/LSB'", {}
     ),
@@ -217,7 +225,8 @@ UNCLEAR: dict[str, tuple[str, str, dict[str, Any]]] = {
     **{
         f"{line}": (f"{line}\n{SIZE}{UNIT}{table()}", "header states 24 in the line", {})
         for line in ("24 x 9 pixels", "xres=24 yres=9", "columns 24 rows 9", "NX 24 NY 9", "9 rows, 24 columns",
-                     "Resolution: 24x9", "Pixels: 24 x 9", "X-Pixels: 24")
+                     "Resolution: 24x9", "Pixels: 24 x 9", "X-Pixels: 24", "nx = 24, ny = 9", "Samples/line: 24",
+                     "Lines x Points: 9 x 24")
     },
     **{
         f"unit {unit}": (f"{SIZE}Value units: {unit}\n{table()}", "which is no unit of length", {})

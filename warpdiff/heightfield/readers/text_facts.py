@@ -44,7 +44,8 @@ class Facts:
         lateral: Size of the unit of the positions along x and y.
         global_unit: Size of the unit of all numbers of the file, heights and positions, if there is one.
         channel: Name of the channel; an empty string if it is not stated.
-        no_data: Numbers that the header states as codes of missing samples, each with its line.
+        no_data: Numbers that the header states as codes of missing samples, each with its line, and with whether it is
+            certainly a code and not a number of samples.
         metadata: Lines "key: value", as text.
         signs: Decimal signs of the header's numbers that are certainly no thousands signs.
         unclear_size: Reason why a line about the size or the pitch was not read, for an error message.
@@ -64,7 +65,7 @@ class Facts:
     lateral: float | None = None
     global_unit: float | None = None
     channel: str = ""
-    no_data: list[tuple[float, str]] = field(default_factory=list)
+    no_data: list[tuple[float, bool, str]] = field(default_factory=list)
     metadata: dict[str, str] = field(default_factory=dict)
     signs: dict[str, str] = field(default_factory=dict)
     unclear_size: str = ""
@@ -141,14 +142,19 @@ def require_length(file: Path, facts: Facts) -> None:
         raise refusal(file, f"has values in {facts.not_length[:20]!r}, which is no unit of length; export the heights")
 
 
-def without_codes(heights: np.ndarray, facts: Facts) -> tuple[np.ndarray, tuple[str, ...]]:
+def without_codes(file: Path, heights: np.ndarray, facts: Facts) -> tuple[np.ndarray, tuple[str, ...]]:
     """Return heights with NaN instead of the codes of missing samples, and sentences for the history of the field."""
     notes = []
-    for code, line in facts.no_data:
-        is_code = np.isclose(
-            heights, code, rtol=_MOST_CODE_DIFFERENCE if abs(code) > _LEAST_ROUNDED_CODE else 0.0, atol=0.0
-        )
-        if count := int(np.count_nonzero(is_code)):
+    for code, is_certain, line in facts.no_data:
+        difference = _MOST_CODE_DIFFERENCE if abs(code) > _LEAST_ROUNDED_CODE else 0.0
+        is_code = np.isclose(heights, code, rtol=difference, atol=0.0)
+        count = int(np.count_nonzero(is_code))
+        if count and not is_certain:
+            raise refusal(
+                file, f"has {count} sample(s) equal to the number in the line {line}, which may be a code of missing "
+                "samples; write NaN for them, or delete the line"
+            )  # fmt: skip
+        if count:
             heights = np.where(is_code, np.nan, heights)
             notes.append(f"Loaded: read {count} sample(s) as missing, as the header states in the line {line}.")
     return heights, tuple(notes)

@@ -21,6 +21,7 @@ _MOST_LINES = 400
 MOST_LENGTH = 400
 # Number of numbers in a line above which it is no statement of sizes, but a row of a table.
 _MOST_NUMBERS = 4
+_WHOLE = re.compile(r"\d{1,9}(?:\.0*)?")
 _CHANNEL = re.compile(
     r"(?:channel|kanal|canal|canale|kanał|kanál|канал|チャンネル|チャネル|通道|채널)\s*[:=;,\t]\s*(?P<name>.+)",
     re.IGNORECASE,
@@ -82,8 +83,8 @@ def plain(line: str, form: Form) -> str:
 
 def _add_statement(facts: Facts, statement: Statement, line: str, signs: Signs) -> float | None:
     """Add to ``facts`` the numbers that a line states. If its key is not known, return its length [µm] instead."""
-    if kind := text_keys.states_no_data(statement.words):
-        _add_no_data(facts, statement, line, kind == "value", signs)
+    if text_keys.states_no_data(statement.words):
+        _add_no_data(facts, statement, line, signs)
         return None
     key, measures = statement.key, statement.measures
     for measure in measures:
@@ -111,7 +112,7 @@ def _are_counts(statement: Statement, facts: Facts) -> bool:
     """Whether all numbers of a statement are whole and have no unit."""
     units = statement.units(facts.lateral if statement.key.kind != "count" else None)
     return all(
-        unit is None and measure.counts != "other" and re.fullmatch(r"\d{1,9}(?:\.0*)?", measure.number)
+        unit is None and measure.counts != "other" and _WHOLE.fullmatch(measure.number)
         for unit, measure in zip(units, statement.measures, strict=True)
     )
 
@@ -127,21 +128,21 @@ def _add_counts(facts: Facts, statement: Statement, line: str) -> None:
         # A number of lines alone, such as "Header: 5 lines", may not be that of the matrix.
         return
     for axis, measure in zip(axes, measures, strict=True):
-        if axis and re.fullmatch(r"\d{1,9}(?:\.0*)?", measure.number):
+        if axis and _WHOLE.fullmatch(measure.number):
             facts.counts.append((axis, int(float(measure.number)), text_statements.quoted(line)))
 
 
-def _add_no_data(facts: Facts, statement: Statement, line: str, is_code: bool, signs: Signs) -> None:
-    """Add the code of missing samples that a line states.
+def _add_no_data(facts: Facts, statement: Statement, line: str, signs: Signs) -> None:
+    """Add the codes of missing samples that a line states.
 
-    A word such as "Missing" alone may also state how many samples are missing: then the number is whole and positive.
+    A line such as "Missing: 6" may also state how many samples are missing: then the number is whole and positive.
     """
-    number = statement.measures[0].number
-    value = text_statements.value_of(number, signs)
-    if len(statement.measures) != 1 or statement.measures[0].counts or value is None:
-        return
-    if is_code or not re.fullmatch(r"\d{1,9}", number):
-        facts.no_data.append((value, text_statements.quoted(line)))
+    is_code = text_keys.states_code(statement.words)
+    for measure in statement.measures:
+        value = text_statements.value_of(measure.number, signs)
+        if value is not None and not measure.counts and (is_code or measure.unit is None):
+            is_certain = is_code or _WHOLE.fullmatch(measure.number) is None
+            facts.no_data.append((value, is_certain, text_statements.quoted(line)))
 
 
 def _add_lengths(facts: Facts, statement: Statement, line: str, signs: Signs) -> None:
@@ -169,7 +170,12 @@ def _add_lengths(facts: Facts, statement: Statement, line: str, signs: Signs) ->
         )
     elif all(unit is None for unit in units):
         facts.without_unit = facts.without_unit or f"{text_statements.quoted(line)} has no unit of length"
-    elif axes is None or len(lengths) != len(axes) or any(measure.counts for measure in statement.measures):
+    elif (
+        statement.has_two_units
+        or axes is None
+        or len(lengths) != len(axes)
+        or any(measure.counts for measure in statement.measures)
+    ):
         facts.unclear_size = facts.unclear_size or f"{text_statements.quoted(line)} is not clear"
     elif min(lengths) > 0.0:
         kind = "pitch" if key.kind == "pitch" else "size"

@@ -52,12 +52,16 @@ _OF_ROWS = re.compile(r"(?:line|row)s? (?=spacing|distance|pitch|step)")
 _OF_COLUMNS = re.compile(r"(?:column|point)s? (?=spacing|distance|pitch|step)")
 _COUNTS: dict[str, Axis] = {
     **dict.fromkeys(("w", "columns", "cols", "ncols", "number of columns", "num columns", "numcols"), "x"),
-    **dict.fromkeys(("horizontal", "horizont", "samples/line", "samps/line", "spalten"), "x"),
+    **dict.fromkeys(("horizontal", "horizont", "spalten", "number of points per line"), "x"),
+    **dict.fromkeys(("samples/line", "samps/line", "points/line", "samples per line", "points per line"), "x"),
     **dict.fromkeys(("h", "rows", "nrows", "lines", "number of rows", "number of lines", "num rows", "numrows"), "y"),
     **dict.fromkeys(("vertical", "vertikal", "zeilen"), "y"),
 }
 # Keys of a number of samples along x if they name this axis, or of a pair of numbers.
-_COUNTS_OF_AXIS = _names("n|res|dim|pixel|pixels|points|samples|resolution|number of pixels|image size|size")
+_COUNTS_OF_AXIS = _names(
+    "n|res|dim|pixel|pixels|points|samples|resolution|number of pixels|number of points|image size|size|grid",
+    "data points",
+)
 _UNITS_Z = _names(
     "value units|value unit|values unit|z unit|z units|zunit|unit z|units z|unit|units|height unit|height units",
     "heightunit|unit of height|unit of heights|data unit|data units|einheit|einheiten|z einheit|einheit z|höheneinheit",
@@ -68,15 +72,15 @@ _UNITS_Z = _names(
 _WEAK_UNITS_Z = _names("heights|values|z")
 _UNITS_XY = re.compile(r"(?:x|y|xy|lateral) units?|units? (?:x|y|xy)")
 GLOBAL_UNITS = _names("units|einheiten|unités")
-_FACTORS = _names("factor|scale factor|multiplier|bit2nm|zscale|mult")
+_FACTORS = _names("factor|scale factor|conversion factor|multiplier|bit2nm|zscale")
 _FACTOR_OF_HEIGHTS = re.compile(
     r"\b(?:z|heights?|values?|data|höhen?)\b.*(?:scal(?:e|ing)\b|factor|faktor|multipl|skalierung)"
     r"|\bscale z\b"
 )
 _NO_DATA = re.compile(
-    r"(?:no ?data|missing|invalid|void|bad|fill|fillvalue|undefined|masked|dummy|null)"
-    r"(?P<is_value>(?: data| pixels?| points?)? (?:value|code)|value)?"
+    r"\b(?:no ?data|missing|invalid|void|bad|lost|fill ?value|undefined|masked|dummy|null|nan|out of range|fehlwert)"
 )
+_CODE = re.compile(r"value|code|marked|replaced|wert")
 _AXIS_WORDS = r"(?:pixelsize|pixels?|size|range|length|real|res|dim|step|pitch|samples|scale|spacing|extent)"
 _GLUED = re.compile(rf"([xy])({_AXIS_WORDS})|({_AXIS_WORDS}|[dnlδ∆])([xy])")
 
@@ -98,7 +102,10 @@ class Key(NamedTuple):
 
 def words_of(key: str) -> str:
     """Return a key in the form of the sets of keys: in lower case, without units, hyphens and underscores."""
-    text = re.sub(r"[_\-()\[\]:=]", " ", IN_KEY.sub(" ", key)).lower()
+    match = IN_KEY.search(key)
+    if match is not None and (match["bracket"] or length_units.factor_of(match["word"]) is not None):
+        key = f"{key[: match.start()]} {key[match.end() :]}"
+    text = re.sub(r"[_\-()\[\]:=]", " ", key).lower()
     return " ".join(text.split()).strip(" ,;:=.|")
 
 
@@ -169,9 +176,11 @@ def states_factor(words: str) -> bool:
     return words in _FACTORS or _FACTOR_OF_HEIGHTS.search(words) is not None
 
 
-def states_no_data(words: str) -> Literal["value", "word", ""]:
-    """Whether a key states the code of missing samples: with a word like "value", with one word alone, or not."""
-    match = _NO_DATA.fullmatch(words)
-    if match is None:
-        return ""
-    return "value" if match["is_value"] or words.startswith(("no", "fill")) else "word"
+def states_no_data(words: str) -> bool:
+    """Whether a key speaks of missing samples."""
+    return _NO_DATA.search(words) is not None
+
+
+def states_code(words: str) -> bool:
+    """Whether a key of missing samples states their code, and not how many there are."""
+    return _CODE.search(words) is not None

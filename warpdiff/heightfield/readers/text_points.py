@@ -66,7 +66,7 @@ def of_points(file: Path, block: Block, form: Form, facts: Facts, zygo: float | 
         return None
     if unclear:
         raise refusal(file, f"has columns {', '.join(map(repr, unclear))}; name them x, y, z, or row, column, z")
-    z, notes = text_facts.without_codes(z, facts)
+    z, notes = text_facts.without_codes(file, z, facts)
     (at_x, dx), (at_y, dy) = positions
     column, row = np.rint((x - at_x[0]) / dx).astype(np.int64), np.rint((y - at_y[0]) / dy).astype(np.int64)
     heights = np.full((len(at_y), len(at_x)), np.nan)

@@ -178,7 +178,7 @@ def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileConten
                 "export it again"
             )  # fmt: skip
     text_facts.require_length(file, facts)
-    values, notes = text_facts.without_codes(values, facts)
+    values, notes = text_facts.without_codes(file, values, facts)
     is_wsxm = any("WSxM" in line for line in block.header)
     if is_wsxm:
         # The program WSxM writes each row from the largest x to the smallest, and rows from the smallest y to the

@@ -19,12 +19,12 @@ _MOST_QUOTED = 80
 # A number with thousands signs, with a decimal sign or without, or a plain number.
 NUMBER = (
     r"[-+]?(?:\d{1,3}(?:,\d{3})+\.\d+|\d{1,3}(?:\.\d{3})+,\d+|\d{1,3}(?:(?:,\d{3}){2,}|(?:\.\d{3}){2,})"
-    r"|\d+(?:[.,]\d*)?|[.,]\d+)(?:[eEdD][-+]?\d+)?"
+    r"|\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:[eEdD][-+]?\d+)?"
 )
 _NUMBER = re.compile(rf"(?<![\w.,])(?P<number>{NUMBER})(?![.,:]?\d)")
 _UNIT = re.compile(
     rf"\s*[;,\t)]?\s*(?P<open>[\[(])?\s*(?P<word>{UNIT})(?P<power>\^?-?\d)?(?!\w)"
-    r"(?P<per>\s*(?:/|per\b)\s*(?:pixel|pix|px|sample|pt|point)s?\b)?(?P<other>\s*/\s*\w+)?(?(open)\s*[\])])"
+    r"(?P<per>\s*(?:/|per\b)\s*(?:pixel|pix|px|sample|pt|point)s?\b)?(?P<other>\s*/\s*[^\W\d]\w*)?(?(open)\s*[\])])"
 )
 # Matches a unit with other signs than letters, such as "%", or with a letter that was lost.
 _STRANGE_UNIT = re.compile(r"\s*[^\s\d,;:=()\[\]|/×*+\-–—….~]")
@@ -37,7 +37,7 @@ _LABEL = r"[(\s:]*(?:along |in )?\b([xy])\b(?:[ -](?:axis|direction))?[)\s]*[:=]
 _FIRST_LABEL = re.compile(r"(?:^|[\s(:=,;])(?:along |in )?([xy])[)\s]*[:=]?\s*$", re.IGNORECASE)
 _LATER_LABEL = re.compile(rf"(?:[\s,;()]|\band\b)*{_LABEL}$", re.IGNORECASE)
 _LABEL_BEHIND = re.compile(_LABEL, re.IGNORECASE)
-_WORDS_X = "x|width|breite|w|columns|horizontal"
+_WORDS_X = "x|width|breite|w|columns|points|pixels|horizontal"
 _WORDS_Y = "y|height|höhe|h|rows|lines|vertical"
 # Matches the order of two numbers, such as "(height x width)", "(x, y)" or "X/Y".
 _ORDER = re.compile(
@@ -141,8 +141,18 @@ class Statement:
         per_pixel = self._unit_of_key()[1] or any(measure.per_pixel for measure in self.measures)
         key = text_keys.key_of(self.words, per_pixel=per_pixel)
         # The order of two numbers, such as "(x, y)", also names the axes of a key such as "Step".
-        is_pair = not key.kind and len(self.measures) == 2 and _ORDER.search(self.text) is not None
-        return text_keys.key_of(f"x {self.words}")._replace(axis="") if is_pair else key
+        order = _ORDER.search(self.text)
+        if key.kind or len(self.measures) != 2 or order is None:
+            return key
+        if not self.words and not re.search(r"\bx\W+y\b|\by\W+x\b", order[0].lower()):
+            return text_keys.Key("size or count", "", names_axis=True)
+        return text_keys.key_of(f"x {self.words}")._replace(axis="")
+
+    @property
+    def has_two_units(self) -> bool:
+        """Whether the key and a number have different units."""
+        of_key = self._unit_of_key()[0]
+        return of_key is not None and any(measure.unit not in (None, of_key) for measure in self.measures)
 
     def _unit_of_key(self) -> tuple[float | None, bool]:
         return text_keys.unit_in_key(self.text)

@@ -29,13 +29,19 @@ _HEIGHTS_IN = re.compile(
 )
 _ENDS_IN_NUMBER = re.compile(rf"[:=]\s*{NUMBER}\s*$")
 _ONE = re.compile(r"\+?1(?:[.,]0*)?(?:[eE][-+]?0+)?")
-# Matches a sentence such as "Multiply values by 0.5".
-_MULTIPLY = re.compile(rf"\b(?:multipl(?:y|ied|iz)|divided?\b).*{NUMBER}", re.IGNORECASE)
+# Matches a sentence such as "Multiply values by 0.5" or "z = value * 0.5".
+_MULTIPLY = re.compile(
+    rf"\b(?:multipl(?:y|ied|iz)|divided?\b|scaled by\b).*{NUMBER}|\bvalues?\s*[*×]|[*×]\s*values?\b", re.IGNORECASE
+)
+# Matches a line such as "1 LSB = 0.5 nm".
+_COUNT_IS = re.compile(
+    rf"1\s*(?:lsb|digit|count|bit|dn)\s*(?:=|:|is)\s*(?P<number>{NUMBER})\s*(?P<unit>{UNIT})\W*", re.IGNORECASE
+)
 
 
 def add_unit(facts: Facts, line: str, signs: Signs) -> None:
     """Add the unit of heights, or of lengths along x and y, that a line states, or a factor of the heights."""
-    if match := _CONVERSION.search(line):
+    if match := _CONVERSION.search(line) or _COUNT_IS.fullmatch(line):
         _add_unit_z(facts, line, match["unit"], match["number"], signs)
         return
     match = LINE.fullmatch(line)
@@ -49,7 +55,7 @@ def add_unit(facts: Facts, line: str, signs: Signs) -> None:
         _add_unit_z(facts, line, value["unit"], None, signs)
     elif text and text_keys.states_unit_z(words, is_plain=value is not None and not value["number"]):
         _add_stated_unit(facts, line, words, text, signs)
-    elif text_keys.states_factor(words):
+    elif text_keys.states_factor(words) or (value is not None and value["number"] and value["per"]):
         _add_factor(facts, line, key, text, signs)
     elif _MULTIPLY.search(line):
         facts.factor_line = quoted(line)
@@ -76,7 +82,7 @@ def _add_stated_unit(facts: Facts, line: str, words: str, text: str, signs: Sign
             facts.global_unit = length_units.factor_of(name)
     elif not _add_heights_in(facts, line, signs):
         has_length = any(length_units.factor_of(token) is not None for token in re.findall(UNIT, text))
-        if has_length and not re.search(r"[/^\d]", text):
+        if has_length and (text[0].isdigit() or not re.search(r"[/^\d]", text)):
             facts.unclear_unit = f"{quoted(line)} is not clear"
         else:
             facts.not_length = facts.not_length or text
