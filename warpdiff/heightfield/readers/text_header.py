@@ -37,7 +37,7 @@ def is_statement(line: str) -> bool:
 def facts_of(header: Sequence[str], form: Form, signs: Signs) -> Facts:
     """Return the facts (sizes, pitches, units, channel) that the lines of a header state."""
     facts = Facts()
-    lines = [plain(line, form) for line in header[-_MOST_LINES:] if len(line) <= MOST_LENGTH]
+    lines = [_plain(line, form) for line in header[-_MOST_LINES:] if len(line) <= MOST_LENGTH]
     for line in lines:
         text_units.add_unit(facts, line, signs)
     unnamed: list[tuple[int, float]] = []
@@ -66,7 +66,7 @@ def facts_of(header: Sequence[str], form: Form, signs: Signs) -> Facts:
     return facts
 
 
-def plain(line: str, form: Form) -> str:
+def _plain(line: str, form: Form) -> str:
     """Return a header line without comment signs and quotes.
 
     Separate cells for a key, a value and a unit are joined to "key: value unit". Characters with several forms, such

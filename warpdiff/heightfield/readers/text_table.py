@@ -42,6 +42,7 @@ _GAPS = frozenset({
 _NO_DATA = re.compile(r"(?i)\bno[ _-]?data\b(?!\s*(?:value|code|[:=]))")
 # Matches an apostrophe that separates thousands, and spaces that some programs write for this purpose.
 _APOSTROPHE = re.compile(r"(?<=\d)['’](?=\d{3}(?!\d))")
+_GROUPED = re.compile(r"\d[,. \xa0]\d{3}(?!\d)")
 _SPACES = re.compile("[\u2009\u202f]")
 _NUMBERS = {
     (".", ""): re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"),
@@ -231,9 +232,19 @@ def form_of(lines: Sequence[str]) -> Form | None:
     sample = _sample_of(lines)
     has_quotes = any('"' in line for line in sample)
     plain = [Form(*pair) for pair in _FORMS]
-    grouped = [Form(*pair, sign) for pair in _FORMS for sign in _THOUSANDS[pair[1]] if pair[0] or sign != "\xa0"]
+    best, chosen = _best_form(plain, sample, has_quotes=has_quotes)
+    # Thousands signs are tried only if a line that is no row of numbers has a number with such a sign.
+    if any(_GROUPED.search(line) and (chosen is None or chosen.row(line) is None) for line in sample):
+        grouped = [Form(*pair, sign) for pair in _FORMS for sign in _THOUSANDS[pair[1]] if pair[0] or sign != "\xa0"]
+        score, form = _best_form(grouped, sample, has_quotes=has_quotes)
+        chosen = form if score > best else chosen
+    return chosen
+
+
+def _best_form(forms: Sequence[Form], sample: Sequence[str], *, has_quotes: bool) -> tuple[int, Form | None]:
+    """Return the largest number of numbers in rows of equal length, and the form that gives it."""
     best, chosen = 0, None
-    for form in (*plain, *grouped):
+    for form in forms:
         counts = dict[int, int]()
         # If a comma separates the cells and is also in their numbers, only quotes around the cells show which commas
         # are separators.
@@ -245,7 +256,7 @@ def form_of(lines: Sequence[str]) -> Form | None:
                 counts[len(row)] = counts.get(len(row), 0) + sum(map(math.isfinite, row))
         if counts and (score := max(counts.values())) > best:
             best, chosen = score, form
-    return chosen
+    return best, chosen
 
 
 def decimal_use(lines: Sequence[str], form: Form) -> Literal["none", "all", "some", "certain"]:
