@@ -54,11 +54,13 @@ def read_text(file: Path) -> FileContent | Channels:
     if lines[0].startswith("Wyko ASCII"):
         raise refusal(file, "is a Wyko ASCII export, whose lines run along y, without a unit; save it as .opd")
     use = text_table.decimal_use(lines, form)
-    signs = Signs("" if use == "none" else form.decimal, form.thousands)
+    # Commas before three digits in all numbers do not show whether those of the header are decimal signs.
+    is_open = use == "none" or (use == "all" and form.decimal == ",")
+    signs = Signs("" if is_open else form.decimal, form.thousands)
     blocks = text_table.blocks_of(lines, form)
     same = _equal_blocks(file, blocks)
     facts = [_facts_of(block, form, signs, blocks[0].header) for block in same]
-    _check_signs(file, use, signs, facts[0])
+    _check_signs(file, use, form.decimal, facts[0])
     # Matrices whose unit is a length come first, because the first channel is the default.
     order = sorted(range(len(same)), key=lambda k: bool(facts[k].not_length) and facts[k].unit is None)
     channels: dict[str, Callable[[], FileContent]] = {}
@@ -99,13 +101,12 @@ def _facts_of(block: Block, form: Form, signs: Signs, first_header: list[str]) -
     return facts
 
 
-def _check_signs(file: Path, use: str, signs: Signs, facts: Facts) -> None:
+def _check_signs(file: Path, use: str, sign: str, facts: Facts) -> None:
     """Raise an error if the sign in all numbers may separate thousands, and the header does not show that it does not.
 
     It is a decimal sign if all numbers have it, and if no number of the header has the other decimal sign.
     """
-    sign = signs.decimal
-    other = {".": ",", ",": "."}.get(sign, "")
+    other = "," if sign == "." else "."
     if sign in facts.signs or use in ("none", "certain") or (use == "all" and other not in facts.signs):
         return
     line = f", while its header has {facts.signs[other]}" if other in facts.signs else ""

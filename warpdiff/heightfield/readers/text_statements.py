@@ -80,10 +80,8 @@ def value_of(text: str, signs: Signs) -> float | None:
         if is_grouped and sign == signs.thousands:
             text = text.replace(sign, "")
         elif sign != signs.decimal and whole.strip("0"):
-            other = signs.decimal or "."
-            if is_grouped and sign != other:
-                return None
-            if sign == "," and signs.decimal == ".":
+            may_be_list = sign == "," and signs.decimal == "."
+            if may_be_list or (is_grouped and sign != (signs.decimal or ".")):
                 return None
     return float(text.replace(",", ".").upper().replace("D", "E"))
 
