@@ -220,8 +220,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         basis = basis_at(table, -scattering_vector[2] * wavenumber)
 
         # The Gaussian weights along a row are computed by recurrence: from one coefficient to the next, the weight is
-        # multiplied by a factor, and the factor by a constant. The first factor is computed only if a second
-        # coefficient exists. It is then at most exp(exponent), and does not overflow.
+        # multiplied by a factor, and the factor by a constant. The first factor cannot overflow: it is at most the
+        # inverse of the smallest weight, because no weight exceeds 1.
         dx = wp.float32(first_x) - centre
         gy = wp.float32(0.0)
         if wp.static(form == "source"):

@@ -36,8 +36,7 @@ BATCH = 256
 # fetched from memory. Choice: other numbers change only the time.
 _AHEAD = 3
 # Number of samples on each side of an azimuth that the filter from values to spline coefficients uses. Limit: the
-# weights of the filter decrease by the factor −0.17 from sample to sample, so that the truncated ones are at most about
-# 0.17⁶ = 3e-5.
+# weights of the filter are √2 · (−0.17)ⁿ at a distance of n samples, so that the truncated ones are at most 6e-6.
 FILTER_REACH = 6
 _FILTER = wp.types.vector(length=FILTER_REACH + 1, dtype=wp.float32)(
     *quadratic_spline.prefilter(FILTER_REACH)[FILTER_REACH:]
@@ -146,7 +145,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Compute the coefficients of the quadratic spline along azimuths, and repeat azimuths at both ends.
 
-        The kernel processes the values of one octave. Each coefficient is a sum
+        The kernel processes the values of one octave. Each coefficient is a weighted sum of the values at
+        2 ``FILTER_REACH`` + 1 azimuths of the same ring.
         """
         thread, _ = wp.tid()
         rings = table.rings_per_octave

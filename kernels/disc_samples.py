@@ -45,7 +45,7 @@ def draw_disc(
     """Draw a direction to a disc light for each ray: uniform in solid angle, or around the mirror direction.
 
     Args:
-        lights: The lights. The deviations of a disc light are half of its radius.
+        lights: The lights. The two vectors in ``deviations`` of a disc light are half as long as its radius [rad].
         light_index: Index of the disc light.
         extent: Standard deviation of the Gaussian of a sample, in radii of the disc, at most 0.5. Directions are drawn
             on a smaller disc, to which the Gaussian adds the missing variance.

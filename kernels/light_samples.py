@@ -26,7 +26,7 @@ class Lights:
     )  # power at a distance of 1; and the pigment's strength over R(0), which is 0 without a pigment
     deviations: wp.array2d(
         dtype=wp.vec3f
-    )  # deviations along two perpendicular vectors, of directions [rad], or of positions for a light at a position
+    )  # two perpendicular vectors, as long as the standard deviations of directions [rad], or of a light's positions
     white_rgb: wp.array(dtype=wp.vec3d)  # colour of a white pigment, ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ, in linear sRGB
     rgb_to_xyz: wp.mat33d  # matrix from linear sRGB to XYZ
 
@@ -90,10 +90,11 @@ def scattering_vectors(
     """Compute scattering vectors, directions to the light and gains of pixels under one of the lights.
 
     All pixels that hit the mesh get a scattering vector; pixels that the light does not reach have a gain of 0. The
-    kernel adds the pigment's light to ``xyz_out`` and ``counted`` to the coverage of hits, and marks illuminated
-    pixels. With ``begins``, coverage and marks are set to 0 first; with ``resets``, ``xyz_out`` is. Empty arrays are
-    not written. ``occluded`` marks pixels in shadow; an empty array marks none. ``towards`` has a direction to the
-    light and a weight per pixel; an empty array stands for the direction of the light.
+    kernel also adds the light that the pigment reflects to ``xyz_out``, adds the number ``counted`` to
+    ``coverage_out`` where a ray hits the mesh, and marks illuminated pixels in ``illuminated_out``. Empty arrays are
+    not written. If ``begins`` is true, ``coverage_out`` and ``illuminated_out`` are set to 0 first. If ``resets`` is
+    true, ``xyz_out`` is set to 0 first. ``occluded`` marks pixels in shadow; an empty array marks none. ``towards`` has
+    a direction to the light and a weight per pixel; an empty array stands for the direction of the light.
     """
     place = lights.places[light_index]
     strength = lights.strengths[light_index]
@@ -282,7 +283,10 @@ def add_source_extent(
     lights: Lights, light_index: wp.int32, pixels: Pixels, first: wp.int32, run: wp.int32,
     footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
-    """Widen footprints in (u, v) by the extent of a light at a position: its deviations are those of positions."""
+    """Widen footprints in (u, v) by the extent of a light at a position.
+
+    The two vectors in ``lights.deviations`` are standard deviations of the light's position along two axes.
+    """
     place = lights.places[light_index]
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):

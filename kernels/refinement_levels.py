@@ -18,16 +18,16 @@ FILTER_SHARES = (0.5 - 0.5 * _MIDDLE, _MIDDLE, 0.5 - 0.5 * _MIDDLE)
 # level before, and takes four times as long.
 MOST_LEVEL = 6
 LEVELS = range(1, MOST_LEVEL + 1)
-# Tolerance from which on the finest level of subpixel cells is MOST_LEVEL − 1. Limit: errors that remain at that level
-# are smaller than this tolerance.
+# Tolerance at and above which the finest level of subpixel cells is MOST_LEVEL − 1. Limit: errors that remain at that
+# level are smaller than this tolerance.
 COARSE_TOLERANCE = 0.05
 # Least level of refinement of pictures without footprints. Limit: with one ray per pixel, the variation of colours
 # within a pixel is unknown.
 LEAST_LEVEL_OF_POINTS = 2
-# Estimated error of a pixel with one ray, divided by the contrast with its neighbours. It is the sum of three terms,
-# whose factors these are: a constant; a term proportional to the unevenness of (u, v), which is the relative difference
-# between successive changes of (u, v); and a term proportional to the change of (u, v) per pixel relative to |(u, v)|.
-# Fitted to bound 95 of 100 pixels (docs/decisions/adaptive_sampling.md); twice as much refines more pixels.
+# Estimated error of a pixel with one ray, divided by the contrast with its neighbours: CONTRAST_BASE +
+# CONTRAST_PER_UNEVENNESS · unevenness + CONTRAST_PER_CHANGE · change. The unevenness is the relative difference between
+# successive changes of (u, v); the change is that of (u, v) per pixel relative to |(u, v)|. Fitted to bound 95 of 100
+# pixels (docs/decisions/adaptive_sampling.md); twice as much refines more pixels.
 CONTRAST_BASE, CONTRAST_PER_UNEVENNESS, CONTRAST_PER_CHANGE = 0.008, 0.52, 0.55
 # Safety factor on the predicted change of a tile when its level is selected, and a second factor at edges. A tile is at
 # an edge if it and its neighbours have both illuminated cells and dark or empty ones. Fitted to the snake, tested on

@@ -20,8 +20,8 @@ wp.set_module_options(compile_options.options("shadow_rays.h", "atomics.h"))
 # Number of steps per radius of the mesh to which positions are rounded. Limit: float32 represents all whole numbers up
 # to 2^24.
 STEPS = wp.constant(wp.float64(16777216.0))
-# Cosine between the normal and the direction to the light from which on a shadow ray is traced. It is slightly
-# negative. Derived: its magnitude exceeds the rounding error of cosines.
+# A shadow ray is traced if the cosine between the normal and the direction to the light exceeds this number, which is
+# slightly negative. Derived: its magnitude exceeds the rounding error of cosines.
 FACING_AWAY = wp.constant(wp.float32(-1.0e-5))
 
 
@@ -143,8 +143,8 @@ def fill(
 ):
     """Write the indices of faces into the lists of the cells that they overlap, in arbitrary order.
 
-    The order depends on the threads, but occlusion does not depend on it. Before the launch ``ends_out`` has the index
-    at which each
+    The order depends on the threads, but occlusion does not depend on it. Before the launch, ``ends_out`` has the index
+    at which each cell's list begins. After it, ``ends_out`` has the index at which the list ends.
     """
     thread, _ = wp.tid()
     for face in range(first + thread * run, first + (thread + 1) * run):

@@ -93,7 +93,8 @@ def gatherer(lanes: int) -> types.SimpleNamespace:
             lines: Indices into ``coefficients``, in the order of the lines' angles.
             angles: Angles of the lines [rad], from 0 to 2π and a little beyond at both ends.
             places: Distances of the lines from the centre of the frequency plane, as positions among the rings.
-            weights: Weights of the lines.
+            weights: Factors 1/|q|² of the lines at frequencies q, which convert powers per step of angle and ln |q| to
+                powers per area of the frequency plane.
             begins: For each azimuth, the first line whose blur reaches it.
             ends: For each azimuth, one more than the last line whose blur reaches it.
             rings: Number of rings of an azimuth.

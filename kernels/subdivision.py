@@ -165,7 +165,8 @@ def splat_cells(
         pixels: Indices of the pixels; −1 is no pixel.
         colours_before: Present colours of the picture: by one ray per pixel, or already from cells of an earlier group.
         ranks: For each pixel of the picture, its index in the outputs; empty if the pixel itself is the index.
-        weights: Weights, along one axis, of the cells of three pixels in a row for the middle pixel, (3 · 2ⁿ,).
+        weights: Pixel filter of one pixel along one axis: its values at the cells of the pixel before, of the pixel
+            itself and of the pixel after it, (3 · 2ⁿ,).
         level: Level n of the cells, of which a pixel has 2ⁿ × 2ⁿ.
         is_base: Whether this is the base level, from whose cells the final level is selected.
         is_sampled: Whether each cell draws a direction to the light. The final level then depends on the scatter.
@@ -394,8 +395,10 @@ def resolve_pixels(
         run: Number of pixels per thread.
         colours_out: Colours; where the mesh covers a part of the pixel, the rest counts as black.
         errors_out: Estimated errors, ‖ΔXYZ‖.
-        coverage_out: Share of each pixel that the mesh covers, from the light for which the cells are finest.
-        coverage_levels_out: Sum of the levels of the nine tiles.
+        coverage_out: Share of each pixel that the mesh covers. Each light has cells of its own; the share is that of
+            the finest cells among all lights.
+        coverage_levels_out: Sum of the levels of the nine tiles of the light whose cells gave ``coverage_out``. A light
+            with a larger sum has finer cells and replaces the share.
         illuminated_out: True is written where light reaches some cell.
         edges_out: True is written where an edge of the mesh or of a shadow passes through an illuminated pixel.
     """

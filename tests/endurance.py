@@ -2,8 +2,8 @@
 
 A soak test repeats these tests with random inputs for a given time. ``make soak`` sets two environment variables for
 it. ``WARPDIFF_SOAK`` is the time at which the soak test ends, in seconds since the epoch. ``WARPDIFF_SOAK_SEED`` is the
-random seed. The tests share the remaining time equally, or by the weights given as ``permanent(row, shares=…)``. A test
-starts no new attempt after its share of the time has passed.
+random seed. The tests share the remaining time equally, or by weights, which are the argument ``shares`` of the mark
+``permanent``. A test starts no new attempt after its share of the time has passed.
 """
 
 import functools

@@ -379,7 +379,7 @@ def spectra(threads: int) -> Values:
 
 
 def orders(_: int) -> Values:
-    """Compute the orders of a metal, a coated metal and a mirror grating, with both values of ``energy``."""
+    """Compute the orders of a metal, a coated metal and a mirror grating, by Stam's and by normalised efficiencies."""
     names = ("wavelengths_nm", "orders", "to_view", "efficiencies")
     light = (0.3, 0.1, 1.0)
     calls = {

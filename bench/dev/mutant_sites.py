@@ -34,11 +34,12 @@ TOKENS = {old: (new,) for pair in PAIRS for old, new in (pair.split(), pair.spli
     "<": ("<=", ">="), "<=": ("<", ">"), ">": (">=", "<="), ">=": (">", "<"), "is": ("is not",), "is not": ("is",),
     "not": ("",), "~": ("",), "//": ("/",), "%": ("*",), "**": ("*",),
 }  # fmt: skip
-# Functions whose calls are never changed. They only make messages or types, or set options of the compiler.
+# Functions whose calls get no faults, because the calls only make messages or types, or set options of the compiler:
+# tests need not detect a change there.
 UNTOUCHED = {"warn", "ref", "repr", "isinstance", "set_module_options", "options"}
 
-# File that lists the faults of headers. Each line is "header: text", and the text contains «old|new». With old alone,
-# the text occurs once in the header; the fault replaces old by new.
+# File that lists the faults of headers, one per line: the name of a header, a colon, and a text that contains
+# «old|new». A fault replaces the old part by the new one. The text with the old part occurs exactly once in the header.
 FAULTS = Path(__file__).with_name("header_faults.txt")
 
 

@@ -6,10 +6,10 @@ varies four things:
 
 - the method
 - the number of terms, in multiples of the vector width
-- the number of neighbours, by their least weight exp(−n/2); for replicated patches, instead, the number of subdivisions
-  of a wavelength interval, in steps of a quarter octave
-- the number of wavelengths per direction: equal for all directions, or dependent on (u, v) and w as in a plan, with
-  factors in steps of a quarter octave
+- the number of neighbours, by their least weight exp(−n/2); for replicated patches, instead, the number of
+  subdivisions, which is the number of samples of their interference factor per wavelength, in steps of a factor 2^(1/4)
+- the number of wavelengths per direction: equal for all directions, or dependent on (u, v) and w by the bandwidth of a
+  plan, in steps of a factor 2^(1/4)
 
 A setting is a candidate if it meets the tolerance on these 128 directions against the float64 reference, without a
 safety factor. Errors are relative to the brightness of all 40,000 directions. The candidates with the lowest predicted
@@ -52,23 +52,23 @@ from warpdiff.tables import coefficient_table
 SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
 # Number of directions whose errors are evaluated, and number of directions for which the plan is made.
 DIRECTIONS, PLANNED = 128, 40_000
-# Smallest cosine of the angle between random directions and the normal, which is at most 85°.
+# Smallest cosine of the angle between random directions and the normal. The angle is at most 85°.
 LOWEST = math.cos(math.radians(85.0))
 KINDS = ("averaged", "centred", "source", "replicas")
 # Tolerances of configurations. Replicated patches have no tolerance below 1e-2, because their reference is slow.
 TOLERANCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3)
 REPLICAS_TOLERANCES = (1e-1, 3e-2, 1e-2)
 PITCH_UM = 0.09  # sample spacing of the synthetic surfaces [µm]
-# Numbers of wavelengths below 16, in steps of a quarter octave (a factor of 2^(1/4)). They are equal for all
-# directions, because a plan with different numbers per direction has at least 16.
+# Numbers of wavelengths below 16, in steps of about a factor 2^(1/4). They are equal for all directions, because a plan
+# with different numbers per direction has at least 16.
 FEWER = (8, 10, 11, 13)
-# Shares of a plan's bandwidth that are tried. `CONSTANTS` are values of the share that is equal for all directions, in
-# steps of a quarter octave. `SPLITS` are values of the part of the remaining share that is proportional to the order
-# rate; the rest is proportional to |w|.
+# The bandwidth of a plan has a constant part, a part that is proportional to the order rate, and a part that is
+# proportional to |w|. `CONSTANTS` are the tried shares of the constant part, in steps of a factor 2^(1/4). `SPLITS` are
+# the tried shares of the order rate in the sum of the other two parts.
 CONSTANTS = 2.0 ** (-np.arange(25) / 4.0)
 SPLITS = (1.0, 0.95, 0.9, 0.8, 0.7, 0.5, 0.25, 0.0)
-# Numbers of values that are tried from the least sufficient value on: `MORE_TERMS` for terms, and `MORE_EXPONENTS` for
-# the exponent of the least weight.
+# How many values are tried for a number of a plan, from the smallest value on that meets the tolerance: `MORE_TERMS`
+# numbers of terms, and `MORE_EXPONENTS` exponents n/2 of the least weight exp(−n/2).
 MORE_TERMS, MORE_EXPONENTS = 3, 5
 # Step and upper limit of n in the least weight exp(−n) of neighbours.
 EXPONENT_STEP, MOST_EXPONENT = 0.5, 24.0
@@ -290,17 +290,18 @@ class Bandwidths:
 
 
 class Setting(NamedTuple):
-    """A setting of the grid that meets the tolerance, with its predicted cost."""
+    """A plan that meets the tolerance, one of the compared settings, with its predicted cost."""
 
     cost: float
     plan: wd.Plan
 
 
 def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
-    """Return the sufficient setting with the fewest wavelengths for each combination of the other numbers.
+    """Return the sufficient setting with the fewest wavelengths for each combination of the other choices.
 
-    The other numbers are method, terms and neighbours or, for replicas, method, terms and subdivisions. Combinations
-    that are too costly even with few wavelengths are excluded.
+    A setting is sufficient if it meets the tolerance. The other choices are the method, the number of terms, and the
+    number of neighbours or, for replicas, the number of subdivisions of a plan. Combinations that are too costly even
+    with few wavelengths are excluded.
     """
     case = call.case
     tolerance = case.tolerance
@@ -316,7 +317,10 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
         return cost_model.sampling_multiply_adds(case.heightfield, many, call.order_rate, call.w) / 1000.0
 
     def is_promising(plan: wd.Plan) -> bool:
-        """Return whether a plan may be among the cheapest, with as many wavelengths as the settings so far."""
+        """Return whether a plan may be among the cheapest.
+
+        Its number of wavelengths is not known yet. The smallest number among the settings so far is assumed.
+        """
         if not results:
             return True
         best = min(setting.cost for setting in results)
@@ -358,7 +362,7 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
 
 
 def _neighbourhoods(call: Call, plan: wd.Plan, automatic: wd.Plan) -> list[wd.Plan]:
-    """Return variants of a plan, with different numbers of neighbours or, for replicas, of subdivisions.
+    """Return variants of a plan with different numbers of neighbours or, for replicas, different ``subdivisions``.
 
     The smallest number of neighbours is the smallest with which the plan meets the tolerance.
     """
@@ -404,8 +408,8 @@ class Result(NamedTuple):
         ratio: Time of the automatic plan over the time of the cheapest setting.
         predicted: Error that the plan predicts over its actual error, on directions for which it was made.
         fresh: The same ratio, with the actual error on 128 other directions of the call.
-        samples: Predicted number of samples of the plan over that of the cheapest setting.
-        kernel: Predicted cost per sample of the plan over that of the cheapest setting.
+        samples: Mean number of wavelengths per direction of the plan over that of the cheapest setting, both predicted.
+        kernel: Cost per wavelength and direction of the plan over that of the cheapest setting, both predicted.
     """
 
     ratio: float

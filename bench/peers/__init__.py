@@ -2,7 +2,7 @@
 
 Programs that compute colours from scattering vectors (u, v, w) and gains:
 
-- ``numpy_peer``: the published algorithm in vectorised NumPy.
+- ``numpy_peer``: the published algorithm (Single 2014, see ``numba_published``) in vectorised NumPy.
 - ``numba_published``: the published algorithm in Numba; importing it requires Numba.
 - ``drjit_peer``: the published algorithm in Dr.Jit, compiled by LLVM.
 - ``stam_analytic``: the analytic shader of Stam's chapter in GPU Gems.

@@ -1,13 +1,13 @@
 """The published algorithm in Numba, the baseline of comparisons. Importing this module requires Numba.
 
 The sum is that of the published algorithm (Single 2014, eqs. 3.8, 3.20 and 3.24), at wavelengths equally spaced in λ
-from 380 to 780 nm. At each wavelength the Taylor series is evaluated for the square of coefficients around (u, v)/λ,
-which are weighted by a Gaussian. The integral over λ is a rectangle rule.
+from 380 to 780 nm. At each wavelength the Taylor series is evaluated for a square block of coefficients around
+(u, v)/λ, which are weighted by a Gaussian. The integral over λ is a rectangle rule.
 
 The implementation is fast for these reasons. A coefficient is two vectors of floats (real and imaginary parts), padded
 to whole cache lines, so that sums over terms are SIMD loops of fixed length. The basis (2πκa)ⁿ/n! at a wavelength is a
 row of tabulated factors times powers of w, and these powers are computed once per direction. Positions of the
-neighbours and their first Gaussian weights are computed for all wavelengths at once. The other weights of a square
+neighbours and their first Gaussian weights are computed for all wavelengths at once. The other weights of a block
 follow by recurrence. For a centred window, coefficients are weighted and summed before multiplication by the basis.
 Coefficients are prefetched some wavelengths before their use; without this, half of the time would be spent on waiting
 for memory.
@@ -200,7 +200,8 @@ def _kernel(lanes: int, neighbour_extent: int, powers: bool) -> Any:  # noqa: PL
                 for n in range(lanes):
                     w_powers[n] = power
                     power *= w
-                # Positions and first weights of the neighbours are computed by SIMD over wavelengths.
+                # This SIMD loop over wavelengths computes the positions of the neighbours, and the weight of the first
+                # one along each axis. The other weights follow from it by recurrence.
                 for k in range(wavelengths):
                     qy = v * wavenumbers[k]
                     qx = u * wavenumbers[k]

@@ -1,8 +1,8 @@
 """Taylor series of Fourier coefficients and a quadrature in λ, shared by the peers of the published algorithm.
 
 All peers compute the same sum (Single 2014, eqs. 3.8, 3.20 and 3.24). Wavelengths are equally spaced in λ. At each
-wavelength the series is evaluated for the square of coefficients around (u, v)/λ, which are weighted by a Gaussian. The
-integral over λ is a rectangle rule.
+wavelength the series is evaluated for a square block of coefficients around (u, v)/λ, which are weighted by a Gaussian.
+The integral over λ is a rectangle rule.
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ SETTINGS: list[dict[str, Any]] = [
 class Series:
     """Taylor series of the Fourier coefficients of a height field, with the quadrature over λ, for one setting.
 
-    The height h is written as offset + a·g, where a is the scale of the heights and |g| <= 1.
+    The height h is written as offset + a·g, where a is the scale of the heights and |g| <= 1. There are m wavelengths.
 
     Attributes:
         rows: Real and imaginary parts of iⁿ DFT{gⁿ} for all n, with g = (h − offset)/a, shape (my·mx, 2, terms).
         columns: Number mx of columns of coefficients.
         origin: Row and column of the zeroth order, (y, x).
         lengths_um: Lengths Ly and Lx [µm]; a frequency q is at the position q·L in coefficients.
-        falloff: Factors of the squared distance, in coefficients, in the exponent of the Gaussian, (y, x).
+        falloff: Factors f of the Gaussian weight exp(−f d²) along y and x, where d is the distance in coefficients.
         factors: (2πa/λ)ⁿ/n!, shape (m, terms); the basis is their product with wⁿ.
         wavenumbers: 1/λ [1/µm], shape (m,).
         colours: Contribution of each wavelength to XYZ, shape (m, 3).

@@ -89,8 +89,8 @@ def prepare(
     period = grating_um(heightfield) if period_um is None else period_um
     sigma = coherence.sigma_um
     if colours == "rainbow":
-        # The width of the rainbow's highlight exp(−(r u/w)²) is chosen such that it equals the window's Gaussian at w =
-        # 2 and 550 nm. This determines the factor r.
+        # The rainbow's highlight is exp(−(r u/w)²). The factor r is such that at 550 nm this is the window's Gaussian
+        # for |w| = 2, which is the value of |w| in the mirror direction at normal incidence.
         roughness = 2.0 * 2.0 * math.pi * sigma / 0.55
         run = functools.partial(_kernels()[0], period, roughness, colorimetry.RGB_TO_XYZ)
         fixed: tuple[Any, ...] = (_brightness(heightfield, coherence, run),)

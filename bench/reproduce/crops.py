@@ -47,9 +47,11 @@ LIGHTS = (wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.7, 0.8, 
 # Directions to the eye, from above and grazing, with the field of view [degrees] and the distance [radii of the body].
 EYES = ((0.0, 1.6, 3.1), (2.4, 0.5, 1.9))
 FOV_DEG, RADII = 27.0, 4.6
-# Share of the picture's pixels that are brighter than display white at the exposure of the colour differences ΔE2000.
+# Share of the picture's pixels that are brighter than white after exposure. Pictures are exposed in this way before
+# their colour differences ΔE2000 are computed.
 CLIPPED = 1e-3
-# Distances of the eye from the crop, relative to its distance in the whole picture.
+# Distances from which crops are drawn: distance of the eye from the middle of the crop, relative to that in the view of
+# the whole body.
 DISTANCES = (1.0, 2.0, 0.25)
 
 

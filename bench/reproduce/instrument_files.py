@@ -28,10 +28,10 @@ import warpdiff as wd
 from warpdiff.heightfield.readers.length_units import factor_of
 
 TEXTS = (".txt", ".csv", ".asc", ".gz", ".hfm")
-# Suffixes of scans of heights that the package refuses. No other program opens them either, so that the suffix alone
-# identifies such a file as a scan.
+# Suffixes of scans of heights that the package refuses. The other programs of this comparison cannot open such a file
+# and confirm that it is a scan. Its suffix is therefore sufficient.
 REFUSED_SCANS = (".nms", ".h5-jpk")
-# Suffixes of files in the folder that no instrument writes. They are skipped.
+# Suffixes of the files in the folder that are no files of instruments. They are skipped.
 OTHERS = (".yaml", ".npy", ".py", ".nc", ".list", ".log", ".sh")
 SIZE_TOLERANCE, HEIGHT_TOLERANCE = 1e-4, 1e-3
 _TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
@@ -62,7 +62,10 @@ def gwyddion_readings(path: Path) -> list[Reading]:
 
 
 def plain_x3p(path: Path) -> list[Reading]:
-    """Return the heights of the binary member of an .x3p file, by patterns in its header."""
+    """Return the heights of the binary member of an .x3p file.
+
+    Regular expressions find sizes, number format and steps in the XML header of the file.
+    """
     with zipfile.ZipFile(path) as archive:
         names = [name for name in archive.namelist() if "__MACOSX" not in name]
         header = archive.read(next(name for name in names if name.endswith("main.xml"))).decode()
@@ -124,7 +127,7 @@ def agree(field: wd.HeightField, reading: Reading, *, is_text: bool) -> bool:
     for picture in pictures:
         known = np.isfinite(picture) & np.isfinite(reading.heights_um)
         # Gwyddion replaces missing samples by finite heights, and marks them in a separate channel. Such a reading is
-        # compared at all samples that the library knows.
+        # compared at all samples that are not missing in the field of the library.
         if not is_text and np.isfinite(reading.heights_um).all():
             known = np.isfinite(picture)
         elif not np.array_equal(np.isnan(picture), np.isnan(reading.heights_um)):

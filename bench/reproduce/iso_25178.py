@@ -1,8 +1,8 @@
 """ISO 25178 parameters of `HeightField.roughness`: comparison with surfalize, and coverage of the standard errors.
 
-surfalize cannot read fields with gaps and profiles without change, so that they are not compared here; the tests
-compare them with closed forms. The coverage is the share of random fields whose value is within two standard errors of
-the mean of all fields of the same kind.
+surfalize changes fields with gaps when it reads them, and profiles, too. Both are therefore not compared here; the
+tests compare them with closed forms. The coverage is the share of random fields whose value is within two standard
+errors of the mean of all fields of the same kind.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 NAMES = ("Sa", "Sq", "Sdq", "Sdr", "Sal", "Str")
-# First seed of the random fields. Seeds below 60,000 are not used, because the length of the blocks for standard errors
-# was fitted on them.
+# First seed of the random fields. Seeds below 60,000 are not used: on their fields, the least size of the blocks was
+# fitted into which a field is split to estimate standard errors.
 SEED = 70_000
 # Number of samples along each axis of the random fields that are compared with surfalize.
 _SAMPLES = 300

@@ -115,9 +115,10 @@ def percentiles(errors: np.ndarray, between: str = " | ") -> str:
 def against_sums(kind: str, seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
     """Print errors of pictures under disc lights ("light") or environments ("sky") in random cases, relative to sums.
 
-    The sums have at least (32 ``across``)² rays per pixel, and their own errors are in a separate row. Columns have the
-    percentiles of the errors and of ``image.error``, the time of a frame, the number of pixels with errors above the
-    tolerance, and the number of these for which ``image.error`` is above the tolerance, too.
+    The sums have at least 32 ``across`` rays along each axis of a pixel. The errors of the sums themselves are in a
+    separate row. Columns have the percentiles of the errors and of ``image.error``, the time of a frame, the number of
+    pixels with errors above the tolerance, and the number of these for which ``image.error`` is above the tolerance,
+    too.
     """
     rng = np.random.default_rng(seed + (2 if kind == "light" else 1))
     print(COLUMNS.format(kind))

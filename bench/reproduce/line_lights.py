@@ -1,4 +1,4 @@
-"""Errors of a line light that is replaced by lobes, or by point lights, by their number.
+"""Errors of a line light that is replaced by lobes or by point lights, for several numbers of them.
 
 ::
 
@@ -45,7 +45,8 @@ def line_light() -> Any:
 def cases() -> dict[str, tuple[Any, wd.View, tuple[Any, Any], float]]:
     """Return bodies with a view, the ends of a line, and the least distance of the line from the body.
 
-    The case ``sine`` is the square with a sine grating of a period of 2 µm; the others have fingers.
+    Two bodies are used: a square in the xy plane, and a tube. In the case ``sine``, the square has a sine grating with
+    a period of 2 µm as its height field; in the other cases, the height field has fingers.
     """
     corners = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
     texture = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]])

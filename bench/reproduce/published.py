@@ -2,8 +2,8 @@
 
 The picture shows the tube with the levelled 65 µm scan. Both methods evaluate the same directions, those of a
 stratified sample of its illuminated pixels. Errors are relative to the float64 reference: P99 of ‖ΔXYZ‖ / max(‖XYZ‖, f)
-over the pixels with Y >= f, with f from ``errors``. Times are those of calls with prepared tables on a larger sample of
-pixels, as medians of interleaved rounds.
+over the pixels with Y >= f, where f is a thousandth of the reference luminance (``bench.truth.errors``). Times are
+those of calls with prepared tables on a larger sample of pixels, as medians of interleaved rounds.
 
 The published setting is 81 wavelengths equally spaced in λ (380 to 780 nm, 5 nm), 37 Taylor terms (n = 0 … 36) of
 heights that are not centred, 3 × 3 coefficients around the one that floor() selects, and a rectangle rule, in Numba.
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 LANES = numba_published.LANES
-# Settings of the published algorithm that are searched: numbers of wavelengths in quarter octaves, and numbers of
-# terms.
+# Settings of the published algorithm that are searched: numbers of wavelengths in steps of a factor 2^(1/4), and
+# numbers of terms.
 MORE_WAVELENGTHS = [round(81 * 2 ** (k / 4)) for k in range(-4, 21)]
 MORE_TERMS = (8, 16, 24, 32, 37, 48)
 # Largest neighbour extent by kind of coherence. Limit: with larger extents, the first weight of the Gaussian's
@@ -66,7 +66,11 @@ class Setting(NamedTuple):
 
     @property
     def multiply_adds(self) -> float:
-        """Return the number of multiply-adds per pixel for the real parts of all amplitudes, before they are summed."""
+        """Return the number of multiply-adds per pixel for the real parts of the amplitudes of all neighbours.
+
+        It measures the cost of a setting. The imaginary parts require the same number, and the sum over neighbours is
+        excluded.
+        """
         return self.wavelengths * LANES * math.ceil(self.terms / LANES) * (2 * self.neighbour_extent + 1) ** 2
 
     def __str__(self) -> str:

@@ -1,5 +1,8 @@
 """Verdicts on scalar diffraction against rigorous solutions: how many gratings of each grade are wrong.
 
+The grade of a verdict is reliable, qualitative or invalid, by the error that it predicts
+(``warpdiff.heightfield.theory_verdict``).
+
 ::
 
     python -m bench.reproduce.theory_verdict
@@ -10,7 +13,8 @@ glass. The error of a grating is that of its worst order for light from 0°, 30�
 of a flat surface. Its verdict is the worst of the three calls, or the verdict of its heights alone. Every third period
 and every third depth was never used for fitting; gratings with such a period or depth are held out.
 
-``--rise`` compares heights above the horizon at which an order takes part in the normalisation with its full weight.
+The energy normalisation gives an order its full weight from some elevation above the horizon on. ``--rise`` compares
+several of these elevations.
 """
 
 from __future__ import annotations
@@ -31,12 +35,13 @@ from warpdiff.heightfield.theory_verdict import INVALID, QUALITATIVE, verdict_on
 
 # Error of an order above which its grating counts as wrong, as a share of the reflected power.
 WRONG = 0.1
-# Targets: largest share of wrong gratings among the reliable ones, least share of reliable ones among the right
-# gratings, and largest share of qualitative gratings.
+# Targets: largest share of wrong gratings among those with the grade reliable; least share of the grade reliable among
+# the gratings that are not wrong; and largest share of gratings with the grade qualitative.
 MOST_WRONG, LEAST_RELIABLE, MOST_QUALITATIVE = 0.02, 0.8, 0.3
 # Periods and depths are held out if their index, divided by three, leaves this remainder.
 HELD_OUT = 2
-# Number of height samples per period. Limit: it must be well above twice the number of orders, which is at most 40.
+# Number of height samples per period. Limit: it must be well above 80, twice the largest number of orders of the
+# gratings.
 SAMPLES = 512
 # Wavelength of all calls [nm]. Periods and depths are stored in units of the wavelength, which are µm at this value.
 WAVELENGTH_NM = 1000.0
@@ -98,7 +103,10 @@ def _share(values: np.ndarray) -> float:
 
 
 def gratings(energy: str | None, *, step: int = 1) -> list[Grating]:
-    """Return every ``step``-th grating of each profile; ``energy`` None is the default of `order_efficiencies`."""
+    """Return every ``step``-th grating of each profile.
+
+    ``energy`` is that argument of `order_efficiencies`; with None, it is not given, and its default applies.
+    """
     stored, result = json.loads(STORED.read_text()), []
     for case, (shape, index) in CASES.items():
         rows = iter(stored["cases"][case]["first_order_and_efficiencies"])

@@ -49,8 +49,9 @@ GRID_DEG = 0.0025
 SOUGHT = 1.3
 # Period of the blazed grating, and expected period of the scan [µm].
 BLAZED_UM, SCAN_PERIOD_UM = 2.5, 1.1
-# Published periods by surface and kind of sum (over all coefficients, or of periods): mean and variance over the
-# wavelengths [nm, nm²].
+# Published periods by surface and by the summation from which they were measured: over all coefficients of one patch
+# ("full"), or over several repeated periods of the patch ("periods"). Each text has the mean over the wavelengths [nm]
+# and, in parentheses, the variance [nm²].
 PUBLISHED = {
     ("blazed", "full"): "2499.997 (0.377)",
     ("blazed", "periods"): "2502.428 (0.390); in the author's log 2491.862 (248.044)",

@@ -29,8 +29,8 @@ SURFACE = "fingers 25.6 µm"
 SUBJECTS = ("snake", "tube", "low-poly", "disc", "bottle")
 # Seed of the random positions of crops, and number of crops per body.
 SEED, CROPS = 90, 4
-# Tolerance of the plans for point samples. The reference has a third of it. Derived: half of the smallest tolerance of
-# the refined frames.
+# Tolerance of the plans for point samples. Derived: half of the smallest tolerance of the refined frames. The reference
+# has a third of this tolerance.
 TABLE = 1e-2
 
 
@@ -131,7 +131,10 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
 
 
 def _ratios(results: dict[str, Any]) -> str:
-    """Return time and P99 error of the most point samples, relative to frames refined to 0.1, for each body."""
+    """Return a text with ratios of times and of P99 errors for each body.
+
+    They compare the largest number of point samples per pixel with frames that are refined to a tolerance of 0.1.
+    """
     texts = []
     for body, by_method in results.items():
         ours, points = by_method["refined to 0.1"], [by_method[name] for name in by_method if name.startswith("points")]

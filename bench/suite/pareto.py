@@ -1,10 +1,10 @@
 """Speed against accuracy: each method and peer at several settings, and the automatic choice, on a scene's pixels.
 
-Errors are relative to the float64 reference: ‖ΔXYZ‖ / max(‖XYZ‖, f) with f from ``errors``, and ΔE2000 with an exposure
-that maps the 99th percentile of Y to 1. Timed calls have arrays as inputs and outputs, and repeat an earlier call, so
-that they include neither compilation nor preparation. The number of pixels of a call is such that it takes about a
-tenth of a second. The preparation of a new height field (plan, coefficients, table) is timed separately, without
-compilation.
+Errors are relative to the float64 reference: ‖ΔXYZ‖ / max(‖XYZ‖, f), where f is a thousandth of the reference luminance
+(``bench.truth.errors``), and ΔE2000 with an exposure that maps the 99th percentile of Y to 1. Timed calls have arrays
+as inputs and outputs, and repeat an earlier call, so that they include neither compilation nor preparation. The number
+of pixels of a call is such that it takes about a tenth of a second. The preparation of a new height field (plan,
+coefficients, table) is timed separately, without compilation.
 """
 
 from __future__ import annotations

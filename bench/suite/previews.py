@@ -25,7 +25,10 @@ EXPOSURE = 5.0
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Return sRGB pictures (height, width, 3) of all scenes, and their errors relative to warpdiff at 1e-3."""
+    """Return sRGB pictures (height, width, 3) of all scenes, and their errors.
+
+    Errors are relative to the picture by warpdiff with a tolerance of 1e-3.
+    """
     results = {}
     for scene in scenes(setting.data):
         coherence = scene.coherences[0]

@@ -269,8 +269,9 @@ def some_views(rng, way, lights, spread, heightfield, coherence):
         s = np.sqrt(1.0 - z * z)
         candidates = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
         if way == "mirror":
-            # Views are normally distributed around the mirror direction. Those beyond the largest angle are drawn
-            # again, at most half of them, even if the mirror direction itself is at this angle.
+            # Views are normally distributed around the mirror direction, and views beyond the largest angle from the
+            # normal are drawn again. These are about half of all draws if the mirror direction is at the largest angle,
+            # and fewer otherwise, so that the loop ends soon.
             candidates = light * [-1.0, -1.0, 1.0] + spread * rng.normal(size=(len(pending), 3))
             candidates /= np.linalg.norm(candidates, axis=1, keepdims=True)
         elif way == "orders":

@@ -298,7 +298,8 @@ def single_precision(heightfield, lights, views, wavelengths_um, *, sigma):
 def fixed_steps(step_nm):
     """Return wavelengths [nm] at fixed steps from 380 nm on, and colour weights (m, 3).
 
-    The weights are samples of the colour products, as in the published method, which does not use quadrature weights.
+    The weights are samples of the illuminant times the CIE functions, as in the published method, which does not use
+    quadrature weights.
     """
     wavelengths = np.arange(380.0, 780.0 + 1e-9, step_nm)
     table = reference.products("D65")
@@ -380,10 +381,10 @@ def order_wise_colour(heightfield, lights, views, *, sigma):
 
 
 def published_replicas(turns, periods, dtype=np.float64):
-    """Return the factor |(p + iq)/N|² of N periods, where p + iq is the published sum (Single 2014, eq. 3.47) over N
-    periods.
+    """Return the factor |(p + iq)/N|² of N periods, with p + iq in the published form (Single 2014, eq. 3.47).
 
-    The published formula has N + 1 periods. ``turns`` is the phase between neighbouring periods, in turns.
+    The published sum over n = 0 … N has N + 1 terms. Here it ends at N − 1, so that it has one term per period.
+    ``turns`` is the phase between neighbouring periods, in turns.
     """
     angle = (2.0 * math.pi * np.asarray(turns)).astype(dtype)
     last, one, half = dtype(periods - 1), dtype(1), dtype(0.5)

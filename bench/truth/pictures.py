@@ -1,4 +1,7 @@
-"""Views with several points per pixel, and pictures of a white furnace (a mirror sphere under a uniform sky)."""
+"""Pictures for judging: cameras with several pixels for each pixel of another camera, and the white-furnace test.
+
+The white-furnace test renders a mirror sphere under a uniform sky.
+"""
 
 from __future__ import annotations
 

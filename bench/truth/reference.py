@@ -366,8 +366,9 @@ def quadrature(cells, illuminant):
 
     In each cell the integrand is a product: a polynomial in τ through the values at the nodes, times the colour
     products, which are interpolated linearly between integer wavelengths. The weights integrate this product over λ
-    exactly. The ends of the range are nodes, too; half of the colour products are added to them there, because colours
-    are defined as sums over integer wavelengths, in which the ends count fully, and not half.
+    exactly. Colours are defined as sums over integer wavelengths, in which the first and the last wavelength count
+    fully; in the integral they count half. The two ends of the range are therefore additional nodes, whose weights are
+    half of the colour products at these wavelengths.
     """
     x, _ = np.polynomial.legendre.leggauss(POINTS)
     edges = np.linspace(REDDEST, BLUEST, cells + 1)

@@ -31,9 +31,10 @@ constexpr float WIDE = 0.25f;
 // polar coordinates do not describe them.
 constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
 // The weights of rings are tabulated for blurs with a variance of at most `MOST_TABULATED` [rings²], and are values of
-// a Gaussian for larger ones. Wide blurs do not require all rings: `MOST_APART` is the largest distance of the rings
-// that are added, relative to the narrowest feature of the colours and the blur. `CURVES` is the standard deviation of
-// the narrowest colour curve in ln λ.
+// a Gaussian for larger ones. Wide blurs do not require all rings. `MOST_APART` is the largest distance of the rings
+// that are added, in units of 1/√(1/σ₁² + 1/σ₂² + …): the σ are the standard deviations of the blur and of the features
+// of the colours over rings, so that the narrowest one counts most. `CURVES` is that of the narrowest colour curve, in
+// ln λ.
 constexpr float MOST_TABULATED = 1.5f, MOST_APART = 1.5f, CURVES = 0.047f;
 
 // Gaussian for wide blurs across rings. It is truncated at `deviations` standard deviations from its centre. Truncation
@@ -74,8 +75,10 @@ struct Segments {
     Batch<N, int> part, first, apart, rings;
     // `position` is the azimuth of the part's centre. At a ring with t times the radius of the centre, the azimuth is
     // shifted by `turning` · (1 − 1/t). `away` is the distance [rings] of the first ring from the mean of ln |(u, v)|.
-    // `behind` is the difference of that mean from ln |(u, v)| at the centre. `blur` is the variance in angle at the
-    // centre and `level_blur` that of the mip level, both as indices of the table of weights.
+    // `behind` is the difference of that mean from ln |(u, v)| at the centre. `blur` is the variance of the footprint
+    // in angle at the centre, and `level_blur` the variance that the rows of the mip level already have. Both are in
+    // steps of the table of weights, so that their difference is an index; a rounding offset of ½ is included in
+    // `level_blur`.
     Batch<N> position, turning, away, behind, blur, level_blur, skew, per_deviation;
     Batch<N, int> azimuths, first_row;
 };
@@ -160,8 +163,9 @@ WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels,
 }
 
 // Return whether the table of a light source cannot serve a pixel: near the mirror direction, or where the blur by the
-// source is narrower than the blur that the rows already have. `cut` is the share of the angle's variance that the
-// distances between the parts represent, and `within` the remaining share, the variance within a part.
+// source is narrower than the blur that the rows already have. If the footprint is split into parts, the parts are at
+// different angles, which accounts for the share `cut` of its variance in angle. Only the remaining share `within`, the
+// variance within each part, is compared with the blur of the rows.
 template <int N, class Table>
 WARPDIFF_INLINE bool is_unserved(const Table& table, const Footprints<N>& pixels, int i, float within, float cut)
 {
@@ -281,8 +285,9 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
             parts.aside2[k] = larger(angle2 - parts.turn_per_ring[k] * both * per_log, 0.0f);
             parts.deviation[k] = deviation;
             // The distribution of ln |(u, v)| is skewed: on a logarithmic scale, smaller radii are farther away. The
-            // skew is a sixth of the third moment, in standard deviations. The contribution of the angle to the third
-            // moment is ignored, because it would be wrong for a straight footprint.
+            // skew is a sixth of the third moment, in standard deviations. A correlation of the angle with ln |(u, v)|
+            // would add to the third moment. This term is omitted, because it assumes that the azimuth is linear in ln
+            // |(u, v)|, whereas `place_ring` places the azimuths of a part on a straight line in (u, v).
             parts.skew[k] = -0.5f * ratio2 * ratio2 * per_log * per_log * per_log / (variance * deviation);
         }
 }
@@ -302,8 +307,10 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
                 table.blurs)[octaves + wp::clamp((int)(parts.place[k] * table.octaves_per_ring), 0, octaves - 1)];
     for (int from = 0; from < parts.count; from += ABREAST)
         for (int k = from; k < from + ABREAST; ++k) {
-            // The colours are smooth over the distance between azimuth samples. In tables for a window, this distance
-            // is added to the blur. In tables of a light source, the lines are already blurred by it.
+            // `across2` is the variance in angle over which colours are smooth. In tables for a window, it is that of
+            // the footprint plus the squared distance between azimuth samples. In tables of a light source nothing is
+            // added, because a footprint that they serve is wider than the blur of the lines, which is in proportion to
+            // that distance.
             const float across2 = parts.aside2[k] + (SOURCE ? 1.0e-12f : parts.spacing[k] * parts.spacing[k]);
             const float variance = parts.deviation[k] * parts.deviation[k], turn = parts.turn_per_ring[k];
             const float sharp = wp::sqrt(per_curves2 + turn * turn / across2 + 1.0f / variance);

@@ -8,16 +8,17 @@
 
 namespace warpdiff {
 
-// Number of octaves of |(u, v)| around the disc of the distribution that count as light near the mirror direction.
-// Choice: other values change the noise, not the mean.
+// The table of the scattered light has rings of |(u, v)|. Light within this number of octaves from the innermost ring
+// counts as light near the mirror direction. Choice: other values change the noise, not the mean.
 constexpr float OCTAVES_OF_MIRROR = 2.0f;
 // Largest number of groups of lights whose sums are stored. Limit: size of a local array.
 constexpr int GROUPS = 32;
 // Least cosine w of a direction. Limit: a smaller w would make gains infinite.
 constexpr float LEAST_W = 0.01f;
 
-// Shading frame and view direction at a hit. The light near the mirror direction is blurred by the footprint:
-// `per_uu`, `per_uv` and `per_vv` are the inverse of its covariance in (u, v), and `peak` is its density there.
+// Shading frame and view direction at a hit. The light that is scattered near the mirror direction is approximated by a
+// Gaussian in (u, v): a narrow lobe around that direction, blurred by the footprint. `per_uu`, `per_uv` and `per_vv`
+// are the inverse of the covariance of this Gaussian, and `peak` is its value at its centre.
 struct ScatteringPoint {
     float tangent[3], bitangent[3], normal[3], view[3];
     float per_uu, per_uv, per_vv, peak;

@@ -126,8 +126,9 @@ WARPDIFF_INLINE void set_up(const Picture& picture, Triangles& triangles)
         triangles.low_row[i] = greater(wp::ceil(lesser(y0, lesser(y1, y2)) - slack - 0.5), 0.0);
         triangles.high_row[i] = lesser(wp::floor(greater(y0, greater(y1, y2)) + slack - 0.5), picture.height - 1.0);
     }
-    // An edge always starts at the vertex with the smaller index. Adjacent faces therefore compute the same value for
-    // their common edge, with opposite signs.
+    // The stored start of an edge is its vertex with the smaller index, also where `rises` is false and the edge of
+    // this triangle runs the other way. Adjacent faces therefore compute the same value for their common edge, with
+    // opposite signs.
     for (int k = 0; k < 3; ++k) {
         const int one = (k + 1) % 3, other = (k + 2) % 3;
         for (int i = 0; i < FACES; ++i) {

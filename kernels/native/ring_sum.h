@@ -1,9 +1,9 @@
 // Mean colours over footprints that are wide compared with their distance from the mirror direction.
 //
-// The look-up for other footprints assumes a small range of angles and radii, which a wide footprint is not. Its colour
-// is a weighted sum of the rows at all rings and azimuths within it. The weight of a row is the value of the
-// footprint's Gaussian in (u, v). Rows of a mip level are already blurred along a ring. To compensate, the Gaussian is
-// made narrower along the ring.
+// The look-up for other footprints assumes that a footprint covers a small range of angles and radii. A wide footprint
+// covers a large range. Its colour is therefore a weighted sum of the rows at all rings and azimuths within the
+// footprint. The weight of a row is the value of the footprint's Gaussian in (u, v). Rows of a mip level are already
+// blurred along a ring. To compensate, the Gaussian is made narrower along the ring.
 
 #pragma once
 
@@ -17,10 +17,11 @@ constexpr int ARC = batch_of(8);
 // Distance from its centre at which the Gaussian of a footprint is truncated [standard deviations]: away from the
 // mirror direction, and towards it, where surfaces are brightest. Limits: a larger distance adds more rows.
 constexpr float OUTWARDS = 3.2f, INWARDS = 4.5f;
-// Not all rings of the table are added. Their distance is at most `RINGS_APART` in ln |(u, v)|, because colours are
-// smooth over this distance, and at most `RINGS_PER_DEVIATION` standard deviations of the Gaussian in the direction of
-// (u, v). For rings whose radius is below `WITHIN` times the smaller standard deviation, it is twice as large. Twice
-// the distance everywhere would make sums over narrow Gaussians inaccurate.
+// Not all rings of the table are added. The distance between added rings has two upper limits. `RINGS_APART` is the
+// limit in ln |(u, v)|, because colours are smooth over this distance. `RINGS_PER_DEVIATION` is the limit in standard
+// deviations of the Gaussian in the direction of (u, v). The distance is doubled for rings whose radius is below
+// `WITHIN` times the smaller standard deviation. If it was doubled everywhere, sums over narrow Gaussians would be
+// inaccurate.
 constexpr float RINGS_APART = 0.1f, RINGS_PER_DEVIATION = 1.2f, WITHIN = 0.5f;
 // Smallest radius of the rings that are added: `INNERMOST` times the smaller standard deviation of the Gaussian, or
 // `INNERMOST_OF_LOBE` times that of the lobe of an order, if this is smaller. `NARROWEST` is the least standard

@@ -233,7 +233,7 @@ def test_quantisation_errors_are_at_most_half_a_step():
 
 
 def test_a_polar_grid_interpolates_lobes_of_its_design_width():
-    """A polar grid interpolates lobes that have the width for which the grid is made, along the azimuth.
+    """A polar grid interpolates lobes whose width across the radius is that for which the grid is made.
 
     The radial width of the test lobes is a tenth of |(u, v)|. In tables of colours, the range of wavelengths widens
     lobes to at least this radial width.

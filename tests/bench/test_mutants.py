@@ -1,4 +1,4 @@
-"""Mutation testing (``bench.dev.mutants``): changes of sources, their random order, scores, and faults of headers."""
+"""Mutation testing (``bench.dev.mutants``): faults in Python sources and headers, their random order, and scores."""
 
 import ast
 from collections import Counter

@@ -16,7 +16,8 @@ WINDOW = wd.Coherence(sigma_um=SIGMA_UM)
 # A short coherence window, whose wide lobes reduce the noise of sums over directions.
 WIDE = wd.Coherence(sigma_um=1.5)
 FLAT = wd.HeightField(np.zeros((32, 32)), 0.09)
-# The camera is above the square, and tilted away from +y, because azimuths are not defined in that direction.
+# The mesh is a square that faces +y. The camera is above it, and tilted away from +y, because azimuths are not defined
+# in that direction.
 VIEW = wd.View.orthographic((0.0, 3.0, 2.0), (0.0, 0.0, 0.0), extent_y=0.06, width=8, height=6)
 AXIS = np.array([0.0, 3.0, -2.0]) / math.sqrt(13.0)
 PIXELS = np.argwhere(np.ones((2, 4))) + 2

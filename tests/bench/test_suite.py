@@ -16,7 +16,7 @@ from bench.truth import reference
 
 
 def results(path, **figures):
-    """Write a file of benchmark results, with (value, least, most) for each figure."""
+    """Write a file of benchmark results, with (value, least, most) for each measured quantity."""
     path.write_text(json.dumps({"figures": {name: [*values, "s"] for name, values in figures.items()}}))
     return path
 

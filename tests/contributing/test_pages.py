@@ -67,7 +67,7 @@ def relative_errors(image, reference):
 
 
 def test_the_light_of_the_page_about_lights_equals_many_point_lights(module_of, fingers):
-    """The error is that of the two pictures together, whose tolerances are 0.1."""
+    """Both pictures have a tolerance of 0.1, so that they may differ by the sum of both, 0.2."""
     start, end = np.array(LINE)
     points = [wd.PointLight(tuple(start + t * (end - start)), power=3.0 / 64) for t in (np.arange(64) + 0.5) / 64]
     page = module_of("add_a_light")
@@ -76,7 +76,11 @@ def test_the_light_of_the_page_about_lights_equals_many_point_lights(module_of, 
 
 
 def test_the_profile_of_the_page_about_lights_works_in_a_file_of_a_user(module_of, fingers):
-    """Under a tube along y, the sine to the axis varies over the picture, and a tube of one lobe is a point light."""
+    """The profile of a tube along y reduces its light by the sine of the angle between a direction and y.
+
+    The tube is so short that without the profile its light would be that of a point light. The ratio to a point light
+    is therefore this sine, which is clearly below 1 in the picture.
+    """
     light, kernel, profile = blocks("add_a_light")
     future = "from __future__ import annotations\n"
     code = future + f"{kernel}{light}{profile}".replace(future, "")
@@ -95,9 +99,11 @@ def changed(code, *replacements):
     return code
 
 
-# Import that the page needs only in the library, where kernel and profile are in two files. In one file it is left out.
+# Import in the code of the page. The library needs it, because kernel and profile are two files there. The test removes
+# it, because here all code of the page is in one file.
 IMPORT_OF_KERNEL = "        from warpdiff.kernels.tube_emission import emit_from_tube\n"
-# Replacements in the light of the page: before and after. They give the emission profile to its lobes.
+# Changes of the code of the light on the page: pairs of a text and its replacement. With them, the lobes of the light
+# have the emission profile.
 WITH_PROFILE = (
     ("deviations, tuple(position))", "deviations, tuple(position), TubeProfile(axis))"),
     ("        along = np", "        axis = tuple((spacing / np.linalg.norm(spacing)).tolist())\n        along = np"),

@@ -1,4 +1,4 @@
-"""Directions of callers: vectors that look like angles in degrees."""
+"""Warnings of calls whose directions look like angles in degrees, or whose lights do not reach the picture."""
 
 import warnings
 

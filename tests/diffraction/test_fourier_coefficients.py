@@ -70,25 +70,23 @@ def test_kernel_coefficients_equal_closed_forms(name, kind, method, device):
     coherence = wd.Coherence(kind, periods=(1, 7) if kind == "replicas" else None)
     heightfield = make(128)
     light = np.array([math.sin(0.3), 0.0, math.cos(0.3)])
-    count = 0
-    for order in range(-5, 6):
-        for wavelength in (0.4, 0.55, 0.7):
-            u = order * wavelength / PERIOD_UM
-            view = np.array([-u - light[0], 0.0, 0.0])
-            if abs(view[0]) > 0.98:
-                continue
-            view[2] = math.sqrt(1.0 - view[0] ** 2)
-            overlap, total = 1.0 + light @ view, light[2] + view[2]
-            gain = overlap**2 / (total**2 * view[2])
-            if kind == "source":
-                gain /= light[2]
-            rho = wd.spectral_reflectance(
-                heightfield, light, view, [1e3 * wavelength], coherence=coherence, ior=math.inf, masking=False,
-                tolerance=1e-5, method=method, device=device,
-            )  # fmt: skip
-            assert rho[0] / gain == pytest.approx(closed(128, -total / wavelength, order), abs=1e-5)
-            count += 1
-    assert count >= 25
+    wavelengths = np.array([0.4, 0.55, 0.7])
+    order, colour = (each.ravel() for each in np.meshgrid(np.arange(-5, 6), np.arange(3), indexing="ij"))
+    tangential = -order * wavelengths[colour] / PERIOD_UM - light[0]
+    visible = np.abs(tangential) <= 0.98
+    assert np.count_nonzero(visible) >= 25
+    order, colour, tangential = order[visible], colour[visible], tangential[visible]
+    views = np.stack([tangential, np.zeros_like(tangential), np.sqrt(1.0 - tangential**2)], axis=1)
+    rho = wd.spectral_reflectance(
+        heightfield, light, views, 1e3 * wavelengths, coherence=coherence, ior=math.inf, masking=False,
+        tolerance=1e-5, method=method, device=device,
+    )  # fmt: skip
+    total = light[2] + views[:, 2]
+    gain = (1.0 + views @ light) ** 2 / (total**2 * views[:, 2])
+    if kind == "source":
+        gain /= light[2]
+    expected = [closed(128, -total_w / wavelengths[k], n) for total_w, k, n in zip(total, colour, order, strict=True)]
+    np.testing.assert_allclose(rho[np.arange(len(order)), colour] / gain, expected, rtol=0.0, atol=1e-5)
 
 
 def test_powers_of_a_two_dimensional_patch_add_up_to_one():
@@ -153,7 +151,8 @@ def test_bessel_functions_equal_tabulated_values():
 def test_a_block_contains_all_orders_up_to_a_frequency_and_its_neighbours():
     """Up to a frequency of 0.7/µm there are 7 orders of a period of 10 µm, and 14 orders of a period of 20 µm.
 
-    The block adds 1 and 3 neighbours on either side.
+    The test requests 1 neighbour beyond the last order along the axis of 10 µm, and 3 along the other axis. The orders
+    of the block therefore end at ±8 and ±17.
     """
     grid = fourier_coefficients.Grid((101, 203), (10.0, 20.0))
     block = fourier_coefficients.Block.covering(grid, 0.7 - 1e-9, (1, 3))

@@ -1,4 +1,4 @@
-"""Angles of orders obey the grating equation; a change of the period by its error changes them by their error."""
+"""Angles of orders obey the grating equation. Their standard errors follow from the standard error of the period."""
 
 import math
 
@@ -52,7 +52,10 @@ def test_standard_errors_are_the_change_of_the_angle_with_the_period(light):
 
 
 def test_an_order_along_the_normal_has_the_error_of_its_direction():
-    """Light at sin θi = λ/P sends order 1 along the normal. An error of the period increases this angle of 0."""
+    """Light at sin θi = λ/P sends order 1 along the normal, where its polar angle is 0.
+
+    The polar angle cannot be negative, so that any error of the period increases it.
+    """
     sine = 0.55 / PERIOD
     light = (sine, 0.0, math.sqrt(1.0 - sine**2))
     table = wd.order_angles(period(error_um=1e-3), light, 550.0, most_order=1)

@@ -238,8 +238,9 @@ def test_orders_do_not_jump_where_another_one_passes_the_horizon(period):
 def test_a_grazing_light_stays_in_its_mirror_order(angle):
     """Normalisation moves a part of the power from the mirror order of a grazing light into other orders.
 
-    This part is at most the weight of the light in the normalisation. The sum of all efficiencies stays 1, and each
-    order has the same efficiency as its reversed path.
+    The normalisation gives each direction a weight, which falls from 1 at a cosine of 0.1 to 0 at the horizon. The
+    moved part is at most the weight of the light's direction. The sum of all efficiencies stays 1, and each order has
+    the same efficiency as its reversed path.
     """
     grating, cosine = wd.gratings.blazed(1.7, 0.2), math.cos(math.radians(angle))
     orders = wd.order_efficiencies(grating, at_angle(angle), 600.0, ior=math.inf)
@@ -347,7 +348,8 @@ def test_a_saved_table_of_several_lights_has_closed_forms(tmp_path):
 
 @pytest.mark.parametrize("energy", ["stam", "normalised"])
 def test_results_of_several_lights_are_those_of_single_lights(energy, monkeypatch):
-    # The lower limit splits the lights into several groups that share Fourier transforms, of one or more lights each.
+    # Several lights share Fourier transforms. With this limit, which is lower than the default, they are split into
+    # several groups of one or more lights.
     monkeypatch.setattr(order_module, "_MOST_TOGETHER", 60)
     heightfield, gold = wd.gratings.lamellar(PERIOD, 0.3, samples=400), wd.Material.metal("Au")
     together = wd.order_efficiencies(heightfield, LIGHTS, WAVELENGTHS, material=gold, energy=energy)

@@ -123,8 +123,9 @@ def test_a_normalised_brdf_does_not_depend_on_other_directions_of_the_call():
 
 @pytest.mark.parametrize("kind", ["averaged", "source"])
 def test_spectra_reach_from_the_ultraviolet_to_the_infrared(kind):
-    """At normal incidence and view, the zeroth order of a sine has the power J₀²(2πd/λ); a metal multiplies it by its
-    reflectance.
+    """At normal incidence and view, the zeroth order of a sine of depth d has the power J₀²(2πd/λ).
+
+    A metal multiplies this power by its reflectance.
     """
     depth, wavelengths = 0.04, np.array([200.0, 254.0, 300.0, 365.0, 800.0, 1700.0])
     grating, aluminium = wd.gratings.sinusoidal(5.0, depth, samples=512), wd.Material.metal("Al")

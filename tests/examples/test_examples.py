@@ -55,6 +55,7 @@ def _small(monkeypatch, request):
         monkeypatch.setattr(wd.gratings, "disc", rough(wd.gratings.disc, tracks=2, length_um=12.5, pitch_um=0.1))
     monkeypatch.setattr(wd.meshes, "tube", rough(wd.meshes.tube, segments_along=48, segments_around=16))
     monkeypatch.setattr(wd.meshes, "disc", rough(wd.meshes.disc, segments=64, rings=4))
+    monkeypatch.setattr(wd.meshes, "snake", rough(wd.meshes.snake, scale_rows=9, ventrals=20, segments=2))
     for name in ("shade", "Renderer"):
         monkeypatch.setattr(wd, name, rough(getattr(wd, name), tolerance=0.3, coherence=wd.Coherence(sigma_um=1.5)))
     monkeypatch.setattr(wd, "report", rough(wd.report, sigmas_um=[1.5], tolerance=0.5, wavelengths_nm=550.0))

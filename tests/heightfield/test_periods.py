@@ -64,7 +64,8 @@ def test_standard_errors_cover_the_true_ones_in_strong_noise_too(noise, least):
     scores = []
     for phase in rng.uniform(0.0, 2.0 * np.pi, 30):
         heights = 0.01 * (np.cos(2.0 * np.pi * x / 1.37 + phase) + noise * rng.normal(size=(1, 300)))
-        # No period is returned for a wave that may be noise. Such a field adds no entry to ``scores``.
+        # No period is returned for a wave that may be noise. ``scores`` are the errors of the returned periods in
+        # standard errors, so that such a field adds none.
         scores += [
             abs(result.period_um - 1.37) / result.standard_error_um
             for result in wd.HeightField(heights, PITCH).periods(1)

@@ -129,8 +129,8 @@ def test_fields_that_are_averaged_to_find_the_decay_have_the_same_lengths():
 
 
 def test_two_standard_errors_contain_the_value_of_the_surface():
-    # If two standard errors contain the value of the surface in 95 % of fields, they contain it in fewer than 15 of 20
-    # fields with a probability of 0.03 %.
+    # The value of the surface is expected within two standard errors in 95 % of the fields. The probability that it is
+    # in fewer than 15 of 20 fields is then 0.03 %, so that correct standard errors nearly always pass the limit of 15.
     fields = [random_field(900 + seed, (0.3, 0.3), (0.1, 0.1), (60, 60)).roughness() for seed in range(20)]
     for name in ("Sa", "Sq", "Sdq", "Sal"):
         values = [field[name].value for field in fields]

@@ -286,8 +286,9 @@ def test_texts_of_the_validation_set_are_read(tmp_path: Path, name: str) -> None
     (tmp_path / "a.txt").write_text(header + "\n".join(lines), encoding="utf-8")
     scan = HeightField.load(tmp_path / "a.txt", **options)
     assert scan.source is not None
-    # The matrix has row 0 at the top. If its first column states positions, those of row 0 are the smallest, so that
-    # row 0 is also the first row of the loaded field. Otherwise a field with rows "up" is in the opposite order.
+    # Row 0 of the matrix in the file is at the top. A loaded field with rows "up" has its row 0 at the bottom, so that
+    # the order of its rows is reversed. There is one exception: if the first column states positions, row 0 of the file
+    # has the smallest one, and is also row 0 of the loaded field.
     is_upright = (scan.source.rows == "up") == name.startswith("positions w")
     np.testing.assert_allclose(scan.heights_um[:: 1 if is_upright or scan.source.rows == "down" else -1], 1e-3 * BIG)
     np.testing.assert_allclose(scan.pitch_um, pitch)

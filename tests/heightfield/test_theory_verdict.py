@@ -41,9 +41,9 @@ def test_verdicts_meet_their_targets_against_rigorous_solutions(energy):
     ("Sawtooth, perfect mirror", lambda *size: wd.gratings.blazed(*size, samples=512)),
 ])  # fmt: skip
 def test_normalised_orders_of_mirrors_are_nearer_to_rigorous_solutions(case, make):
-    """Normalised efficiencies of mirror gratings are compared with those of Stam's gain, for shallow grooves.
+    """Two kinds of efficiencies are compared for mirror gratings: ``energy="normalised"`` and ``energy="stam"``.
 
-    The depths are at most a quarter of the wavelength.
+    The grooves are shallow: their depths are at most a quarter of the wavelength.
     """
     stored = json.loads(STORED.read_text())
     rows = iter(stored["cases"][case]["first_order_and_efficiencies"])
@@ -162,9 +162,9 @@ def test_usual_surfaces_are_qualitative_and_not_warned_of(name):
 
 @pytest.mark.parametrize("call", ["plan", "reflectance", "shade", "order_efficiencies"])
 def test_all_calls_warn_in_the_words_of_the_verdict(call):
-    """The heights alone make the verdict on this deep grating invalid.
+    """On this deep grating, scalar diffraction has the grade invalid for all directions of light and view.
 
-    Each call must warn with grade, wavelength, error and reason.
+    Each call must warn of it with grade, wavelength, error and reason.
     """
     heightfield = wd.gratings.sinusoidal(1.0, 5.0)
     tube = wd.meshes.tube(segments_along=12, segments_around=12)
@@ -210,7 +210,10 @@ def test_a_plan_file_restores_the_verdict(tmp_path):
 
 
 def test_spectra_are_judged_at_their_own_wavelengths():
-    """A relief whose verdict is invalid for visible light is qualitative at a wavelength ten times as long."""
+    """Scalar diffraction on a relief has the grade invalid for visible light, and a better one at longer wavelengths.
+
+    At a wavelength ten times as long, its grade is qualitative.
+    """
     grating = wd.gratings.sinusoidal(40.0, 6.0, samples=2000)
     assert theory_verdict.theory_wavelength_nm(300.0, 700.0) == 550.0
     assert theory_verdict.theory_wavelength_nm(3000.0, 9000.0) == 3000.0

@@ -76,10 +76,11 @@ def results():
 
 @pytest.mark.parametrize("size", [4, 16, 64, 1024])
 def test_points_of_each_square_of_cells_are_stratified(size, results):
-    """The points are a (0, 2)-sequence: 2ⁿ points from a multiple of 2ⁿ on have one in each of 2ⁿ equal boxes.
+    """The sequence of points is a (0, 2)-sequence.
 
-    The boxes divide the unit square into any power of 2 of columns. Along a Morton curve, these points belong to the
-    cells of a square.
+    If it is split into groups of 2ⁿ consecutive points, and the unit square into 2ⁿ equal boxes, each group has one
+    point in each box. This holds for any number of columns of boxes that is a power of 2. Points are assigned to
+    subpixel cells along a Morton curve, so that the points of a group with even n belong to a square block of cells.
     """
     for points in results[1]["points"].reshape(-1, size, 2)[:64]:
         for across in 2 ** np.arange(int(math.log2(size)) + 1):

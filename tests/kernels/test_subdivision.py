@@ -112,7 +112,11 @@ def test_the_level_of_a_pixel_rises_until_the_scatter_of_its_samples_meets_the_t
 
 
 def levels_by_hand(quadrants, marks, colours, lighting, floor, tolerance, most):
-    """Return the changes and levels that the kernel ``select_levels`` must compute, if all pixels have cells."""
+    """Return the levels that the kernel ``select_levels`` must compute, and the changes on which they depend.
+
+    The change of a pixel is half the root mean square second difference of the colours of its quadrants, times a
+    factor at edges. All pixels have cells.
+    """
     height, width = marks.shape
     cells = quadrants.reshape(height, width, 2, 2, 3).transpose(0, 2, 1, 3, 4).reshape(2 * height, 2 * width, 3)
     square = np.zeros(cells.shape[:2])

@@ -95,7 +95,8 @@ def test_weighted_directions_are_uniform_over_the_disc(diameter, towards_mirror)
     assert np.all(cosines >= math.cos(radius) - 1e-6)
     if towards_mirror is None:
         np.testing.assert_array_equal(weights, 1.0)
-    # If samples are uniform, their azimuths and their shares of the disc's solid angle have flat weighted histograms.
+    # ``share`` is the part of the disc's solid angle that is nearer to its centre than a sample. If the weighted
+    # samples are uniform, the weighted histograms of ``share`` and of the azimuth are flat.
     share = (1.0 - cosines) / (1.0 - math.cos(radius))
     around = np.arctan2(*(towards[inside, :3] @ orthonormal_pair(axis).T).T)
     count = len(towards)

@@ -285,16 +285,14 @@ def test_searches_of_all_tolerances_try_the_same_bandwidths_and_weights(fingers,
 def test_budgets_grow_evenly_from_the_error_of_the_start_to_the_target(fingers, start):
     """Budgets are limits of the error while a search reduces one number of the plan after another.
 
-    They have equal steps.
-
-    If there are few bright directions, the step of the terms is a tenth of an equal step, and the neighbourhood is not
-    reduced.
+    They increase in equal steps. A few bright directions do not represent all bright directions of a call well. In this
+    case the step of the terms is a tenth of an equal step, and the neighbourhood is not reduced.
     """
     trial, error = ClosedForm(fingers, start), 0.4 * TARGET
     coordinates = coordinate_search._coordinates(start, trial, error, TARGET)
     np.testing.assert_allclose([c.budget for c in coordinates], np.linspace(error, TARGET, 6)[1:])
     # Largest numbers of steps by which a search may reduce a plan: 3 of its 4 registers of terms, 8 factors of e in the
-    # least weight (up to 1e-5), and 12 quarter octaves of each part of the bandwidth.
+    # least weight (up to 1e-5), and 12 factors of 2^(1/4) of each part of the bandwidth.
     assert [c.most for c in coordinates] == [3, 8, 12, 12, 12]
     trial.bright = (63.0, 64.0)
     few = coordinate_search._coordinates(start, trial, error, TARGET)

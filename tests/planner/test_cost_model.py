@@ -85,7 +85,8 @@ def test_lines_of_a_source_cost_in_proportion_to_the_area_and_grow_with_terms():
     lines = 2.0 * math.pi * mip_layout.layout_of(plan).highest ** 2
     area = math.prod(heightfields[1].size_um) - math.prod(heightfields[0].size_um)
     assert increases[0, 0] == pytest.approx(lines * area * (150.0 + 42.0 * 8.0))
-    # Each line costs 150 multiply-adds plus 42 per term (one per node), so 8 more terms cost 336.
+    # Each spectral line costs 150 multiply-adds, and one per term for each of the 42 table entries to which it is
+    # added.
     assert increases[1, 0] / increases[0, 0] == pytest.approx((150.0 + 42.0 * 16.0) / (150.0 + 42.0 * 8.0))
 
 

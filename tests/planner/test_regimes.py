@@ -245,8 +245,9 @@ def test_a_window_between_samples_close_to_the_nyquist_limit_is_accurate_or_refu
     assert message or rho[0] == pytest.approx(exact[0], rel=1e-3)
 
 
-# Tests of replicas near a resonance, where periods interfere constructively. There the published ratio of sines loses
-# all digits, as do float32 sines of large arguments.
+# Tests of replicas near a resonance, where periods interfere constructively. There the published form of the sum over
+# periods (Single 2014, eq. 3.47) is a quotient of two small differences, which loses all digits. The quotient of sines
+# sin²(πNt)/(N sin πt)² loses them in float32 if its arguments are large.
 
 
 @pytest.mark.parametrize("periods", [10, 1000, 5000])
@@ -280,7 +281,7 @@ def test_replicated_periods_near_resonance_are_accurate(periods, away):
 
 
 def test_the_published_form_of_replicated_periods_fails_in_float32():
-    """In float32 the published ratio of sines has an error of 5 % at a phase of 1e-3 and is not finite at 1e-4."""
+    """In float32 the published sum over periods has an error of 5 % at a phase of 1e-3 and is not finite at 1e-4."""
     for periods in (10, 100, 1000):
         exact, single = (
             methods.published_replicas(np.array([1e-3, 1e-4]) / (2.0 * np.pi), periods, dtype)

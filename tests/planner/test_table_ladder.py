@@ -166,8 +166,8 @@ def test_the_fewest_terms_whose_expected_error_is_within_half_of_the_target_are_
 def test_terms_are_added_once_if_sampling_with_them_misses_its_half_of_the_target(fingers, plan, sampled, terms, rings):
     """The first table has 10 terms, by an estimate. If it fails, a plan with 10 terms but without a table is tried.
 
-    If the error of that plan exceeds half of the target, terms are added. If it is at least half of the table's error,
-    a table of the same size is made again.
+    If the error of that plan exceeds half of the target, terms are added. If it also exceeds half of the error of the
+    first table, the terms cause most of that error, and the next table has the same size. Otherwise it is larger.
     """
 
     def law(table):

@@ -103,8 +103,8 @@ def test_the_reference_luminance_is_a_percentile_or_the_median_of_the_light():
     weights = np.ones(1005)
     assert trial.reference_luminance(luminance, weights) == 1000.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 1.0
-    # Now 2 % of the directions are bright, which changes the 99th percentile of the luminance. With small weights they
-    # are too small a share of the light to change its median.
+    # Of 1,005 directions, 20 are bright, so that the 99th percentile of the luminance is theirs. With small weights
+    # they change neither this percentile nor the luminance-weighted median.
     luminance[-20:] = 50.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 50.0
     weights[-20:] = 0.25
@@ -148,9 +148,10 @@ def test_errors_of_a_group_have_a_row_for_each_illuminant_and_floor(rng):
 
 
 def test_bright_directions_are_counted_by_the_highest_and_by_the_lowest_floor():
-    """Bright directions are counted for every illuminant, with the higher and with the lower of two floors.
+    """Bright directions are counted for every illuminant, with two luminance floors that a call may have.
 
-    For each of the two floors, the result is the count of the illuminant with the fewest bright directions.
+    The higher floor includes outliers among the brightest directions, the lower one does not. For each of the two
+    floors, the result is the count of the illuminant with the fewest bright directions.
     """
     above = np.arange(100) < np.array([[40], [60], [30], [80]])
     group = trial.Group(DirectionSample(*np.ones((2, 100, 3)), *np.ones((2, 100))), "cpu", 1)
@@ -174,9 +175,10 @@ def test_a_call_has_light_if_its_floor_or_one_training_direction_exceeds_darknes
 
 
 def test_the_luminance_of_a_spectrum_is_its_maximum_and_the_lowest_floor_limits_bright_directions(fingers, monkeypatch):
-    """The trial draws its sets of directions by the maximum of each spectrum and by the lowest floor.
+    """A request for spectral reflectances has no luminance, so that the largest value of each spectrum replaces it.
 
-    Minima of the spectra, or other floors, would select other directions.
+    The trial draws its sets of directions by these maxima and by the lowest floor. Minima or other floors would select
+    other directions.
     """
     rng = np.random.default_rng(11)
     lights, views = hemisphere(rng, 4000, 0.3), hemisphere(rng, 4000, 0.3)
@@ -212,7 +214,7 @@ def test_sets_of_a_larger_call_are_disjoint_parts_of_the_candidates(fingers):
     assert not training & validation
     assert len(measured.order_rate) == len(measured.w) == 128
     assert all(len(values) == 500 for values in measured.rates)
-    # This call is small, so that all of its directions are candidates. In larger calls a second luminance floor exists,
-    # which excludes the brightest candidates as outliers.
+    # This call is small, so that all of its directions are candidates. In larger calls the brightest candidates may be
+    # outliers. A second luminance floor is then computed without them.
     assert measured._floors.shape == (1, 1)
     assert 0.0 < measured.bright[0] <= 256.0

@@ -122,7 +122,8 @@ def test_rotating_patch_and_directions_changes_nothing(kind, turns, rng):
     """Each quarter turn maps (x, y) to (−y, x). It is about the central sample of the patch of 61 × 61 samples."""
     heights = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=7).heights_um[:61, :61]
     heightfield = wd.HeightField(heights, 0.08)
-    # Rows of a height field run along +y, so a quarter turn from x to y is ``numpy.rot90`` with −1.
+    # Row j of a height field is at y = j·dy, so that rows are stored from the smallest y on. A quarter turn from x to y
+    # is therefore ``numpy.rot90`` with −1.
     rotated = wd.HeightField(np.rot90(heights, -turns), 0.08)
     rotation = np.linalg.matrix_power(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), turns)
     lights, views = hemisphere(rng, 30), hemisphere(rng, 30)
@@ -181,10 +182,10 @@ def mirror_power(sigma_um, theta_deg, ior):
 
 @pytest.mark.parametrize("period_um", [slow(0.7), 1.0, slow(2.0)])
 def test_the_excess_energy_of_a_shallow_sine_follows_its_formula(period_um):
-    """A sine with amplitude a reflects more than all light by (2πa/λ)² (1 − c)²/(2c), an error of scalar theory.
+    """Scalar theory violates the conservation of energy for a mirror with a shallow sine profile of amplitude a.
 
-    Here c is the cosine of the first order. The excess is a millionth of the light. Measuring it requires float64, a
-    shallow profile and narrow lobes.
+    The reflected power is 1 + (2πa/λ)² (1 − c)²/(2c) times the incident power, where c is the cosine of the first
+    order. The excess is about a millionth. Measuring it requires float64, a shallow profile and narrow lobes.
     """
     wavelength = 0.55
     amplitude = 0.001 * wavelength

@@ -178,7 +178,8 @@ def test_mirroring_surface_and_directions_changes_nothing(data):
     # Mirroring x → −x keeps the position of the first sample, and reverses the order of the others.
     flipped = wd.HeightField.of_known_scale(np.roll(heightfield.heights_um[:, ::-1], 1, axis=1), heightfield.pitch_um)
     if coherence.kind == "centred":
-        # The window is centred on a sample. Otherwise mirroring would change phases beyond the Nyquist limit.
+        # The window is centred on a sample. For a centre between samples, coefficients at and beyond the Nyquist limit
+        # have phases that depend on the sign of the frequency, so that mirroring would change the result.
         centre = tuple((n // 3) * pitch for n, pitch in zip(heightfield.shape, heightfield.pitch_um, strict=True))
         coherence = wd.Coherence("centred", coherence.sigma_um, centre_um=centre)
         mirrored = wd.Coherence("centred", coherence.sigma_um, centre_um=(centre[0], -centre[1]))

@@ -119,7 +119,10 @@ def test_reported_errors_bound_and_rank_the_true_ones(truth, fingers, table):
 
 
 def test_more_cells_are_never_worse(truth, fingers, table):
-    """More cells do not increase errors: with footprint means, and with points where no table supports means."""
+    """More subpixel cells do not increase errors, neither with footprints nor with point samples.
+
+    Footprints require a table. The second plan has none, so that its cells are point samples.
+    """
     mesh, camera, exact = truth
     for plan in (table, dataclasses.replace(table, coherence=table.coherence, rings_per_octave=0)):
         result = [
@@ -330,8 +333,8 @@ def estimate_by_hand(colours, uv, hit, floor, bound):
 @pytest.mark.parametrize("slices", [1, 6])
 def test_errors_are_estimated_from_neighbouring_pixels(size, slices, rng):
     colours = rng.lognormal(0.0, 1.0, (*size, 3)).astype(np.float32)
-    # The estimate treats two kinds of pixels separately, and the picture has both: rows that miss the mesh, and pixels
-    # at which (u, v) changes irregularly.
+    # The kernel estimates the error of a pixel differently at the rim of the mesh and where (u, v) changes irregularly
+    # between pixels. This picture has both: every sixth row of pixels misses the mesh, and (u, v) is noisy.
     hit = (rng.uniform(size=size) < 0.9) & (np.arange(size[0]) % 6 != 3)[:, None]
     y, x = np.mgrid[: size[0], : size[1]]
     uv = np.stack([0.3 + 0.01 * x + 0.002 * y, 0.02 * y], axis=-1)

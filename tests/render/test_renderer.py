@@ -144,8 +144,8 @@ def test_progress_increases_and_the_order_of_lights_does_not_matter(tube, finger
     np.testing.assert_allclose(result.xyz, other.xyz, rtol=1e-5, atol=1e-12)
     np.testing.assert_allclose(result.error, other.error, rtol=1e-4, atol=1e-7)
     np.testing.assert_array_equal(result.mask, other.mask)
-    # A pixel's coverage is that of the light with the finest cells, or of the last such light. It therefore depends on
-    # the order of the lights.
+    # Each light has cells of its own. The coverage of a pixel is computed from the finest cells among all lights, so
+    # that it does not depend on the order of the lights.
     np.testing.assert_allclose(result.coverage, other.coverage, atol=0.01)
 
 

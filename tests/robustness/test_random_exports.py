@@ -8,9 +8,9 @@ from endurance import SEED, count
 
 from warpdiff.heightfield.field import HeightField
 
-# Sizes of units [µm].
-# Formats of numbers, each with the standard deviation of the random heights that are written in it.
+# Sizes of units of length [µm].
 UNITS = {"nm": 1e-3, "µm": 1.0, "mm": 1e3}
+# Formats of numbers. Each has the standard deviation of the random heights that are written in this format.
 FORMS = {"{:.0f}": 50.0, "{:.2f}": 20.0, "{:.4f}": 1.0, "{:.5e}": 1e-3, "{:.5E}": 1e-3, "{:.6g}": 1e-2}
 SEPARATORS = ("\t", ";", ",", " ", "  ", ", ", "; ")
 ENCODINGS = ("utf-8", "utf-8-sig", "utf-16", "utf-16-le", "cp1252")
@@ -100,8 +100,9 @@ def test_random_exports_are_read_exactly_or_refused(tries, tmp_path):
         except ValueError as error:
             refusals.append(str(error))
             continue
-        # A file with a header has row 0 at the top, so that the loaded field with rows "up" is in the opposite order. A
-        # list of points has its smallest y in row 0, in the file as in the loaded field.
+        # A file with a matrix has row 0 at the top. If the loaded field has rows "up", its row 0 is at the bottom, so
+        # that the order of its rows is reversed. A list of points begins with the smallest y, which is row 0 of the
+        # loaded field, so that the order is the same.
         is_down = scan.source.rows == "up" and export.text[:1] not in "Xx"
         heights = scan.heights_um[::-1] if is_down else scan.heights_um
         np.testing.assert_allclose(heights, export.heights, rtol=1e-12, err_msg=f"{index}: {export.text[:300]!r}")

@@ -172,7 +172,7 @@ def command_line_rows() -> Iterator[Row]:
                 yield Row("command line", " ".join(line), flag, rule, functools.partial(error_of_command, line))
 
 
-# Arguments of the refused calls and command lines below. ``…`` in a command line stands for the arguments ``DISC``.
+# Arguments that the refused calls and command lines below share. In a command line, ``…`` stands for the text ``DISC``.
 DISC = "disc --heightfield a.npy --pitch-um 0.1 -o a.png"
 SKY = wd.Environment([[[1.0, 1.0, 1.0]] * 4] * 2)
 Z_UP = wd.View((0.0, -5.0, 0.0), (0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0))

@@ -47,7 +47,8 @@ def left_behind(folder):
     return [path for path in paths if path.is_dir() or path.name.startswith(".") or path.parent.name == "temporary"]
 
 
-# Script that runs a command. Python itself has started when it prints, so that a busy machine changes no delay.
+# Script that runs a command line. It prints a line when Python has started. The tests wait for this line before their
+# delays begin, so that a busy machine, on which Python starts slowly, does not change what the signal interrupts.
 ANNOUNCED = """
 import runpy, sys
 print("begun", flush=True)

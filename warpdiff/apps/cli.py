@@ -36,8 +36,8 @@ _MESH_HELP = (
     f"mesh file with texture coordinates, or one of {', '.join(cli_inputs.BODIES)}, with parameters of "
     "warpdiff.meshes, for example snake:tangent=along"
 )
-# Flags by Python argument, for arguments without a generated flag. Error messages print the flag instead of the
-# argument.
+# Flag or operand of the command line for each Python argument. Error messages print it instead of the argument. Flags
+# that ``cli_options.py`` generates from the options of a Python function are not listed.
 _WORDS = {
     **{f"{method}()": flag for method, (flag, _) in CLEANING.items()},
     "mesh": "MESH", "heightfield": "--heightfield", "material": "--material", "film": "--film", "lights": "--light",
@@ -430,7 +430,8 @@ class _Command(NamedTuple):
         example: Examples in the help.
         add_flags: Function that adds the command's flags to its parser.
         run: Function that runs the command.
-        words: Flags by Python argument, for arguments without a generated flag; error messages print them.
+        words: Flag by Python argument, for error messages. Flags that :mod:`warpdiff.apps.cli_options` generates are
+            not listed.
     """
 
     what: str

@@ -89,7 +89,10 @@ def _check_csv(options: argparse.Namespace) -> None:
 
 
 def _print(table: Table, options: argparse.Namespace, whole: Table | None = None) -> None:
-    """Print a table. Write ``whole``, or the printed table if ``whole`` is None, to the file of ``--csv``."""
+    """Print a table, and write it to the file of ``--csv``.
+
+    If the printed table is shortened, ``whole`` is the table with all rows, which is written instead.
+    """
     print(table)
     if options.csv is not None:
         print((table if whole is None else whole).save(options.csv))

@@ -62,8 +62,8 @@ _ANGLES, _EACH_NM = 65, 5
 # Validation directions: size of each half of the set (uniform directions, and bright ones), number of random candidates
 # from which they are selected, and random seed.
 _VALIDATION_SIZE, _CANDIDATES, _SEED = 2048, 32_768, 27
-# First number: luminance Y to which a colour is scaled before its ΔE2000 is computed. Second number: luminance below
-# which colours all get the same scale factor, so that they remain dark, as a share of the reference luminance.
+# First number: luminance Y to which a colour is scaled before its ΔE2000 is computed. Second number: a luminance, as a
+# share of the reference luminance. All darker colours get the scale factor of this luminance, so that they remain dark.
 _SHOWN, _FLOOR = 0.2, 1e-3
 # Measured peak memory while a table is computed [bytes per node].
 _BYTES_A_NODE = 170

@@ -98,9 +98,10 @@ def bake_spectrum(
 
 
 def _shares(size: int, largest: float, orders: NDArray[np.float64], falloff: float) -> NDArray[np.float32]:
-    """Return how much of each cell of an axis the Gaussian lobe of each order fills on average, shape (size, orders).
+    """Return the mean of the Gaussian lobe of each order over each cell of an axis, shape (size, orders).
 
-    The lobe of the order at q_r is exp(−(falloff (q − q_r))²), where q_r is an element of ``orders``.
+    The lobe of an order is exp(−(a (q − q_r))²). Here q_r is the order's frequency, an element of ``orders`` [1/µm],
+    and a is ``falloff`` [µm]. The cells divide the range of q from −``largest`` to ``largest``.
     """
     from scipy.special import erf
 

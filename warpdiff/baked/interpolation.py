@@ -36,7 +36,10 @@ def ring_of_largest(rings: int, azimuths: tuple[int, ...]) -> int:
 
 
 def grid_for(width: float, rings: int, azimuths_per_width: float) -> PolarGrid:
-    """Return the grid that resolves lobes of a standard deviation ``width`` in (u, v), with samples per ``width``."""
+    """Return the grid that resolves lobes with a standard deviation of ``width`` in (u, v).
+
+    Along a ring, it has ``azimuths_per_width`` samples per ``width``.
+    """
     octaves = max(math.ceil(math.log2(_LARGEST / (_FLAT_WITHIN * width)) + 2.0 / rings), 1)
     tops = _LARGEST * 2.0 ** (np.arange(octaves) - octaves + 1.0)
     return lobe_grid(rings, tuple(azimuth_counts(tops, width, azimuths_per_width).astype(int).tolist()))

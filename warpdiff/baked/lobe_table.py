@@ -205,7 +205,8 @@ class BakedLobes(table_files.SavedTable):
             to_light: Directions to the light in the local frame, shape (3,) or (n, 3), of any length.
             to_view: Directions to the viewer in the local frame, shape (3,) or (n, 3), of any length; a single
                 direction broadcasts.
-            ior: Index of refraction, above 1; ``math.inf`` is a perfect mirror, None is 1.5. None with a material.
+            ior: Index of refraction, above 1; ``math.inf`` is a perfect mirror. None means 1.5. Lobes that were baked
+                with a material accept only None.
             masking: Whether to include V-cavity masking and shadowing.
 
         Returns:

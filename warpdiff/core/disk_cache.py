@@ -94,7 +94,8 @@ def _code_digest(*folders: Path) -> str:
     """
     digest = hashlib.sha256()
     for path in sorted(path for folder in folders for path in folder.rglob("*") if path.suffix in (".py", ".h")):
-        # Symbolic links without a target are skipped. Some editors make such a link to mark a file as open.
+        # Beside a source file that is open, some editors put a symbolic link without a target. It is skipped, because
+        # it cannot be read.
         if path.is_file():
             digest.update(path.read_bytes())
     return digest.hexdigest()
@@ -142,8 +143,8 @@ def _read(path: Path, key: bytes) -> dict[str, Any] | None:
 def _write(path: Path, key: bytes, arrays: Mapping[str, Any]) -> None:
     """Write arrays to a file of the cache: a checksum, followed by a NumPy archive."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    # The new file is not flushed to the disk, so that a crash of the system may leave it incomplete. The checksum
-    # detects this.
+    # To save time, the function does not wait until the file is on the disk. If the system crashes, the file may be
+    # incomplete, which the checksum detects.
     with atomic_write(path, suffix=_UNFINISHED, durable=False) as temporary, temporary.open("rb+") as file:
         file.write(bytes(_CHECKSUM_BYTES))
         np.savez(file, **arrays)

@@ -102,7 +102,7 @@ def holding(argument: str, file: Path) -> Iterator[None]:
 
     Args:
         argument: Argument that the errors in the context name.
-        file: File that the value was read from, the argument ``path``.
+        file: File from which the value was read. Error messages name it as the argument ``path``.
     """
     try:
         yield

@@ -220,7 +220,8 @@ forks.at_fork(after_in_child=_end)
 def _libraries(_with_scipy: bool) -> list[LibController]:
     """Return the loaded libraries of linear algebra.
 
-    SciPy loads a library of its own when ``scipy.linalg`` is imported. The argument only makes the cache store two
-    lists: one from before this import and one from after it.
+    SciPy loads a library of its own when ``scipy.linalg`` is imported. ``_with_scipy`` says whether this has happened.
+    The function body does not use it: it is the key under which the cache stores the list from before the import and
+    the list from after it.
     """
     return list(ThreadpoolController().select(user_api="blas").lib_controllers)

@@ -24,8 +24,9 @@ _Choice = TypeVar("_Choice", bound=str | int)
 MOST, LEAST = 1e15, 1e-15
 # Largest accepted integer, that of int64; larger ones would overflow.
 MOST_COUNT = 2**63 - 1
-# Vectors that look like angles in degrees: all components are multiples of the first number or ±1, and the largest is
-# between the second and the third number. Limit: unnormalised directions rarely have such components.
+# A warning follows if directions look like angles in degrees. Each of their components is then ±1 or a multiple of the
+# first number, and the largest magnitude is from the second number to the third. Limit: unnormalised directions rarely
+# have such components.
 _ROUND_DEGREES, _LEAST_DEGREES, _MOST_DEGREES = 5.0, 10.0, 360.0
 
 

@@ -93,7 +93,8 @@ def resolve_threads(threads: int | None) -> int:
 def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> list[Future[None]]:
     """Start to compile or load kernels for the CPU on other threads, and return the futures of this work.
 
-    The first compilation on a thread requires seconds to read Warp's headers. Two threads do this at the same time.
+    At most `_LOADERS` threads compile, because the first compilation on each thread reads Warp's headers, which takes
+    seconds.
     """
     if not device.is_cpu:
         return []

@@ -150,8 +150,8 @@ def launch_pipeline(
         slices = -(-len(indices) // size)
         at_once = max(min(_MOST_AT_ONCE // size, slices // (_TURNS_PER_THREAD * threads)), 1)
         take = Pipeline(steps).slices(indices, size, at_once)
-        # The last slices may be in the turn of a thread that has not begun yet. One additional call per thread lets the
-        # other threads take such slices.
+        # Each call processes the next slices of a common list. A thread that the system has paused may begin the last
+        # call late, and its slices would wait. Additional calls let the other threads process these slices.
         times = -(-slices // at_once) + (threads - 1 if at_once > 1 else 0)
         parallel_for(lambda _: take(), range(times), threads=threads, progress=progress)
         return

@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 METHODS = ("low-rank", "power", *EXPANSIONS)
 POWER_METHODS = ("power",)
 
-# Number of entries in the table of a basis over κ, per radian of the fastest oscillation of a power, e^{2πiκ(h − h')}.
-# The error of cubic interpolation between entries is 0.023/16⁴ = 4e-7. Amplitudes oscillate half as fast, if heights
-# are measured from the middle of their range, and their error is 2e-8.
+# Number n of entries in the table of a basis over κ, per radian of the phase 2πκ · (height range). This phase belongs
+# to the fastest oscillation of a power. The error of cubic interpolation between entries is 3/(128 n⁴), which is 4e-7.
+# Amplitudes oscillate half as fast, if heights are measured from the middle of their range, and their error is 2e-8.
 _STEPS_PER_RADIAN = 16
 # Smallest number of steps in the table of a basis over κ. It is for shallow surfaces, whose powers do not oscillate
 # over κ but grow as κ²ⁿ.
@@ -150,7 +150,8 @@ def of_series(
     )
     rows = np.stack([series.real, series.imag], axis=2).astype(np.float32, copy=False)
     step, table_kappas = _table_kappas(heightfield, kappas)
-    # The series is evaluated at x = 2πκa. Its argument x is negative, because κ = w/λ is negative.
+    # The argument of the series is x = 2πκa, where a is the scale by which the expansion divides heights. κ = w/λ is
+    # negative, and ``table_kappas`` holds |κ|.
     basis = expansion.basis(-2.0 * math.pi * expansion.offset_and_scale(heightfield)[1] * table_kappas, terms)
     bounded = np.clip(basis, -_LARGEST, _LARGEST).astype(np.float32)
     return Coefficients(rows, bounded, kappas[0], step, np.zeros(0))
@@ -255,8 +256,8 @@ def _truncation_errors(
 ) -> NDArray[np.float64]:
     """Return the truncation error of a basis with 0, 1, 2, … terms.
 
-    A coefficient's error is its largest one over κ. The truncation error is the percentile ``_PERCENTILE`` of these
-    errors over the sampled coefficients.
+    The error of a coefficient is the largest of its errors at all κ. The truncation error is the percentile
+    ``_PERCENTILE`` of the errors of the sampled coefficients.
     """
     rows = sample @ principal
     remaining = sample.copy()

@@ -47,8 +47,8 @@ _BIN = 0.08
 # Sinkhorn's iteration, which finds the factors, ends after the first number of steps, or when no factor changes by more
 # than the second number, relative to it.
 _MOST_SWEEPS, _CONVERGED = 200, 1e-10
-# Number of entries in the table of a bin's power over |κ|, per two radians of the fastest oscillation of a power.
-# Parabolas interpolate between entries.
+# Number of entries in the table of a bin's power over |κ|, per radian of π|κ| · (height range). The phase of the
+# fastest oscillation of a power is twice that. Parabolas interpolate between entries.
 _PER_RADIAN = 6.0
 # Largest number of entries of each cache of energy factors; an entry belongs to one height field.
 _CACHED = 8
@@ -62,9 +62,9 @@ _PLASTIC = 1.22074408460575947536
 # Largest angle from the normal of the light for which deviations of the reflected power at single wavelengths are
 # measured [radians]. The energy factors for colours conserve only the total power of all wavelengths.
 _STEEPEST = math.radians(80.0)
-# First number: wavelengths per band at which energy factors are computed; they are interpolated linearly between these.
-# Second: the visible band [nm]. Outside of it, further bands with the same ratio of wavelengths follow. The bands are
-# fixed, so that factors do not depend on the other wavelengths of a call.
+# Wavelengths are divided into fixed bands, so that the energy factors of a wavelength do not depend on the other
+# wavelengths of a call. In each band, the factors are computed at this number of wavelengths and interpolated linearly.
+# The second value is the visible band [nm]; the longest and shortest wavelength of every band have the same ratio.
 _NODES, _BAND_NM = 5, (colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM)
 # Largest number of different incident directions in a call for which the orders are made to sum to exactly 1. For more
 # directions that would require too much time, and the factors are interpolated instead.

@@ -327,7 +327,7 @@ class _Call:
         self.plan = request.with_energy(self.plan)
 
     def single(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return an array with one row per pair unchanged, or its only row if the caller gave single directions."""
+        """Return an array that has one row per pair of directions; if the caller gave a single pair, return its row."""
         return np.asarray(values[0]) if self._is_single else values
 
     def spectra(self, *, progress: Callable[[float], None] | None) -> NDArray[Any]:

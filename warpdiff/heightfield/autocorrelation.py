@@ -20,7 +20,8 @@ THRESHOLD = 0.2
 # the pairs of samples remains. If doubled, a lag may have a single pair of samples.
 MOST_LAG = 0.5
 # Least number of pairs of samples at a lag, as a share of the number of measured samples; lags with fewer pairs are
-# ignored. Limit: averages over fewer pairs are noise. If doubled, Str has no value for more of the fields with gaps.
+# ignored. Limit: averages over fewer pairs are noise. If doubled, the autocorrelation of more fields with gaps is
+# unknown at the lags where it decays, and these fields get no Str.
 _LEAST_PAIRS = 0.05
 # Step between the points at which the autocorrelation is evaluated on a straight line from the origin [samples]. Limit:
 # a minimum narrower than half a sample is noise. If doubled, narrow minima of the autocorrelation are missed.
@@ -29,8 +30,9 @@ _STEP = 0.5
 # and the longest decay length, and number of azimuths of a refinement. Limit: the last refinement has steps of 0.001°,
 # so that Str down to 0.001 is exact to 1 %. If doubled, the time doubles.
 _AZIMUTHS, _LEVELS, _AZIMUTHS_OF_LEVEL = 360, 3, 17
-# Number of azimuths over half a turn for the estimate without one block, from which standard errors follow. Limit: the
-# refinements still find the shortest and the longest decay length. If doubled, the time doubles.
+# Number of azimuths over half a turn for the decay lengths of a field without one of its blocks. A jackknife over the
+# blocks gives the standard errors. Limit: the refinements still find the shortest and the longest decay length. If
+# doubled, the time doubles.
 AZIMUTHS_OF_PART = 60
 # Number of secant steps that find where the autocorrelation crosses the threshold on a line. Limit: the remaining error
 # is far below that of the interpolating spline.
@@ -147,8 +149,9 @@ def decay_of(
     if crosses.all():
         azimuth = math.atan2(dy * math.sin(slowest_angle), dx * math.cos(slowest_angle))
     else:
-        # At azimuths near the lay, the autocorrelation does not fall to the threshold. The mean of these azimuths is
-        # the lay. It is a mean of doubled angles, because a lay is the same after half a turn.
+        # Along the grooves of a surface, the autocorrelation does not fall to the threshold. The direction of the
+        # grooves is the mean of the azimuths where this is so. It is a mean of doubled angles, because a direction of
+        # grooves is the same after half a turn.
         azimuth = 0.5 * float(np.angle(np.sum(np.exp(2j * directions[~crosses]))))
     return Decay(fastest, slowest, math.degrees(azimuth) % 180.0, is_closed, extents)
 

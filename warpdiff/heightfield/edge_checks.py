@@ -31,8 +31,7 @@ _MOST_CHANGE = 0.4
 # Ratio of the jump across opposite edges to the largest steps between neighbouring samples. Up to this ratio, the jump
 # may be a wall of a grating, and no warning follows.
 _MOST_JUMP = 1.5
-# Share of the interfering pairs of points with an edge of the field between them, from which a warning follows. It is
-# derived for a Gaussian window, in which two points have a mean distance of 2σ/√π along an axis.
+# A warning follows if an edge of the field lies between the points of at least this share of the interfering pairs.
 _LEAST_SHARE = 0.1
 _warned: weakref.WeakSet[HeightField] = weakref.WeakSet()
 
@@ -92,14 +91,18 @@ def _jump(heights: NDArray[np.float64], axis: int) -> float:
 
 
 def _share(coherence: Coherence, size_um: float, axis: int, longest_um: float) -> float:
-    """Return the share of the interfering pairs of points that have an edge between them, along one axis."""
+    """Return the share of the interfering pairs of points that have an edge between them, along one axis.
+
+    In a Gaussian window, two points have a mean distance of 2σ/√π along an axis. The share is this distance relative to
+    the length of the field.
+    """
     if coherence.periods is not None:
         return 0.0 if coherence.periods[axis] == 1 else 1.0
     sigma = coherence.sigma_um
     if sigma is None:
         sigma = longest_um / (2.0 * math.sqrt(2.0) * math.pi * coherence.spread)
     if coherence.kind == "centred" and coherence.centre_um is None:
-        # A single window is in the middle of the patch. Pairs of points with an edge between them have the share of its
-        # weight that lies beyond the edges.
+        # A single window is in the middle of the patch. The share of its weight that lies beyond the edges is the share
+        # of points that are in a neighbouring period, with an edge between them and the middle.
         return math.erfc(0.5 * size_um / (math.sqrt(2.0) * sigma))
     return min(2.0 * sigma / (math.sqrt(math.pi) * size_um), 1.0)

@@ -176,7 +176,7 @@ class HeightField:
         cls, content: FileContent, path: str, channel: str, heights_um: NDArray[np.float64],
         pitch_um: float | tuple[float, float], rows: Rows,
     ) -> HeightField:  # fmt: skip
-        """Return the height field of the content of a file."""
+        """Return a height field of heights that were read from a file; it remembers the file, channel and metadata."""
         make = cls.of_known_scale if content.is_known_scale else cls
         field = make(heights_um[::-1] if rows == "up" else heights_um, pitch_um)
         field._source = reader_registry.Source(path, channel, rows, dict(content.metadata))
@@ -591,9 +591,10 @@ class HeightField:
         """Find the strongest periods: waves of any direction that repeat at least three times, with their harmonics.
 
         A period is a line of the spectrum that noise reaches with a probability of less than 0.5 %. Its power must
-        exceed the spectrum at lower and at higher frequencies of the same direction, so that it is found below waviness
-        and tilt, while rough surfaces of any correlation have none. A wave whose phase wavers has one period, at its
-        mean frequency. Missing samples have no weight.
+        exceed the spectrum at lower and at higher frequencies of the same direction. Stronger waviness or tilt
+        therefore does not hide a period. Rough surfaces have no period, because their spectra have no lines, whatever
+        their autocorrelation is. A wave whose phase varies has one period, at its mean frequency. Missing samples have
+        no weight.
 
         The length of a period is much more precise than the resolution of the Fourier transform. Its standard error
         includes noise, steps between scan lines, and the variation of the period over the field. A field of a single
@@ -627,7 +628,8 @@ class HeightField:
 
         - Sa and Sq are the mean magnitude and the root mean square of the heights.
         - Sdq is the root mean square gradient, from differences of neighbouring samples.
-        - Sdr is the area of the surface beyond its projection, relative to it, as the mean of both triangulations.
+        - Sdr is the area of the surface beyond its projection, relative to it. Triangles connect the samples; the area
+          is the mean over both diagonals of each cell of four samples.
         - Sal is the shortest lag at which the autocorrelation is 0.2 of its value at lag 0.
         - Str is Sal divided by the longest such lag, over all directions.
 

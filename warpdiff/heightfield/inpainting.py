@@ -26,7 +26,7 @@ _LEAST_WEIGHT = 1e-10
 _DAMPING = 2.0 / 3.0
 # Number of Jacobi iterations before, and again after, each correction that is computed on the next coarser grid.
 _SWEEPS = 2
-# Number of unknowns from which down a grid is not coarsened further. Its equations are solved by an inverse matrix.
+# A grid with at most this number of unknowns is not coarsened further. Its equations are solved by an inverse matrix.
 _FEW = 400
 # First number: samples per sample of the next coarser grid, along an axis. Second number: both axes are coarsened only
 # if the ratio of their pitches is at most this; otherwise only the axis with the finer pitch is.
@@ -66,7 +66,7 @@ def harmonic(heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> NDA
 def _equations(
     gaps: NDArray[np.bool_], heights: NDArray[np.float64], pitch: tuple[float, float]
 ) -> tuple[csr_array, NDArray[np.float64]]:
-    """Return the linear equations of the missing samples: a matrix, minus the Laplacian, and its right-hand side.
+    """Return the linear equations of the missing samples: the matrix of the negative Laplacian, and a right-hand side.
 
     The right-hand side is the sum of the known neighbours of each missing sample, times their weights.
     """
@@ -133,8 +133,7 @@ def _multigrid(
         matrix = (to_finer.T @ (matrix @ to_finer)).tocsr()
         places = cells // width, cells % width
         distances = [distance * block for distance, block in zip(distances, blocks, strict=True)]
-    # The inverse is dense, because SciPy's sparse factorisation leaves's sparse factorisation leaves a pending error in
-    # forked child processes.
+    # A dense inverse is used, because SciPy's sparse factorisation leaves a pending error in forked child processes.
     inverse = np.linalg.inv(matrix.toarray())
 
     def cycle(residual: NDArray[np.float64], depth: int = 0) -> NDArray[np.float64]:

@@ -30,9 +30,10 @@ _ROUNDED_PERIODS = 0.02
 # Radius of the band of frequencies around a line, relative to the frequency of the line; and its minimum [cycles over
 # the field].
 _BAND, _LEAST_BAND = 0.35, 3.0
-# Distance from the frequency of a wavering wave, relative to that frequency, up to which weaker lines belong to the
-# same wave. Fitted to simulated waves whose phase varies as a sine with an amplitude of 2.4 radians: nearly all of
-# their power is in lines beside the mean frequency. If doubled, lines of other waves are discarded.
+# Distance from the frequency of a wavering wave, whose phase varies over the field, up to which weaker lines belong to
+# the same wave. It is relative to this frequency. Fitted to simulated waves whose phase varies as a sine with an
+# amplitude of 2.4 radians: nearly all of their power is in lines beside the mean frequency. If doubled, lines of other
+# waves are discarded.
 _SIDE_LINES = 0.55
 # Radius of the bands that are excluded around the harmonics of a wave, relative to the frequency of the wave.
 _HARMONIC_BAND = 0.5
@@ -49,7 +50,7 @@ _RESOLUTION = 2.5
 # fraction of the power of the sine.
 _COHERENT = 0.5
 # After a sine is subtracted, a second sine counts as another wave if it explains at least this share of the power that
-# remains near the first one. Otherwise this power belongs to the first wave, whose phase varies.
+# remains near the first one. Otherwise this power belongs to the first wave, which is then a wavering wave.
 _SECOND = 0.7
 # A line near a coherent wave is a side line, caused by variations of the phase, if the mirrored frequency on the other
 # side of the wave has more than this fraction of the power of the line.
@@ -57,15 +58,16 @@ _TWIN = 0.25
 # Search for the mean frequency of a wavering wave: largest number of steps; largest step, relative to the radius of the
 # band; and step [cycles over the field] below which the search ends.
 _MOST_STEPS, _LARGEST_STEP, _CONVERGED = 12, 0.3, 1e-3
-# The standard error of a wave's frequency is estimated from the lowest frequencies in the spectrum of its phase error
-# [cycles over the field]. `_COHERENT_ORDINATES` of them are used along each axis for coherent waves, and those below
-# `_WAVERING_ORDINATES` for wavering waves. Their power is extrapolated to the frequency `_COHERENT_AT` or
-# `_WAVERING_AT`. Pairs of numbers are for fields of two axes and of one. For an endless random walk of the phase this
-# frequency is 0.5; the values are fitted by bench/reproduce/periods.py.
+# The standard error of a wave's frequency follows from the spectrum of its phase error. All frequencies here are in
+# cycles over the field. For a coherent wave, the lowest `_COHERENT_ORDINATES` frequencies along each axis are used; for
+# a wavering wave, those below `_WAVERING_ORDINATES`. The powers at these frequencies are extrapolated to the lower
+# frequency `_COHERENT_AT` or `_WAVERING_AT`. If the phase were an endless random walk, the frequency would be 0.5; the
+# values are fitted by bench/reproduce/periods.py. In a pair, the first number is for fields of two axes, and the second
+# for fields of one axis.
 _COHERENT_ORDINATES, _WAVERING_ORDINATES = 24, (5.0, 3.2)
 _COHERENT_AT, _WAVERING_AT = (0.43, 0.32), (0.4, 0.7)
-# Ratios of the power of a random walk to that of white noise, at one cycle over the field, that are tried as the
-# spectrum of the phase error.
+# The spectrum of the phase error is modelled as white noise plus a random walk. These are the ratios of the walk's
+# power to that of the noise, at one cycle over the field, that are compared with the measured powers.
 _WALKS = (0.0, *(10.0 ** np.arange(-0.5, 5.1, 0.5)).tolist())
 
 # Cache: for each field, the periods found by calls, with the argument ``count`` of the call as the key.
@@ -77,7 +79,7 @@ class Period:
     """Periodic wave in a height field, with its harmonics.
 
     A period is found if its line in the spectrum is significantly higher than the spectrum at lower and at higher
-    frequencies of the same direction. Noise of any correlation has no such line.
+    frequencies of the same direction. Noise has no such line, whatever its autocorrelation is.
 
     Attributes:
         period_um: Mean length of the period [µm]: the inverse of the mean frequency of the wave, weighted by its power.
@@ -122,7 +124,7 @@ class Period:
 
 
 class Periods(tuple[Period, ...]):
-    """Periods of a height field, a tuple of :class:`warpdiff.Period`, strongest first, which also is a table.
+    """Periods of a height field: a tuple of :class:`warpdiff.Period`, strongest first. Its methods print and save them.
 
     Examples:
         >>> import numpy as np
@@ -327,7 +329,11 @@ class _Search:
         self, line: Line, band: float, before: float, after: float, rest: WindowedSpectrum,
         residual: NDArray[np.float64], cycles: NDArray[np.float64],
     ) -> bool:  # fmt: skip
-        """Return whether one sine explains the power around a line, or nearly does so with a second, separate sine."""
+        """Return whether one sine explains the power around a line.
+
+        The result is also True if most of the power that this sine leaves is in a second sine, whose frequency is more
+        than 2 cycles over the field away. The second sine is then another wave.
+        """
         coefficients = math.pi * band**2 / 2.25 if self.is_plane else band / 0.75
         noise = 2.0 * line.background * math.sqrt(coefficients)
         if after - noise < _COHERENT * (before - after):
@@ -366,9 +372,9 @@ class _Search:
     def _noise(self, fit: HarmonicFit, residual: NDArray[np.float64]) -> list[float]:
         """Return the variance of white noise that causes the same error of the frequency as the residual, per axis.
 
-        The residual of a fit, times the derivative of the wave with respect to its phase, is the score of the phase.
-        Only its lowest frequencies disturb the fitted frequency. They come from noise, from steps between scan lines or
-        from variations of the phase.
+        The residual of a fit is multiplied by the derivative of the wave with respect to its phase. In the spectrum of
+        this product, only the lowest spatial frequencies cause an error of the wave's fitted frequency. Their power
+        comes from noise, from steps between scan lines or from variations of the phase.
         """
         slopes = np.where(self.known, fit.slopes(), 0.0)
         power = np.abs(np.fft.fft2(residual * slopes)) ** 2 / float(np.sum(slopes**2))

@@ -40,11 +40,12 @@ _LEAST_BLOCKS = 4
 # Largest number of samples along an axis for the first estimate of the autocorrelation; larger fields are averaged over
 # groups of samples. Limit: the Fourier transform of twice as many samples along both axes takes 0.2 s.
 _COARSE = 1024
-# Ratio of the largest computed lag to the extent of the region where the autocorrelation exceeds the threshold. If
-# doubled, the Fourier transforms take longer.
+# Ratio of the largest computed lag to the extent of the region where the autocorrelation exceeds
+# `autocorrelation.THRESHOLD`. If doubled, the Fourier transforms take longer.
 _MARGIN = 1.3
-# Largest angle between an axis and the direction of the slowest decay of the autocorrelation, at which the blocks are
-# stripes along this axis [degrees]. Limit: half of the angle between axis and diagonal.
+# A field with grooves is divided into blocks for the standard errors. If the angle between the grooves and an axis is
+# at most this [degrees], the blocks are stripes along this axis, because parts along a groove resemble each other.
+# Limit: half of the angle between axis and diagonal.
 _ALONG_AXIS_DEG = 22.5
 # Least standard error that is printed as a number, relative to its value; smaller ones are printed as an upper bound.
 # Limit: printed values have at most seven digits.
@@ -104,8 +105,8 @@ class Roughness:
         parameters: Sa, Sq, Sdq, Sdr, Sal and Str.
         order: Degree of the polynomial that was subtracted from the heights first.
         blocks: Number of blocks (y, x) into which the field was split to estimate the standard errors.
-        lay_deg: Azimuth of the slowest decay of the autocorrelation [degrees], from x towards y, 0 to 180, which is
-            the direction of the lay; None for a profile or a flat field.
+        lay_deg: Azimuth of the slowest decay of the autocorrelation [degrees], from x towards y, 0 to 180, which is the
+            lay, the direction of grooves or scratches; None for a profile or a flat field.
 
     Examples:
         >>> import warpdiff as wd
@@ -334,8 +335,9 @@ def _block_counts(shape: tuple[int, ...], pitch_um: tuple[float, float], decay: 
         length = max(extent, decay.fastest_um / pitch) * _DECAYS_PER_BLOCK
         counts.append(1 if n == 1 else max(min(int(n / length), most), 1))
     if not decay.is_closed and min(shape) > 1:
-        # Parts of a field along its lay resemble each other, so that the field is split only across the lay. If the lay
-        # is oblique, the field is split into at most two blocks along each axis.
+        # The autocorrelation does not decay along grooves. Parts of a field along its grooves resemble each other, so
+        # that the field is split only across them. If the grooves are oblique, the field is split into at most two
+        # blocks along each axis.
         across = [
             max(min(int(n * pitch / (decay.fastest_um * _DECAYS_PER_BLOCK)), most), 1)
             for n, pitch in zip(shape, pitch_um, strict=True)
@@ -356,9 +358,10 @@ def _decays(
 ) -> tuple[Decay, list[Decay]]:  # fmt: skip
     """Return the decay of the autocorrelation of a field, and for each block the decay without this block.
 
-    Only lags near the region where the autocorrelation exceeds the threshold are computed. If this region extends to
-    the largest lags, as along grooves, the lags around the fastest decay suffice, and the slowest decay is that of
-    ``coarse``.
+    ``coarse`` is the decay of the whole field, computed from averages over groups of samples. To save time, only lags
+    near the region where the autocorrelation exceeds `autocorrelation.THRESHOLD` are computed. Along grooves, this
+    region extends to the largest lags. In this case only the fastest decay is computed, across the grooves, and the
+    slowest decay is taken from ``coarse``.
     """
     if math.isnan(coarse.fastest_um):
         return coarse, []

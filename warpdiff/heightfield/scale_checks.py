@@ -50,9 +50,9 @@ _CODES = (
     -99.0, -999.0, -9999.0, -99999.0, -999999.0, 999.0, 9999.0, 99999.0, 999999.0, -32767.0, -32768.0, 32767.0, 32768.0,
     65535.0, -2147483648.0, 2147483647.0, 1e10, -1e10, 1e20, 1e30,
 )  # fmt: skip
-# A number far from all other heights may be a code for missing data. The first two numbers are the smallest distance,
-# relative to the range of the other heights: for the codes listed above, and for any other number. The third is the
-# smallest number of samples with exactly that other number.
+# A height far from all others may be a code for missing data. First number: smallest distance at which a height from
+# the list above counts as a code, relative to the range of the other heights. Second number: the same for a height that
+# is not in the list. Third number: such a height counts only if at least this many samples are equal to it.
 _FAR, _FARTHER, _REPEATED = 3.0, 20.0, 3
 # Magnitude [µm] that no height has, whatever its unit. Larger numbers are codes for missing data, such as 1e20 and the
 # largest float32.

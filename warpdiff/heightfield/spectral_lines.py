@@ -29,8 +29,8 @@ _FALSE_ALARM, _SINGLE_FALSE_ALARM = 5e-4, 1e-2
 # Smallest ratio of the power of a broad line to its background. Estimates of the background are wrong by less than this
 # factor. If doubled, weak waves with a varying phase are lost.
 _LEAST_CONTRAST = 4.0
-# Largest accepted probability that noise reaches a maximum, if the coarse background is right. Maxima that noise
-# reaches with a higher probability are not examined further.
+# Maxima of the spectrum that noise reaches with a higher probability than this are not examined further. The noise is
+# here the coarse background, which is estimated in bins of the frequency plane (`_RINGS`).
 _EXAMINED = 1e-3
 # Largest number of maxima that are examined for each width of the boxes. Limit: time.
 _MOST_CANDIDATES = 40
@@ -265,8 +265,9 @@ class WindowedSpectrum:
         centroid = np.array([np.sum(weight * rows[:, None]), np.sum(weight * columns)]) / float(np.sum(weight))
         if min(self.power.shape) > 1:
             ratio, inside, outside = self._over_ridge(centroid, mean, width)
-            # A straight line through the spectrum contains only about √n of its n coefficients. Noise has fewer maxima
-            # along the line, so that a larger probability is accepted for each maximum.
+            # Each straight line through the maximum contains only about √n of the n coefficients of the spectrum. Noise
+            # has fewer maxima on it than in the whole spectrum, so that a larger probability is accepted for each
+            # maximum.
             if not _is_significant(ratio, inside, outside, level * math.sqrt(tried), width):
                 return None
         exponent = 0.0

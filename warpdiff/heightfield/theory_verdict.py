@@ -5,10 +5,10 @@ the largest estimate is the verdict:
 
 - steep: 0.22 times the root mean square slope, computed in the frequency domain with frequencies above 1/λ counted as
   1/λ.
-- deep: 0.05 (4πs/λ)² min(1, λ/P), with s the standard deviation of the heights and P = 4√2 s/slope, the period
-  of a sine with this s and this mean slope.
+- deep: 0.05 (4πs/λ)² min(1, λ/P). Here s is the standard deviation of the heights, and P = 4√2 s/g with the mean
+  absolute slope g. P is the period of a sine that has the same s and g.
 - narrow: the share of the light that features with periods below two wavelengths diffract, divided by 0.7. It is
-  computed for |w| = 1.
+  computed from the spectrum of exp(2πih/λ), the reflected wave of the heights h for |w| = 1.
 - energy: 1.1 times the deviation of the sum over Stam's orders from the power that a flat surface reflects; 0.4 times
   this deviation if the efficiencies are normalised. Without a direction to the light, the largest deviation of light
   from 0°, 30° and 60° counts.
@@ -52,7 +52,8 @@ QUALITATIVE = 0.1
 # graded invalid.
 INVALID = 0.9
 # Factors from the properties of a surface to the estimated errors, as this module's docstring lists them. Fitted to
-# rigorous solutions for two thirds of the periods and depths (bench/reproduce/theory_verdict.py).
+# rigorous solutions for two thirds of the periods and depths; the other third tests the factors
+# (bench/reproduce/theory_verdict.py).
 _PER_SLOPE, _PER_DEPTH, _PER_NARROW_SHARE, _PER_ENERGY, _PER_NORMALISED_ENERGY = 0.22, 0.05, 1.0 / 0.7, 1.1, 0.4
 # Factor from the undersampled share of the relief to the estimated error. If half of the relief is undersampled, the
 # estimated error is 1: the results are meaningless.

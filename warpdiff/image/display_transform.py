@@ -132,7 +132,7 @@ def auto_exposure(luminances: ArrayLike, display: Display) -> float:
 
 
 def exposure_factor(shown: DisplaySettings, luminances: ArrayLike) -> float:
-    """Return the linear factor of the options of a display, for colours with the given luminances."""
+    """Return the exposure: the factor of linear colours that the display options select for the given luminances."""
     # The automatic factor of nearly black colours may be so large that float32 overflows. It is therefore limited.
     factor = shown.exposure or min(auto_exposure(luminances, shown.display), validation.MOST)
     return float(factor * 2.0**shown.exposure_stops)
@@ -147,8 +147,9 @@ def to_srgb(xyz: ArrayLike, display: Display = "aces", **settings: Unpack[Colour
 
     Args:
         xyz: Linear CIE XYZ, shape (..., 3), for example from :func:`warpdiff.reflectance`.
-        display: Display transform, as in :meth:`warpdiff.Image.display`: ``"aces"`` shows bright colours as continuous
-            spectra, ``"colorimetric"`` is exact for colours within the gamut, ``"clip"`` clips each channel.
+        display: Display transform, as in :meth:`warpdiff.Image.display`: ``"aces"`` shows bright diffraction orders as
+            smooth colour gradients, ``"colorimetric"`` is exact for colours within the gamut, ``"clip"`` clips each
+            channel.
 
     Returns:
         R, G and B, each 0 to 1, shape (..., 3).

@@ -18,9 +18,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 # Relative error of a pixel, divided by the relative error that the plan predicts at the 99th percentile of directions.
-# The value holds for a pixel that differs from its neighbours by as much as its own colour. It is below 1, because a
-# pixel averages many directions. Fitted: a pixel's error is proportional to the eighth root of its difference from its
-# neighbours.
+# The value is below 1, because a pixel averages many directions. Fitted: the ratio is this number times
+# (c/‖XYZ‖)^(1/8), where c is the largest ‖ΔXYZ‖ between the pixel and its four neighbours.
 _MEAN_ERROR_PER_PLAN_ERROR = 0.32
 # A pixel has two independent errors: of the colours and of the subdivision into cells. The root sum of their squares is
 # multiplied by this factor, so that it bounds 95 % of all errors. Fitted.

@@ -147,9 +147,9 @@ class Image:
 
         Args:
             display: Display transform. ``"aces"`` is the ACES 2.0 view for standard dynamic range after compression of
-                chroma, which shows bright orders as continuous spectra. ``"colorimetric"`` is exact for colours within
-                the gamut, reduces the chroma of others at constant hue, and shows everything brighter than white as
-                white. ``"clip"`` clips each channel.
+                chroma, which shows bright diffraction orders as smooth colour gradients. ``"colorimetric"`` is exact
+                for colours within the gamut, reduces the chroma of others at constant hue, and shows everything
+                brighter than white as white. ``"clip"`` clips each channel.
             exposure_from: Picture whose automatic exposure is used, so that several pictures get the same exposure.
             background: Background, mixed in the display's linear light: an encoded colour (R, G, B) with components
                 from 0 to 1, a picture of the same size, or linear sRGB of shape (height, width, 3), as from

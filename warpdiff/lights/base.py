@@ -30,8 +30,9 @@ if TYPE_CHECKING:
 
 # Largest power of a light, a linear factor. Limit: kernels square colours in float32, which is at most 3e38.
 MOST_POWER = 1e12
-# Fewest directional lights with the same illuminant of which each subpixel cell chooses one. Fitted to a snake and a
-# tube: with fewer lights, cells that evaluate all of them save time on one of the two.
+# Smallest number of directional lights with the same illuminant at which each subpixel cell chooses one of them at
+# random, instead of evaluating all. Fitted to pictures of a snake and of a tube: with fewer lights, one of these
+# pictures takes less time if all lights are evaluated.
 MANY_LIGHTS = 64
 # Number of directions per pixel that are drawn on a disc light too wide for one lobe, in pictures with
 # ``refine=False``. Limit: time is proportional to it.
@@ -139,7 +140,7 @@ class LobeSet(LightPart):
         )  # fmt: skip
 
     def make_pass(self, context: PassContext) -> LightPass:
-        """Return the pass that samples the lobes."""
+        """Return the pass in which every ray adds the colours of all lobes."""
         from warpdiff.lights.lobe_pass import LobePass
 
         return LobePass(self, context)
@@ -150,7 +151,7 @@ class LobeChoice(LobeSet):
     """Set of many lobes with one illuminant, each with a single direction. Each subpixel cell chooses one lobe."""
 
     def make_pass(self, context: PassContext) -> LightPass:
-        """Return the pass that chooses lobes."""
+        """Return the pass in which every subpixel cell adds the colour of one lobe, chosen at random."""
         # Warp is imported here, so that the help of the command line can describe lights without loading Warp.
         from warpdiff.lights.choice_pass import ChoicePass
 
@@ -169,7 +170,7 @@ class DiscPart(LobeSet):
         vars(self).update(sample_count=DISC_SAMPLES)
 
     def make_pass(self, context: PassContext) -> LightPass:
-        """Return the pass that samples the disc."""
+        """Return the pass in which every ray draws a direction on the disc and adds its colour."""
         from warpdiff.lights.disc_pass import DiscPass
 
         return DiscPass(self, context)

@@ -20,8 +20,10 @@ if TYPE_CHECKING:
 # Number of lights that each pixel chooses before it is subdivided. Choice: these colours serve only to estimate the
 # reference luminance of the picture.
 _FIRST_SAMPLES = 4
-# Brightness that is expected of all directions besides the diffraction, without and with a pigment. The mean of the
-# diffraction over (u, v) is 0.08. Choices: they change the noise, not the mean.
+# A light is chosen with a probability proportional to the brightness that is expected under it. This brightness is the
+# diffraction near the mirror direction, plus one of these constants for all directions: the first without a pigment,
+# the second with a pigment. For comparison, the mean of the diffraction over (u, v) is 0.08. Choices: they change the
+# noise, not the mean.
 _DIFFUSE, _DIFFUSE_OF_PIGMENT = 0.002, 0.08
 
 

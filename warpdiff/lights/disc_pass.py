@@ -20,11 +20,13 @@ if TYPE_CHECKING:
 
 # Effective number of pixels that contribute to a pixel through the pixel filter, a Gaussian of σ pixels. Derived: 4πσ².
 _COVERED_PIXELS = 4.0 * math.pi * FILTER_SIGMA**2
-# A sample of a disc light counts as a Gaussian source, which lowers the noise. The first number, over the square root
-# of the samples per pixel, is the Gaussian's standard deviation in radii of the disc. Choice: twice as much narrows
-# penumbrae. The second number is the largest standard deviation, that of the whole disc.
+# A sample of a disc light counts as a Gaussian source around its direction, which lowers the noise. The standard
+# deviation of the Gaussian, in radii of the disc, is the first number divided by the square root of the samples per
+# pixel. It is at most the second number, which is that of the whole disc. Choice: if the first number is doubled,
+# directions are drawn on a smaller part of the disc, and penumbrae become narrower.
 _EXTENT, _MOST_EXTENT = 1.0, 0.5
-# Number of samples per pixel whose directions are measured to choose a plan. Limit: time is proportional to it.
+# Number of samples per pixel whose scattering vectors determine the range for which a plan is chosen. Limit: time is
+# proportional to it.
 _MEASURED = 16
 
 
@@ -55,7 +57,7 @@ class DiscPass(LobePass):
 
     @property
     def measured_lobes(self) -> range:
-        """Lobes whose directions are measured to choose a plan.
+        """Lobes whose scattering vectors determine the range for which a plan is chosen.
 
         A few suffice, because every pixel draws other directions on the disc.
         """

@@ -262,7 +262,7 @@ class LightPass(ABC):
 
     @property
     def measured_lobes(self) -> range:
-        """Lobes whose directions are measured to choose a plan."""
+        """Lobes whose scattering vectors determine the range for which a plan is chosen."""
         return range(self.lobe_count)
 
     def cell_lobes(self, level: int) -> range:
@@ -300,7 +300,11 @@ class LightPass(ABC):
         return True
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:  # noqa: B027 (nothing is the usual case)
-        """Make the occluder grids for shadow rays. Calling ``count`` returns the number of shadow rays per lobe."""
+        """Make the occluder grids, which save time if there are many shadow rays.
+
+        ``count()`` returns the number of shadow rays to each lobe. It reads the number of hits from the device, and is
+        called only where grids are possible.
+        """
 
     @abstractmethod
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:

@@ -73,7 +73,7 @@ def sample_grid(grid: NDArray[np.float64], along: NDArray[np.float64], turn: flo
 
 
 def extract_suns(radiance: NDArray[np.float32]) -> tuple[NDArray[np.float64], list[Sun]]:
-    """Return the radiance of a sky on the grid without its suns; and the suns, too small for its cells."""
+    """Return the radiance of a sky on the grid without its suns, and the suns, which become separate lights."""
     grid = _on_grid(radiance)
     sun_extent = max(_SUN_REACH, _SUN_PIXELS * math.pi / len(radiance))
     suns: list[Sun] = []

@@ -45,8 +45,8 @@ _STENCIL = 6
 # at most the second number times the sum of all weights (rounding errors).
 _MOST_ROUNDS, _NEGLIGIBLE = 64, 1e-12
 
-# Largest deficit by which steps of a tabulated spectrum below 1 nm still count as 1 nm [nm]. Limit: rounding of the
-# wavelengths in a file.
+# A step between tabulated wavelengths counts as at least 1 nm if it is shorter by at most this [nm]. Limit: rounding of
+# the wavelengths in a file.
 _STEP_ROUNDING = 1e-6
 
 # Matrix from XYZ to linear sRGB (IEC 61966-2-1).
@@ -207,10 +207,10 @@ def quadrature_weights(wavelengths_nm: ArrayLike, illuminant: Illuminant = "D65"
 def _interpolation_weights(
     nodes: NDArray[np.float64], points: NDArray[np.float64], masses: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the weights of wavelengths (``nodes``) whose sum over ρ equals the sum over the interpolated ρ.
+    """Return the weights of the values of ρ at the wavelengths ``nodes`` in a weighted sum over interpolated values.
 
-    ρ is interpolated at the wavelengths ``points`` by Lagrange polynomials in 1/λ, and summed with the weights
-    ``masses`` there, shape (p, 3). The result has the shape (m, 3).
+    Lagrange polynomials in 1/λ interpolate ρ from the m wavelengths ``nodes`` to the p wavelengths ``points``. The sum
+    has the weights ``masses`` at the points, shape (p, 3). The result has the shape (m, 3).
     """
     stencil = min(_STENCIL, nodes.size)
     tau, targets = 1.0 / nodes, 1.0 / np.clip(points, nodes[0], nodes[-1])

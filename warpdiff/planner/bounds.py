@@ -52,9 +52,9 @@ _SAMPLES_PER_DEVIATION = 0.441
 # addition to the samples for the colours. The number is for a tolerance of 1 and increases for smaller tolerances, to 6
 # at 1e-2. Fitted for levels 3 and 5.5 µm apart under HP2 and FL12.
 _SAMPLES_PER_CYCLE = 2.785
-# Orders p of convergence of the integral over λ: its error is proportional to n^−p for n samples. Derived: windows and
-# sources are interpolated by quintics through six samples, and the power of a replicated patch by cubics through four
-# samples.
+# Orders p of convergence of the integral over λ: its error is proportional to n^−p for n samples. Derived: for
+# coherence windows and sources, quintics through six samples interpolate the reflectance over λ. For replicas, cubics
+# through four samples interpolate the power of the patch.
 _QUINTIC_ORDER, _CUBIC_ORDER = 6.0, 4.0
 # Typical error of an upper-bound plan by the integral over λ, and by excluded neighbours, each as a share of the
 # tolerance. Fitted: 99th percentile of the errors of such plans. Plans report this number; no decision depends on it.

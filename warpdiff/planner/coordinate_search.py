@@ -32,9 +32,9 @@ _REPAIRS = 3
 # Largest number of factors of 2 by which a search reduces a bandwidth. Upper bounds exceed the required bandwidth by
 # less than that.
 _OCTAVES = 3
-# Searches try bandwidths that are multiples of the upper bound at this tolerance, by powers of 2 in steps of
-# 1/SETS_PER_OCTAVE. Searches for all tolerances use the same bandwidths. Otherwise a larger tolerance could give a
-# slightly more expensive plan than a smaller one.
+# Searches try only bandwidths that are 2^(n/SETS_PER_OCTAVE) times the upper bound for this tolerance, with whole n.
+# All tolerances thus have the same bandwidths. Otherwise a larger tolerance could give a slightly more expensive plan
+# than a smaller one.
 _GRID_TOLERANCE = 1e-2
 # Number of bright validation directions below which a search uses only a part of its error budget, because so few do
 # not represent the bright directions of a call well. Fitted to random calls with few bright directions
@@ -210,9 +210,9 @@ def _coarsened(plan: Plan, error: float, trial: Trial, coordinate: Coordinate) -
             high = middle
         middle = (low + high) // 2
     if best.wavelengths == coefficient_table.wavelength_set_size(0.0):
-        # The plan has the smallest number of wavelengths. The last steps changed only the bandwidth that the plan
-        # records, and saved no time. They are undone here: otherwise a repair, which refines by steps, would first have
-        # to undo them.
+        # The plan has the smallest possible number of wavelengths. Steps beyond this number reduced only the bandwidth
+        # that the plan records, and saved no time. They are undone here: otherwise a repair, which refines by steps,
+        # would first have to undo them.
         while low > 0 and replace(finer := coordinate.coarser(plan, low - 1), bandwidth_um=best.bandwidth_um) == best:
             best, low = finer, low - 1
     return best, error

@@ -98,7 +98,8 @@ def _longest_sigma_um(coherence: Coherence) -> float:
 def check_error(request: Evaluation, plan: Plan) -> None:
     """Raise an error for a plan that cannot meet its tolerance, or warn if the request is not strict."""
     heightfield = request.heightfield
-    # Measured errors include a safety factor. A plan that exceeds its tolerance by less than this factor is accepted.
+    # If errors were measured, ``plan.error`` is the error on the validation set times a safety factor. A plan whose
+    # error meets the tolerance without this factor is accepted.
     if plan.error <= plan.tolerance * (SEARCH_SAFETY if plan.is_measured else 1.0):
         return
     fewer = f"reduce the height range with {ref('levelled()')}, {ref('despiked()')} or {ref('cropped()')}"

@@ -33,9 +33,9 @@ _CANDIDATES, _TRAINING = 1024, 128
 # Number of validation directions. The validation set is larger than the training set, because it decides whether a plan
 # is accepted.
 _VALIDATION = 2 * _TRAINING
-# Number of edge cases of each kind. It is also the number of strong orders whose surroundings are edge cases; the
-# directions near one strong order are a kind of their own. Limit: all edge cases together are at most a third of the
-# candidates.
+# Number of edge cases of each kind, such as grazing directions. The directions near each of the strongest orders are
+# also one kind, and this is the number of orders for which they are selected. Limit: all edge cases together are at
+# most a third of the candidates.
 _EDGE_CASES = 16
 # Candidates are drawn into a set for three reasons: uniformly, because they are bright, or because they are edge cases.
 # This is the probability of the third reason relative to each of the others, so that about a ninth of a set is drawn as
@@ -105,8 +105,9 @@ def _draw(
 ) -> DirectionSample:  # fmt: skip
     """Draw ``count`` of the directions with the indices ``among`` by systematic sampling, each at most once.
 
-    The probability of a direction is proportional to ``measure``. Each direction stands for ``represents`` candidates,
-    by which its weight is multiplied.
+    The probability of a direction is proportional to ``measure``, and its weight in the result is divided by this
+    probability. ``represents`` is the number of all candidates divided by the number in ``among``. All weights are
+    multiplied by it, so that the drawn directions represent all candidates.
     """
     if len(among) <= count:
         return candidates.some(among, represents * candidates.weights[among])
@@ -163,8 +164,9 @@ def _order_light(
     # of a direction from the order. Replicas have no window, and get an arbitrary falloff of 1 µm².
     falloff_um2 = 1.0
     if plan.coherence.kind != "replicas":
-        # For a centred window, the falloff of an order's amplitude is used, not that of its power, which is twice as
-        # large. Directions in the minima between orders are then edge cases; tables have their largest errors there.
+        # For a centred window, the falloff of an order's amplitude is used, which is half of that of its power. The
+        # estimated power then extends farther from each order, so that directions in the minima between orders are edge
+        # cases, too. Tables have their largest errors there.
         falloff_um2 = coefficient_table.falloff_um2(plan.coherence, 0.5)
     strength = np.log(np.maximum(powers, TINY)) - falloff_um2 * away
     return np.asarray(strength + np.log(np.maximum(sample.gains, TINY))[:, None])

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 # Maximum luminance of the colour of a line, relative to the white background. Derived: the contrast to white is then at
-# least (1 + 0.05)/(0.3 + 0.05) = 3.
+# least (1 + 0.05)/(0.3 + 0.05) = 3, the minimum of WCAG 2 for graphics, whose definition of contrast adds 0.05 to both
+# luminances.
 _LINE_LUMINANCE = 0.3
 # Band below the wavelength axis that shows the colour of each wavelength: its height as a share of the height of the
 # plot, and its number of colours.

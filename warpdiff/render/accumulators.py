@@ -18,8 +18,9 @@ class Accumulators:
     Attributes:
         xyz: Sums of colours, ``wp.vec3f``.
         coverage: Share of each pixel that the mesh covers; all lights use the same array.
-        coverage_levels: Sum of the levels of the nine tiles (the pixel and its neighbours) from which the coverage was
-            computed; a sum of finer levels replaces it. Empty if pixels show points. All lights use the same array.
+        coverage_levels: Sum of the subdivision levels of the nine tiles (the pixel and its neighbours) from which the
+            coverage was computed. If the sum is larger under a later light, its cells are finer and its coverage is
+            stored instead. Empty if pixels show points. All lights use the same array.
         illuminated: Whether any light reached the pixel.
         errors: Estimated errors ‖ΔXYZ‖ of means over pixels; empty if pixels show points.
         edges: Whether an edge of the mesh or of a shadow passes through the pixel; all lights use the same array.

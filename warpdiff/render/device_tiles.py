@@ -33,7 +33,10 @@ class DeviceTiles:
     """
 
     def __init__(self, light: LightRefinement) -> None:
-        """Allocate all arrays for pictures like that of ``light``. A recorded graph requires that they persist."""
+        """Allocate all arrays for the picture of ``light``, and for further pictures with the same size and options.
+
+        A recorded graph requires that the arrays persist.
+        """
         rays = light.light_pass.context.rays
         device = rays.options["device"]
 
@@ -50,7 +53,8 @@ class DeviceTiles:
         self._offset, self._remaining = empty(1), empty(1)
         cells = refinement_levels.rays_at(refinement_levels.MOST_LEVEL)
         ray_count = -(-min(cells * rays.size, _MOST_RAYS) // cells) * cells
-        # All lights of the picture use these buffers. A later light may require arrays of directions.
+        # All lights of the picture use these buffers. Arrays of directions are allocated even if this light needs none,
+        # because a later light may need them.
         kind = light.buffer_kind._replace(has_directions=True)
         self._buffers = TileBuffers.allocate(ray_count, kind=kind, device=device)
 

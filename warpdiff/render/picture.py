@@ -156,7 +156,10 @@ class Picture:
         return self.sampler.measure_directions(heightfield, self.context.optics.coherence, self._light_sums)
 
     def _sampled(self, progress: Progress) -> Iterator[tuple[LobeIndex, Progress]]:
-        """Sample every lobe at every ray of a pixel; after each lobe, yield it and a callable for its progress."""
+        """Sample every lobe for every camera ray, one ray per pixel at a time.
+
+        After each lobe, yield its index and a callable that reports the progress of the caller's work on this lobe.
+        """
         lobes = list(self.sampler.lobes())
         count = self._samples_per_pixel * len(lobes)
         for sample in range(self._samples_per_pixel):
@@ -292,8 +295,8 @@ class Picture:
 
         contrasts = None
         if self._means:
-            # Contrasts are computed before the margin is removed, because pixels at the border require all their
-            # neighbours.
+            # A contrast is the largest difference between the colours of a pixel and its neighbours. Contrasts are
+            # computed before the margin is removed, because pixels at the border require all their neighbours.
             padded = sums.xyz.numpy().reshape(self.rays.height, self.rays.width, 3)
             contrasts = part(pixel_filter.contrasts(padded).ravel())
         parts = ErrorParts(xyz[illuminated], contrasts, cells=part(sums.errors))

@@ -109,7 +109,8 @@ def filter_normalisation_on(means: bool, device: str) -> wp.array:
     filter_normalisation = [
         np.array(FILTER_SHARES) / weights_of(level, means=means).reshape(3, -1).sum(axis=1) for level in LEVELS
     ]
-    # Level 0 has no cells. Its unused row of ones makes the index of each row equal to its level.
+    # The first row of the result is for level 0, where pixels are not divided into cells. It is never read, and makes
+    # the index of each row of the result equal to its level.
     return wp.array([np.ones(3), *filter_normalisation], dtype=wp.float32, device=device)
 
 

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.render.accumulators import Accumulators
 
-# Maximum numbers of rays whose directions are measured to choose a plan; time is proportional to them. If pixels show
-# points, at most the first number of rays per pixel are measured. If pixels show means over footprints, about the
-# second number of rays are measured in total, and at most the third number per pixel. Their positions in the pixel
-# vary, because subpixel cells have directions that do not occur at pixel centres.
+# Maximum numbers of rays whose scattering vectors are computed before a plan is chosen for their range; time is
+# proportional to them. If pixels show points, these are at most the first number of rays per pixel. If pixels show
+# means over footprints, they are about the second number of rays in total, and at most the third number per pixel.
+# Their positions in the pixel vary, because subpixel cells have directions that do not occur at pixel centres.
 _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 
 
@@ -74,7 +74,7 @@ class PixelSampler:
             )  # fmt: skip
 
     def lobes(self) -> Iterator[LobeIndex]:
-        """Yield all lobes whose directions are measured to choose a plan."""
+        """Yield all lobes whose scattering vectors determine the range for which a plan is chosen."""
         for light, light_pass in enumerate(self._passes):
             for lobe in light_pass.measured_lobes:
                 yield LobeIndex(light, lobe)
@@ -145,7 +145,7 @@ class PixelSampler:
         """
         within, count = DirectionRange(0.0, 0.0, 0.0, 0.0), 0
         sampled, lobes = [], list(self.lobes())
-        # If pixels show points, only some of their rays are measured. If pixels show means, several rays per pixel
+        # If pixels show points, only some of their rays are used. If pixels show means, several rays per pixel
         # represent the directions of subpixel cells.
         per_pixel, measured = self._samples_per_pixel, min(self._samples_per_pixel, _SAMPLES_MEASURED)
         if self._means:

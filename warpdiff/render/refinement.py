@@ -42,7 +42,9 @@ class RefinementPolicy:
         least_level: Level to which all pixels are subdivided.
         refine: Whether pixels with larger estimated errors are subdivided further.
         is_sampled: Whether each cell draws a direction to the light.
-        first_level: Least level of the first cells under the light.
+        first_level: Level of the first subdivision of a tile under this light, unless ``least_level`` is higher.
+            Colours of these first cells decide whether the tile is subdivided further. Lights whose directions are
+            random require more first cells.
     """
 
     tolerance: float

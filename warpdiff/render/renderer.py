@@ -199,7 +199,8 @@ class Renderer:
             >>> import warpdiff as wd
             >>> body, light = wd.meshes.tube(), wd.DirectionalLight((0.3, 1.0, 0.8))
             >>> view = wd.View.fit(body, width=32, height=18)
-            >>> renderer = wd.Renderer(body, wd.gratings.sinusoidal(2.0, 0.1), light, view, tolerance=0.1)
+            >>> grating, coherence = wd.gratings.sinusoidal(2.0, 0.1), wd.Coherence(sigma_um=5.0)
+            >>> renderer = wd.Renderer(body, grating, light, view, coherence=coherence, tolerance=0.1)
             >>> renderer.draw(wd.PointLight((1.0, 2.0, 3.0))).numpy().shape
             (18, 32, 3)
         """
@@ -249,7 +250,8 @@ class Renderer:
             >>> import warpdiff as wd
             >>> body, light = wd.meshes.tube(), wd.DirectionalLight((0.3, 1.0, 0.8))
             >>> view = wd.View.fit(body, width=32, height=18)
-            >>> renderer = wd.Renderer(body, wd.gratings.sinusoidal(2.0, 0.1), light, view, tolerance=0.1)
+            >>> grating, coherence = wd.gratings.sinusoidal(2.0, 0.1), wd.Coherence(sigma_um=5.0)
+            >>> renderer = wd.Renderer(body, grating, light, view, coherence=coherence, tolerance=0.1)
             >>> renderer.image().xyz.shape
             (18, 32, 3)
         """

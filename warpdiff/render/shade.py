@@ -74,6 +74,8 @@ def shade(
         MemoryError: More memory than is free; the message states what fits.
 
     Examples:
+        This picture is so small that it does not meet its tolerance:
+
         >>> import warpdiff as wd
         >>> body, grating = wd.meshes.tube(), wd.gratings.sinusoidal(2.0, 0.1)
         >>> light, view = wd.DirectionalLight((0.3, 1.0, 0.8)), wd.View.fit(body, width=32, height=18)
@@ -125,7 +127,7 @@ def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Calla
 
 
 def with_history(image: Image, heightfield: HeightField) -> Image:
-    """Return a picture whose report has the history of its height field."""
+    """Return a picture whose report lists the steps that made its height field (`HeightField.history`)."""
     if image.report is None or not heightfield.history:
         return image
     return replace(image, report=replace(image.report, history=heightfield.history))
@@ -169,8 +171,8 @@ class PictureInputs:
                 f"{ref('footprint', False)} accepts more"
             )
         plan = None if evaluation.plan is None else replace(evaluation.plan, footprint=footprint)
-        # The planner tries tables for the spectra of lobes. If only a sky illuminates, one of its three smooth spectra
-        # suffices.
+        # The planner tries tables for the spectra of lobes. If only a sky illuminates, tables for one of its three
+        # primary spectra suffice, because all three are smooth.
         spectra = [name for part in parts if part.has_lobes for name in part.spectra] or parts[0].spectra[:1]
         illuminated = IlluminatedMaterial.of(spectra, evaluation.materials.values())
         return cls(replace(evaluation, plan=plan, illuminated=illuminated), settings, lights, parts)
@@ -238,7 +240,8 @@ class PictureInputs:
     def refined(self, *, refine: bool) -> PictureInputs:
         """Return these inputs with or without refinement.
 
-        Disc lights of 1.5° to 5° change with it: they are approximated by one lobe only without refinement.
+        The parts of the lights are made again, because those of discs of 1.5° to 5° depend on refinement. Without
+        refinement, one lobe approximates such a disc; with refinement, its directions are sampled.
         """
         settings = replace(self.settings, refine=refine)
         parts = parts_of(self.lights, self.evaluation, refine=refine, means=self.evaluation.footprint)
@@ -278,7 +281,8 @@ def warn_unconverged(image: Image) -> None:
 def check_extent(light: Light, name: str, coherence: Coherence, *, means: bool) -> None:
     """Raise an error for a light with an extent, if the coherence or the settings exclude it.
 
-    A coherence of the kind ``"source"`` has its own angular diameter. Other lights with an extent require footprints.
+    With a coherence of the kind ``"source"``, which has an angular diameter itself, lights must have no extent. With
+    other coherences, lights with an extent require footprints.
     """
     if coherence.kind == "source":
         raise ArgumentValueError(
@@ -297,8 +301,9 @@ def parts_of(lights: Sequence[Light], evaluation: Evaluation, *, refine: bool, m
     """Check lights and return their parts. Without refinement, discs of up to 5° become single lobes.
 
     The lobes of all lights form one part, so that the error of a pixel is estimated under all of them. An uneven
-    surface causes errors under each light, and separate estimates would not bound the sum of these errors. Refined
-    pictures choose one of many directional lights in each cell.
+    surface causes errors under each light, and separate estimates would not bound the sum of these errors. Many
+    directional lights with the same illuminant are an exception: in refined pictures they form a part of their own, of
+    which each cell chooses one light.
     """
     lobes: list[Lobe] = []
     others: list[LightPart] = []
@@ -307,7 +312,7 @@ def parts_of(lights: Sequence[Light], evaluation: Evaluation, *, refine: bool, m
         for part in light.parts(evaluation.coherence, single_lobe=not refine, name=name):
             if part.has_extent:
                 check_extent(light, name, evaluation.coherence, means=means)
-            # A subclass that overrides the pass is refined separately.
+            # A subclass of ``LobeSet`` with a pass of its own is a separate part.
             if isinstance(part, LobeSet) and type(part).make_pass is LobeSet.make_pass:
                 lobes += [replace(lobe, name=f"{ref(name)} ({type(light).__name__})") for lobe in part.lobes]
             else:

@@ -27,8 +27,9 @@ if TYPE_CHECKING:
 class BufferKind(NamedTuple):
     """Flags that say which optional arrays tile buffers have.
 
-    In the order of the flags, the arrays are: gains of directions that a table cannot serve, base colours, gains at
-    faces of one of several materials, and the rays' own directions to the light.
+    In the order of the flags, the arrays are: geometry factors of directions that a table cannot serve; base colours;
+    geometry factors at faces with the material that is being evaluated, if faces have several materials; and the rays'
+    own directions to the light.
     """
 
     needs_sampling: bool

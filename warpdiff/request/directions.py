@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 # Largest number of directions of a call that the planner samples to try plans on. If doubled, planning requires more
 # time.
 MOST_SAMPLED = 8192
-# Number of directions of a call from which on the planner samples at most every second direction. For smaller calls, it
-# uses all directions.
+# If a call has fewer directions than this, the planner uses all of them. Otherwise it samples at most every second one.
 _SAMPLED_FROM = 4096
 # Random seed that selects the sampled directions. It is arbitrary; with another seed, plans differ slightly.
 _SEED = 2

@@ -98,8 +98,8 @@ class Plan:
             share of the reflected power. It is a property of the surface and not part of ``error``.
         scalar_reason: Reason of that error: ``"steep"``, ``"deep"``, ``"narrow"``, ``"energy"`` or ``"undersampled"``.
         multiply_adds: Predicted cost per direction [multiply-adds], the mean over the sampled directions.
-        is_measured: Whether the errors were measured on validation directions; otherwise they are typical of the
-            bounds.
+        is_measured: Whether the errors were measured on validation directions. Otherwise they are typical errors of
+            plans whose parameters are upper bounds.
         validation_size: Number of validation directions.
         table_multiply_adds: Predicted cost of making the table [multiply-adds]; 0 without a table.
 
@@ -299,7 +299,7 @@ class Plan:
 
         Examples:
             >>> import warpdiff as wd
-            >>> plan = wd.plan(wd.gratings.sinusoidal(period_um=2.0, depth_um=0.1))
+            >>> plan = wd.plan(wd.gratings.sinusoidal(period_um=2.0, depth_um=0.1), (0, 0, 1), (0, 0, 1))
             >>> wd.Plan.from_json(plan.to_json()) == plan
             True
         """
@@ -317,7 +317,7 @@ class Plan:
 
         Examples:
             >>> import warpdiff as wd
-            >>> plan = wd.plan(wd.gratings.blazed(period_um=2.0, depth_um=0.2))
+            >>> plan = wd.plan(wd.gratings.blazed(period_um=2.0, depth_um=0.2), (0, 0, 1), (0, 0, 1))
             >>> wd.Plan.from_json(plan.to_json()).method == plan.method
             True
         """
@@ -355,7 +355,7 @@ class Plan:
         Examples:
             >>> import pathlib, tempfile
             >>> import warpdiff as wd
-            >>> plan = wd.plan(wd.gratings.sinusoidal(period_um=2.0, depth_um=0.1))
+            >>> plan = wd.plan(wd.gratings.sinusoidal(period_um=2.0, depth_um=0.1), (0, 0, 1), (0, 0, 1))
             >>> path = plan.save(pathlib.Path(tempfile.mkdtemp()) / "plan.json")
             >>> wd.Plan.load(path) == plan
             True
@@ -416,7 +416,10 @@ def _is_legal(method: str, integration: str, coherence: Coherence) -> bool:
 
 
 def has_table(expansion: str, coherence: Coherence) -> bool:
-    """Whether colour tables can be computed from an expansion: its rows are powers exactly where powers add."""
+    """Whether colour tables can be computed from an expansion.
+
+    Its rows must be powers if the powers of orders add under this coherence, and amplitudes if their amplitudes add.
+    """
     return (
         coherence.kind != "replicas"
         and holds_powers(expansion, adds_powers=coherence.adds_powers) == coherence.adds_powers

@@ -242,8 +242,8 @@ class DisplaySettings(GamutSettings):
 
     Attributes:
         display: Display transform. ``"aces"`` is the ACES 2.0 view for standard dynamic range, which shows bright
-            orders as continuous spectra. ``"colorimetric"`` is exact for colours within the gamut and reduces the
-            chroma of others. ``"clip"`` clips each channel. EXR files are linear.
+            diffraction orders as smooth colour gradients. ``"colorimetric"`` is exact for colours within the gamut and
+            reduces the chroma of others. ``"clip"`` clips each channel. EXR files are linear.
         bits: Bits per channel of PNG files.
     """
 

@@ -158,10 +158,10 @@ def disc(
 ) -> HeightField:  # fmt: skip
     """Make a patch of an optical disc, x radial and y along the tracks, with random data in its pits.
 
-    Pits are stadium-shaped, and their walls are one sample wide. Pits and lands are n channel bits long, where n is
-    random with the probabilities λ^−n of a run-length-limited code at its capacity (Immink 2004, *Codes for Mass Data
-    Storage Systems*, ch. 4: 0.5418 bits for 3 to 11, 0.6793 for 2 to 8). Depths are a quarter wavelength inside the
-    plastic, λ/(4n).
+    Pits are stadium-shaped, and their walls are one sample wide. Pits and lands are m channel bits long; 3T in the
+    table means m = 3. The number m is random with the probabilities g^−m of a run-length-limited code at its capacity
+    log2 g (Immink 2004, *Codes for Mass Data Storage Systems*, ch. 4: 0.5418 bits for 3 to 11, 0.6793 for 2 to 8). The
+    depth of pits is λ/(4n), a quarter wavelength in the plastic of index n.
 
     ======= =========== ========= ========= =========== ======== ==============================================
     kind    track pitch pit width pit depth channel bit runs     source

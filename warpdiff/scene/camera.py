@@ -138,7 +138,8 @@ class View(Checked):
             direction: Direction from the mesh to the camera, world frame, shape (3,). None is the front, which is +z,
                 or −y for an ``up`` near ±z, raised by 31° towards ``up``.
             target: Point in the middle of the image, world frame, shape (3,). None centres the mesh in the image, or,
-                with ``turning``, is the centre of the bounding sphere. The camera is farther away from other targets.
+                with ``turning``, is the centre of the bounding sphere. If you give a point, the camera moves back until
+                the whole mesh is in the image.
             up: Direction that points up in the image, shape (3,).
             fov_y_deg: Vertical field of view [degrees], less than 180.
             width: Width of the image in pixels.

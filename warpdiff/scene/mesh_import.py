@@ -262,9 +262,9 @@ def _part(mesh: Any, transform: NDArray[np.float64], *, colours: bool) -> _Part:
 def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64] | None:
     """Return the vertex normals of the input mesh, shape (n, 3), or None if trimesh computed them.
 
-    trimesh stores normals of the file and computed normals in the same place. If it has computed normals, its cache
-    also has the angles of faces, but these may have been computed for another reason. In this case normals count as
-    computed if they have the values that trimesh would compute.
+    trimesh stores normals of the file and computed normals in the same place. To compute normals, it also computes the
+    angles of faces, which its cache then contains. The cache may also contain the angles for another reason. If it
+    contains them, normals count as computed only if they have the values that trimesh would compute.
     """
     normals = mesh.vertex_normals if "vertex_normals" in mesh._cache else None
     worked_out = normals is None or "face_angles" in mesh._cache

@@ -55,8 +55,8 @@ def _made(
     up = np.cross(towards, across)
     with single_threaded_blas():
         projected = np.stack([across, up]) @ surface.vertices.T * float(shadow_rays.STEPS)
-    # The kernel and NumPy round projected positions differently. A margin of two steps keeps the positions inside the
-    # grid.
+    # Projected positions are rounded to steps of 1/STEPS of the mesh's radius, and the kernel and NumPy round
+    # differently. A margin of two steps keeps the positions inside the grid.
     low, high = np.floor(projected.min(axis=1)) - 2.0, np.ceil(projected.max(axis=1)) + 2.0
     wide, tall = high - low
     faces = len(surface.faces)

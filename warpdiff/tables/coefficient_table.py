@@ -90,12 +90,13 @@ class CoefficientsKey:
     """Cache key of the coefficients of a height field: everything on which they depend except its heights.
 
     Attributes:
-        block: Block of the stored coefficients.
+        block: Range of the orders (r, s) whose coefficients are stored.
         kappas: Range of |κ|, smallest and largest [1/µm].
         method: One of ``coefficient_basis.METHODS``.
         terms: Number of terms of the series.
         fits_powers: Whether a basis is fitted to powers instead of amplitudes.
-        is_tapered: Whether the grid of frequencies contains half orders of the patch, as replicas require.
+        is_tapered: Whether coefficients are also computed at half orders of the patch, as replicas require. The samples
+            are then weighted before the Fourier transform (`Grid.taper`).
     """
 
     block: Block
@@ -112,7 +113,7 @@ class RowsKey:
 
     Attributes:
         device: Name of the device.
-        block: Block of the stored coefficients.
+        block: Range of the orders (r, s) whose coefficients are stored.
         coefficient_range: Range of frequencies and κ.
         method: One of ``coefficient_basis.METHODS``.
         terms: Number of terms of each row.
@@ -212,8 +213,8 @@ def coefficients_for(
         series = cache.fitted_to.get(key)
         if series is not None:
             cache.coefficients.put(key, series)
-        # The series of the last fit is removed from its cache: it has moved to the other cache or is no longer needed,
-        # and two cached series would require twice the memory.
+        # ``cache.fitted_to`` holds the series to which the last basis was fitted. It is emptied: its series is now in
+        # ``cache.coefficients`` or no longer needed, and two cached series would require twice the memory.
         cache.fitted_to.clear()
     return cache.coefficients.get_or_make(key, make), block, grid
 
@@ -362,7 +363,7 @@ def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: Illuminate
 
 
 def wavelength_set_size(count: float) -> int:
-    """Return the smallest permitted number of wavelengths that is at least ``count``, up to a deficit of 2 %."""
+    """Return the smallest permitted number of wavelengths that is at least ``count``, or at most 2 % below it."""
     steps = math.ceil(SETS_PER_OCTAVE * math.log2(max(count, 1.0) / _FEWEST_WAVELENGTHS) - 0.1)
     return int(_FEWEST_WAVELENGTHS * 2.0 ** (max(steps, 0) / SETS_PER_OCTAVE) + 0.5)
 
@@ -373,9 +374,9 @@ def _taps(count: int) -> NDArray[np.float32]:
 
 
 def _set_taps(table: Any, kernels: Any, heightfield: HeightField, device: wp.Device) -> None:
-    """Store the polynomials of the gridding kernel in the struct of a table.
+    """Store the polynomials of the gridding kernel, which interpolates between stored frequencies, in a table's struct.
 
-    Along an axis with a single sample, they are replaced by one constant weight of 1.
+    Along an axis with a single sample, one constant weight of 1 replaces them.
     """
     taps = _taps(coefficient_sum.TAPS)
     constant_x = np.zeros((1, coefficient_sum.TAPS), dtype=np.float32)

@@ -63,8 +63,9 @@ class SpectrumBasis:
         kappas: Range of |κ|, smallest and largest [1/µm].
         sizes: Relative size of each term in typical rows, shape (terms,).
         share: Permitted error of truncating the functions of w, as a share of the tolerance.
-        holds_lines: Whether rows are densities of spectral lines per unit area of frequency. Densities per unit area of
-            (u, v) are smaller by the factor λ⁻².
+        holds_lines: Whether rows are powers per unit area of frequency, as for a source, under which orders are
+            spectral lines. Colours require powers per unit area of (u, v). The weights therefore include the factor λ⁻²
+            between the two.
     """
 
     basis_at: Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -97,7 +98,8 @@ class Projection:
         weights: Spline coefficients of the colour curves: weights in X, Y and Z of the rings that contribute to one
             colour, shape (rings, 3).
         matrices: One matrix per projection: the coefficients of the functions of w for each ring and term, shape
-            (rings, terms, m). The rings extend from one before the red end of a colour to one beyond its blue end.
+            (rings, terms, m). The colour at one |(u, v)| requires the rings |(u, v)|/λ from the longest visible
+            wavelength to the shortest, and one ring more at each end.
         octaves: For each octave of |(u, v)|, the terms whose sum is the octave's colours. Without a material there is a
             single term.
     """
@@ -154,7 +156,7 @@ def make_projection(
 
 
 def _on_curve(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the reflectance of a material at the middle angle, limited from below, which colour curves include."""
+    """Return the reflectance of a material that colour curves include: at cos θd = 0.8, and limited from below."""
     # If the largest reflectance is 0, as for air, it is replaced by 1, because it is a divisor later.
     most = reflectance_at(material, VISIBLE_NM, np.array(_MIDDLE_COSINE)).max() or 1.0
     reflectances = reflectance_at(material, wavelengths_nm, np.array(_MIDDLE_COSINE))
@@ -216,7 +218,11 @@ def _material_products(
 
 
 def _places(rings_per_octave: int, low: float, high: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return equally spaced |w| from ``low`` to ``high``, and 1/λ [1/µm] of the rings that contribute to one colour."""
+    """Return equally spaced |w| from ``low`` to ``high``, and the wavenumbers 1/λ [1/µm] of one colour.
+
+    At a fixed (u, v), each ring |(u, v)|/λ belongs to one wavenumber. The result has those of all rings that contribute
+    to one colour.
+    """
     per_um = np.exp(LOG_RED + (np.arange(ring_count(rings_per_octave)) - 1.0) * math.log(2.0) / rings_per_octave)
     return np.linspace(low, high, _ENTRIES_OVER_W), per_um
 
@@ -244,12 +250,12 @@ def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool 
 
     Args:
         rings: Number of rings per octave of the table.
-        illuminated: Illuminant, and the material whose reflectance at a middle angle the curves include.
-        lines: Whether rows are densities of spectral lines per unit of frequency, as in :class:`SpectrumBasis`.
+        illuminated: Illuminant, and the material whose reflectance at cos θd = 0.8 the curves include.
+        lines: Whether rows are powers per unit area of frequency, as ``holds_lines`` of :class:`SpectrumBasis`.
 
     Returns:
-        Weights of consecutive rings, shape (ring_count(rings), 3); the first ring is the one before the red end. XYZ is
-        the sum of these weights times the spectrum at the rings.
+        Weights of consecutive rings, shape (ring_count(rings), 3); the first one is one ring below that of the longest
+        visible wavelength. XYZ is the sum of these weights times the spectrum at the rings.
     """
     products = colour_products(illuminated)
     if lines:
@@ -260,7 +266,7 @@ def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool 
 
 
 def colour_products(illuminated: IlluminatedMaterial) -> NDArray[np.float64]:
-    """Return the colour curves S·x̄ȳz̄·R at steps of 1 nm, shape (401, 3); R is the reflectance at the middle angle."""
+    """Return the colour curves S·x̄ȳz̄·R at steps of 1 nm, shape (401, 3); R is the reflectance at cos θd = 0.8."""
     products = colorimetry.colour_products(illuminated.illuminant)
     return products if illuminated.material is None else products * _on_curve(illuminated.material, VISIBLE_NM)[:, None]
 

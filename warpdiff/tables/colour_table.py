@@ -33,11 +33,12 @@ if TYPE_CHECKING:
     from warpdiff.tables.colour_curves import Projection
     from warpdiff.tables.mip_layout import MipLayout
 
-# Decimation: a look-up with a wide footprint skips every second ring if the colour curves are smooth over ln λ. A sum
-# over every second ring confuses (aliases) one frequency over ln λ with a constant. First number: largest Fourier
-# transform of the colour curves at that frequency, relative to frequency 0. Second number: smallest distance of that
-# frequency from the band of the power spectrum, in standard deviations of the look-up's Gaussian. Third number: value
-# of the field `decimation_scale` that disables decimation.
+# Decimation: a look-up with a wide footprint adds only every second ring if the colour curves are smooth over ln λ.
+# Such a sum confuses (aliases) one frequency over ln λ, that of a full oscillation per two rings, with a constant.
+# First number: upper limit for the Fourier transform of the colour curves at that frequency, relative to frequency 0.
+# Second number: least distance of that frequency from the largest frequency of the power spectrum over ln λ, in
+# standard deviations of the Fourier transform of the look-up's Gaussian. Third number: value of the field
+# `decimation_scale` that disables decimation.
 _MOST_AT_ALIAS, _SAFE_DEVIATIONS, _NO_DECIMATION = 0.05, 4.2, 1e6
 # First number: wavelengths at which look-ups integrate the zeroth order. Second number: values of cos θd at which the
 # reflectance of the material is tabulated for this integral.

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 # A mip level is blurred less than the footprint. The look-up adds the remaining blur by weights, which are tabulated.
 # First number: number of tabulated blurs. Second number: their largest variance [squared distances of samples]. It must
-# exceed 3 · 1.2²: the blur doubles from level to level, and a level has at most 1.2 samples per standard deviation of
-# its blur.
+# exceed 3 · 1.2². The standard deviation b of the blur doubles from level to level, so that the variance that remains
+# is less than (2b)² − b² = 3b², and b is at most 1.2 distances of samples.
 _REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
 # Typical standard deviation of the blur of the spectrum in a mip level, in distances of azimuth samples. In level 0, it
 # is from 0.9 to 2.1. The weights for spectra under a window are fitted to this blur.
@@ -30,9 +30,9 @@ _OWN_BLUR_SPACINGS = 1.1
 _PREFILTER = np.array(quadratic_spline.prefilter(8))
 # Number of positions between two samples for which tap weights are tabulated.
 _TAP_POSITIONS = 64
-# Variance of each part of a long footprint, times the number n of parts, relative to the variance of the whole
-# footprint. The footprint is represented by n narrower Gaussians. If doubled, parts become 1.4 times as wide, and polar
-# coordinates, which are linearised within a part, become less accurate.
+# A long footprint is represented by a sum of n narrower Gaussians, its parts. The variance of a part is this number
+# divided by n, times the variance of the whole footprint. If the number is doubled, parts become 1.4 times as wide, and
+# polar coordinates, which are linearised within a part, become less accurate.
 _VARIANCE_WITHIN_PARTS = 1.2
 
 

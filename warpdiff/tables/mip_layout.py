@@ -43,9 +43,10 @@ _MOST_AZIMUTHS = 2.0**60
 class MipLayout:
     """Layout of a colour table: its grids, and the order of its rows (by level, then octave, azimuth and ring).
 
-    The grid of |(u, v)| has the radii of the grid of frequencies, times the longest visible wavelength. The colours of
-    one octave of |(u, v)| use the same octave of frequencies and the next one, and the octave has as many azimuth
-    samples as this next octave of frequencies.
+    The grid of |(u, v)| has the radii of the grid of frequencies, times the longest visible wavelength. Octave k of
+    |(u, v)| then corresponds to octave k of the frequencies. At shorter wavelengths its frequencies are higher, so that
+    its colours also use octave k + 1. For a window, octave k of |(u, v)| has as many azimuth samples as octave k + 1 of
+    the frequencies.
 
     Attributes:
         spectrum: Grid of frequencies [1/µm] from which level 0 is projected.
@@ -164,7 +165,10 @@ def has_mip_levels(plan: Plan) -> bool:
 
 
 def megabytes(plan: Plan) -> float:
-    """Return the size of a plan's table [MB]; an unset number of functions of w counts as that of the terms."""
+    """Return the size of a plan's table [MB].
+
+    If the plan does not state the number of functions of w, the number of its terms is used instead.
+    """
     return layout_of(plan).rows * 3 * (plan.w_basis_size or plan.terms) * 4e-6
 
 

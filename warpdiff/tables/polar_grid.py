@@ -50,8 +50,9 @@ ERROR_ORDER = 2.0
 # the spectrum.
 _ORDERS_APART_SIGMAS = 4.0
 # Expected error of a table for skies, as a share of the tolerance. The remaining part of the tolerance is for the
-# random scatter of the sky samples. Fitted: at a tolerance of 0.1, colours under a smooth sky at 80° have an error of
-# 2.4 % with a share of 1, and below 2 % with this share.
+# random scatter of the sky samples. Fitted: under a smooth sky viewed at 80°, with a tolerance of 0.1, the mean colour
+# of several pixels has little scatter, and its error shows that of the table. With this share the error meets the limit
+# of a test, 2 % (tests/lights/test_environment.py). With a share of 1 it is 2.4 %.
 _SHARE_OF_SKIES = 1.0 / 3.0
 # Largest size of a colour table [MB]. Limit: larger tables require more time to compute than they save.
 MOST_MEGABYTES = 300.0

@@ -37,10 +37,11 @@ if TYPE_CHECKING:
 # Smallest |κ| of the basis of a spectrum, as a share of its largest |κ|. At smaller |κ|, all orders except the zeroth
 # one are negligible.
 _SMALLEST_KAPPA = 1e-3
-# Permitted errors of truncating the functions of w, as shares of the tolerance. First number: for a basis of powers.
-# Second number: for cardinal polynomials in |κ|, whose sums may be much smaller than their single terms.
+# Permitted errors by truncating the functions of w, as shares of the tolerance. First number: for spectra in which
+# powers |H|² add. Second number: for other spectra, which are interpolated by polynomials in |κ|. Sums of their terms
+# may be much smaller than the single terms, so that an error of a term counts more.
 _FUNCTIONS_SHARE, _CARDINALS_SHARE = 0.5, 0.05
-# First number: number of coefficients whose values of a basis term give the typical size of this term. Second number:
+# First number: number of coefficients from whose rows the typical size of each basis term is computed. Second number:
 # smallest size that is assumed for a term, relative to the largest term.
 _ROWS_FOR_TERM_SIZES, _LEAST_TERM_SIZE = 4096, 1e-3
 # Number of values of |κ| at which the power of the zeroth order is tabulated.

@@ -30,7 +30,8 @@ class TableCache:
 
     Attributes:
         coefficients: Coefficients on the host.
-        fitted_to: Series to which the last basis was fitted. It is deleted when another series is computed.
+        fitted_to: Coefficients of the series to which the last fitted basis was fitted. They are moved or deleted when
+            coefficients of a series are requested for evaluation.
         rows: Rows and basis of coefficients on devices.
         sources: Descriptions of the power spectra for colour tables, without samples.
         spectra: Samples of the last spectrum, from which tables for other illuminants and materials can be computed.

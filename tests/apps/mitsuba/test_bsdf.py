@@ -162,8 +162,9 @@ def test_mean_sample_weights_equal_the_sum_of_order_efficiencies(fingers, spectr
     weights = np.array(weights).reshape(4, count)
     result, noise = weights.mean(axis=1), weights.std(axis=1) / np.sqrt(count)
     orders = wd.order_efficiencies(fingers, to_light, WAVELENGTHS)
-    # The lower limit excludes orders that are closer to the horizon than the width of a lobe: the horizon cuts them
-    # off, and their efficiency diverges.
+    # The lower limit of the result is the sum over orders that are farther from the horizon than the width of a lobe.
+    # The horizon cuts off parts of the other lobes. Their efficiencies are proportional to 1/cos θr, which diverges
+    # there.
     clear = np.nan_to_num(orders.to_view[..., 2]) > 0.15
     least = (orders.efficiencies * clear).sum(axis=1)
     assert np.all(result > least - 4.0 * noise - 0.01 * least)

@@ -1,4 +1,4 @@
-"""Reports of scans: files, numbers, errors and reasons on the page, and fields without some of the results."""
+"""Reports of scans: their files, and numbers with errors. If a result is missing, the page states the reason."""
 
 import csv
 import json

@@ -167,8 +167,8 @@ def test_frames_under_every_kind_of_light_equal_those_of_shade(tmp_path):
     pickled = pickle.dumps((renderer, sweeping))
     assert len(pickled) < 1.5 * len(pickle.dumps((renderer, sweeping[:1])))
     assert frames.draw_in_worker(job, pickled, 1)[".exr"] == path.read_bytes()
-    # A sequence with another sky image, or with the next larger or smaller rotation of the sky, is another sequence. It
-    # must not be mixed with the first one.
+    # A sequence with another sky image is another sequence, and so is one whose sky is rotated by the neighbouring
+    # floating-point number. Frames of different sequences must not be mixed in one folder.
     brighter = wd.Environment.clear_sky((1.0, 1.0, 0.5), directions=16, ground_albedo=0.3)
     rotated = with_settings(sky, math.nextafter(sky.rotation_deg, 0.0), 1.0, 16)
     for other in (brighter, rotated):

@@ -250,7 +250,8 @@ def test_the_final_picture_equals_that_of_its_python_lines(page, tmp_path, monke
     exec(lines, made)  # noqa: S102 (the viewer's own lines)
     saved = np.asarray(Image.open("picture.png").convert("RGB")).astype(int)
     assert np.abs(pixels - saved).max() <= 1
-    # The picture on the page also equals that of ``shade`` with the plan of the Python lines.
+    # The page shows Python lines that draw its picture by a `Renderer`. The picture must also equal that of ``shade``
+    # with the plan of this renderer.
     single = re.sub(
         r"tolerance=[^,]+,|coherence=.*\n", "", lines.replace("renderer = wd.Renderer(", "image = wd.shade(")
     )
@@ -258,8 +259,8 @@ def test_the_final_picture_equals_that_of_its_python_lines(page, tmp_path, monke
     exec(single, {"plan": made["renderer"].plan})  # noqa: S102
     saved = np.asarray(Image.open("picture.png").convert("RGB")).astype(int)
     assert np.abs(pixels - saved).max() <= 1
-    # The command makes a plan for the directions of its own picture, so its pixels agree with the page only
-    # approximately.
+    # The page also shows a command line that draws its picture. This command makes a plan for the directions of its own
+    # picture, so its pixels agree with the page only approximately.
     command = shlex.split(page.page.locator("#command").text_content())
     assert command[:2] == ["warpdiff", "render"]
     assert cli.main(command[1:]) == 0

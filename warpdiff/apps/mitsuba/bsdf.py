@@ -32,9 +32,10 @@ from warpdiff.core.wording import ArgumentValueError, ref
 Variant: TypeAlias = Any
 
 NAME = "warpdiff"
-# Probabilities with which outgoing directions are drawn in each way; they only change the noise. First number:
-# uniformly over the disc of the table's coordinates, so that no lobe is missed. Second and third number: least and
-# largest probability of drawing from the lobe of the zeroth order.
+# An outgoing direction is drawn from the lobe of the zeroth order or from the table of the other orders. First number:
+# part of the table's probability that is spread evenly over the disc of its coordinates, so that no lobe is missed.
+# Second and third number: least and largest probability of drawing from the lobe of the zeroth order. All three only
+# change the noise.
 _EVEN, _LEAST_MIRROR, _MOST_MIRROR = 0.05, 0.05, 0.9
 # Texels per side of the table of colours over (u, v). Limit: twice the number requires four times the memory.
 _SIZE = 1024

@@ -53,8 +53,8 @@ _MOST_PATCH_ORDERS = 2e5
 # Least length of the cropped field, as a share of the length of the whole field, at which it counts as the whole field.
 # Limit: rounding of lengths.
 _WHOLE = 0.999
-# Largest number of diffraction orders of a field in which nothing repeats, for which the field counts as one period of
-# a grating. Limit: a table that fits on a page. Patches of rough surfaces have thousands of orders.
+# A field in which no wave repeats counts as a single period of a grating if it has at most this number of diffraction
+# orders. Limit: their table fits on a page. Patches of rough surfaces have thousands of orders.
 _MOST_CELL_ORDERS = 60
 # Angle of the light from the normal if the caller gives no ``to_light`` [degrees]. Choice: common in goniometers.
 DEFAULT_INCIDENCE_DEG = 30.0
@@ -72,7 +72,8 @@ class Request:
         to_light: Unit vector to the light, shape (3,); None for the default of `warpdiff.report`.
         to_view: Unit vector to the viewer of a measured spectrum, shape (3,); None for the default of
             `warpdiff.report`.
-        wavelengths_nm: Wavelengths for which orders and verdicts are computed [nm], shape (m,).
+        wavelengths_nm: Wavelengths [nm] for which the report lists diffraction orders and the expected error of scalar
+            diffraction, shape (m,).
         sigmas_um: Standard deviations of the coherence windows for which colours are computed [µm].
         illuminant: Illuminant of the colours.
         measured: Measured curve; None if there is no measurement.
@@ -101,7 +102,8 @@ class ReportData:
         azimuth_deg: Azimuth of the plane of the view angles [degrees], above −90 and at most 90.
         periods: Periodic waves in ``part``, strongest first.
         roughness: ISO 25178 parameters of the whole field.
-        verdicts: Verdict on scalar diffraction at each wavelength.
+        verdicts: Verdict on scalar diffraction at each wavelength: expected error of an order's efficiency, and its
+            reason.
         efficiencies: Efficiencies of the orders that the picture of the orders shows.
         orders: Table of the orders; for a field without orders, of the power in the mirror direction and the scattered
             power.
@@ -300,8 +302,8 @@ def _add_orders(data: ReportData, optical: HeightField) -> None:
     material = {name: request.settings[name] for name in ("ior", "material") if request.settings.get(name) is not None}
     result = order_efficiencies(optical, light, wavelengths, **material)
     flat = HeightField.of_known_scale([[0.0]], 1.0)
-    # A verdict states its expected error as a share of the power that a flat surface reflects. The product with this
-    # power is the error of an efficiency.
+    # A verdict states the expected error of scalar diffraction as a share of the power that a flat surface reflects.
+    # The share times this power is the error of an order's efficiency.
     errors = [min(verdict_on(optical, nm).error, 1.0) for nm in wavelengths.tolist()]
     model = np.array(errors) * order_efficiencies(flat, light, wavelengths, **material).efficiencies[:, 0]
     if data.periods:
@@ -377,7 +379,10 @@ def _of_periods(
 
 
 def _of_grating(table: Table, period_um: float, result: OrderEfficiencies) -> OrderEfficiencies:
-    """Return the table's orders of one period in the form of the orders (0, m) of a grating along x."""
+    """Return the orders of one period as efficiencies that can be plotted.
+
+    The table lists each order by its number m. In the result it is the order (0, m) of a grating along x.
+    """
     is_own = table["period_um"] == period_um
     orders = np.unique(table["order"][is_own]).astype(int)
     wavelengths = result.wavelengths_nm

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from warpdiff.render.renderer import Renderer
 
 # Number of times that a frame, or the pickled renderer, is sent to workers again after a worker was lost. Limit: a
-# worker that always crashes must end the sequence. If doubled, only the error appears later.
+# worker that always crashes must end the sequence. If doubled, the error of such a sequence appears later.
 _RETRIES = 5
 # Number of frames that are sent to the workers in advance, per thread of a worker. Limit: finished frames wait in
 # memory until they are written. If doubled, they require twice the memory.

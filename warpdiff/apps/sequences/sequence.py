@@ -91,7 +91,7 @@ def sequence(
         >>> import warpdiff as wd
         >>> body, grating = wd.meshes.tube(), wd.gratings.sinusoidal(2.0, 0.1)
         >>> light, view = wd.DirectionalLight((0.3, 1.0, 0.8)), wd.View.fit(body, width=32, height=18)
-        >>> renderer = wd.Renderer(body, grating, light, view, tolerance=0.1)
+        >>> renderer = wd.Renderer(body, grating, light, view, coherence=wd.Coherence(sigma_um=5.0), tolerance=0.1)
         >>> paths = wd.sequence(renderer, wd.turntable(light, view, count=2), "turn")
         >>> [path.name for path in paths]
         ['frame_0000.png', 'frame_0001.png']

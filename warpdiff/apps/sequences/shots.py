@@ -77,8 +77,8 @@ def turntable(
         view: Camera of the first frame.
         count: Number of frames, evenly spaced; the frame after the last one equals the first.
         turns: Number of turns in total, counter-clockwise as seen from above; negative numbers turn clockwise.
-        lights_follow: Whether the body turns while camera and lights are at rest. Otherwise the camera moves around the
-            body, and body and lights are at rest. With True, environments require an ``up`` of +y or −y.
+        lights_follow: Whether the lights move with the camera around the body, as if the body turned in front of them.
+            Otherwise only the camera moves. With True, environments require an ``up`` of +y or −y.
 
     Returns:
         The shots.

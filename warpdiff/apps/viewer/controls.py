@@ -49,7 +49,8 @@ EXCLUDED = (
     *("tolerance", "refine", "strict", "plan"),
     # Options that the planner selects from the tolerance and the coherence.
     *("integration", "footprint", "samples_per_pixel"),
-    # Options of the display: exposure is automatic or locked, browsers assume sRGB, and files have 8 bits per channel.
+    # Options of the display. Another control selects automatic or locked exposure. The gamut is sRGB, which browsers
+    # assume, and saved files have 8 bits per channel.
     *("exposure", "gamut", "bits"),
 )
 _SKY = "Environment"

@@ -49,14 +49,14 @@ _REST_S = 0.15
 # Largest number of pictures that are sent to a page before it has shown the first of them. Limit: twice the number
 # doubles the delay on a slow connection.
 _MOST_IN_FLIGHT = 2
-# Longest times for rendering a preview during a movement [s]: about 15 and about 12 pictures per second. If a preview
-# is expected to require more than the first time, it gets fewer pixels. The second time applies only to previews of the
-# smallest size, below.
+# Time limits for rendering a preview during a movement [s]; they correspond to about 15 and 12 pictures per second. A
+# preview that is expected to exceed the first limit gets fewer pixels. The second limit applies to previews of at most
+# `_LEAST_PIXELS` pixels.
 _MOVING_S, _LEAST_MOVING_S = 0.065, 0.08
 # Factors by which the width and height of a preview may be reduced during a movement.
 _SCALES = (1.0, 0.75, 0.5, 0.375)
-# Number of pixels of the smallest previews during a movement. Still fewer pixels are rendered only if this many would
-# require more than 0.08 s.
+# Number of pixels to which a preview may be reduced to meet the first time limit of a movement. It gets fewer pixels
+# only if this number would exceed the second limit, `_LEAST_MOVING_S`.
 _LEAST_PIXELS = 320 * 240
 # First number: the median time of this many previews predicts the time of the next one. Second number: the size of
 # previews increases only if the predicted time is below this share of the limit. Without this margin, the size would
@@ -548,5 +548,5 @@ def _illuminants(scene: Scene) -> tuple[str, ...]:
 
 
 def _is_released(session: Session, request: PageRequest) -> bool:
-    """Whether a movement has just ended: the last picture was drawn during it, and the new request has none."""
+    """Whether a movement has just ended: the last picture was a part of it, and the new request is not."""
     return session.drawn_request is not None and session.drawn_request.moving and not request.moving

@@ -79,10 +79,10 @@ def export_html(
         mesh: Mesh, as for :func:`warpdiff.shade`.
         lobes: Table of :func:`warpdiff.bake`.
         lights: One to eight directional or point lights with the illuminant of ``lobes``. A disc light may have a
-            diameter of at most 5° and requires averaged lobes. The page renders it as a Gaussian of the same variance,
-            with a hard shadow. The distance of point lights from the mesh's centre is at least 1.1 radii of its
-            bounding sphere. Environments are refused: use a directional light for the sun,
-            ``DirectionalLight(sun_direction, angular_diameter_deg=0.53)``.
+            diameter of at most 5°. It requires lobes that were baked with a coherence of the kind ``"averaged"``. The
+            page renders it as a Gaussian of the same variance, with a hard shadow. The distance of point lights from
+            the mesh's centre is at least 1.1 radii of its bounding sphere. Environments are refused: use a directional
+            light for the sun, ``DirectionalLight(sun_direction, angular_diameter_deg=0.53)``.
         view: First view, by a perspective camera. The size of the picture is that of the browser's window.
         ior: Index of refraction; ``math.inf`` is a perfect mirror. None is 1.5, or the material of the lobes.
         masking: Whether V-cavity masking and shadowing of the relief is included.
@@ -297,7 +297,8 @@ def _add_display(arrays: Arrays) -> dict[str, Any]:
 def _white(lobes: BakedLobes) -> Any:
     """Return the linear sRGB colour of a white pigment of strength 1, ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ, shape (3,).
 
-    S is the illuminant, and G the solid angle by which the pigment's reflectance is scaled.
+    S is the illuminant. G(λ) converts the reflectance of a Lambertian surface to a relative reflectance ρ: see
+    :func:`warpdiff.optics.reflectance_factors.pigment_solid_angle`.
     """
     solid_angle = reflectance_factors.pigment_solid_angle(1e-3 * colorimetry.VISIBLE_NM, lobes.coherence, 0.0)
     return colorimetry.xyz_to_rgb(solid_angle @ colorimetry.colour_products(lobes.illuminant))

@@ -32,8 +32,8 @@ _BYTES_PER_LETTER = 18.0
 # Largest number of rows for which three columns of numbers, without a header, are read as a matrix. With more rows,
 # they are probably points or a list and not a scan that is three samples wide.
 _MOST_NARROW_ROWS = 9
-# Number of even steps from which on a first row or column counts as positions instead of heights. If halved, more small
-# matrices of heights are refused.
+# Least number of equally spaced numbers in the first row or column that count as positions or indices instead of
+# heights. If halved, more small matrices of heights are refused.
 _LEAST_NUMBERED = 4
 
 
@@ -253,7 +253,7 @@ def _without_labels(file: Path, block: Block, form: Form) -> tuple[np.ndarray, t
         return values[:, 1:], None
     if _is_counted(values[0]) and has_fractions and len(values[0]) >= _LEAST_NUMBERED:
         return values[1:], None
-    # The heights of a tilted plane also have even steps, but in every row. The second row is therefore tested, too.
+    # The heights of a tilted plane are also equally spaced, but in every row. The second row is therefore tested, too.
     if min(values.shape) > _LEAST_NUMBERED and _has_even_edges(values) and not text_table.is_even(values[1, 1:]):
         raise refusal(file, "has a first row and a first column of even steps, as positions have; remove them")
     return values, None
@@ -285,7 +285,7 @@ def _is_counted(values: np.ndarray) -> bool:
 
 
 def _has_even_edges(values: np.ndarray) -> bool:
-    """Whether the first row and the first column of a matrix have even steps; their common corner is ignored."""
+    """Whether the first row and the first column of a matrix are equally spaced numbers; their corner is ignored."""
     return text_table.is_even(values[0, 1:]) and text_table.is_even(values[1:, 0])
 
 

@@ -90,8 +90,9 @@ def _damaged(file: Path, reason: str) -> Exception:
 def _member(archive: zipfile.ZipFile, name: str, most: int, file: Path, *, least: int = 0) -> bytes:
     """Return the bytes of a file in the archive.
 
-    An error is raised if it has fewer than ``least`` bytes, or more than ``most`` without ``least``. At most ``most`` +
-    1 bytes are decompressed.
+    An error is raised if the file has fewer than ``least`` bytes. If ``least`` is 0, an error is also raised if it has
+    more than ``most`` bytes. To find this out, one byte more than ``most`` is decompressed; longer files are not read
+    to their end.
     """
     try:
         with archive.open(name) as stream:

@@ -187,8 +187,8 @@ async function map(message, data) {
   byId("angles").textContent = [...lines, caption].join("\n");
   byId("angles").style.whiteSpace = "pre-line";
   byId("map").dataset.generation = message.generation;
-  // A reflectance map completes the answer to a request. If only the probe has moved, the server sends no new picture,
-  // and the one on the canvas counts as that of the new generation.
+  // The reflectance map is the last message that answers a request. If only the probe has moved, the server sends a new
+  // map but no new picture. The picture on the canvas is still valid, and it gets the generation of the request.
   canvas.dataset.generation = message.generation;
   if (message.at) probed = message.at;
   place();
