@@ -85,7 +85,7 @@ def directions(
 ) -> tuple[Directions, np.ndarray]:
     """Return the directions of the illuminated pixels of a picture, and the indices of these pixels (n,)."""
     optics = SurfaceOptics(coherence, 1.0, reflectance_factors.normal_reflectance(IOR))
-    picture = Picture(prepare_surface(mesh), view, optics, device=resolve_device(None), threads=resolve_threads(None))
+    picture = Picture(prepare_surface(mesh), view, [optics], device=resolve_device(None), threads=resolve_threads(None))
     picture.set_lights(light.parts(coherence, single_lobe=True, name="light"))
     picture.measure_directions(heightfield)
     scattering_vectors, to_lights, gains = picture.sampler.directions()

@@ -36,7 +36,7 @@ KERNELS = {
     "bvh": {"trace_bvh"},
     "primary_hits": {"rasterize", "intersect_known_faces", "place_samples", "make_shading_frames"},
     "shadow_rays": {"count", "fill", "trace_shadow_rays", "project"},
-    "light_samples": {"balance_energy", "pixel_footprints", "scattering_vectors", "select_material",
+    "light_samples": {"balance_energy", "pixel_footprints", "scattering_vectors", "select_finish",
                       "add_light_rotation", "add_light_extent", "add_source_extent"},
     "disc_samples": {"draw_disc"},
     "light_choice": {"choose_lights"},

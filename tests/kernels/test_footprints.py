@@ -276,7 +276,7 @@ def test_footprints_are_the_derivatives_of_uv_in_the_picture(tube, place, smooth
         oblique = (1.0, 0.3, 0.5) + 0.3 * rng.normal(size=(len(coarse.vertices), 3))
         surface = prepare_surface(coarse, tangents=oblique)
     optics = SurfaceOptics(SHORT, 1.0, 0.04, shadows=False)
-    picture = Picture(surface, camera, optics, smooth=smooth, means=True, device=wp.get_device("cpu"), threads=1)
+    picture = Picture(surface, camera, [optics], smooth=smooth, means=True, device=wp.get_device("cpu"), threads=1)
     (part,) = LIGHT.parts(SHORT, single_lobe=True, name="light")
     picture.set_lights([part])
     sums = Accumulators.allocate(48 * 36, means=True, device=wp.get_device("cpu"))

@@ -17,7 +17,7 @@ def interpolated(
     energy_out: wp.array(dtype=wp.float32), transmittance_out: wp.array(dtype=wp.vec3f),
 ):  # fmt: skip
     i = wp.tid()
-    energy_out[i] = light_samples.energy_factor(reflection, directions[i])
+    energy_out[i] = light_samples.energy_factor(reflection, 1, directions[i])
     transmittance_out[i] = light_samples.transmittance(reflection, 1, directions[i][2])
 
 
@@ -33,10 +33,11 @@ def test_factors_are_linear_between_angles(rng):
     directions = hemisphere(rng, COUNT, thresholds.LOWEST)
     directions[0] = (1e-5, 1e-5, 1.0)
     energy, transmittances = rng.uniform(0.5, 1.5, (5, 8)), rng.uniform(size=(3, 6, 3))
-    # The entries of material 2 are NaN, because a look-up in material 1 must not read them.
+    # The entries of finish 2 and of surface 0 are NaN, because a look-up in finish 1 and surface 1 must not read them.
     transmittances[2] = np.nan
     reflection = light_samples.Reflection()
-    reflection.energy, reflection.transmittances = array(energy, wp.float32), array(transmittances, wp.vec3f)
+    energies = np.stack([np.full_like(energy, np.nan), energy])
+    reflection.energy, reflection.transmittances = array(energies, wp.float32), array(transmittances, wp.vec3f)
     energy_factors, through = array(np.zeros(COUNT), wp.float32), array(np.zeros((COUNT, 3)), wp.vec3f)
     wp.launch(interpolated, COUNT, [reflection, array(directions, wp.vec3f)], [energy_factors, through], device="cpu")
     x, y, z = directions.T

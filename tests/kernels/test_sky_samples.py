@@ -37,7 +37,7 @@ def call_functions(
     densities[i] = sky_samples.density_of_direction(table, place)
     powers[i] = sky_samples.power_at(sky, sky_samples.place_in_sky(sky, along[i]))
     uv = wp.vec2f(-along[i][0] - views[i][0], -along[i][1] - views[i][1])
-    gains[i] = sky_samples.gain_over_cosine(reflection, uv, along[i], views[i])
+    gains[i] = sky_samples.gain_over_cosine(reflection, 0, uv, along[i], views[i])
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,8 @@ def results():
     table.block_densities = array(blocks / solid, wp.float32)
     grid = rng.uniform(size=(8, 16, 3))
     sky.powers, sky.turn = array(grid, wp.vec3f), 0.3
-    reflection.normal_reflectance, reflection.masking = 0.04, True
+    reflection.normal_reflectances, reflection.masking = array([0.04], wp.float64), True
+    reflection.surfaces = array([0], wp.int32)
     along, views = hemisphere(rng, COUNT), hemisphere(rng, COUNT)
     types = {
         "points": wp.vec2f, "indices": wp.uint32, "drawn_uv": wp.vec2f, "uv_densities": wp.float32, "drawn": wp.vec3f,

@@ -43,15 +43,17 @@ def test_gain_over_cosine_is_symmetric(ior, rng):
 def kernel_gain(lights, views, normal, masking, device):
     """Return the gains C·M of pairs of directions, computed by the kernel for pixels with one light per pixel."""
     reflection = light_samples.Reflection()
-    reflection.normal_reflectance, reflection.masking = normal, masking
+    reflection.masking = masking
     count = len(lights)
 
     def array(values, dtype=wp.vec3f):
         return wp.array(values, dtype=dtype, device=device)
 
+    reflection.normal_reflectances, reflection.units = array([normal], wp.float64), array([1.0], wp.float64)
+    reflection.per_light_cosine = array([False], wp.bool)
     given = light_samples.Lights()
     given.places = array(np.column_stack([lights, np.zeros(count)]), wp.vec4d)
-    given.strengths = array(np.tile([1.0, 0.0], (count, 1)), wp.vec2d)
+    given.strengths = array(np.ones(count), wp.float64)
     pixels = Pixels()
     pixels.hit = array(np.ones(count), wp.int32)
     for name, axis in (("tangent", (1, 0, 0)), ("bitangent", (0, 1, 0)), ("normal", (0, 0, 1))):

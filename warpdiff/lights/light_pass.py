@@ -98,10 +98,14 @@ class PassContext:
     """
 
     def __init__(
-        self, rays: CameraRays, surfaces: Sequence[SurfaceOptics], unit: PictureUnit,
+        self, rays: CameraRays, surfaces: Sequence[SurfaceOptics], unit: PictureUnit | None,
         finish_of_faces: NDArray[np.int32] | None, *, refines: bool,
     ) -> None:  # fmt: skip
-        """Fill the structs of the kernels. ``finish_of_faces`` is None if all faces have the same finish."""
+        """Fill the structs of the kernels.
+
+        ``finish_of_faces`` is None if all faces have the same finish. If ``unit`` is None, colours are in the unit of
+        the first surface.
+        """
         self._device = rays.options["device"]
         self.rays, self.surfaces, self.refines = rays, tuple(surfaces), refines
         self.finishes = [Finish(index, each) for index, optics in enumerate(surfaces) for each in optics.materials]
@@ -109,7 +113,7 @@ class PassContext:
         by_face = np.zeros(0, dtype=np.int32) if finish_of_faces is None else finish_of_faces
         self.finish_of_faces = self._array(by_face, wp.int32)
         self._surface_of_faces = np.array([finish.surface for finish in self.finishes], dtype=np.int32)[by_face]
-        self._unit = unit
+        self._unit = unit or PictureUnit(surfaces[0].coherence, surfaces[0].area_um2)
         self.reflection = self._reflection()
 
     def _array(self, values: Any, dtype: Any) -> wp.array:

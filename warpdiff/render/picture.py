@@ -68,9 +68,10 @@ class Picture:
     """
 
     def __init__(
-        self, surface: Surface, view: View, optics: Sequence[SurfaceOptics], unit: PictureUnit, *, smooth: bool = True,
-        samples_per_pixel: int = 1, means: bool = False, refine: bool = False, margin: int = 0,
-        finish_of_faces: NDArray[np.int32] | None = None, device_driven: bool = False, device: wp.Device, threads: int,
+        self, surface: Surface, view: View, optics: Sequence[SurfaceOptics], *, unit: PictureUnit | None = None,
+        finish_of_faces: NDArray[np.int32] | None = None, smooth: bool = True, samples_per_pixel: int = 1,
+        means: bool = False, refine: bool = False, margin: int = 0, device_driven: bool = False, device: wp.Device,
+        threads: int,
     ) -> None:  # fmt: skip
         """Allocate the arrays of a picture.
 
@@ -78,15 +79,15 @@ class Picture:
             surface: The prepared mesh.
             view: Camera of the first rendering; later ones may have other cameras.
             optics: Optics of each surface, except for the diffraction of its height field.
-            unit: Unit of the colours.
+            unit: Unit of the colours; None is that of the first surface.
+            finish_of_faces: Index of each face's finish, which is a surface with one of its materials; None for a
+                single finish.
             smooth: Whether vertex normals are interpolated.
             samples_per_pixel: Number of samples per pixel; with ``means``, the least number of cells per pixel.
             means: Whether pixels show means over footprints; otherwise they show points.
             refine: Whether pixels that show means are subdivided further where their errors are large.
             margin: Number of pixels that are added on each side, because the filter of a pixel at the border extends to
                 them.
-            finish_of_faces: Index of each face's finish, which is a surface with one of its materials; None for a
-                single finish.
             device_driven: Whether the CPU uses the algorithms of the GPU, whose launches can be recorded. On the CPU
                 they are slower.
             device: The Warp device.

@@ -233,7 +233,7 @@ class PictureInputs:
             finish_of_faces = next(iter(self.surfaces.values())).materials_of_faces(mesh)
         unit = PictureUnit(_in_unit(self).coherence, self._reference_area_um2)
         return Picture(
-            mesh, view, optics, unit, finish_of_faces=finish_of_faces, smooth=settings.smooth,
+            mesh, view, optics, unit=unit, finish_of_faces=finish_of_faces, smooth=settings.smooth,
             samples_per_pixel=settings.samples_per_pixel, means=footprint, refine=settings.refine, margin=margin,
             device=self.evaluation.device, threads=self.evaluation.threads, **options,
         )  # fmt: skip
