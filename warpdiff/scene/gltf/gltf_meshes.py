@@ -91,7 +91,8 @@ class Meshes:
         corners: NDArray[np.int64] | None = None
         values: dict[str, NDArray[np.float64]] = {}
         if compressed is not None:
-            corners, values = gltf_draco.decoded_primitive(compressed, attributes, self._container, self._accessors)
+            read = {name: accessor for name, accessor in attributes.items() if _widths(name)}
+            corners, values = gltf_draco.decoded_primitive(compressed, read, self._container, self._accessors)
             mode = _TRIANGLES
         for name, accessor in attributes.items():
             if name not in values and (widths := _widths(name)):
