@@ -5,11 +5,14 @@ that are refused or differ. Test files are in the repositories KhronosGroup/glTF
 KhronosGroup/glTF-Blender-IO (tests), donmccurdy/glTF-Transform, CesiumGS/gltf-pipeline and vpenades/SharpGLTF.
 
 The truth has a JSON object per line, with sums over all triangles in the world, for example by glTF-Transform:
-``path``; ``ok`` (whether the other program reads the file); ``tri`` (number of triangles); ``pos`` (sum of their centres)
-and ``area``; ``uv`` and ``uvtri`` (sum of texture coordinates of the base colour after its transform, v downwards, per
-triangle, and number of triangles that have them); ``uvraw`` and ``uvrawtri`` (TEXCOORD_0); ``col`` and ``coltri``
-(COLOR_0); ``nrm`` (unit normals); ``mats`` (number of triangles by ``name#index`` of the material, or ``default``). Sums
-over the corners of a triangle are divided by 3. Tolerances are relative to the size of each quantity.
+
+- ``path``, and ``ok`` (whether the other program reads the file)
+- ``tri`` (number of triangles), ``pos`` (sum of their centres), ``area``, ``nrm`` (sum of unit normals)
+- ``uv`` and ``uvtri``: sum of texture coordinates of the base colour after its transform, v downwards, and number of
+  triangles that have them; ``uvraw`` and ``uvrawtri`` for TEXCOORD_0, ``col`` and ``coltri`` for COLOR_0
+- ``mats``: number of triangles by ``name#index`` of the material, or ``default``
+
+Sums over the corners of a triangle are divided by 3. Tolerances are relative to the size of each quantity.
 """
 
 from __future__ import annotations
@@ -19,12 +22,14 @@ import json
 import warnings
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpdiff.scene import mesh_files
-from warpdiff.scene.scene_parts import ScenePart
+
+if TYPE_CHECKING:
+    from warpdiff.scene.scene_parts import ScenePart
 
 # Share of the size of a quantity by which a reading may differ: positions are rounded to float32, and normals and
 # colours may be quantised.
@@ -125,7 +130,9 @@ def main() -> None:
         right = tables[group]
         shown = ", ".join(f"{name} {right[name]}/{count}" for name, count in total.items() if name in right)
         extra = f"; {total['without truth']} without truth, {right['opens, without truth']} of these open"
-        print(f"{group}: {total['files']} files: opens {right['opens']}, {shown}{extra if total['without truth'] else ''}")
+        print(
+            f"{group}: {total['files']} files: opens {right['opens']}, {shown}{extra if total['without truth'] else ''}"
+        )
 
 
 if __name__ == "__main__":
