@@ -100,7 +100,7 @@ def _rewritten(data: bytes, suffix: str) -> tuple[bytes, list[obj_text.PartName]
     """Return a file in UTF-8 whose concave polygons are triangles, and the names of parts of an .obj file."""
     if suffix == ".obj":
         text = decoded(data).replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", " ")
-        text, names = obj_text.numbered_obj(obj_text.triangulated_obj(text))
+        text, names = obj_text.numbered_obj(obj_text.triangulated_obj(obj_text.absolute_obj(text)))
         return text.encode(), names
     if suffix == ".off":
         return obj_text.triangulated_off(decoded(data)).encode(), []

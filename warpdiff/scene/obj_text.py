@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 _VERTEX = re.compile(r"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.MULTILINE)
 # Line of a face with more than three corners.
 _POLYGON = re.compile(r"^[ \t]*f((?:[ \t]+[^\s#]+){4,})[^\n]*$", re.MULTILINE)
+# Line of a face with a negative index.
+_NEGATIVE = re.compile(r"^[ \t]*f[^\n]*[\s/]-\d", re.MULTILINE)
 _NAME = re.compile(r"^[ \t]*(o|g|usemtl)(?:[ \t]+([^\n]*))?$", re.MULTILINE)
 _AFTER_SLASH = re.compile(r"/\S*")
 
@@ -35,10 +37,9 @@ def triangulated_obj(text: str) -> str:
     found_polygons = list(_POLYGON.finditer(text))
     if not found_polygons:
         return text
-    vertices = list(_VERTEX.finditer(text))
     try:
-        positions = np.array([match.groups() for match in vertices], dtype=np.float64).reshape(-1, 3)
-        corners = _vertex_indices(found_polygons, np.array([match.start() for match in vertices]))
+        positions = np.array(_VERTEX.findall(text), dtype=np.float64).reshape(-1, 3)
+        corners = _vertex_indices(found_polygons)
     except ValueError:
         return text  # trimesh refuses numbers that cannot be read
     concave = _concave(corners, positions)
@@ -51,6 +52,26 @@ def triangulated_obj(text: str) -> str:
         pieces += [text[end : match.start()], "\n".join(lines)]
         end = match.end()
     return "".join([*pieces, text[end:]])
+
+
+def absolute_obj(text: str) -> str:
+    """Return the text of an .obj file without negative indices, which count back from the last line before a face.
+
+    trimesh counts them back from the end of the file.
+    """
+    if not _NEGATIVE.search(text):
+        return text
+    counts = {"v": 0, "vt": 0, "vn": 0}
+    lines = text.split("\n")
+    for number, line in enumerate(lines):
+        kind, _, rest = line.strip().partition(" ")
+        if kind in counts:
+            counts[kind] += 1
+        elif kind == "f" and "-" in rest:
+            totals = tuple(counts.values())
+            tokens = (_absolute(token, totals) for token in rest.partition("#")[0].split())
+            lines[number] = f"f {' '.join(tokens)}"
+    return "\n".join(lines)
 
 
 def numbered_obj(text: str) -> tuple[str, list[PartName]]:
@@ -101,21 +122,31 @@ def triangulated_off(text: str) -> str:
     except (ValueError, IndexError):
         return text  # trimesh refuses such a file
     rows: list[str] = [" ".join(face) for face in faces]
-    for number in _concave(corners, positions):
-        index = corners[number]
+    concave = set(_concave(corners, positions))
+    for number, index in corners.items():
+        if len(index) <= 4 and number not in concave:
+            continue
+        # trimesh cannot read a file of faces with different numbers of corners, if these are more than four.
+        is_concave = number in concave
+        triangles = polygons.triangulated(positions[index]) if is_concave else polygons.fan(len(index))
         colour = faces[number][1 + counts[number] :]
-        rows[number] = "\n".join(
-            " ".join(["3", *(str(index[corner]) for corner in triangle), *colour])
-            for triangle in polygons.triangulated(positions[index])
-        )
+        lines = (" ".join(["3", *(str(index[corner]) for corner in triangle), *colour]) for triangle in triangles)
+        rows[number] = "\n".join(lines)
     body = "\n".join(rows)
     count = body.count("\n") + 1
     return "\n".join([header[0].upper(), f"{vertex_count} {count} 0", *rest[1 : 1 + vertex_count], body, ""])
 
 
-def _vertex_indices(
-    matches: list[re.Match[str]], starts_of_vertices: NDArray[np.int64]
-) -> dict[int, NDArray[np.int64]]:
+def _absolute(token: str, totals: tuple[int, ...]) -> str:
+    """Return a corner of a face with positive indices, given the numbers of lines v, vt and vn before it."""
+    indices = token.split("/")
+    for place, (index, total) in enumerate(zip(indices, totals, strict=False)):
+        if index.startswith("-") and index[1:].isdigit():
+            indices[place] = str(total + 1 + int(index))
+    return "/".join(indices)
+
+
+def _vertex_indices(matches: list[re.Match[str]]) -> dict[int, NDArray[np.int64]]:
     """Return the vertex indices of the corners of each polygon, by the polygon's number."""
     by_count: dict[int, list[int]] = {}
     for number, match in enumerate(matches):
@@ -124,10 +155,7 @@ def _vertex_indices(
     for count, numbers in by_count.items():
         joined = " ".join(matches[number][1] for number in numbers)
         index = np.array(_AFTER_SLASH.sub("", joined).split(), dtype=np.int64).reshape(-1, count)
-        # Negative indices count back from the last vertex before the line.
-        before = np.searchsorted(starts_of_vertices, [matches[number].start() for number in numbers])
-        index = np.where(index < 0, index + before[:, None], index - 1)
-        result.update(zip(numbers, index, strict=True))
+        result.update(zip(numbers, index - 1, strict=True))
     return result
 
 

@@ -48,8 +48,9 @@ def triangulated(polygon: NDArray[np.float64]) -> NDArray[np.int64]:
     if not len(triangles):
         return fan(len(polygon))
     one, two, three = (flat[triangles[:, corner]] for corner in range(3))
-    area = np.cross(two - one, three - one)
-    triangles[area < 0.0] = triangles[area < 0.0][:, ::-1]
+    (ax, ay), (bx, by) = (two - one).T, (three - one).T
+    is_turned = ax * by - ay * bx < 0.0
+    triangles[is_turned] = triangles[is_turned][:, ::-1]
     return triangles
 
 
