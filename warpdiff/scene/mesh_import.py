@@ -263,9 +263,9 @@ def _mirrored(tangents: NDArray[np.float64], faces: NDArray[np.int64], by_uvs: N
         faces: Vertex indices, shape (3, m).
         by_uvs: Whether the texture coordinates of each face are mirrored, shape (m,).
     """
-    is_stated = tangents[:3].any(axis=0)[faces].all(axis=0)
+    is_stated = np.asarray(tangents[:3].any(axis=0))[faces].all(axis=0)
     sides = np.sign(tangents[3])[faces].sum(axis=0)
-    return np.where(is_stated & (sides != 0.0), sides < 0.0, by_uvs)
+    return np.asarray(np.where(is_stated & (sides != 0.0), sides < 0.0, by_uvs))
 
 
 def _equal_but_for_normals(
@@ -282,7 +282,7 @@ def _equal_but_for_normals(
         order: Indices of the vertices in the order of these numbers.
     """
     one, two = order[:-1], order[1:]
-    alike = (welded[one] == welded[two]) & (part.source[index[one]] != part.source[index[two]])
+    alike = np.asarray(welded[one] == welded[two]) & (part.source[index[one]] != part.source[index[two]])
     geometry = np.zeros(len(part.vertices), np.int32)
     geometry[part.faces] = part.geometries[:, None]
     for values in (geometry[:, None], part.uvs, part.colours):
@@ -290,7 +290,7 @@ def _equal_but_for_normals(
             at_vertices = np.nan_to_num(values)[index]
             alike &= np.all(at_vertices[one] == at_vertices[two], axis=1)
     if own is not None:
-        missing = np.isnan(own).any(axis=0)
+        missing = np.asarray(np.isnan(own).any(axis=0))
         alike &= missing[one] & missing[two]
     return one[alike], two[alike]
 

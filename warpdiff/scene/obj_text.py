@@ -130,8 +130,8 @@ def triangulated_off(text: str) -> str:
         is_concave = number in concave
         triangles = polygons.triangulated(positions[index]) if is_concave else polygons.fan(len(index))
         colour = faces[number][1 + counts[number] :]
-        lines = (" ".join(["3", *(str(index[corner]) for corner in triangle), *colour]) for triangle in triangles)
-        rows[number] = "\n".join(lines)
+        triangle_rows = (["3", *(str(index[corner]) for corner in triangle), *colour] for triangle in triangles)
+        rows[number] = "\n".join(" ".join(row) for row in triangle_rows)
     body = "\n".join(rows)
     count = body.count("\n") + 1
     return "\n".join([header[0].upper(), f"{vertex_count} {count} 0", *rest[1 : 1 + vertex_count], body, ""])
@@ -151,7 +151,7 @@ def _vertex_indices(matches: list[re.Match[str]]) -> dict[int, NDArray[np.int64]
     by_count: dict[int, list[int]] = {}
     for number, match in enumerate(matches):
         by_count.setdefault(len(match[1].split()), []).append(number)
-    result = {}
+    result: dict[int, NDArray[np.int64]] = {}
     for count, numbers in by_count.items():
         joined = " ".join(matches[number][1] for number in numbers)
         index = np.array(_AFTER_SLASH.sub("", joined).split(), dtype=np.int64).reshape(-1, count)

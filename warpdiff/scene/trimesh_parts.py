@@ -48,13 +48,15 @@ def _part(mesh: Any, name: str, appearance: Appearance | None, transform: NDArra
     """Return the arrays of one mesh."""
     vertices, faces = np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64)
     uvs = getattr(mesh.visual, "uv", None)
-    has_uvs = uvs is not None and np.ndim(uvs) == 2 and len(uvs) == len(vertices) and np.shape(uvs)[1] >= 2
+    sets: dict[int, NDArray[np.float64]] = {}
+    if uvs is not None and np.ndim(uvs) == 2 and len(uvs) == len(vertices) and np.shape(uvs)[1] >= 2:
+        sets[0] = np.array(uvs[:, :2], dtype=np.float64)
     with np.errstate(all="ignore"):  # vertices that are not finite are refused later
         normals = _own_normals(mesh, vertices, faces)
     part = ScenePart(
         geometry=name, appearance=appearance, vertices=vertices, faces=faces, source=np.arange(len(vertices)),
         source_count=len(vertices), normals=normals,
-        uvs={0: np.array(uvs[:, :2], dtype=np.float64)} if has_uvs else {}, transform=transform,
+        uvs=sets, transform=transform,
     )  # fmt: skip
     return _with_colours(part, mesh.visual)
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 _DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 # Number of components of each type that vertices, indices and instances have.
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+# Size of a number in the arrays that are returned [bytes]. Derived: they are float64 or int64.
 _BYTES_PER_NUMBER = 8
 
 
@@ -39,9 +40,21 @@ class Accessors:
     def __len__(self) -> int:
         return len(self._elements)
 
-    def count(self, index: int) -> int:
-        """Return the number of elements of an accessor."""
-        return self._elements[index].integer("count", least=1)
+    def count(self, index: int, bytes_each: float) -> int:
+        """Return the number of elements of an accessor, after a check against its buffer, or against free memory.
+
+        Args:
+            index: Index of the accessor.
+            bytes_each: Memory that each element requires later if the file has no data that confirms the number.
+        """
+        accessor = self._elements[index]
+        count = accessor.integer("count", least=1)
+        if "bufferView" in accessor:
+            self._rows(accessor, count, _dtype(accessor), _WIDTHS.get(accessor.text("type"), 1))
+        elif (needed := bytes_each * count) > memory.available():
+            # No data of the file confirms this count, so that it is damaged rather than large.
+            accessor.refuse("count", f"must fit into memory, got {count}, which require {needed / 1e9:.2g} GB")
+        return count
 
     def is_normalised(self, index: int) -> bool:
         """Return whether integers of an accessor stand for shares of the largest one."""
@@ -74,19 +87,16 @@ class Accessors:
     def _read(self, index: int, widths: Sequence[int]) -> NDArray[Any]:
         """Return the numbers of an accessor in their own type, shape (n, k)."""
         accessor = self._elements[index]
-        count, dtype = self.count(index), _dtype(accessor)
+        dtype = _dtype(accessor)
         kind = accessor.text("type")
         width = _WIDTHS.get(kind, 0)
         if width not in widths:
             names = " or ".join(name for name, number in _WIDTHS.items() if number in widths)
             accessor.refuse("type", f"must be {names}, got {kind[:20]!r}")
-        values = None
-        if "bufferView" in accessor:
-            values = self._rows(accessor, count, dtype, width)
-        needed = count * width * (dtype.itemsize + _BYTES_PER_NUMBER)
-        if values is None and needed > memory.available():
-            # No data of the file confirms this count, so that it is damaged rather than large.
-            accessor.refuse("count", f"must fit into memory, got {count}, which require {needed / 1e9:.2g} GB")
+        bytes_each = width * (dtype.itemsize + _BYTES_PER_NUMBER)
+        count = self.count(index, bytes_each)
+        values = self._rows(accessor, count, dtype, width) if "bufferView" in accessor else None
+        needed = float(count * bytes_each)
         memory.require_memory(needed, f"the accessor {accessor.place} of {count} elements", "use a smaller mesh")
         sparse = accessor.element("sparse")
         if sparse is None:

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from warpdiff.scene.gltf.gltf_materials import Materials
     from warpdiff.scene.gltf.gltf_values import Element
 
+# Measured peak memory while a mesh without normals is read and prepared [bytes per corner of a triangle]; a mesh with
+# normals requires 160. If doubled, meshes that would fit are refused.
+BYTES_PER_CORNER = 540.0
 # Modes of primitives in the format.
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _UV_SET = re.compile(r"TEXCOORD_([0-7])")
@@ -53,7 +56,7 @@ class Meshes:
                 accessor = primitive.stated_element("attributes").index("POSITION", len(self._accessors))
             if accessor is not None:
                 mode = primitive.integer("mode", _TRIANGLES, most=_FAN)
-                corners += self._accessors.count(accessor) * (1 if mode == _TRIANGLES else 3)
+                corners += self._accessors.count(accessor, BYTES_PER_CORNER) * (1 if mode == _TRIANGLES else 3)
         return corners
 
     def parts(self, index: int, node_weights: list[float] | None) -> list[ScenePart]:
@@ -103,8 +106,8 @@ class Meshes:
             if len(array) != count or array.shape[1] not in _widths(name):
                 refuse(numbers.where(name), f"must have {count} vectors, as POSITION has, got shape {array.shape}")
         if corners is None:
-            accessor = primitive.index("indices", len(self._accessors))
-            corners = np.arange(count) if accessor is None else self._accessors.indices(accessor)
+            number = primitive.index("indices", len(self._accessors))
+            corners = np.arange(count) if number is None else self._accessors.indices(number)
         if len(corners) and not 0 <= corners.min() <= corners.max() < count:
             refuse(primitive.where("indices"), f"must be from 0 to {count - 1}, got {corners.min()} to {corners.max()}")
         faces = _faces(corners, mode)
@@ -178,7 +181,7 @@ def _faces(corners: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
         faces = np.stack([np.broadcast_to(corners[:1], max(len(corners) - 2, 0)), corners[1:-1], corners[2:]], axis=1)
     # Strips repeat vertices to join separate pieces. These triangles have no area on purpose.
     distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    return faces[distinct]
+    return np.asarray(faces[distinct])
 
 
 def _with_alpha(colours: NDArray[np.float64] | None) -> NDArray[np.float64] | None:

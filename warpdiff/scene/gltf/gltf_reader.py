@@ -12,7 +12,7 @@ from warpdiff.scene.gltf import gltf_nodes
 from warpdiff.scene.gltf.gltf_accessors import Accessors
 from warpdiff.scene.gltf.gltf_buffers import Container
 from warpdiff.scene.gltf.gltf_materials import Materials
-from warpdiff.scene.gltf.gltf_meshes import Meshes
+from warpdiff.scene.gltf.gltf_meshes import BYTES_PER_CORNER, Meshes
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -28,9 +28,6 @@ _ACCEPTED = {
     "KHR_node_visibility", "KHR_texture_basisu", "KHR_texture_transform", "KHR_xmp", "KHR_xmp_json_ld",
     "MSFT_texture_dds",
 }  # fmt: skip
-# Measured peak memory while a part of a scene is read and prepared [bytes per corner of a triangle]. If doubled, meshes
-# that would fit are refused.
-_BYTES_PER_CORNER = 300.0
 # Largest number of parts that a warning names. Choice: a line that can be read.
 _MOST_NAMES = 12
 
@@ -48,7 +45,7 @@ def load(file: Path) -> list[ScenePart]:
     meshes = Meshes(container, accessors, materials)
     placements = list(gltf_nodes.placements(container.root, len(meshes), accessors))
     corners = sum(meshes.size(placement.mesh) * len(placement.matrices) for placement in placements)
-    memory.require_memory(_BYTES_PER_CORNER * corners, f"a mesh of {corners // 3} faces", "use a smaller one")
+    memory.require_memory(BYTES_PER_CORNER * corners, f"a mesh of {corners // 3} faces", "use a smaller one")
     parts: list[ScenePart] = []
     for placement in placements:
         read = meshes.parts(placement.mesh, placement.weights)

@@ -1,4 +1,4 @@
-"""Values of glTF's JSON, checked as they are read. Errors name the place of a value, such as ``nodes[3].mesh``."""
+"""Values of glTF's JSON, checked while they are read. Errors name the place of a value, such as ``nodes[3].mesh``."""
 
 from __future__ import annotations
 
