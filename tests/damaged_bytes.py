@@ -5,6 +5,7 @@ remains in the folder.
 """
 
 import contextlib
+import copy
 import gzip
 import json
 import re
@@ -158,12 +159,9 @@ def damaged_gltf(content, rng):
             case 0:
                 del container[name]
             case 1:
-                container[name] = places[rng.integers(len(places))]
-                # A value that contains itself cannot be written.
-                if any(inner is container for inner in containers(container[name])):
-                    container[name] = 0
+                container[name] = copy.deepcopy(places[rng.integers(len(places))])
             case _:
-                container[name] = EXTREME_VALUES[rng.integers(len(EXTREME_VALUES))]
+                container[name] = copy.deepcopy(EXTREME_VALUES[rng.integers(len(EXTREME_VALUES))])
         if not any(True for _ in containers(tree)):
             break
     text = json.dumps(tree).encode()

@@ -57,7 +57,8 @@ def shade(
 
     Args:
         mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene``, or the path of a mesh file. Mesh units are arbitrary and
-            independent of µm.
+            independent of µm. ``copy()`` of trimesh drops the normals of a mesh; ``copy(include_cache=True)`` keeps
+            them.
         heightfield: The height field; its x axis lies along the tangent field.
         lights: One light, or several.
         view: Camera and size of the picture.

@@ -51,7 +51,7 @@ def triangulated(polygon: NDArray[np.float64]) -> NDArray[np.int64]:
     (ax, ay), (bx, by) = (two - one).T, (three - one).T
     is_turned = ax * by - ay * bx < 0.0
     triangles[is_turned] = triangles[is_turned][:, ::-1]
-    return triangles
+    return np.asarray(triangles)
 
 
 def fan(count: int) -> NDArray[np.int64]:
