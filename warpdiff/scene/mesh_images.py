@@ -47,6 +47,9 @@ def linear_rgb(image: Image.Image) -> NDArray[np.float32] | None:
         # would clip these at 255.
         grey = srgb_decode(np.asarray(image, dtype=np.float64) / 65535.0)
         return np.repeat(grey[:, :, None], 3, axis=2).astype(np.float32)
+    if image.mode == "P":
+        # Pillow warns if it converts a palette with transparency to RGB directly.
+        image = image.convert("RGBA")
     # For speed, the sRGB transfer function is computed once for each of the 256 possible values, not for every pixel.
     table = srgb_decode(np.arange(256) / 255.0).astype(np.float32)
     return np.ascontiguousarray(table[np.asarray(image.convert("RGB"), dtype=np.uint8)])
