@@ -224,7 +224,7 @@ def _build(part: SceneArrays, tangents: NDArray[np.float64] | None, *, in_memory
     welded, order = weld(vertices)
     own = None if part.normals is None else part.normals.T.take(index, axis=1)
     if in_memory:
-        _warn_of_lost_normals(_equal_but_for_normals(part, index, own, welded, order), geometry, faces)
+        _warn_of_lost_normals(_equal_but_for_normals(part, index, own, welded, order), geometry, faces, welded)
     normals = vertex_normals(geometry, faces, welded, own)
     if tangents is not None:
         scale = np.max(np.abs(tangents), initial=0.0)
@@ -296,24 +296,36 @@ def _equal_but_for_normals(
 
 
 def _warn_of_lost_normals(
-    alike: tuple[NDArray[np.int64], NDArray[np.int64]], geometry: FaceGeometry, faces: NDArray[np.int64]
-) -> None:
-    """Warn if vertices that differ in nothing but lost normals are at a sharp edge, which becomes smooth.
+    alike: tuple[NDArray[np.int64], NDArray[np.int64]], geometry: FaceGeometry, faces: NDArray[np.int64],
+    welded: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Warn if faces at sharp edges have separate vertices that differ in nothing but lost normals.
 
     Args:
-        alike: Pairs of vertices.
-        geometry: Normals and angles of faces.
+        alike: Pairs of vertices that are equal but for their normals.
+        geometry: Normals of faces.
         faces: Vertex indices, shape (3, m).
+        welded: Number of each vertex's position.
     """
-    if not len(alike[0]):
+    is_alike = np.zeros(len(welded), np.bool_)
+    is_alike[alike[0]] = is_alike[alike[1]] = True
+    start, end = faces.ravel(), faces[[1, 2, 0]].ravel()
+    chosen = np.flatnonzero(is_alike[start] & is_alike[end])
+    if not len(chosen):
         return
-    normals = unit(geometry.angle_weighted_normals(faces, int(faces.max()) + 1))
-    cosines = dot(normals.take(alike[0], axis=1), normals.take(alike[1], axis=1))
+    start, end, face = start[chosen], end[chosen], chosen % faces.shape[1]
+    count = int(welded.max()) + 1
+    edges = welded[start] * count + welded[end]
+    opposite = welded[end] * count + welded[start]
+    order = np.argsort(edges)
+    other = order[np.searchsorted(edges, opposite, sorter=order).clip(max=len(edges) - 1)]
+    is_split = np.asarray(edges[other] == opposite) & (start != end[other]) & (end != start[other])
+    cosines = dot(geometry.normals.take(face, axis=1), geometry.normals.take(face[other], axis=1))
     # The two sides of a thin sheet have opposite normals, which remain.
-    count = int(np.count_nonzero((cosines < _SHARP_COSINE) & (cosines > -_SHARP_COSINE)))
-    if count:
+    is_split &= np.abs(cosines) < _SHARP_COSINE
+    if split := int(np.count_nonzero(is_split)) // 2:
         warn(
-            f"{ref('mesh')} has no normals, but separate vertices at sharp edges, which become smooth: {count} pairs. "
+            f"{ref('mesh')} has no normals, but separate vertices at {split} sharp edges, which become smooth. "
             "copy() of trimesh drops normals: use copy(include_cache=True)"
         )
 
