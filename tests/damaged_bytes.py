@@ -1,14 +1,16 @@
-"""Read damaged files in a separate process: ``python damaged_bytes.py meshes SEED COUNT SECONDS FOLDER``.
+"""Read damaged files in a separate process: ``python damaged_bytes.py meshes SEED COUNT SECONDS``, in an empty folder.
 
 The process prints the number of damaged files and a list of failures. If it crashes or hangs, the file that caused it
 remains in the folder.
 """
 
 import contextlib
+import copy
 import gzip
 import json
 import re
 import signal
+import struct
 import sys
 import time
 import warnings
@@ -18,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
 import trimesh
-from gltf_files import BUFFER, gltf
+from gltf_files import BUFFER, SQUARE, SQUARE_UVS, GltfFile, gltf, square_file
 from PIL import Image
 
 import warpdiff as wd
@@ -26,6 +28,10 @@ from warpdiff.scene.mesh_import import prepare_surface
 
 MOST_BYTES = 4 << 30
 MOST_S = 20
+EXTREME_VALUES = [
+    None, True, -1, 0, 1, 2, 3, 255, 2**31, 2**53, 10**30, 0.5, 1e300, float("nan"), float("inf"), "", "x", "../a.bin",
+    "data:;base64,AAAA", "data:x", "\0", [], [0], [0, 0], [[]], {}, {"index": 0}, {"count": 10**9},
+]  # fmt: skip
 EXTREME_NUMBERS = [
     b"nan", b"inf", b"-1", b"0", b"1e308", b"1e-308", b"2147483648", b"99999999999999999999", b"/etc/passwd",
 ]  # fmt: skip
@@ -105,6 +111,75 @@ def meshes():
     return sorted(Path().iterdir())
 
 
+def gltf_scenes():
+    """Write valid glTF files that use many parts of the format, and return their paths."""
+    file = square_file({"COLOR_0": np.ones((4, 4), "<f4"), "TANGENT": np.tile(np.array([1, 0, 0, 1], "<f4"), (4, 1))})
+    file.material(
+        texture={"texCoord": 0, "extensions": {"KHR_texture_transform": {"rotation": 0.5, "scale": [2, 1]}}},
+        name="paint", alphaMode="MASK", normalTexture={"index": 0}, emissiveFactor=[0.5, 0, 1],
+    )  # fmt: skip
+    primitive = file.tree["meshes"][0]["primitives"][0]
+    primitive |= {"material": 0, "mode": 5, "targets": [{"POSITION": primitive["attributes"]["NORMAL"]}]}
+    file.tree["meshes"][0] |= {"name": "body", "weights": [0.5]}
+    position = primitive["attributes"]["POSITION"]
+    indices = {"bufferView": file.view(bytes([1, 2])), "componentType": 5121}
+    values = {"bufferView": file.view(SQUARE[:2].tobytes())}
+    file.tree["accessors"][position]["sparse"] = {"count": 2, "indices": indices, "values": values}
+    file.tree["samplers"] = [{"wrapS": 33071, "wrapT": 10497}]
+    file.tree["textures"][0]["sampler"] = 0
+    instances = {"TRANSLATION": file.accessor(SQUARE), "SCALE": file.accessor(SQUARE + np.float32(1.0))}
+    file.tree["nodes"] = [
+        {"children": [1, 2], "rotation": [0, 0, 0, 1], "name": "top"},
+        {"mesh": 0, "matrix": np.eye(4).ravel().tolist(), "weights": [0.25]},
+        {"mesh": 0, "scale": [1, -1, 1], "extensions": {"EXT_mesh_gpu_instancing": {"attributes": instances}}},
+    ]
+    file.write(Path("scene-text.gltf"))
+    file.write(Path("scene-binary.glb"))
+    plain = GltfFile()
+    plain.primitive({"POSITION": SQUARE, "TEXCOORD_0": SQUARE_UVS})
+    Path("scene-plain.bin").write_bytes(plain.blob)
+    plain.tree["buffers"] = [{"byteLength": len(plain.blob), "uri": "scene-plain.bin"}]
+    plain.write(Path("scene-plain.gltf"))
+    return sorted(Path().iterdir())
+
+
+def damaged_gltf(content, rng):
+    """Return the content of a glTF file with random damage: of its bytes, or of one to three values of its JSON."""
+    if rng.random() < 0.3 or content[:1] not in b"{g" or not content:
+        return mutant(content, rng)
+    is_binary = content[:4] == b"glTF"
+    size = int.from_bytes(content[12:16], "little")
+    tree = json.loads(content[20 : 20 + size] if is_binary else content)
+    for _ in range(rng.integers(1, 4)):
+        places = list(containers(tree))
+        container = places[rng.integers(len(places))]
+        names = list(container) if isinstance(container, dict) else list(range(len(container)))
+        name = names[rng.integers(len(names))]
+        match rng.integers(4):
+            case 0:
+                del container[name]
+            case 1:
+                container[name] = copy.deepcopy(places[rng.integers(len(places))])
+            case _:
+                container[name] = copy.deepcopy(EXTREME_VALUES[rng.integers(len(EXTREME_VALUES))])
+        if not any(True for _ in containers(tree)):
+            break
+    text = json.dumps(tree).encode()
+    if not is_binary:
+        return text
+    rest = content[20 + size :]
+    header = b"glTF" + struct.pack("<IIII", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A)
+    return header + text + rest
+
+
+def containers(tree):
+    """Yield all objects and lists of a JSON value that are not empty."""
+    if isinstance(tree, (dict, list)) and tree:
+        yield tree
+        for value in tree.values() if isinstance(tree, dict) else tree:
+            yield from containers(value)
+
+
 def read_scan(path):
     """Load a height-field file, and check that all heights not marked as missing are finite."""
     integers = re.search("uint|i4", path.name)
@@ -119,6 +194,12 @@ def read_mesh(path):
     """Load the mesh that a file belongs to, and check that all vertices of its prepared surface are finite."""
     beside = {".mtl": "mesh.obj", ".png": "mesh.obj", ".bin": "mesh.gltf"}
     surface = prepare_surface(Path(beside.get(path.suffix, path)))
+    assert np.isfinite(surface.vertices).all()
+
+
+def read_gltf(path):
+    """Load the scene that a file belongs to. Files without texture coordinates have a tangent."""
+    surface = prepare_surface(path.with_suffix(".gltf") if path.suffix == ".bin" else path, tangents=(1.0, 0.2, 0.1))
     assert np.isfinite(surface.vertices).all()
 
 
@@ -168,7 +249,10 @@ def main(kind, seed, count, seconds, folder):
     """Read at most ``count`` damaged files within at most ``seconds`` seconds, and print the failures as JSON."""
     import resource
 
-    files, read = {"scans": (scans, read_scan), "meshes": (meshes, read_mesh)}[kind]
+    files, read, damage = {
+        "scans": (scans, read_scan, mutant), "meshes": (meshes, read_mesh, mutant),
+        "gltf": (gltf_scenes, read_gltf, damaged_gltf),
+    }[kind]  # fmt: skip
     sound = {path: path.read_bytes() for path in files()}
     warnings.simplefilter("ignore")
     for path in sound:
@@ -181,13 +265,15 @@ def main(kind, seed, count, seconds, folder):
     while tried < count and time.monotonic() < end and len(wrong) < 10:
         rng = np.random.default_rng([seed, tried])
         path = list(sound)[rng.integers(len(sound))]
-        path.write_bytes(mutant(sound[path], rng))
+        path.write_bytes(damage(sound[path], rng))
         tried += 1
         # The alarm signal ends this process if the reader hangs.
         signal.alarm(MOST_S)
         try:
             read(path)
         except (ValueError, OSError, MemoryError) as error:
+            if kind == "gltf" and not isinstance(error, ValueError):
+                wrong.append(f"{tried - 1}: {path}: {error!r}")
             # The error of a mesh names the mesh file, even if its texture or buffer file is damaged. The error of an
             # export whose size was damaged names the argument that is missing.
             is_named = any(file.stem in str(error) for file in sound)

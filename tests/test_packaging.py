@@ -173,7 +173,7 @@ def test_declared_dependencies_equal_the_imported_packages():
     declared = {re.split(r"[<>=~! \[]", requirement)[0] for requirement in PROJECT["dependencies"]}
     # Packages that only single commands require are optional dependencies.
     extras = PROJECT["optional-dependencies"]
-    commands = ("view", "data", "dask", "mitsuba", "plot", "scans")
+    commands = ("view", "data", "dask", "mitsuba", "plot", "scans", "gltf")
     optional = {re.split(r"[<>=~! \[]", each)[0] for name in commands for each in extras[name]}
     assert declared == used - optional
     assert optional <= used
@@ -189,7 +189,7 @@ def test_importing_the_package_loads_no_slow_packages():
     code = "import sys, warpdiff; print(*sys.modules)"
     assert "numpy" not in run([sys.executable, "-c", code], ROOT).split()
     # Code that needs no device must not import Warp. No plain import may load packages that only some calls require.
-    slow = {"trimesh", "colour", "OpenImageIO", "PIL", "scipy", "matplotlib"}
+    slow = {"trimesh", "colour", "OpenImageIO", "PIL", "scipy", "matplotlib", "DracoPy", "mapbox_earcut"}
     light = "gratings", "meshes", "HeightField", "Coherence", "DirectionalLight", "View", "Image", "Plan", "plot"
     code = f"import sys; from warpdiff import {', '.join(light)}; from warpdiff.apps import cli; print(*sys.modules)"
     assert not set(run([sys.executable, "-c", code], ROOT).split()) & {"warp", *slow}

@@ -543,7 +543,9 @@ def pigment_colour(base, to_light, to_view, heightfield, step, illuminant, ior):
         weight = grid**2 / (math.pi * patch * math.prod(step.periods))
     else:
         weight = grid**2 / (4.0 * math.pi**2 * step.sigma_um**2)
-    white = weight @ products(illuminant)
+    # A white pigment has the chromaticity of the illuminant; its luminance is the mean of the weights.
+    spectrum = products(illuminant)
+    white = (weight @ spectrum[:, 1]) * spectrum.sum(axis=0)
     xyz = (base * (XYZ_TO_RGB @ white)) @ np.linalg.inv(XYZ_TO_RGB).T
     under = (1.0 - fresnel(to_light[:, 2], ior)) * (1.0 - fresnel(to_view[:, 2], ior)) * to_light[:, 2]
     return (under / fresnel(1.0, ior))[:, None] * xyz

@@ -9,6 +9,7 @@ import trimesh
 from trimesh.visual import TextureVisuals
 
 import warpdiff as wd
+from warpdiff.core.wording import WarpdiffWarning
 from warpdiff.request.settings import Layer
 
 NAMES = get_args(Layer)
@@ -91,11 +92,13 @@ def test_normals_of_a_file_are_used_even_if_they_equal_the_face_normals(tmp_path
 
 def test_a_box_without_normals_is_shaded_smoothly_even_after_trimesh_has_computed_normals():
     bare = box(normals=False)
-    before = shade(bare).layers["normal"]
+    with pytest.warns(WarpdiffWarning, match="no normals, but separate vertices at 3 sharp edges"):
+        before = shade(bare).layers["normal"]
     corner = np.abs(before - box_met(VIEW)[1]).max()
     assert corner > 0.5
     assert bare.vertex_normals.shape == (36, 3)
-    np.testing.assert_array_equal(shade(bare).layers["normal"], before)
+    with pytest.warns(WarpdiffWarning, match="at 3 sharp edges"):
+        np.testing.assert_array_equal(shade(bare).layers["normal"], before)
 
 
 @pytest.mark.parametrize(

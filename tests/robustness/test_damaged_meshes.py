@@ -124,7 +124,8 @@ def test_an_obj_file_cut_off_anywhere_is_read_or_refused_by_its_path(tmp_path):
             prepare_surface(path)
         except ValueError as error:
             refusals.add(str(error))
-    assert all("mesh " in message and str(path) in message and "matmul" not in message for message in refusals)
+    assert all(message.startswith("mesh") and str(path) in message for message in refusals)
+    assert not any("matmul" in message for message in refusals)
     assert any("vertices of 3 coordinates" in message for message in refusals)
 
 
@@ -135,7 +136,10 @@ def test_a_damaged_file_of_another_format_is_refused_by_its_path(tmp_path, suffi
     path.write_bytes(path.read_bytes()[:400])
     # If a package for text encodings is installed, trimesh reads a truncated binary STL file as text without triangles.
     # The message then refers to the missing triangles.
-    message = r"mesh must (be a file that trimesh can read, .*damaged, truncated|have triangles, got .* without any)"
+    message = (
+        r"mesh must (be a file that trimesh can read, .*damaged, truncated|have triangles, got .* without any"
+        r"|be a sound glTF file: .* may be truncated)"
+    )
     with pytest.raises(ValueError, match=message) as refused:
         prepare_surface(path)
     assert str(path) in str(refused.value)

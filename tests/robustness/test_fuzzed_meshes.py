@@ -11,7 +11,7 @@ import pytest
 from fuzz import HEIGHTFIELD, LIGHT, VIEW, malformed_meshes, plan
 
 import warpdiff as wd
-from warpdiff.scene import mesh_import
+from warpdiff.scene import mesh_files
 
 FORMATS = ("obj", "ply", "stl", "glb", "off", "gltf")
 MESHES = list(malformed_meshes())
@@ -40,7 +40,7 @@ def tangents_for(path, rng):
     """Return random tangents for a mesh file without texture coordinates."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return rng.normal(size=(sum(len(geometry.mesh.vertices) for geometry in mesh_import._geometries(path)), 3))
+        return rng.normal(size=(sum(part.source_count for part in mesh_files.load(path)), 3))
 
 
 @pytest.mark.permanent("malformed mesh files of every format")

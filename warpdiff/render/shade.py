@@ -41,7 +41,8 @@ def shade(
 
     Args:
         mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene``, or the path of a mesh file. Mesh units are arbitrary and
-            independent of µm.
+            independent of µm. ``copy()`` of trimesh drops the normals of a mesh; ``copy(include_cache=True)`` keeps
+            them.
         heightfield: The height field; its x axis lies along the tangent field. For several surfaces, a mapping from
             parts of the mesh to height fields, to :class:`warpdiff.Surface`, or to None for a plain, matte surface with
             the mesh's base colour. A part is the name of a geometry or of a material, both as ``"geometry/material"``,

@@ -7,21 +7,21 @@ from __future__ import annotations
 
 import contextlib
 import os
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpdiff.core import forks, validation
 from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.warnings import warn
-from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
-from warpdiff.optics.colorimetry import srgb_decode
-from warpdiff.scene import mesh_colours, mesh_files
+from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.scene.mesh_files import UNNAMED
 from warpdiff.scene.mesh_geometry import (
     FaceGeometry,
     TextureGeometry,
     compacted,
+    dot,
     fill,
     is_closed,
     is_convex,
@@ -32,20 +32,27 @@ from warpdiff.scene.mesh_geometry import (
     vertex_normals,
     weld,
 )
+from warpdiff.scene.scene_arrays import (
+    SceneArrays,
+    Textures,
+    arrays_of,
+    joined,
+    labelled_parts,
+    warn_of_features,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     import trimesh
     from numpy.typing import ArrayLike, NDArray
-
 HOW_TO_GET_TANGENTS = (
     f"give {ref('tangents')} (directions of the height field's x axis, world frame: (n, 3), one per vertex, or (3,), "
     "one for all), or a mesh with texture coordinates, whose u axis is then the direction"
 )
-
-# First words of the label by which messages name a geometry of a scene; the name of the geometry follows.
-_GEOMETRY = f"{ref('mesh')}'s geometry "
+# Cosine of the smallest angle between faces at an edge that counts as sharp: 40°. Choice: faces of round bodies meet at
+# smaller angles.
+_SHARP_COSINE = float(np.cos(np.radians(40.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +71,10 @@ class Surface:
         vertex_colours: Linear RGB, shape (n, 3), float32; negative at vertices that use ``texture``. None if all
             vertices use ``texture``.
         has_base_colour: Whether the input mesh has a colour of any kind.
-        geometries: For each face, the index of its geometry in a scene, shape (m,), int32.
-        geometry_names: Names of the geometries in a scene; one empty name for a single mesh.
+        geometries: For each face, the index of its geometry in ``geometry_names``, shape (m,), int32.
+        geometry_names: Names of the geometries, which all differ; "mesh 0" for a single mesh without a name.
+        materials: For each face, the index of its material in ``material_names``, shape (m,), int32; −1 without one.
+        material_names: Names of the materials, which all differ.
         is_convex: Whether the mesh bounds a convex body or is in a plane, so that no point on its outside is in shadow.
         centre: Origin of ``vertices``, world frame, shape (3,), float64.
         radius: Unit of ``vertices``, in mesh units.
@@ -81,16 +90,12 @@ class Surface:
     vertex_colours: NDArray[np.float32] | None
     has_base_colour: bool
     geometries: NDArray[np.int32]
+    materials: NDArray[np.int32]
     is_convex: bool
     centre: NDArray[np.float64]
     radius: float
-    geometry_names: tuple[str, ...] = ("",)
+    geometry_names: tuple[str, ...] = (UNNAMED,)
     material_names: tuple[str, ...] = ()
-
-    @property
-    def materials(self) -> NDArray[np.int32]:
-        """Return −1: no face has a material."""
-        return np.full(len(self.faces), -1, np.int32)
 
     @forks.cached_property
     def is_closed(self) -> bool:
@@ -104,8 +109,10 @@ def prepare_surface(
     """Check a mesh and compute its normals, tangents and base colours.
 
     Vertices with normals in the input keep them. Other normals are angle-weighted means over all faces that meet at a
-    position, so that texture seams are invisible. STL files have one normal per face. Tangents are ``tangents``, or
-    ∂P/∂u of the texture coordinates, averaged across seams where directions differ by less than 30°.
+    position, so that texture seams are invisible. STL files, and glTF meshes without normals, have one normal per face.
+    ``copy()`` of trimesh drops the normals of a mesh; ``copy(include_cache=True)`` keeps them. Tangents are
+    ``tangents``, or those of a glTF file, or ∂P/∂u of the texture coordinates of the base colour, averaged across seams
+    where directions differ by less than 30°.
 
     Args:
         mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene`` (its transforms apply) or the path of a mesh file. trimesh
@@ -127,14 +134,17 @@ def prepare_surface(
     if isinstance(mesh, Surface) and tangents is None:
         return mesh
     with _naming_file(mesh):
-        geometries = _geometries(mesh)
+        scene = labelled_parts(mesh)
         field = None if tangents is None else validation.finite_array(tangents, "tangents")
         with single_threaded_blas():
-            part = _join([_named_part(geometry) for geometry in geometries])
+            textures = Textures()
+            part = joined([arrays_of(entry, label, textures) for entry, label in scene])
             if field is not None and field.shape == (3,):
                 field = np.broadcast_to(field, (part.count, 3))
             _check_tangents(part, field)
-            return replace(_build(part, field), geometry_names=tuple(geometry.name for geometry in geometries))
+            surface = _build(part, field, in_memory=not isinstance(mesh, (str, os.PathLike)))
+        warn_of_features([entry for entry, _ in scene])
+        return surface
 
 
 def normalised_positions(
@@ -144,7 +154,7 @@ def normalised_positions(
     if isinstance(mesh, Surface):
         return mesh.centre, mesh.radius, mesh.vertices.astype(np.float64)
     with _naming_file(mesh), single_threaded_blas():
-        part = _join([_named_part(geometry, colours=False) for geometry in _geometries(mesh)])
+        part = joined([arrays_of(entry, label, None) for entry, label in labelled_parts(mesh)])
         index, _ = compacted(part.faces.T, len(part.vertices))
         world = part.vertices.T.take(index, axis=1)
         centre, radius = _sphere(world)
@@ -162,232 +172,6 @@ def _naming_file(mesh: Any) -> Iterator[None]:
         raise
 
 
-class _Geometry(NamedTuple):
-    """Mesh object of trimesh with its transform to the world, its label in messages, and its name in a scene."""
-
-    mesh: Any
-    transform: NDArray[np.float64]
-    label: str
-    name: str
-
-
-@dataclass
-class _Part:
-    """Arrays of one geometry, or of a whole scene, in world coordinates.
-
-    Some vertices of the input are duplicated. For each vertex, ``source`` has the index of the input vertex, and
-    ``count`` is the number of input vertices.
-    """
-
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    source: NDArray[np.int64]
-    count: int
-    normals: NDArray[np.float64] | None
-    uvs: NDArray[np.float64] | None
-    texture: NDArray[np.float32] | None
-    colours: NDArray[np.float64] | None
-    geometries: NDArray[np.int32]
-    label: str = ref("mesh")
-
-
-def _geometries(mesh: Any) -> list[_Geometry]:
-    """Return the meshes in ``mesh``, each with its transform."""
-    import trimesh
-
-    if isinstance(mesh, (str, os.PathLike)):
-        return _geometries(mesh_files.load(mesh))
-    if isinstance(mesh, trimesh.Trimesh):
-        return [_Geometry(mesh, np.eye(4), ref("mesh"), "")]
-    if not isinstance(mesh, trimesh.Scene):
-        raise ArgumentTypeError(
-            f"{ref('mesh')} must be a trimesh.Trimesh, a trimesh.Scene or a path, got {type(mesh).__name__}"
-        )
-    geometries = []
-    for node in mesh.graph.nodes_geometry:
-        transform, name = mesh.graph[node]
-        geometry = mesh.geometry[name]
-        if isinstance(geometry, trimesh.Trimesh):
-            label = f"{_GEOMETRY}{name!r}"
-            geometries.append(_Geometry(geometry, np.asarray(transform, dtype=np.float64), label, str(name)))
-    if not geometries:
-        raise ArgumentValueError(f"{ref('mesh')} must have triangles, got a scene or file without any")
-    return geometries if len(geometries) > 1 else [geometries[0]._replace(label=ref("mesh"))]
-
-
-def _named_part(geometry: _Geometry, *, colours: bool = True) -> _Part:
-    """Return the checked arrays of a geometry. Messages of errors begin with the label of the geometry."""
-    try:
-        part = _part(geometry.mesh, geometry.transform, colours=colours)
-    except ValueError as error:
-        message = getattr(error, "marked", str(error)).removeprefix(ref("mesh"))
-        raise ArgumentValueError(f"{geometry.label}{message}") from error
-    part.label = geometry.label
-    return part
-
-
-def _part(mesh: Any, transform: NDArray[np.float64], *, colours: bool) -> _Part:
-    """Check one mesh and copy its arrays."""
-    vertices = np.array(mesh.vertices, dtype=np.float64)
-    faces = np.array(mesh.faces, dtype=np.int64)
-    if vertices.shape[1:] != (3,):
-        raise ArgumentValueError(
-            f"{ref('mesh')} must have vertices of 3 coordinates, shape (n, 3), got {vertices.shape}; "
-            "a file may be truncated"
-        )
-    if len(vertices) == 0:
-        raise ArgumentValueError(f"{ref('mesh')} must have vertices, got none")
-    if len(faces) == 0:
-        raise ArgumentValueError(f"{ref('mesh')} must have faces, got {len(vertices)} vertices and no face")
-    if not np.isfinite(vertices).all():
-        bad = int(np.count_nonzero(~np.isfinite(vertices).all(axis=1)))
-        raise ArgumentValueError(f"{ref('mesh')} must have finite vertices, got {bad} with NaN or infinite coordinates")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise ArgumentValueError(
-            f"{ref('mesh')} must have face indices within 0 to {len(vertices) - 1} for its {len(vertices)} vertices, "
-            f"got {faces.min()} to {faces.max()}"
-        )
-    part = _Part(
-        vertices=vertices, faces=faces, source=np.arange(len(vertices)), count=len(vertices),
-        normals=_own_normals(mesh, vertices, faces), uvs=_own_uvs(mesh, len(vertices)), texture=None, colours=None,
-        geometries=np.zeros(len(faces), np.int32),
-    )  # fmt: skip
-    if colours:
-        _take_colours(mesh, part)
-    part.vertices = part.vertices @ transform[:3, :3].T + transform[:3, 3]
-    determinant = float(np.linalg.det(transform[:3, :3]))
-    if determinant < 0.0:
-        part.faces = part.faces[:, ::-1]
-    if part.normals is not None and determinant != 0.0:
-        # Normals are multiplied by the transposed inverse of the transform, times the absolute value of its
-        # determinant. A reflection reverses the order of the corners of faces above; normals remain on the outside.
-        part.normals = part.normals @ (np.linalg.inv(transform[:3, :3]) * abs(determinant))
-    return part
-
-
-def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64] | None:
-    """Return the vertex normals of the input mesh, shape (n, 3), or None if trimesh computed them.
-
-    trimesh stores normals of the file and computed normals in the same place. To compute normals, it also computes the
-    angles of faces, which its cache then contains. The cache may also contain the angles for another reason. If it
-    contains them, normals count as computed only if they have the values that trimesh would compute.
-    """
-    normals = mesh.vertex_normals if "vertex_normals" in mesh._cache else None
-    worked_out = normals is None or "face_angles" in mesh._cache
-    if worked_out and _has_facets(mesh):
-        facets = np.zeros(vertices.shape)
-        facets[faces] = mesh.face_normals[:, None]
-        return facets
-    if normals is None or np.shape(normals) != vertices.shape:
-        return None
-    normals = np.asarray(normals, dtype=np.float64)
-    normals = unit(np.where(np.isfinite(normals), normals, 0.0).T)
-    if not worked_out:
-        return normals.T
-    corners = np.ascontiguousarray(faces.T)
-    # Normals of the input are compared with computed ones at the vertices of a few faces first, and at all vertices
-    # only if these agree.
-    some = np.zeros(len(vertices), dtype=np.bool_)
-    some[faces[:: len(faces) // 16 + 1]] = True
-    for at in (some, np.ones_like(some)):
-        beside = corners.compress(at.take(corners).any(axis=0), axis=1)
-        computed = unit(FaceGeometry(vertices.T, beside).angle_weighted_normals(beside, len(vertices)))
-        if not np.allclose(normals[:, at], computed[:, at], atol=1e-6):
-            return normals.T
-    return None
-
-
-def _has_facets(mesh: Any) -> bool:
-    """Return whether a mesh is from an unmerged STL file, which has one normal per face and no other normals."""
-    source = getattr(mesh, "source", None)
-    return getattr(source, "file_type", None) == "stl" and len(mesh.vertices) == 3 * len(mesh.faces)
-
-
-def _own_uvs(mesh: Any, count: int) -> NDArray[np.float64] | None:
-    """Return the texture coordinates of the input mesh, shape (n, 2), or None if it has none."""
-    uvs = getattr(mesh.visual, "uv", None)
-    if uvs is None or np.ndim(uvs) != 2 or len(uvs) != count or np.shape(uvs)[1] < 2:
-        return None
-    uvs = np.array(uvs[:, :2], dtype=np.float64)
-    sound = np.all(np.abs(uvs) <= validation.MOST, axis=1)
-    if not sound.all():
-        bad = int(np.count_nonzero(~sound))
-        raise ArgumentValueError(
-            f"{ref('mesh')} must have finite texture coordinates, got {bad} NaN, infinite or beyond {validation.MOST:g}"
-        )
-    return uvs
-
-
-def _take_colours(mesh: Any, part: _Part) -> None:
-    """Set the texture or the vertex colours of a part. If faces have colours, vertices are duplicated for each face."""
-    visual = mesh.visual
-    if visual.kind == "vertex":
-        part.colours = srgb_decode(np.asarray(visual.vertex_colors)[:, :3] / 255.0)
-    elif visual.kind == "face":
-        corner = part.faces.ravel()
-        part.colours = np.repeat(srgb_decode(np.asarray(visual.face_colors)[:, :3] / 255.0), 3, axis=0)
-        part.vertices, part.source = part.vertices[corner], part.source[corner]
-        part.normals = None if part.normals is None else part.normals[corner]
-        part.uvs = None if part.uvs is None else part.uvs[corner]
-        part.faces = np.arange(len(corner)).reshape(-1, 3)
-    elif hasattr(visual, "material"):
-        if getattr(visual, "face_materials", None) is not None:
-            raise ArgumentValueError(
-                f"{ref('mesh')} must have one material per geometry, got face materials; split it by material, or bake "
-                "them into one texture"
-            )
-        texture, colour = mesh_colours.colours_of(visual.material)
-        if texture is not None and part.uvs is not None:
-            part.texture = texture
-        elif colour is not None:
-            part.colours = np.tile(colour, (len(part.vertices), 1))
-
-
-def _join(parts: list[_Part]) -> _Part:
-    """Join the parts of a scene to one part.
-
-    Missing values become NaN; colours are −1 at vertices that use the texture.
-    """
-    if len(parts) == 1:
-        return parts[0]
-    textures: list[NDArray[np.float32]] = []
-    textured: list[str] = []
-    for part in parts:
-        if part.texture is not None and not any(np.array_equal(part.texture, known) for known in textures):
-            textures.append(part.texture)
-            textured.append(part.label.removeprefix(_GEOMETRY))
-    if len(textures) > 1:
-        raise ArgumentValueError(
-            f"{ref('mesh')} must have at most one texture image, got a scene with {len(textures)}, of "
-            f"{', '.join(textured)}; render its geometries one by one, or bake them into one texture"
-        )
-    without_uvs = [part.label for part in parts if part.uvs is None]
-    vertex_start = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    source_start = np.cumsum([0, *(part.count for part in parts)])
-
-    def gather(name: str, columns: int) -> NDArray[np.float64] | None:
-        arrays = [getattr(part, name) for part in parts]
-        if all(array is None for array in arrays):
-            return None
-        missing = [np.full((len(part.vertices), columns), np.nan) for part in parts]
-        return np.concatenate([gap if array is None else array for array, gap in zip(arrays, missing, strict=True)])
-
-    colours = gather("colours", 3)
-    if colours is not None:
-        # A part of the scene without colour and texture has no pigment, so its colour is black.
-        none = [np.full(len(part.vertices), -1.0 if part.texture is not None else 0.0) for part in parts]
-        colours = np.where(np.isnan(colours), np.concatenate(none)[:, None], colours)
-    return _Part(
-        vertices=np.concatenate([part.vertices for part in parts]),
-        faces=np.concatenate([part.faces + start for part, start in zip(parts, vertex_start[:-1], strict=True)]),
-        source=np.concatenate([part.source + start for part, start in zip(parts, source_start[:-1], strict=True)]),
-        count=int(source_start[-1]), normals=gather("normals", 3), uvs=gather("uvs", 2),
-        texture=textures[0] if textures else None, colours=colours,
-        geometries=np.repeat(np.arange(len(parts), dtype=np.int32), [len(part.faces) for part in parts]),
-        label=without_uvs[0] if without_uvs else ref("mesh"),
-    )  # fmt: skip
-
-
 def _sphere(world: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Return centre and radius of the sphere around the bounding box of positions, shape (3, n)."""
     low, high = world.min(axis=1), world.max(axis=1)
@@ -403,7 +187,7 @@ def _sphere(world: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     return centre, radius
 
 
-def _build(part: _Part, tangents: NDArray[np.float64] | None) -> Surface:
+def _build(part: SceneArrays, tangents: NDArray[np.float64] | None, *, in_memory: bool) -> Surface:
     """Return the surface of a part: remove faces without area, compute normals and tangents, and convert to float32."""
     index, faces = compacted(part.faces.T, len(part.vertices))
     world = part.vertices.T.take(index, axis=1)
@@ -411,23 +195,24 @@ def _build(part: _Part, tangents: NDArray[np.float64] | None) -> Surface:
     # Positions are rounded to float32 before areas are tested, because kernels use the rounded positions.
     vertices = ((world - centre[:, None]) / radius).astype(np.float32).astype(np.float64)
     geometry = FaceGeometry(vertices, faces)
-    keep, geometries = geometry.has_area, part.geometries
+    keep, geometries, materials = geometry.has_area, part.geometries, part.materials
     dropped = int(np.count_nonzero(~keep))
     if dropped == len(keep):
         raise ArgumentValueError(f"{ref('mesh')} must have a face with an area, got {dropped} without")
     if dropped:
         warn(f"{ref('mesh')}: {dropped} of {len(keep)} faces have no area and are ignored")
         used, faces = compacted(faces.compress(keep, axis=1), len(index))
-        geometries = geometries[keep]
+        geometries, materials = geometries[keep], materials[keep]
         index, vertices = index[used], vertices.take(used, axis=1)
         geometry = FaceGeometry(vertices, faces)
 
-    uvs = None if part.uvs is None else part.uvs.T.take(index, axis=1)
+    uvs = np.zeros((2, len(index))) if part.uvs is None else np.nan_to_num(part.uvs.T.take(index, axis=1))
     handedness = np.ones(len(index))
     if tangents is None:
-        assert uvs is not None  # noqa: S101 - for mypy; refused above
         texture_geometry = TextureGeometry(uvs, faces)
         mirrored = texture_geometry.mirrored(faces, len(index))
+        if part.tangents is not None:
+            mirrored = _mirrored(np.nan_to_num(part.tangents.T.take(index, axis=1)), faces, mirrored)
         if mirrored.any():
             # All vertices of a face must have the same handedness. A vertex between mirrored and other faces is
             # therefore duplicated.
@@ -438,6 +223,8 @@ def _build(part: _Part, tangents: NDArray[np.float64] | None) -> Surface:
 
     welded, order = weld(vertices)
     own = None if part.normals is None else part.normals.T.take(index, axis=1)
+    if in_memory:
+        _warn_of_lost_normals(_equal_but_for_normals(part, index, own, welded, order), geometry, faces, welded)
     normals = vertex_normals(geometry, faces, welded, own)
     if tangents is not None:
         scale = np.max(np.abs(tangents), initial=0.0)
@@ -446,6 +233,9 @@ def _build(part: _Part, tangents: NDArray[np.float64] | None) -> Surface:
     else:
         field = tangents_from_uvs(geometry, texture_geometry, faces, normals)
         field = join_seams(field, welded, order, handedness)
+        if part.tangents is not None:
+            in_file = np.nan_to_num(part.tangents.T.take(index, axis=1)[:3])
+            field = np.where(in_file.any(axis=0), in_file, field)
         name = f"{ref('mesh')}'s texture coordinates"
     field = fill(unit(tangential(field, normals)), normals, faces, welded, name)
 
@@ -454,26 +244,106 @@ def _build(part: _Part, tangents: NDArray[np.float64] | None) -> Surface:
     colours = None if part.colours is None else part.colours[index]
     if colours is not None and np.all(colours == colours[0]) and part.texture is None:
         texture, colours = colours[:1].reshape(1, 1, 3).astype(np.float32), None
-    uvs = np.zeros((2, len(index))) if uvs is None else np.nan_to_num(uvs)
     return Surface(
         vertices=vertices.T.astype(np.float32, order="C"), faces=faces.T.astype(np.int32, order="C"),
         normals=normals.T.astype(np.float32, order="C"), tangents=field.T.astype(np.float32, order="C"),
         handedness=handedness.astype(np.float32), uvs=uvs.T.astype(np.float32, order="C"), texture=texture,
         vertex_colours=None if colours is None else colours.astype(np.float32), has_base_colour=has_colour,
-        geometries=geometries, is_convex=is_convex(vertices, faces, geometry.normals, welded), centre=centre,
-        radius=radius,
+        geometries=geometries, materials=materials,
+        is_convex=is_convex(vertices, faces, geometry.normals, welded), centre=centre, radius=radius,
+        geometry_names=part.geometry_names, material_names=part.material_names,
     )  # fmt: skip
 
 
-def _check_tangents(part: _Part, tangents: NDArray[np.float64] | None) -> None:
-    """Check that ``tangents`` has a vector per vertex, or if it is None, that all vertices have texture coordinates."""
+def _mirrored(tangents: NDArray[np.float64], faces: NDArray[np.int64], by_uvs: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return whether the texture is mirrored on each face: by the tangents of its corners if the file has them.
+
+    Args:
+        tangents: Tangents and handedness of the file, shape (4, n); zero where the file has none.
+        faces: Vertex indices, shape (3, m).
+        by_uvs: Whether the texture coordinates of each face are mirrored, shape (m,).
+    """
+    is_stated = np.asarray(tangents[:3].any(axis=0))[faces].all(axis=0)
+    sides = np.sign(tangents[3])[faces].sum(axis=0)
+    return np.asarray(np.where(is_stated & (sides != 0.0), sides < 0.0, by_uvs))
+
+
+def _equal_but_for_normals(
+    part: SceneArrays, index: NDArray[np.int64], own: NDArray[np.float64] | None, welded: NDArray[np.int64],
+    order: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:  # fmt: skip
+    """Return pairs of vertices without normals that are equal in position, texture coordinates and colour.
+
+    Args:
+        part: Scene.
+        index: Index of each vertex in the arrays of ``part``.
+        own: Normals of the input, shape (3, n), NaN where it has none; None without any.
+        welded: Number of each vertex's position.
+        order: Indices of the vertices in the order of these numbers.
+    """
+    one, two = order[:-1], order[1:]
+    alike = np.asarray(welded[one] == welded[two]) & (part.source[index[one]] != part.source[index[two]])
+    geometry = np.zeros(len(part.vertices), np.int32)
+    geometry[part.faces] = part.geometries[:, None]
+    for values in (geometry[:, None], part.uvs, part.colours):
+        if values is not None:
+            at_vertices = np.nan_to_num(values)[index]
+            alike &= np.all(at_vertices[one] == at_vertices[two], axis=1)
+    if own is not None:
+        missing = np.asarray(np.isnan(own).any(axis=0))
+        alike &= missing[one] & missing[two]
+    return one[alike], two[alike]
+
+
+def _warn_of_lost_normals(
+    alike: tuple[NDArray[np.int64], NDArray[np.int64]], geometry: FaceGeometry, faces: NDArray[np.int64],
+    welded: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Warn if faces at sharp edges have separate vertices that differ in nothing but lost normals.
+
+    Args:
+        alike: Pairs of vertices that are equal but for their normals.
+        geometry: Normals of faces.
+        faces: Vertex indices, shape (3, m).
+        welded: Number of each vertex's position.
+    """
+    is_alike = np.zeros(len(welded), np.bool_)
+    is_alike[alike[0]] = is_alike[alike[1]] = True
+    start, end = faces.ravel(), faces[[1, 2, 0]].ravel()
+    chosen = np.flatnonzero(is_alike[start] & is_alike[end])
+    if not len(chosen):
+        return
+    start, end, face = start[chosen], end[chosen], chosen % faces.shape[1]
+    count = int(welded.max()) + 1
+    edges = welded[start] * count + welded[end]
+    opposite = welded[end] * count + welded[start]
+    order = np.argsort(edges)
+    other = order[np.searchsorted(edges, opposite, sorter=order).clip(max=len(edges) - 1)]
+    is_split = np.asarray(edges[other] == opposite) & (start != end[other]) & (end != start[other])
+    cosines = dot(geometry.normals.take(face, axis=1), geometry.normals.take(face[other], axis=1))
+    # The two sides of a thin sheet have opposite normals, which remain.
+    is_split &= np.abs(cosines) < _SHARP_COSINE
+    if split := int(np.count_nonzero(is_split)) // 2:
+        warn(
+            f"{ref('mesh')} has no normals, but separate vertices at {split} sharp edges, which become smooth. "
+            "copy() of trimesh drops normals: use copy(include_cache=True)"
+        )
+
+
+def _check_tangents(part: SceneArrays, tangents: NDArray[np.float64] | None) -> None:
+    """Check that ``tangents`` has a vector per vertex, or if it is None, that all vertices have a direction."""
     if tangents is not None:
         if tangents.shape != (part.count, 3):
             raise ArgumentValueError(
                 f"{ref('tangents')} must have shape ({part.count}, 3), one vector per vertex of the mesh, or (3,), "
                 f"got {tangents.shape}"
             )
-    elif part.uvs is None:
+        return
+    if part.uvs is None and part.tangents is None:
         raise ArgumentValueError(f"{ref('mesh')} has neither texture coordinates nor tangents; {HOW_TO_GET_TANGENTS}")
-    elif np.any(np.isnan(part.uvs)):
+    missing = np.ones(len(part.vertices), np.bool_)
+    for values in (part.uvs, part.tangents):
+        if values is not None:
+            missing &= np.isnan(values).any(axis=1)
+    if missing.any():
         raise ArgumentValueError(f"{part.label} has no texture coordinates; {HOW_TO_GET_TANGENTS}")

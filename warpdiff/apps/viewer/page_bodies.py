@@ -39,8 +39,9 @@ def surface_of(mesh: Call | Path, tangents: tuple[float, float, float] | None) -
     if not hasattr(mesh, "make"):
         return prepare_surface(str(mesh), tangents=tangents)
 
-    # A sample body is a single mesh. The disk cache therefore does not store names of geometries.
-    fields = {field.name: None for field in dataclasses.fields(Surface) if field.name != "geometry_names"}
+    # A sample body is a single mesh. The disk cache therefore does not store names of geometries and materials.
+    names = ("geometry_names", "material_names")
+    fields = {field.name: None for field in dataclasses.fields(Surface) if field.name not in names}
 
     def arrays() -> dict[str, Any]:
         made = dataclasses.asdict(prepare_surface(mesh.make(), tangents=tangents))

@@ -1,0 +1,174 @@
+"""Values of glTF's JSON, checked while they are read. Errors name the place of a value, such as ``nodes[3].mesh``."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.scene.text_encodings import decoded
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+# Largest magnitude of a number. Limit: products of larger ones could overflow.
+_MOST_NUMBER = 1e100
+# Largest integer. Limit: larger ones are not exact in JSON, whose numbers are of double precision.
+_MOST_INTEGER = 2**53
+
+
+def refuse(place: str, rule: str) -> NoReturn:
+    """Raise an error about a value of the file.
+
+    Args:
+        place: Place of the value in the file, such as ``nodes[3].mesh``.
+        rule: Verb phrase with the rule and the value, such as "must be a string, got 5".
+    """
+    raise ArgumentValueError(f"{ref('mesh')} must be a sound glTF file: {place} {rule}")
+
+
+def _shown(value: object) -> str:
+    """Return the start of a value as JSON, for messages."""
+    text = repr(value)
+    return text if len(text) <= 40 else text[:39] + "…"
+
+
+class Element:
+    """JSON object with its place in the file."""
+
+    __slots__ = ("place", "values")
+
+    def __init__(self, values: object, place: str) -> None:
+        """Check that ``values`` is a JSON object."""
+        if not isinstance(values, dict):
+            refuse(place or "the JSON", f"must be an object, got {_shown(values)}")
+        self.values: dict[str, Any] = values
+        self.place = place
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.values
+
+    def where(self, name: str) -> str:
+        """Return the place of one of the values."""
+        return f"{self.place}.{name}" if self.place else name
+
+    def refuse(self, name: str, rule: str) -> NoReturn:
+        """Raise an error about one of the values; see :func:`refuse`."""
+        refuse(self.where(name), rule)
+
+    def integer(self, name: str, default: int | None = None, *, least: int = 0, most: int = _MOST_INTEGER) -> int:
+        """Return an integer from ``least`` to ``most``; without a ``default``, the file must state it."""
+        if name not in self.values and default is not None:
+            return default
+        return self._integer(self._stated(name), self.where(name), least, most)
+
+    def index(self, name: str, count: int) -> int | None:
+        """Return the index of one of ``count`` elements, or None if the file states none."""
+        return self.integer(name, most=count - 1) if name in self.values else None
+
+    def indices(self, name: str, count: int) -> list[int]:
+        """Return a list of indices of ``count`` elements; an empty one if the file states none."""
+        return [
+            self._integer(value, f"{self.where(name)}[{number}]", 0, count - 1)
+            for number, value in enumerate(self._list(name))
+        ]
+
+    def number(self, name: str, default: float, *, least: float = -_MOST_NUMBER, most: float = _MOST_NUMBER) -> float:
+        """Return a finite number from ``least`` to ``most``."""
+        if name not in self.values:
+            return default
+        value = self._number(self.values[name], self.where(name))
+        if not least <= value <= most:
+            self.refuse(name, f"must be from {least:g} to {most:g}, got {value:g}")
+        return value
+
+    def numbers(self, name: str, default: Sequence[float]) -> list[float]:
+        """Return a list of as many finite numbers as ``default`` has."""
+        if name not in self.values:
+            return list(default)
+        values = self._list(name)
+        if len(values) != len(default):
+            self.refuse(name, f"must have {len(default)} numbers, got {len(values)}")
+        return [self._number(value, f"{self.where(name)}[{number}]") for number, value in enumerate(values)]
+
+    def text(self, name: str, default: str = "") -> str:
+        """Return a string."""
+        value = self.values.get(name, default)
+        if not isinstance(value, str):
+            self.refuse(name, f"must be a string, got {_shown(value)}")
+        return str(value)
+
+    def texts(self, name: str) -> list[str]:
+        """Return a list of strings; an empty one if the file states none."""
+        values = self._list(name)
+        for number, value in enumerate(values):
+            if not isinstance(value, str):
+                refuse(f"{self.where(name)}[{number}]", f"must be a string, got {_shown(value)}")
+        return values
+
+    def flag(self, name: str, default: bool) -> bool:
+        """Return a truth value."""
+        value = self.values.get(name, default)
+        if not isinstance(value, bool):
+            self.refuse(name, f"must be true or false, got {_shown(value)}")
+        return value
+
+    def element(self, name: str) -> Element | None:
+        """Return an object, or None if the file states none."""
+        return Element(self.values[name], self.where(name)) if name in self.values else None
+
+    def stated_element(self, name: str) -> Element:
+        """Return an object that the file must state."""
+        return Element(self._stated(name), self.where(name))
+
+    def elements(self, name: str) -> list[Element]:
+        """Return a list of objects; an empty one if the file states none."""
+        return [Element(value, f"{self.where(name)}[{number}]") for number, value in enumerate(self._list(name))]
+
+    def extension(self, name: str) -> Element | None:
+        """Return the object of an extension, or None if the file does not use it here."""
+        extensions = self.element("extensions")
+        return None if extensions is None else extensions.element(name)
+
+    def _stated(self, name: str) -> object:
+        if name not in self.values:
+            refuse(self.place or "the JSON", f"must have a value {name!r}")
+        return self.values[name]
+
+    def _list(self, name: str) -> list[Any]:
+        values = self.values.get(name, [])
+        if not isinstance(values, list):
+            self.refuse(name, f"must be a list, got {_shown(values)}")
+        return values
+
+    @staticmethod
+    def _integer(value: object, place: str, least: int, most: int) -> int:
+        # Some exporters write integers as 24.0.
+        is_whole = isinstance(value, float) and math.isfinite(value) and value.is_integer()
+        if isinstance(value, bool) or not (isinstance(value, int) or is_whole):
+            refuse(place, f"must be an integer, got {_shown(value)}")
+        number = int(value)  # type: ignore[call-overload]
+        if most < least:
+            refuse(place, f"refers to an element that does not exist, number {number}")
+        if not least <= number <= most:
+            refuse(place, f"must be an integer from {least} to {most}, got {_shown(number)}")
+        return int(number)
+
+    @staticmethod
+    def _number(value: object, place: str) -> float:
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= _MOST_NUMBER:
+            refuse(place, f"must be a finite number, got {_shown(value)}")
+        return float(value)
+
+
+def parsed(data: bytes) -> Element:
+    """Return the JSON object of a file's text."""
+    try:
+        return Element(json.loads(decoded(data)), "")
+    except ArgumentValueError:
+        raise
+    except ValueError as error:
+        refuse("its JSON", f"cannot be parsed: {error}")
+    except RecursionError:
+        refuse("its JSON", "is nested too deeply")

@@ -1,0 +1,68 @@
+"""Images that mesh files refer to: opened from bytes, and decoded to linear RGB."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.core.warnings import warn
+from warpdiff.core.wording import ref
+from warpdiff.optics.colorimetry import srgb_decode
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+    from PIL import Image
+
+# Key under which the dictionary ``info`` of a Pillow image stores the reason why the image cannot be decoded.
+_DAMAGE = "warpdiff:damage"
+
+
+def opened(data: bytes) -> Image.Image:
+    """Open an image; its pixels are not decoded.
+
+    Raises:
+        OSError: Pillow cannot open it. The message is the reason.
+    """
+    from PIL import Image
+
+    try:
+        return Image.open(io.BytesIO(data))
+    except Image.DecompressionBombError as error:
+        raise OSError(str(error)) from None
+    except Exception:
+        # Pillow raises errors of several classes for damaged data.
+        raise OSError("Pillow cannot read it as an image") from None
+
+
+def linear_rgb(image: Image.Image) -> NDArray[np.float32] | None:
+    """Return an image in linear RGB, shape (h, w, 3), or None with a warning if it is damaged."""
+    if damage := _damage(image):
+        texture = image.info.get("file_path") or "an image"
+        warn(f"{ref('mesh')}: texture {texture!r} is damaged and ignored: {damage}")
+        return None
+    if image.mode.startswith("I"):
+        # Pillow's image modes that begin with the letter I have 16-bit grey values. Pillow's own conversion to RGB
+        # would clip these at 255.
+        grey = srgb_decode(np.asarray(image, dtype=np.float64) / 65535.0)
+        return np.repeat(grey[:, :, None], 3, axis=2).astype(np.float32)
+    if image.mode == "P":
+        # Pillow warns if it converts a palette with transparency to RGB directly.
+        image = image.convert("RGBA")
+    # For speed, the sRGB transfer function is computed once for each of the 256 possible values, not for every pixel.
+    table = srgb_decode(np.arange(256) / 255.0).astype(np.float32)
+    return np.ascontiguousarray(table[np.asarray(image.convert("RGB"), dtype=np.uint8)])
+
+
+def _damage(image: Image.Image) -> str:
+    """Return the reason why an image cannot be decoded, or an empty string."""
+    if _DAMAGE not in image.info:
+        try:
+            image.load()
+            image.info[_DAMAGE] = ""
+        except Exception as error:
+            # Image decoders raise errors of any type. The error is stored, because a second attempt may return a
+            # partial image without an error.
+            image.info[_DAMAGE] = str(error) or type(error).__name__
+    return str(image.info[_DAMAGE])

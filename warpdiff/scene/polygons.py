@@ -1,0 +1,66 @@
+"""Concave polygons of mesh files, cut into triangles by mapbox_earcut. Other polygons are cut into fans."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# A corner is concave if the sine of its turn, times its two edges, is below this negative share of the square of the
+# polygon's longest edge. Choice: above float32 rounding, so that corners on a straight line do not count.
+_CONCAVE = -1e-6
+
+
+def are_concave(polygons: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return whether each of m polygons has a concave corner, shape (m,).
+
+    Args:
+        polygons: Positions of the corners of polygons with n corners, shape (m, n, 3).
+    """
+    with np.errstate(all="ignore"):  # positions that are not finite are refused later
+        edges = np.roll(polygons, -1, axis=1) - polygons
+        turns = np.cross(np.roll(edges, 1, axis=1), edges)
+        normals = _normals(polygons)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float64).tiny)
+        longest_squared = np.max(np.sum(edges**2, axis=2), axis=1)
+        lowest = np.min(np.sum(turns * normals[:, None], axis=2), axis=1)
+        return np.asarray(lowest < _CONCAVE * longest_squared)
+
+
+def triangulated(polygon: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return triangles that cover a polygon, as indices of its corners, shape (m, 3).
+
+    Args:
+        polygon: Positions of the corners, shape (n, 3).
+    """
+    import mapbox_earcut
+
+    normal = _normals(polygon[None])[0]
+    axis = int(np.argmax(np.abs(normal)))
+    # The polygon is projected along the axis closest to its normal, and keeps its orientation.
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    flat = np.ascontiguousarray(polygon[:, [first, second] if normal[axis] > 0.0 else [second, first]])
+    triangles = mapbox_earcut.triangulate_float64(flat, np.array([len(flat)], dtype=np.uint32))
+    triangles = triangles.reshape(-1, 3).astype(np.int64)
+    if not len(triangles):
+        return fan(len(polygon))
+    one, two, three = (flat[triangles[:, corner]] for corner in range(3))
+    (ax, ay), (bx, by) = (two - one).T, (three - one).T
+    is_turned = ax * by - ay * bx < 0.0
+    triangles[is_turned] = triangles[is_turned][:, ::-1]
+    return np.asarray(triangles)
+
+
+def fan(count: int) -> NDArray[np.int64]:
+    """Return the triangles from the first corner of a convex polygon of ``count`` corners, shape (count − 2, 3)."""
+    second = np.arange(1, count - 1)
+    return np.stack([np.zeros_like(second), second, second + 1], axis=1)
+
+
+def _normals(polygons: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return normals of polygons by Newell's method, of any length, shape (m, 3)."""
+    centred = polygons - polygons[:, :1]
+    return np.asarray(np.sum(np.cross(centred, np.roll(centred, -1, axis=1)), axis=1))

@@ -1,0 +1,254 @@
+"""Arrays of a whole scene in world coordinates, joined from its parts: positions, colours, names."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.core import validation
+from warpdiff.core.warnings import warn
+from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.scene import mesh_files, mesh_images, trimesh_parts
+from warpdiff.scene.mesh_geometry import unit
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+    from PIL import Image
+
+    from warpdiff.scene.scene_parts import ScenePart
+
+# First words of the label by which messages name a geometry of a scene; the name of the geometry follows.
+_GEOMETRY = f"{ref('mesh')}'s geometry "
+# Largest number of materials that a warning names. Choice: a line that can be read.
+_MOST_MATERIALS = 12
+
+
+@dataclass
+class SceneArrays:
+    """Arrays of one part of a scene, or of a whole scene, in world coordinates.
+
+    Some vertices of the input are duplicated. For each vertex, ``source`` has the index of the input vertex, and
+    ``count`` is the number of input vertices. Each name of ``geometry_names`` and ``material_names`` has its index in
+    ``geometries`` and ``materials``, which have an element per face.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    source: NDArray[np.int64]
+    count: int
+    normals: NDArray[np.float64] | None
+    tangents: NDArray[np.float64] | None
+    uvs: NDArray[np.float64] | None
+    texture: NDArray[np.float32] | None
+    colours: NDArray[np.float64] | None
+    geometries: NDArray[np.int32]
+    geometry_names: tuple[str, ...]
+    materials: NDArray[np.int32]
+    material_names: tuple[str, ...]
+    label: str
+
+
+class Textures:
+    """Base-colour textures of a scene in linear RGB. Each image is decoded once."""
+
+    def __init__(self) -> None:
+        self._images: list[tuple[Image.Image, NDArray[np.float32] | None]] = []
+        self._textures: list[tuple[Image.Image, NDArray[np.float64], NDArray[np.float32]]] = []
+
+    def texture(self, image: Image.Image, colour: NDArray[np.float64]) -> NDArray[np.float32] | None:
+        """Return an image times a colour, shape (h, w, 3), or None with a warning if the image is damaged."""
+        for known, factor, texture in self._textures:
+            if known is image and np.array_equal(factor, colour):
+                return texture
+        pixels = self._pixels(image)
+        if pixels is None:
+            return None
+        texture = pixels if np.all(colour == 1.0) else (pixels * colour).astype(np.float32)
+        self._textures.append((image, colour, texture))
+        return texture
+
+    def _pixels(self, image: Image.Image) -> NDArray[np.float32] | None:
+        for known, pixels in self._images:
+            if known is image:
+                return pixels
+        self._images.append((image, mesh_images.linear_rgb(image)))
+        return self._images[-1][1]
+
+
+def labelled_parts(mesh: Any) -> list[tuple[ScenePart, str]]:
+    """Return the parts of a mesh, each with the label by which messages name it."""
+    parts = mesh_files.load(mesh) if isinstance(mesh, (str, os.PathLike)) else trimesh_parts.parts_of(mesh)
+    if len(parts) == 1:
+        return [(parts[0], ref("mesh"))]
+    return [(part, f"{_GEOMETRY}{part.geometry!r}") for part in parts]
+
+
+def arrays_of(entry: ScenePart, label: str, textures: Textures | None) -> SceneArrays:
+    """Check a part of a scene and return its arrays in world coordinates. Messages of errors begin with its label.
+
+    Args:
+        entry: Part of a scene.
+        label: Label for messages.
+        textures: Textures of the scene; None computes no colours.
+    """
+    _check(entry, label)
+    normals = None if entry.normals is None else _sound(entry.normals)
+    tangents = None if entry.tangents is None else _sound(entry.tangents)
+    placed = replace(entry, normals=normals, tangents=tangents).placed()
+    if not np.isfinite(placed.vertices).all():
+        raise ArgumentValueError(f"{label} must be placed at finite coordinates, got a transform with huge numbers")
+    part = SceneArrays(
+        vertices=placed.vertices, faces=placed.faces, source=placed.source, count=placed.source_count,
+        normals=placed.normals, tangents=placed.tangents, uvs=_base_uvs(placed, label), texture=None, colours=None,
+        geometries=np.zeros(len(placed.faces), np.int32), geometry_names=(placed.geometry or mesh_files.UNNAMED,),
+        materials=np.full(len(placed.faces), -1 if placed.appearance is None else 0, np.int32),
+        material_names=() if placed.appearance is None else (placed.appearance.name,), label=label,
+    )  # fmt: skip
+    if textures is not None:
+        _take_colours(placed, part, textures)
+    return part
+
+
+def _check(entry: ScenePart, label: str) -> None:
+    """Check the positions and faces of a part of a scene."""
+    vertices, faces = entry.vertices, entry.faces
+    if vertices.shape[1:] != (3,):
+        raise ArgumentValueError(
+            f"{label} must have vertices of 3 coordinates, shape (n, 3), got {vertices.shape}; a file may be truncated"
+        )
+    if len(vertices) == 0:
+        raise ArgumentValueError(f"{label} must have vertices, got none")
+    if len(faces) == 0:
+        raise ArgumentValueError(f"{label} must have faces, got {len(vertices)} vertices and no face")
+    if not np.isfinite(vertices).all():
+        bad = int(np.count_nonzero(~np.isfinite(vertices).all(axis=1)))
+        raise ArgumentValueError(f"{label} must have finite vertices, got {bad} with NaN or infinite coordinates")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise ArgumentValueError(
+            f"{label} must have face indices within 0 to {len(vertices) - 1} for its {len(vertices)} vertices, "
+            f"got {faces.min()} to {faces.max()}"
+        )
+
+
+def _sound(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return normals, or tangents with their handedness, with unit vectors; those that are not finite become zero."""
+    result = np.where(np.isfinite(vectors), vectors, 0.0)
+    result[:, :3] = unit(result[:, :3].T).T
+    return np.asarray(result)
+
+
+def _base_uvs(part: ScenePart, label: str) -> NDArray[np.float64] | None:
+    """Return the coordinates at which the base-colour texture is sampled, shape (n, 2), or None without any."""
+    texture = None if part.appearance is None else part.appearance.base_texture
+    uvs = part.uvs.get(0 if texture is None else texture.uv_set)
+    if uvs is None:
+        return None
+    if texture is not None and not np.array_equal(texture.transform, np.eye(2, 3)):
+        with np.errstate(all="ignore"):  # coordinates that are not finite are refused below
+            uvs = uvs @ texture.transform[:, :2].T + texture.transform[:, 2]
+    sound = np.all(np.abs(uvs) <= validation.MOST, axis=1)
+    if not sound.all():
+        bad = int(np.count_nonzero(~sound))
+        raise ArgumentValueError(
+            f"{label} must have finite texture coordinates, got {bad} NaN, infinite or beyond {validation.MOST:g}"
+        )
+    return uvs
+
+
+def _take_colours(entry: ScenePart, part: SceneArrays, textures: Textures) -> None:
+    """Set the texture or the vertex colours of a part."""
+    appearance = entry.appearance
+    colour = None if appearance is None else appearance.base_colour
+    if appearance is not None and appearance.base_texture is not None:
+        image = appearance.base_texture.image
+        if image is not None and part.uvs is not None:
+            part.texture = textures.texture(image, np.array((1.0,) * 3 if colour is None else colour[:3]))
+        if part.texture is not None:
+            return
+        colour = appearance.fallback_colour or colour if image is not None else colour
+    if entry.colours is not None:
+        colours = np.nan_to_num(entry.colours[:, :3], posinf=1.0, neginf=0.0).clip(0.0, None)
+        part.colours = colours if colour is None else colours * np.array(colour[:3])
+    elif colour is not None:
+        part.colours = np.tile(np.array(colour[:3]), (len(part.vertices), 1))
+
+
+def warn_of_features(parts: list[ScenePart]) -> None:
+    """Warn once of the features of the scene's materials that have no effect on pictures."""
+    features: dict[str, dict[str, None]] = {}
+    for part in parts:
+        if part.appearance is None:
+            continue
+        names = dict.fromkeys(part.appearance.not_rendered)
+        texture = part.appearance.base_texture
+        if part.colours is not None and texture is not None and texture.image is not None:
+            names["vertex colours on a texture"] = None
+        if names:
+            features.setdefault(part.appearance.name, {}).update(names)
+    if features:
+        listed = [f"{', '.join(names)} of {name!r}" for name, names in list(features.items())[:_MOST_MATERIALS]]
+        more = f"; and of {len(features) - len(listed)} more" if len(features) > len(listed) else ""
+        warn(f"{ref('mesh')} has materials with features that are not rendered: {'; '.join(listed)}{more}")
+
+
+def joined(parts: list[SceneArrays]) -> SceneArrays:
+    """Join the parts of a scene to one part.
+
+    Missing values become NaN; colours are −1 at vertices that use the texture.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    textures: list[NDArray[np.float32]] = []
+    textured: list[str] = []
+    for part in parts:
+        texture = part.texture
+        if texture is not None and not any(texture is known or np.array_equal(texture, known) for known in textures):
+            textures.append(texture)
+            textured.append(part.label.removeprefix(_GEOMETRY))
+    if len(textures) > 1:
+        raise ArgumentValueError(
+            f"{ref('mesh')} must have at most one texture image, got a scene with {len(textures)}, of "
+            f"{', '.join(textured)}; render its geometries one by one, or bake them into one texture"
+        )
+    without_uvs = [part.label for part in parts if part.uvs is None and part.tangents is None]
+    geometry_names, geometries = _joined_names([(part.geometry_names, part.geometries) for part in parts])
+    material_names, materials = _joined_names([(part.material_names, part.materials) for part in parts])
+    vertex_start = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    source_start = np.cumsum([0, *(part.count for part in parts)])
+
+    def gather(name: str, columns: int) -> NDArray[np.float64] | None:
+        arrays = [getattr(part, name) for part in parts]
+        if all(array is None for array in arrays):
+            return None
+        missing = [np.full((len(part.vertices), columns), np.nan) for part in parts]
+        return np.concatenate([gap if array is None else array for array, gap in zip(arrays, missing, strict=True)])
+
+    colours = gather("colours", 3)
+    if colours is not None:
+        # A part of the scene without colour and texture has no pigment, so its colour is black.
+        none = [np.full(len(part.vertices), -1.0 if part.texture is not None else 0.0) for part in parts]
+        colours = np.where(np.isnan(colours), np.concatenate(none)[:, None], colours)
+    return SceneArrays(
+        vertices=np.concatenate([part.vertices for part in parts]),
+        faces=np.concatenate([part.faces + start for part, start in zip(parts, vertex_start[:-1], strict=True)]),
+        source=np.concatenate([part.source + start for part, start in zip(parts, source_start[:-1], strict=True)]),
+        count=int(source_start[-1]), normals=gather("normals", 3), tangents=gather("tangents", 4),
+        uvs=gather("uvs", 2), texture=textures[0] if textures else None, colours=colours, geometries=geometries,
+        geometry_names=geometry_names, materials=materials, material_names=material_names,
+        label=without_uvs[0] if without_uvs else ref("mesh"),
+    )  # fmt: skip
+
+
+def _joined_names(
+    parts: list[tuple[tuple[str, ...], NDArray[np.int32]]],
+) -> tuple[tuple[str, ...], NDArray[np.int32]]:
+    """Return the names of all parts, and the index of each face's name among them; −1 stays."""
+    numbers: dict[str, int] = {}
+    joined = []
+    for names, indices in parts:
+        table = np.array([*(numbers.setdefault(name, len(numbers)) for name in names), -1], dtype=np.int32)
+        joined.append(table[indices])
+    return tuple(numbers), np.concatenate(joined)

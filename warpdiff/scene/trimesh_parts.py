@@ -1,0 +1,178 @@
+"""Objects of trimesh as parts of a scene: their arrays, colours, materials and names."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
+from warpdiff.optics.colorimetry import srgb_decode
+from warpdiff.scene.mesh_geometry import FaceGeometry, unit
+from warpdiff.scene.scene_parts import Appearance, ScenePart, TextureMap, unique_names
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_WHITE = (1.0, 1.0, 1.0, 1.0)
+
+
+def parts_of(mesh: Any) -> list[ScenePart]:
+    """Return the parts of a ``trimesh.Trimesh`` or a ``trimesh.Scene``."""
+    import trimesh
+
+    if isinstance(mesh, trimesh.Trimesh):
+        placed = [("", mesh, np.eye(4))]
+    elif isinstance(mesh, trimesh.Scene):
+        nodes = ((mesh.graph[node][1], mesh.graph[node][0]) for node in mesh.graph.nodes_geometry)
+        placed = [
+            (str(name), mesh.geometry[name], np.asarray(transform, dtype=np.float64))
+            for name, transform in nodes
+            if isinstance(mesh.geometry[name], trimesh.Trimesh)
+        ]
+    else:
+        raise ArgumentTypeError(
+            f"{ref('mesh')} must be a trimesh.Trimesh, a trimesh.Scene or a path, got {type(mesh).__name__}"
+        )
+    if not placed:
+        raise ArgumentValueError(f"{ref('mesh')} must have triangles, got a scene or file without any")
+    appearances = _appearances([geometry for _, geometry, _ in placed])
+    return [
+        _part(geometry, name, appearance, transform)
+        for (name, geometry, transform), appearance in zip(placed, appearances, strict=True)
+    ]
+
+
+def _part(mesh: Any, name: str, appearance: Appearance | None, transform: NDArray[np.float64]) -> ScenePart:
+    """Return the arrays of one mesh."""
+    vertices, faces = np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64)
+    uvs = getattr(mesh.visual, "uv", None)
+    sets: dict[int, NDArray[np.float64]] = {}
+    if uvs is not None and np.ndim(uvs) == 2 and len(uvs) == len(vertices) and np.shape(uvs)[1] >= 2:
+        sets[0] = np.array(uvs[:, :2], dtype=np.float64)
+    with np.errstate(all="ignore"):  # vertices that are not finite are refused later
+        normals = _own_normals(mesh, vertices, faces)
+    part = ScenePart(
+        geometry=name, appearance=appearance, vertices=vertices, faces=faces, source=np.arange(len(vertices)),
+        source_count=len(vertices), normals=normals,
+        uvs=sets, transform=transform,
+    )  # fmt: skip
+    return _with_colours(part, mesh.visual)
+
+
+def _with_colours(part: ScenePart, visual: Any) -> ScenePart:
+    """Return a part with its vertex colours. If faces have colours, vertices are duplicated for each face."""
+    if visual.kind == "vertex":
+        return replace(part, colours=_linear_rgba(visual.vertex_colors))
+    if visual.kind == "face":
+        colours = np.repeat(_linear_rgba(visual.face_colors), 3, axis=0)
+        return replace(part.with_separate_corners(), colours=colours)
+    if hasattr(visual, "material") and getattr(visual, "face_materials", None) is not None:
+        raise ArgumentValueError(
+            f"{ref('mesh')} must have one material per geometry, got face materials; split it by material, or bake "
+            "them into one texture"
+        )
+    return part
+
+
+def _linear_rgba(colours: Any) -> NDArray[np.float64]:
+    """Return colours of 8 bits as linear RGBA."""
+    shares = np.asarray(colours) / 255.0
+    return np.concatenate([srgb_decode(shares[:, :3]), shares[:, 3:]], axis=1)
+
+
+def _appearances(meshes: list[Any]) -> list[Appearance | None]:
+    """Return the materials of meshes. Meshes that share a material share its appearance."""
+    materials: list[Any] = []
+    numbers = []
+    for mesh in meshes:
+        material = getattr(mesh.visual, "material", None)
+        known = (number for number, other in enumerate(materials) if other is material)
+        number = None if material is None else next(known, len(materials))
+        if number == len(materials):
+            materials.append(material)
+        numbers.append(number)
+    names = unique_names((_name(material) for material in materials), "material")
+    appearances = [_appearance(material, name) for material, name in zip(materials, names, strict=True)]
+    return [None if number is None else appearances[number] for number in numbers]
+
+
+def _name(material: Any) -> str | None:
+    """Return the name of a material, or None."""
+    name = getattr(material, "name", None)
+    return str(name) if name else None
+
+
+def _appearance(material: Any, name: str) -> Appearance:
+    """Return the appearance of a material of trimesh."""
+    from trimesh.visual import DEFAULT_COLOR
+    from trimesh.visual.material import PBRMaterial, color_image
+
+    if isinstance(material, PBRMaterial):
+        # The colour factor of a glTF material is linear. It multiplies the texture after decoding from sRGB.
+        factor, image = material.baseColorFactor, material.baseColorTexture
+        colour = None
+        if factor is not None:
+            shares = np.asarray(factor, dtype=np.float64) / 255.0
+            colour = (*shares[:3].tolist(), float(shares[3]) if len(shares) > 3 else 1.0)
+        elif image is not None:
+            colour = _WHITE
+        return Appearance(
+            name, base_colour=colour, base_texture=None if image is None else TextureMap(image),
+            metallic=1.0 if material.metallicFactor is None else float(material.metallicFactor),
+            roughness=1.0 if material.roughnessFactor is None else float(material.roughnessFactor),
+        )  # fmt: skip
+    image, diffuse = getattr(material, "image", None), getattr(material, "diffuse", None)
+    # trimesh gives a mesh without a material a texture of 2 × 2 grey pixels, which is ignored here.
+    if image is not None and image.size == (2, 2) and np.array_equal(np.asarray(image), np.asarray(color_image())):
+        return Appearance(name)
+    if diffuse is None or np.array_equal(diffuse, DEFAULT_COLOR):
+        plain = None
+    else:
+        shares = np.asarray(diffuse, dtype=np.float64) / 255.0
+        plain = (*srgb_decode(shares[:3]).tolist(), float(shares[3]) if len(shares) > 3 else 1.0)
+    if image is None:
+        return Appearance(name, base_colour=plain)
+    # The plain colour of an .obj file does not multiply the texture; it replaces a texture that cannot be read.
+    return Appearance(name, base_colour=_WHITE, base_texture=TextureMap(image), fallback_colour=plain)
+
+
+def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64] | None:
+    """Return the vertex normals of the input mesh, shape (n, 3), or None if trimesh computed them.
+
+    trimesh stores normals of the file and computed normals in the same place. If it has computed normals, its cache
+    also has the angles of faces, but these may have been computed for another reason. In this case normals count as
+    computed if they have the values that trimesh would compute.
+    """
+    normals = mesh.vertex_normals if "vertex_normals" in mesh._cache else None
+    worked_out = normals is None or "face_angles" in mesh._cache
+    if worked_out and _has_facets(mesh):
+        facets = np.zeros(vertices.shape)
+        facets[faces] = mesh.face_normals[:, None]
+        return facets
+    if normals is None or np.shape(normals) != vertices.shape:
+        return None
+    normals = np.asarray(normals, dtype=np.float64)
+    normals = unit(np.where(np.isfinite(normals), normals, 0.0).T)
+    if not worked_out:
+        return normals.T
+    if vertices.ndim != 2 or not len(faces) or not 0 <= faces.min() <= faces.max() < len(vertices):
+        return None
+    corners = np.ascontiguousarray(faces.T)
+    # Normals of the input are compared with computed ones at the vertices of a few faces first, and at all vertices
+    # only if these agree.
+    some = np.zeros(len(vertices), dtype=np.bool_)
+    some[faces[:: len(faces) // 16 + 1]] = True
+    for at in (some, np.ones_like(some)):
+        beside = corners.compress(at.take(corners).any(axis=0), axis=1)
+        computed = unit(FaceGeometry(vertices.T, beside).angle_weighted_normals(beside, len(vertices)))
+        if not np.allclose(normals[:, at], computed[:, at], atol=1e-6):
+            return normals.T
+    return None
+
+
+def _has_facets(mesh: Any) -> bool:
+    """Return whether a mesh is from an unmerged STL file, which has one normal per face and no other normals."""
+    source = getattr(mesh, "source", None)
+    return getattr(source, "file_type", None) == "stl" and len(mesh.vertices) == 3 * len(mesh.faces)
