@@ -104,6 +104,8 @@ class Lobe:
             ignored. None for a light that is infinitely far away.
         profile: Emission profile; None is equal light in all directions.
         name: Argument and class of the light, for messages; pictures set it.
+        is_of_sky: Whether ``illuminant`` is a radiance L divided by λ², as for suns of an environment. A white pigment
+            then has the chromaticity of L.
     """
 
     to_light: tuple[float, float, float]
@@ -113,6 +115,7 @@ class Lobe:
     position: tuple[float, float, float] | None = None
     profile: EmissionProfile | None = None
     name: str = "lights"
+    is_of_sky: bool = False
 
     @property
     def is_direction(self) -> bool:

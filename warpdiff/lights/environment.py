@@ -319,7 +319,7 @@ def _make_parts(environment: Environment, sigma_um: float, directions: int) -> t
         values = sum(float(c) * np.asarray(primary.values) for c, primary in zip(sun.rgb, primaries, strict=True))
         illuminant = Spectrum(VISIBLE_NM, np.asarray(values) / sun.rgb.max(), name="a sun of the environment")
         deviations = sun.deviation * orthonormal_pair(np.asarray(to_light))
-        result.append(LobeSet((Lobe(to_light, illuminant, power, deviations),)))
+        result.append(LobeSet((Lobe(to_light, illuminant, power, deviations, is_of_sky=True),)))
     return tuple(result)
 
 

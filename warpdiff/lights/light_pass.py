@@ -171,9 +171,13 @@ class PassContext:
         faces = self.rays.gbuffer.pixels.face.numpy()
         return np.asarray(self._surface_of_faces[np.clip(faces, 0, len(self._surface_of_faces) - 1)] == surface)
 
-    def pigment_white(self, illuminant: str | Spectrum) -> NDArray[np.float64]:
-        """Return the colour of a white pigment under an illuminant in the unit of the picture, linear sRGB."""
-        return colorimetry.xyz_to_rgb(reflectance_factors.pigment_white(illuminant, *self._unit))
+    def pigment_white(self, illuminant: str | Spectrum, *, is_of_sky: bool) -> NDArray[np.float64]:
+        """Return the colour of a white pigment in the unit of the picture, linear sRGB.
+
+        ``is_of_sky`` states whether ``illuminant`` is the radiance of a sky divided by λ².
+        """
+        white = reflectance_factors.pigment_white(illuminant, *self._unit, is_of_sky=is_of_sky)
+        return colorimetry.xyz_to_rgb(white)
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,7 @@ class LobePass(LightPass):
         values: dict[str, tuple[type, list[Any]]] = {
             "places": (wp.vec4d, list(places)), "deviations": (wp.vec3f, list(deviations)),
             "strengths": (wp.float64, list(powers)),
-            "white_rgb": (wp.vec3d, [context.pigment_white(lobe.illuminant) for lobe in lobes]),
+            "white_rgb": (wp.vec3d, [context.pigment_white(lobe.illuminant, is_of_sky=lobe.is_of_sky) for lobe in lobes]),
         }  # fmt: skip
         for name, (dtype, value) in values.items():
             if reused is None:

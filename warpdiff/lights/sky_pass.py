@@ -68,7 +68,7 @@ class SkyPass(LightPass):
             context.device.alias, lambda: sky_distribution.upload_sky(self.grid, context.device)
         )
         self._sky.turn = self.grid.turn / (2.0 * math.pi)
-        whites = [context.pigment_white(spectrum) for spectrum in self.grid.spectra]
+        whites = [context.pigment_white(spectrum, is_of_sky=True) for spectrum in self.grid.spectra]
         self._sky.whites = wp.mat33f(*np.ravel(whites))
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:  # noqa: ARG002 (of lobes)

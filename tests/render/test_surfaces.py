@@ -1,0 +1,171 @@
+"""Pictures with several surfaces: each part of a mesh has the colours of its own surface, in one unit."""
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+import trimesh
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
+
+import warpdiff as wd
+from warpdiff.optics import colorimetry, reflectance_factors
+
+BLAZED, WAVE = wd.gratings.blazed(2.0, 0.25), wd.gratings.sinusoidal(1.5, 0.1)
+UNIT, SHORT = wd.Coherence(sigma_um=3.0), wd.Coherence(sigma_um=2.0)
+LIGHT = wd.DirectionalLight((0.2, 0.4, 1.0))
+VIEW = wd.View.orthographic((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), extent_y=2.2, width=48, height=16)
+OPTIONS = {"coherence": UNIT, "tolerance": 0.1, "refine": False, "masking": False}
+
+
+def scene(**materials):
+    """Return three quads side by side, named after their geometries, each with the material of the given name."""
+    result = trimesh.Scene()
+    for x, (name, material) in zip((-2.1, 0.0, 2.1), materials.items(), strict=True):
+        corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+        # The quads are slightly curved by their normals, so that a picture contains many directions.
+        normals = corners * (0.1, 0.1, 0.0) + np.array([0.0, 0.0, 1.0])
+        white = PBRMaterial(name=material, baseColorFactor=[255, 255, 255, 255])
+        quad = trimesh.Trimesh(
+            corners + np.array([x, 0.0, 0.0]), [[0, 1, 2], [0, 2, 3]], vertex_normals=normals, process=False,
+            visual=TextureVisuals(uv=corners[:, :2], material=white),
+        )  # fmt: skip
+        result.add_geometry(quad, geom_name=name, node_name=name)
+    return result
+
+
+BODY = scene(left="gold", middle="silver", right="gold")
+PARTS = np.repeat(np.arange(3), 16)
+
+
+# The plan of a part is used for pictures of the whole mesh, whose other parts have other directions.
+@pytest.mark.filterwarnings("ignore:plan is used beyond")
+@pytest.mark.parametrize("lights", [LIGHT, [LIGHT, wd.PointLight((0.0, 1.0, 3.0))]], ids=["one", "two"])
+@pytest.mark.parametrize("points", [False, True], ids=["means", "points"])
+def test_parts_equal_pictures_of_one_surface_in_the_unit_of_the_picture(lights, points):
+    gold = wd.Material.metal("Au")
+    surfaces = {
+        "left": BLAZED,
+        "middle": wd.Surface(WAVE, coherence=SHORT, ior=2.0),
+        "*": wd.Surface(BLAZED, material=gold),
+    }
+    options = OPTIONS | {"footprint": not points, "pigment": 0.0}
+    image = wd.shade(BODY, surfaces, lights, VIEW, **options)
+    assert set(image.plan) == {"left", "middle", "*"}
+    of_glass, of_index = (reflectance_factors.normal_reflectance(ior) for ior in (1.5, 2.0))
+    singles = {
+        0: ("left", BLAZED, {}, of_glass), 2: ("*", BLAZED, {"material": gold}, 1.0),
+        1: ("middle", WAVE, {"coherence": None, "ior": 2.0}, of_index * (2.0 / 3.0) ** 2),
+    }  # fmt: skip
+    for part, (key, heightfield, changes, unit) in singles.items():
+        one = wd.shade(BODY, heightfield, lights, VIEW, **options | changes, plan=image.plan[key])
+        inside = np.flatnonzero(part == PARTS)[2:-2]
+        expected = unit * one.xyz[2:-2, inside]
+        assert expected.max() > 0.0
+        np.testing.assert_allclose(image.xyz[2:-2, inside], expected, rtol=1e-5, atol=1e-6 * expected.max())
+
+
+@pytest.mark.parametrize(
+    ("coherence", "reflection"),
+    [(wd.Coherence(sigma_um=2.0), {"ior": 1.5}), (wd.Coherence(sigma_um=5.0), {"ior": math.inf}),
+     (wd.Coherence(sigma_um=2.0), {"material": wd.Material.metal("Cu")}),
+     (wd.Coherence("source", angular_diameter_deg=4.0), {"ior": 1.5})],
+    ids=["glass", "mirror", "copper", "source"],
+)  # fmt: skip
+def test_luminance_relative_to_a_white_plain_surface_is_that_of_the_brdf(coherence, reflection):
+    """The ratio of luminances is π ∫ f Ω S ȳ dλ / ∫ Ω S ȳ dλ, with the absolute BRDF f and Ω ~ λ² for a window."""
+    image = wd.shade(
+        BODY, {"middle": wd.Surface(WAVE, coherence=coherence, pigment=0.0, **reflection), "*": None}, LIGHT, VIEW,
+        **OPTIONS | {"tolerance": 1e-3, "footprint": False},
+    )  # fmt: skip
+    row, column = 8, np.flatnonzero(PARTS == 1)[8]
+    x, y = (column + 0.5) * 6.6 / 48 - 3.3, 1.1 - (row + 0.5) * 2.2 / 16
+    normal = np.array([0.1 * x, 0.1 * y, 1.0]) / np.linalg.norm([0.1 * x, 0.1 * y, 1.0])
+    tangent = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+    tangent /= np.linalg.norm(tangent)
+    frame = np.stack([tangent, np.cross(normal, tangent), normal])
+    to_light = np.array(LIGHT.to_light) / np.linalg.norm(LIGHT.to_light)
+    nm = colorimetry.VISIBLE_NM
+    values = wd.brdf(WAVE, frame @ to_light, frame @ [0, 0, 1.0], nm, coherence=coherence, tolerance=1e-3, **reflection)
+    solid = np.ones(len(nm)) if coherence.kind == "source" else nm**2
+    weights = solid * colorimetry.colour_products("D65")[:, 1]
+    expected = math.pi * np.sum(values * weights) / np.sum(weights) * (frame @ to_light)[2]
+    # The normal of a plain quad is the same as that of the neighbour at the same place in its quad.
+    plain = image.xyz[row, np.flatnonzero(PARTS == 0)[8], 1] / (frame @ to_light)[2]
+    assert image.xyz[row, column, 1] / plain == pytest.approx(expected, rel=1e-2)
+
+
+def test_under_an_even_sky_a_mirror_and_a_white_plain_surface_show_the_sky():
+    sky = wd.Environment(np.ones((4, 8, 3)))
+    mirror = wd.Surface(wd.HeightField([[0.0]], 1.0), coherence=SHORT, ior=math.inf)
+    options = OPTIONS | {"shadows": False, "samples_per_pixel": 256}
+    image = wd.shade(BODY, {"middle": mirror, "*": None}, sky, VIEW, **options)
+    white = colorimetry.colour_products("D65").sum(axis=0)
+    for part in range(3):
+        inside = image.xyz[4:-4, np.flatnonzero(part == PARTS)[4:-4]].reshape(-1, 3).mean(axis=0)
+        np.testing.assert_allclose(inside, white, rtol=0.03)
+
+
+@pytest.mark.parametrize("illuminant", ["D65", "A", "FL11"])
+@pytest.mark.parametrize(
+    "coherence",
+    [wd.Coherence(sigma_um=2.0), wd.Coherence("centred", 8.0), wd.Coherence("source", angular_diameter_deg=2.0),
+     wd.Coherence("replicas", periods=(1, 9))],
+    ids=lambda each: each.kind,
+)  # fmt: skip
+def test_a_white_pigment_has_the_chromaticity_of_the_illuminant(coherence, illuminant):
+    white = reflectance_factors.pigment_white(illuminant, coherence, 3.0)
+    products = colorimetry.colour_products(illuminant)
+    np.testing.assert_allclose(white / white.sum(), products.sum(axis=0) / products.sum(), rtol=1e-12)
+    solid_angle = reflectance_factors.pigment_solid_angle(1e-3 * colorimetry.VISIBLE_NM, coherence, 3.0)
+    assert white[1] == pytest.approx(float(solid_angle @ products[:, 1]), rel=1e-12)
+
+
+def test_a_renderer_draws_the_pictures_of_shade_and_can_be_pickled():
+    surfaces = {"silver": WAVE, "left/gold": wd.Surface(BLAZED, coherence=SHORT), "*": None}
+    renderer = wd.Renderer(BODY, surfaces, LIGHT, VIEW, **OPTIONS)
+    other = wd.DirectionalLight((-0.3, 0.2, 1.0))
+    expected = wd.shade(BODY, surfaces, other, VIEW, **OPTIONS, plan=renderer.plan)
+    for each in (renderer, pickle.loads(pickle.dumps(renderer))):  # noqa: S301 (own bytes)
+        each.draw(other)
+        np.testing.assert_array_equal(each.image().xyz, expected.xyz)
+    assert set(renderer.plan) == {"silver", "left/gold"}
+    small = renderer.resized(wd.View.orthographic((0, 0, 5.0), (0, 0, 0), extent_y=2.2, width=12, height=4))
+    assert small.image().xyz.shape == (4, 12, 3)
+
+
+@pytest.mark.parametrize(
+    ("surfaces", "message"),
+    [
+        ({"Gold": WAVE, "*": None}, r"keys, which are 'left/gold', .* got 'Gold'; did you mean 'gold'\?"),
+        ({"gold": WAVE}, r"for each part of the mesh, got none for 'middle/silver'.*: add '\*'"),
+        ({"gold": WAVE, "left": BLAZED, "*": None}, r"got the keys 'gold' and 'left' for 'left/gold': add the key"),
+        ({"*": None}, "must have a height field for at least one part, got none"),
+        ({"*": 5}, r"heightfield\['\*'\] must be a HeightField, a Surface or None, got int"),
+        ({5: WAVE}, "must have names of parts as keys, got int"),
+        ({"left": WAVE, "*": wd.Surface(WAVE, coherence=wd.Coherence("centred", 2.0))}, "all or none have footprints"),
+    ],
+)
+def test_invalid_surfaces_are_refused(surfaces, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        wd.shade(BODY, surfaces, LIGHT, VIEW, **OPTIONS)
+
+
+def test_a_name_of_a_geometry_and_of_another_material_is_refused():
+    body = scene(gold="silver", middle="gold", right="silver")
+    with pytest.raises(ValueError, match=r"got 'gold', the name of a geometry \('gold/silver'\) and of a material"):
+        wd.shade(body, {"gold": WAVE, "*": None}, LIGHT, VIEW, **OPTIONS)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"method": "direct"}, "several surfaces, for which method='direct' is not supported"),
+        ({"plan": {"right": None}}, r"plan must have the keys of heightfield, 'left', '\*', got 'right'"),
+        ({"material": {"nothing": wd.Material.metal("Au")}}, "material must have the keys of heightfield"),
+    ],
+)
+def test_options_that_do_not_suit_several_surfaces_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        wd.shade(BODY, {"left": WAVE, "*": BLAZED}, LIGHT, VIEW, **OPTIONS | options)
