@@ -19,7 +19,7 @@ from warpdiff.apps.cli_tables import direction_of
 from warpdiff.core import disk_cache, files, validation
 from warpdiff.core.options import describe
 from warpdiff.core.wording import ArgumentValueError, marked, ref, renaming
-from warpdiff.image.image import check_target
+from warpdiff.image.picture_files import check_target
 from warpdiff.optics.materials import check_reflection
 from warpdiff.request.settings import EvaluationSettings, PictureSettings, SinglePictureSettings
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
 import sys
 from dataclasses import dataclass, field, replace
@@ -10,16 +9,17 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
-from warpdiff.core import files, memory, openimageio, validation
-from warpdiff.core.wording import ArgumentValueError, marked, ref
-from warpdiff.image import display_transform
+from warpdiff.core import files, validation
+from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.image import display_transform, picture_files
+from warpdiff.image.picture_files import check_target, read_exr, write_parts
 from warpdiff.optics import colorimetry
 from warpdiff.request.settings import Display, DisplaySettings, GamutSettings
 from warpdiff.request.signatures import accepts
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
     from pathlib import Path
 
     import PIL.Image
@@ -29,17 +29,7 @@ if TYPE_CHECKING:
     from warpdiff.request.keywords import DisplayKeywords, GamutKeywords
     from warpdiff.request.plan import Plan
 
-# Channels of every EXR file, followed by the channels of each layer: "normal", for example, has the channels normal.X,
-# normal.Y and normal.Z.
-_CHANNELS = ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z", "error.Y")
 _LAYER_CHANNELS = {"normal": "XYZ", "depth": "Z", "geometry": "Y"}
-_FORMATS = (".exr", ".png")
-# Last bytes of a complete PNG file: the chunk IEND with length, name and checksum. A file without them is incomplete,
-# but many readers accept it.
-PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
-# Memory for reading an EXR file [bytes per sample]: four for a float32 sample, and four for a copy in which each
-# channel is contiguous.
-_BYTES_PER_SAMPLE = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +243,9 @@ class Image:
             path: File with the suffix ``.exr`` or ``.png``. EXR holds linear float32 channels, multiplied by alpha: R,
                 G, B, A, XYZ.X, XYZ.Y, XYZ.Z, the estimated error as error.Y, and the layers of the picture as normal.X,
                 normal.Y, normal.Z, depth.Z and geometry.Y. PNG holds display RGB, not multiplied by alpha, and alpha
-                unless there is a background. The file's metadata states the transform and the exposure.
+                unless there is a background. The metadata of PNG files state the transform and the exposure. Those of
+                EXR files state how the same call would display the picture as PNG: see
+                ``docs/how-to/layers_and_exr_files.md``.
             exposure_from: Picture whose automatic exposure is used, so that several pictures get the same exposure.
             background: Background of PNG files, mixed in the display's linear light: an encoded colour (R, G, B) with
                 components from 0 to 1, a picture of the same size, or linear sRGB of shape (height, width, 3). None
@@ -266,58 +258,68 @@ class Image:
             ValueError: The suffix is not ``.exr`` or ``.png``, or an argument is not accepted.
             OSError: The file cannot be written; an existing file is unchanged.
         """
-        import OpenImageIO as oiio  # noqa: N813 (the name that its manual uses)
-
         target = check_target(path)
-        is_png = target.suffix.lower() == ".png"
         shown = DisplaySettings(**settings)
-        factor = self._exposure(shown, exposure_from, scales=is_png)
+        if target.suffix.lower() == ".png":
+            write_parts(target, [self._png_part(shown, self._exposure(shown, exposure_from), background)])
+            return target
+        if background is not None:
+            raise ArgumentValueError(
+                f"{ref('background')} must be None for .exr files, which hold alpha; composite the background yourself"
+            )
+        factor = self._exposure(shown, exposure_from, scales=False)
+        write_exr(self, target, shown, factor=factor, preview=self._exposure(shown, exposure_from))
+        return target
 
+    def _png_part(
+        self, shown: DisplaySettings, factor: float, background: Image | ArrayLike | None
+    ) -> picture_files.FilePart:
+        """Return the only part of a PNG file; ``factor`` is the linear exposure factor."""
+        encoded = self._displayed(shown, factor, background)
+        cicp = display_transform.GAMUTS[shown.gamut].cicp
+        metadata = self._metadata() | {
+            "oiio:UnassociatedAlpha": 1,
+            **({"oiio:ColorSpace": "sRGB"} if cicp is None else {"CICP": cicp}),
+            "warpdiff:display": f"{display_transform.description(shown)}; exposure {factor:.6g}",
+            "warpdiff:exposure": factor,
+        }
+        channels = ("R", "G", "B", "A")[: encoded.shape[2]]
+        return picture_files.FilePart(channels, _quantised(encoded, shown.bits), metadata=metadata)
+
+    def _exr_part(self, shown: DisplaySettings, factor: float, preview: float) -> picture_files.FilePart:
+        """Return the part of an EXR file with colours and errors; the arguments are those of :func:`write_exr`."""
         height, width = self.mask.shape
-        if is_png:
-            encoded = self._displayed(shown, factor, background)
-            channels: tuple[str, ...] = ("R", "G", "B", "A")[: encoded.shape[2]]
-            pixels = _quantised(encoded, shown.bits)
-            spec = oiio.ImageSpec(width, height, len(channels), oiio.UINT8 if shown.bits == 8 else oiio.UINT16)
-            spec.attribute("oiio:UnassociatedAlpha", 1)
-            spec.attribute("oiio:ColorSpace", "sRGB")
-            if (cicp := display_transform.GAMUTS[shown.gamut].cicp) is not None:
-                spec.erase_attribute("oiio:ColorSpace")
-                spec.attribute("CICP", oiio.TypeDesc("int[4]"), cicp)
-            transform = f"{display_transform.description(shown)}; exposure {factor:.6g}"
-        else:
-            if background is not None:
-                raise ArgumentValueError(
-                    f"{ref('background')} must be None for .exr files, which hold alpha; "
-                    "composite the background yourself"
-                )
-            channels = _CHANNELS
-            alpha = self.coverage[..., None]
-            layers = [factor * self.rgb, alpha, factor * self.xyz, self.error[..., None]]
-            for name, suffixes in _LAYER_CHANNELS.items():
-                if name in self.layers:
-                    channels += tuple(f"{name}.{suffix}" for suffix in suffixes)
-                    layers.append(self.layers[name].reshape(height, width, len(suffixes)))
-            pixels = np.concatenate(layers, axis=2, dtype=np.float32)
-            spec = oiio.ImageSpec(width, height, len(channels), oiio.FLOAT)
-            spec.attribute("compression", "zip")
+        channels = picture_files.CHANNELS
+        layers = [factor * self.rgb, self.coverage[..., None], factor * self.xyz, self.error[..., None]]
+        for name, suffixes in _LAYER_CHANNELS.items():
+            if name in self.layers:
+                channels += tuple(f"{name}.{suffix}" for suffix in suffixes)
+                layers.append(self.layers[name].reshape(height, width, len(suffixes)))
+        metadata = self._metadata() | {
+            "compression": "zip",
             # The attribute "DateTime" is set to an empty text. Otherwise the writer would store the current time, and
             # two files of the same picture would differ.
-            spec.attribute("DateTime", "")
-            spec.attribute("oiio:ColorSpace", "lin_rec709")
-            transform = f"none, linear; exposure {factor:.6g}"
-        spec.channelnames = channels
-        spec.alpha_channel = channels.index("A") if "A" in channels else -1
-        spec.attribute("Software", "warpdiff")
-        if self.plan is not None:
-            spec.attribute("ImageDescription", f"{self.plan}\n\n{self.report}")
-        if self.report is not None and self.report.history:
-            spec.attribute("warpdiff:history", " ".join(self.report.history))
-        spec.attribute("warpdiff:display", transform)
-        spec.attribute("warpdiff:exposure", float(factor))
+            "DateTime": "",
+            "oiio:ColorSpace": "lin_rec709",
+            "chromaticities": display_transform.SRGB_CHROMATICITIES,
+            "warpdiff:display": f"none, linear; exposure {factor:.6g}",
+            "warpdiff:exposure": factor,
+            "warpdiff:preview": f"{display_transform.description(shown)}; white point D65; exposure "
+            f"{preview / factor:.6g}",
+            "warpdiff:preview_display": shown.display,
+            "warpdiff:preview_gamut": shown.gamut,
+            "warpdiff:preview_exposure": preview / factor,
+        }
+        return picture_files.FilePart(channels, np.concatenate(layers, axis=2, dtype=np.float32), metadata=metadata)
 
-        _write(target, spec, np.ascontiguousarray(pixels))
-        return target
+    def _metadata(self) -> dict[str, str | float | tuple[float, ...]]:
+        """Return the metadata of every file: program, plan, report, and history of the height field."""
+        metadata: dict[str, str | float | tuple[float, ...]] = {"Software": "warpdiff"}
+        if self.plan is not None:
+            metadata["ImageDescription"] = f"{self.plan}\n\n{self.report}"
+        if self.report is not None and self.report.history:
+            metadata["warpdiff:history"] = " ".join(self.report.history)
+        return metadata
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Image:
@@ -337,7 +339,7 @@ class Image:
         """
         file = validation.path(path, "path")
         files.check_file(file)
-        channels = _read_exr(file)
+        channels = read_exr(file)
         xyz = np.stack([channels[f"XYZ.{component}"] for component in "XYZ"], axis=2)
         coverage, error = channels["A"], channels["error.Y"]
         layers: dict[str, NDArray[Any]] = {}
@@ -352,101 +354,19 @@ class Image:
         return cls(xyz, mask, illuminated, coverage, error, plan=None, layers=layers)
 
 
+def write_exr(image: Image, target: Path, shown: DisplaySettings, *, factor: float, preview: float) -> None:
+    """Write a picture to an EXR file.
+
+    Args:
+        image: Picture to write.
+        target: File to write, after a check of its path.
+        shown: Options of the display, which the metadata of the file state.
+        factor: Linear factor of the file's colours.
+        preview: Exposure factor with which these options display the picture.
+    """
+    write_parts(target, [image._exr_part(shown, factor, preview)])
+
+
 def _quantised(encoded: NDArray[np.float32], bits: int) -> NDArray[np.uint8 | np.uint16]:
     """Return display RGB from 0 to 1 as unsigned integers of 8 or 16 bits for a PNG file."""
     return np.asarray(np.round(np.float64(encoded) * (2**bits - 1)), dtype=np.uint8 if bits == 8 else np.uint16)
-
-
-def check_target(path: Any, name: str = "path") -> Path:
-    """Return the checked path of a picture file; raise an error if no picture can be written there.
-
-    Args:
-        path: Path that the user gave.
-        name: Name of the argument for error messages.
-    """
-    target = validation.path(path, name)
-    if target.suffix.lower() not in _FORMATS:
-        raise ArgumentValueError(f"{ref(name)} must end in {' or '.join(_FORMATS)}, got {target.name!r}")
-    files.check_folder(target.parent, name)
-    if target.is_dir():
-        raise marked(
-            IsADirectoryError, f"{ref(name)} must be a file, got the folder {str(target)!r}; name a file in it"
-        )
-    return target
-
-
-def _write(target: Path, spec: Any, pixels: NDArray[Any]) -> None:
-    """Write a picture file, read it again and compare it.
-
-    The comparison is necessary because writers may report success on a full disk: the PNG writer always, the EXR writer
-    sometimes.
-    """
-    # OpenImageIO selects the file format by the suffix. The temporary file therefore has the suffix of the final file.
-    with openimageio.in_use() as oiio, files.atomic_write(target, suffix=target.suffix.lower()) as temporary:
-        output = oiio.ImageOutput.create(str(temporary))
-        if output is None or not output.open(str(temporary), spec):
-            reason = oiio.geterror() if output is None else output.geterror()
-            raise OSError(f"cannot write {target}: {reason}")
-        written = output.write_image(pixels)
-        if not (output.close() and written):
-            raise OSError(f"cannot write {target}: {output.geterror()}")
-        if not _is_written(oiio, temporary, pixels, spec.channelnames):
-            raise OSError(f"cannot write {target}: the file does not hold what was written; the disk may be full")
-
-
-def _is_written(oiio: Any, path: Path, pixels: NDArray[Any], channels: Sequence[str]) -> bool:
-    """Whether a file is complete and contains the pixels, in channels with the given names in any order."""
-    with path.open("rb") as file:
-        file.seek(max(path.stat().st_size - len(PNG_END), 0))
-        if path.suffix == ".png" and file.read() != PNG_END:
-            return False
-    straight = oiio.ImageSpec()
-    straight.attribute("oiio:UnassociatedAlpha", 1)
-    source = oiio.ImageInput.open(str(path), straight)
-    if source is None:
-        _discard_error(oiio)
-        return False
-    names = list(source.spec().channelnames)
-    samples = source.read_image(0, 0, 0, pixels.shape[2], "unknown")
-    source.close()
-    if samples is None or samples.dtype != pixels.dtype or sorted(names) != sorted(channels):
-        return False
-    return bool(samples[..., [names.index(name) for name in channels]].tobytes() == pixels.tobytes())
-
-
-def _discard_error(source: Any) -> None:
-    """Read OpenImageIO's error message and discard it, because unread messages are printed when the process ends.
-
-    A message may contain bytes that are not UTF-8.
-    """
-    with contextlib.suppress(UnicodeDecodeError):
-        source.geterror()
-
-
-def _read_exr(file: Path) -> dict[str, NDArray[np.float32]]:
-    """Return the channels of an EXR file that :meth:`Image.save` wrote, by name, each of shape (height, width)."""
-    with openimageio.in_use() as oiio:
-        source = oiio.ImageInput.open(str(file))
-        if source is None:
-            _discard_error(oiio)
-            raise ArgumentValueError(f"{ref('path')}: {str(file)!r} cannot be read as an image; name an EXR file")
-        try:
-            spec = source.spec()
-            names = tuple(spec.channelnames)
-            if not {*_CHANNELS} <= {*names}:
-                raise ArgumentValueError(
-                    f"{ref('path')}: {str(file)!r} has the channels {', '.join(names)}; "
-                    f"name an EXR file of Image.save, which has {', '.join(_CHANNELS)}"
-                )
-            memory.require_memory(
-                _BYTES_PER_SAMPLE * spec.width * spec.height * len(names),
-                f"{ref('path')}: {str(file)!r} of {spec.width} × {spec.height} pixels",
-                "take {share} of its pixels",
-            )
-            pixels = source.read_image(0, 0, 0, len(names), "float")
-            if pixels is None or source.has_error:
-                _discard_error(source)
-                raise ArgumentValueError(f"{ref('path')}: {str(file)!r} is damaged; save the picture again")
-        finally:
-            source.close()
-    return dict(zip(names, np.ascontiguousarray(np.moveaxis(pixels, 2, 0)), strict=True))

@@ -18,8 +18,8 @@ from warpdiff.apps.sequences.shots import Shot
 from warpdiff.core import files, openimageio, validation
 from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, marked, ref
-from warpdiff.image.display_transform import MEAN_SHOWN
-from warpdiff.image.image import PNG_END
+from warpdiff.image.display_transform import MEAN_SHOWN, exposure_factor
+from warpdiff.image.picture_files import PNG_END
 from warpdiff.lights.base import LobeLight
 from warpdiff.lights.environment import Environment
 from warpdiff.render.renderer import Renderer  # noqa: TC001 (the decorator ``checked`` needs the class at run time)
@@ -123,8 +123,10 @@ def sequence(
     if factor is None:
         factor = _metered(renderer, shots, shown.display, report) if exposure is None else exposure
         _write(target / _MANIFEST, json.dumps({"key": key, "frames": len(shots), "exposure": factor}).encode())
-    exr = {"exposure": exposure, "exposure_stops": shown.exposure_stops if exposure is not None else 0.0}
-    job = FrameJob(key, suffixes, {".png": {**png, "exposure": factor}, ".exr": exr})
+    # EXR files have the exposure of the caller, and otherwise none. Their metadata state the exposure of the PNG files.
+    shown = dataclasses.replace(shown, exposure=factor)
+    scale = 1.0 if exposure is None else exposure_factor(shown, ())
+    job = FrameJob(key, suffixes, shown, background, scale)
 
     digits = max(4, len(str(len(shots) - 1)))
     paths = [[target / f"frame_{index:0{digits}d}{suffix}" for suffix in suffixes] for index in range(len(shots))]
