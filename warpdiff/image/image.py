@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import sys
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Unpack
@@ -11,9 +12,10 @@ import numpy as np
 
 from warpdiff.core import files, validation
 from warpdiff.core.wording import ArgumentValueError, ref
-from warpdiff.image import display_transform, picture_files
-from warpdiff.image.picture_files import check_target, read_exr, write_parts
+from warpdiff.image import display_transform
+from warpdiff.image.picture_files import CHANNELS, NAMES, FilePart, check_target, read_exr, write_parts
 from warpdiff.optics import colorimetry
+from warpdiff.request.layer_formats import layer_format, layer_of
 from warpdiff.request.settings import Display, DisplaySettings, GamutSettings
 from warpdiff.request.signatures import accepts
 
@@ -28,8 +30,6 @@ if TYPE_CHECKING:
     from warpdiff.image.report import Report
     from warpdiff.request.keywords import DisplayKeywords, GamutKeywords
     from warpdiff.request.plan import Plan
-
-_LAYER_CHANNELS = {"normal": "XYZ", "depth": "Z", "geometry": "Y"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,12 +48,11 @@ class Image:
             (height, width), float32; 0 where nothing is illuminated.
         plan: Plan of the computation; None for a picture that :meth:`load` has read.
         report: Report on the picture's errors and refinement; None for a picture that :meth:`load` has read.
-        layers: Further outputs by name, as requested from :func:`warpdiff.shade`, at the first hit of the ray through
-            each pixel's centre. ``"normal"``: unit shading normal on the viewer's side, world frame, shape (height,
-            width, 3), float32, 0 in the background. ``"depth"``: distance along the ray from the eye, or from the plane
-            through the eye of an orthographic camera [the mesh's unit], shape (height, width), float32, infinite in the
-            background. ``"geometry"``: index of the scene's geometry, in the order of its nodes, shape (height, width),
-            int32, −1 in the background.
+        layers: Further outputs by name, as requested from :func:`warpdiff.shade`, shape (height, width) or (height,
+            width, components), at the hit of the ray through each pixel's centre. Layers of one light end in the index
+            of the light, as ``"light.0"``. ``docs/how-to/layers_and_exr_files.md`` lists all layers.
+        names: Names that the numbers of a layer stand for, by the name of the layer: number i of the layer
+            ``"geometry"`` is the geometry ``names["geometry"][i]``.
 
     Examples:
         >>> import warpdiff as wd
@@ -74,6 +73,7 @@ class Image:
     plan: Plan | None
     report: Report | None = None
     layers: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         height, width = self.mask.shape
@@ -241,11 +241,10 @@ class Image:
 
         Args:
             path: File with the suffix ``.exr`` or ``.png``. EXR holds linear float32 channels, multiplied by alpha: R,
-                G, B, A, XYZ.X, XYZ.Y, XYZ.Z, the estimated error as error.Y, and the layers of the picture as normal.X,
-                normal.Y, normal.Z, depth.Z and geometry.Y. PNG holds display RGB, not multiplied by alpha, and alpha
-                unless there is a background. The metadata of PNG files state the transform and the exposure. Those of
-                EXR files state how the same call would display the picture as PNG: see
-                ``docs/how-to/layers_and_exr_files.md``.
+                G, B, A, XYZ.X, XYZ.Y, XYZ.Z, the estimated error as error.Y, and one part per layer of the picture,
+                with channels such as normal.X. PNG holds display RGB, not multiplied by alpha, and alpha unless there
+                is a background. The metadata of PNG files state the transform and the exposure. Those of EXR files
+                state how the same call would display the picture as PNG: see ``docs/how-to/layers_and_exr_files.md``.
             exposure_from: Picture whose automatic exposure is used, so that several pictures get the same exposure.
             background: Background of PNG files, mixed in the display's linear light: an encoded colour (R, G, B) with
                 components from 0 to 1, a picture of the same size, or linear sRGB of shape (height, width, 3). None
@@ -271,9 +270,7 @@ class Image:
         write_exr(self, target, shown, factor=factor, preview=self._exposure(shown, exposure_from))
         return target
 
-    def _png_part(
-        self, shown: DisplaySettings, factor: float, background: Image | ArrayLike | None
-    ) -> picture_files.FilePart:
+    def _png_part(self, shown: DisplaySettings, factor: float, background: Image | ArrayLike | None) -> FilePart:
         """Return the only part of a PNG file; ``factor`` is the linear exposure factor."""
         encoded = self._displayed(shown, factor, background)
         cicp = display_transform.GAMUTS[shown.gamut].cicp
@@ -284,33 +281,51 @@ class Image:
             "warpdiff:exposure": factor,
         }
         channels = ("R", "G", "B", "A")[: encoded.shape[2]]
-        return picture_files.FilePart(channels, _quantised(encoded, shown.bits), metadata=metadata)
+        return FilePart(channels, _quantised(encoded, shown.bits), metadata=metadata)
 
-    def _exr_part(self, shown: DisplaySettings, factor: float, preview: float) -> picture_files.FilePart:
-        """Return the part of an EXR file with colours and errors; the arguments are those of :func:`write_exr`."""
-        height, width = self.mask.shape
-        channels = picture_files.CHANNELS
-        layers = [factor * self.rgb, self.coverage[..., None], factor * self.xyz, self.error[..., None]]
-        for name, suffixes in _LAYER_CHANNELS.items():
-            if name in self.layers:
-                channels += tuple(f"{name}.{suffix}" for suffix in suffixes)
-                layers.append(self.layers[name].reshape(height, width, len(suffixes)))
-        metadata = self._metadata() | {
+    def _exr_parts(self, shown: DisplaySettings, factor: float, preview: float) -> list[FilePart]:
+        """Return the parts of an EXR file: colours and errors, then one part per layer.
+
+        The arguments are those of :func:`write_exr`.
+        """
+        colours = [factor * self.rgb, self.coverage[..., None], factor * self.xyz, self.error[..., None]]
+        # Some attributes must be equal in all parts.
+        common: dict[str, str | float | tuple[float, ...]] = {
             "compression": "zip",
             # The attribute "DateTime" is set to an empty text. Otherwise the writer would store the current time, and
             # two files of the same picture would differ.
             "DateTime": "",
             "oiio:ColorSpace": "lin_rec709",
             "chromaticities": display_transform.SRGB_CHROMATICITIES,
-            "warpdiff:display": f"none, linear; exposure {factor:.6g}",
-            "warpdiff:exposure": factor,
-            "warpdiff:preview": f"{display_transform.description(shown)}; white point D65; exposure "
-            f"{preview / factor:.6g}",
-            "warpdiff:preview_display": shown.display,
-            "warpdiff:preview_gamut": shown.gamut,
-            "warpdiff:preview_exposure": preview / factor,
         }
-        return picture_files.FilePart(channels, np.concatenate(layers, axis=2, dtype=np.float32), metadata=metadata)
+        metadata = (
+            self._metadata()
+            | common
+            | {
+                "warpdiff:display": f"none, linear; exposure {factor:.6g}",
+                "warpdiff:exposure": factor,
+                "warpdiff:preview": f"{display_transform.description(shown)}; white point D65; exposure "
+                f"{preview / factor:.6g}",
+                "warpdiff:preview_display": shown.display,
+                "warpdiff:preview_gamut": shown.gamut,
+                "warpdiff:preview_exposure": preview / factor,
+            }
+        )
+        pixels = np.concatenate(colours, axis=2, dtype=np.float32)
+        parts = [FilePart(CHANNELS, pixels, "picture" if self.layers else "", metadata)]
+        for name, values in self.layers.items():
+            layer, names = layer_format(name), self.names.get(name)
+            suffixes, data = layer.channels, values.reshape(*self.mask.shape, len(layer.channels))
+            if layer.is_colour:
+                suffixes = ("R", "G", "B", *suffixes)
+                data = factor * np.concatenate([colorimetry.xyz_to_rgb(values), data], axis=2)
+            parts.append(
+                FilePart(
+                    tuple(f"{name}.{suffix}" for suffix in suffixes), data.astype(np.float32), name,
+                    common if names is None else common | {NAMES: json.dumps(names, ensure_ascii=False)},
+                )
+            )  # fmt: skip
+        return parts
 
     def _metadata(self) -> dict[str, str | float | tuple[float, ...]]:
         """Return the metadata of every file: program, plan, report, and history of the height field."""
@@ -339,19 +354,21 @@ class Image:
         """
         file = validation.path(path, "path")
         files.check_file(file)
-        channels = read_exr(file)
+        channels, names = read_exr(file)
         xyz = np.stack([channels[f"XYZ.{component}"] for component in "XYZ"], axis=2)
         coverage, error = channels["A"], channels["error.Y"]
         layers: dict[str, NDArray[Any]] = {}
-        if "normal.X" in channels:
-            layers["normal"] = np.stack([channels[f"normal.{component}"] for component in "XYZ"], axis=2)
-        if "depth.Z" in channels:
-            layers["depth"] = channels["depth.Z"]
-        if "geometry.Y" in channels:
-            layers["geometry"] = channels["geometry.Y"].astype(np.int32)
+        for name in dict.fromkeys(filter(None, map(layer_of, channels))):
+            layer = layer_format(name)
+            planes = [channels[key] for suffix in layer.channels if (key := f"{name}.{suffix}") in channels]
+            if len(planes) < len(layer.channels):
+                raise ArgumentValueError(
+                    f"{ref('path')}: {str(file)!r} lacks channels of the layer {name!r}; save the picture again"
+                )
+            layers[name] = layer.shaped(np.stack(planes, axis=2), coverage.shape)
         mask = coverage > 0.0
         illuminated = mask & (xyz.any(axis=2) | (error != 0.0))
-        return cls(xyz, mask, illuminated, coverage, error, plan=None, layers=layers)
+        return cls(xyz, mask, illuminated, coverage, error, plan=None, layers=layers, names=names)
 
 
 def write_exr(image: Image, target: Path, shown: DisplaySettings, *, factor: float, preview: float) -> None:
@@ -364,7 +381,7 @@ def write_exr(image: Image, target: Path, shown: DisplaySettings, *, factor: flo
         factor: Linear factor of the file's colours.
         preview: Exposure factor with which these options display the picture.
     """
-    write_parts(target, [image._exr_part(shown, factor, preview)])
+    write_parts(target, image._exr_parts(shown, factor, preview))
 
 
 def _quantised(encoded: NDArray[np.float32], bits: int) -> NDArray[np.uint8 | np.uint16]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
 # Channels of the first part of every EXR file.
 CHANNELS = ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z", "error.Y")
+# Metadata with the names that the numbers of a layer stand for, as a list in JSON.
+NAMES = "warpdiff:names"
 _FORMATS = (".exr", ".png")
 # Last bytes of a complete PNG file: the chunk IEND with length, name and checksum. A file without them is incomplete,
 # but many readers accept it.
@@ -145,15 +148,18 @@ def _discard_error(source: Any) -> None:
         source.geterror()
 
 
-def read_exr(file: Path) -> dict[str, NDArray[np.float32]]:
-    """Return the channels of an EXR file of :meth:`warpdiff.Image.save` by name, each of shape (height, width)."""
+def read_exr(file: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, tuple[str, ...]]]:
+    """Return the channels of all parts of an EXR file of :meth:`warpdiff.Image.save`, and the names of its layers.
+
+    Channels have the shape (height, width), by name. The names that numbers of a layer stand for are by layer.
+    """
     with openimageio.in_use() as oiio:
         source = oiio.ImageInput.open(str(file))
         if source is None:
             _discard_error(oiio)
             raise ArgumentValueError(f"{ref('path')}: {str(file)!r} cannot be read as an image; name an EXR file")
         try:
-            specs = []
+            specs: list[Any] = []
             while source.seek_subimage(len(specs), 0):
                 specs.append(source.spec())
             _discard_error(source)
@@ -169,6 +175,7 @@ def read_exr(file: Path) -> dict[str, NDArray[np.float32]]:
                 f"{ref('path')}: {str(file)!r} of {width} × {height} pixels", "take {share} of its pixels",
             )  # fmt: skip
             channels: dict[str, NDArray[np.float32]] = {}
+            known: dict[str, tuple[str, ...]] = {}
             for index, spec in enumerate(specs):
                 pixels = source.read_image(index, 0, 0, spec.nchannels, "float")
                 if pixels is None or source.has_error or pixels.shape[:2] != (height, width):
@@ -176,6 +183,11 @@ def read_exr(file: Path) -> dict[str, NDArray[np.float32]]:
                     raise ArgumentValueError(f"{ref('path')}: {str(file)!r} is damaged; save the picture again")
                 planes = np.ascontiguousarray(np.moveaxis(pixels, 2, 0))
                 channels |= dict(zip(spec.channelnames, planes, strict=True))
+                with contextlib.suppress(ValueError, TypeError):
+                    # A file without names, or with other text in their place, has numbers without names.
+                    known[spec.getattribute("oiio:subimagename")] = tuple(
+                        map(str, json.loads(spec.getattribute(NAMES)))
+                    )
         finally:
             source.close()
-    return channels
+    return channels, known

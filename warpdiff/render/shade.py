@@ -17,7 +17,7 @@ from warpdiff.lights.light_pass import SurfaceOptics
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.planner.refusals import warn_outside
 from warpdiff.planner.strategy import directions_of, plan_for
-from warpdiff.render.layers import layers_of
+from warpdiff.render.layers import LIGHT, directed, expanded, layers_of, lights_of, names_of
 from warpdiff.render.picture import Picture, load_kernels
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.plan import AUTOMATIC, has_table
@@ -30,7 +30,7 @@ from warpdiff.tables.lookup import ColourLookup
 
 if TYPE_CHECKING:
     import contextlib
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Collection, Sequence
 
     import warp as wp
     from numpy.typing import NDArray
@@ -82,17 +82,12 @@ def shade(
     """
     checked = SinglePictureSettings(**settings)
     inputs = PictureInputs.of(heightfield, lights, view, checked)
+    wanted = LayerRequest.of(checked.layers, inputs)
     progress = reporter(progress, "shade")
-    device, threads = inputs.evaluation.device, inputs.evaluation.threads
-    load_kernels(device)
+    load_kernels(inputs.evaluation.device)
     with picture_memory(view):
         surface = prepare_surface(mesh, tangents=checked.tangents)
-        image = _render(inputs, surface, view, progress)
-        if checked.layers:
-            layers = tuple(checked.layers)
-            image = replace(
-                image, layers=layers_of(surface, view, layers, smooth=checked.smooth, device=device, threads=threads)
-            )
+        image = wanted.added_to(_render(inputs, surface, view, progress, wanted), inputs, surface, view)
     warn_unconverged(image)
     if image.mask.any() and not image.illuminated.any():
         warn(
@@ -102,8 +97,67 @@ def shade(
     return image
 
 
-def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Callable[[float], None] | None) -> Image:
-    """Render a prepared mesh, after choosing a plan for the directions that its pixels require."""
+@dataclass(frozen=True)
+class LayerRequest:
+    """Layers of a picture, after checks against its lights.
+
+    Attributes:
+        names: Names of the layers, with the index of a light where there is one layer per light.
+        parts: Parts of the lights that are rendered one after the other, for each light; empty if no layer is the light
+            of a single light.
+        directed: Parts whose directions layers show, for each light of ``layers.lights_of``.
+    """
+
+    names: tuple[str, ...]
+    parts: tuple[list[LightPart], ...]
+    directed: tuple[LightPart, ...]
+
+    @classmethod
+    def of(cls, names: Collection[str], inputs: PictureInputs) -> LayerRequest:
+        """Check layers, before any kernel runs."""
+        every = expanded(tuple(names), inputs.lights, inputs.parts)
+        apart = any(name.partition(".")[0] == LIGHT for name in every)
+        of_light = [inputs.parts_of_light(index) for index in range(len(inputs.lights) * apart)]
+        directions = [directed(inputs.parts_of_light(index), name) for index, name in lights_of(every).items()]
+        return cls(every, tuple(of_light), tuple(directions))
+
+    def added_to(
+        self, rendered: tuple[Image, list[NDArray[np.float32]]], inputs: PictureInputs, surface: Surface, view: View
+    ) -> Image:
+        """Return a picture with its layers.
+
+        Args:
+            rendered: Picture, and its colours under each part of ``parts``.
+            inputs: Inputs of the picture.
+            surface: The prepared mesh.
+            view: Camera of the picture.
+        """
+        image, xyz_by_part = rendered
+        if not self.names:
+            return image
+        points = inputs.of_points(self.directed).picture(surface, view)
+        points.set_lights(self.directed)
+        colours = iter(xyz_by_part)
+        by_light: dict[str, NDArray[Any]] = {
+            f"{LIGHT}.{index}": sum((next(colours) for _ in parts[1:]), next(colours))
+            for index, parts in enumerate(self.parts)
+        }
+        others = layers_of(points, [name for name in self.names if name not in by_light])
+        layers = {name: by_light[name] if name in by_light else others[name] for name in self.names}
+        return replace(image, layers=layers, names=names_of(surface, self.names))
+
+
+def _render(
+    inputs: PictureInputs, surface: Surface, view: View, progress: Callable[[float], None] | None, wanted: LayerRequest
+) -> tuple[Image, list[NDArray[np.float32]]]:
+    """Render a prepared mesh, after choosing a plan for the directions that its pixels require.
+
+    The second result are the colours under each part of ``wanted.parts``.
+    """
+    parts = [part for of_light in wanted.parts for part in of_light]
+    xyz_by_part: list[NDArray[np.float32]] = []
+    if parts:
+        inputs = replace(inputs, parts=parts)
     evaluation = inputs.evaluation
     picture = inputs.picture(surface, view)
     picture.set_lights(inputs.parts)
@@ -114,14 +168,15 @@ def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Calla
         # Light from a sky comes from the whole hemisphere, so that the plan must cover all directions.
         direction_range, sample, count = directions_of(evaluation)
     plan = inputs.planned(direction_range, sample, count)
+    collected = xyz_by_part if parts else None
     if plan.method == "direct":
-        picture.render_directly(evaluation.heightfield, plan, progress=progress)
+        picture.render_directly(evaluation.heightfield, plan, progress=progress, xyz_by_part=collected)
     else:
         lookup = ColourLookup(
             evaluation.heightfield, plan, direction_range, device=evaluation.device, threads=evaluation.threads
         )
-        picture.render(lookup, tolerance=plan.tolerance, progress=progress)
-    return with_history(picture.image(plan), evaluation.heightfield)
+        picture.render(lookup, tolerance=plan.tolerance, progress=progress, xyz_by_part=collected)
+    return with_history(picture.image(plan), evaluation.heightfield), xyz_by_part
 
 
 def with_history(image: Image, heightfield: HeightField) -> Image:
@@ -174,6 +229,16 @@ class PictureInputs:
         spectra = [name for part in parts if part.has_lobes for name in part.spectra] or parts[0].spectra[:1]
         illuminated = IlluminatedMaterial.of(spectra, evaluation.materials.values())
         return cls(replace(evaluation, plan=plan, illuminated=illuminated), settings, lights, parts)
+
+    def parts_of_light(self, index: int) -> list[LightPart]:
+        """Return the parts of one light, which are not combined with those of other lights."""
+        light, evaluation = self.lights[index], self.evaluation
+        return parts_of([light], evaluation, refine=self.settings.refine, means=evaluation.footprint, first=index)
+
+    def of_points(self, parts: Sequence[LightPart]) -> PictureInputs:
+        """Return the inputs of a picture of points with one ray per pixel, under other parts of lights."""
+        settings = replace(self.settings, footprint=False, refine=False, samples_per_pixel=1)
+        return replace(self, settings=settings, evaluation=replace(self.evaluation, footprint=False), parts=list(parts))
 
     def picture(self, surface: Surface, view: View, **options: Any) -> Picture:
         """Return a picture of a surface, whose arrays are allocated but not yet computed."""
@@ -293,8 +358,12 @@ def check_extent(light: Light, name: str, coherence: Coherence, *, means: bool) 
         )
 
 
-def parts_of(lights: Sequence[Light], evaluation: Evaluation, *, refine: bool, means: bool) -> list[LightPart]:
+def parts_of(
+    lights: Sequence[Light], evaluation: Evaluation, *, refine: bool, means: bool, first: int = 0
+) -> list[LightPart]:
     """Check lights and return their parts. Without refinement, discs of up to 5° become single lobes.
+
+    ``first`` is the index of the first light among the lights of the picture, for errors.
 
     The lobes of all lights form one part, so that the error of a pixel is estimated under all of them. An uneven
     surface causes errors under each light, and separate estimates would not bound the sum of these errors. Refined
@@ -302,7 +371,7 @@ def parts_of(lights: Sequence[Light], evaluation: Evaluation, *, refine: bool, m
     """
     lobes: list[Lobe] = []
     others: list[LightPart] = []
-    for index, light in enumerate(lights):
+    for index, light in enumerate(lights, first):
         name = f"lights[{index}]"
         for part in light.parts(evaluation.coherence, single_lobe=not refine, name=name):
             if part.has_extent:

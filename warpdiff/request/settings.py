@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from annotated_types import Ge, Gt, Interval, Unit
 
 from warpdiff.core import validation
-from warpdiff.core.options import Checked
+from warpdiff.core.options import Checked, Names
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.optics.coherence import Coherence
+from warpdiff.request.layer_formats import BY_LIGHT, LAYERS
 from warpdiff.request.plan import Plan, check_footprint, check_method
 
 if TYPE_CHECKING:
@@ -32,7 +33,6 @@ Method = Literal[
 ]
 Integration = Literal["auto", "sampled", "table"]
 Energy = Literal["stam", "normalised", "normalized"]
-Layer = Literal["normal", "depth", "geometry"]
 Display = Literal["aces", "colorimetric", "clip"]
 GamutName = Literal["srgb", "display-p3"]
 Bits = Literal[8, 16]
@@ -200,10 +200,12 @@ class SinglePictureSettings(PictureSettings):
     """Options of ``shade``.
 
     Attributes:
-        layers: Further outputs, any of ``"normal"``, ``"depth"`` and ``"geometry"``, for ``image.layers``.
+        layers: Names of further outputs, for ``image.layers``. ``"light"``, ``"to_light"`` and ``"scattering"`` are one
+            layer per light; ``"light.0"`` is that of the first light. With ``"light"``, each light is refined
+            separately.
     """
 
-    layers: Collection[Layer] = ()
+    layers: Annotated[Collection[str], Names(tuple(LAYERS), BY_LIGHT)] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
