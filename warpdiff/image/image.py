@@ -13,7 +13,17 @@ import numpy as np
 from warpdiff.core import files, validation
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.image import display_transform
-from warpdiff.image.picture_files import CHANNELS, NAMES, FilePart, check_target, read_exr, write_parts
+from warpdiff.image.picture_files import (
+    CHANNELS,
+    NAMES,
+    SPECTRAL_METADATA,
+    FilePart,
+    check_target,
+    read_exr,
+    spectral_channel,
+    wavelength_of,
+    write_parts,
+)
 from warpdiff.optics import colorimetry
 from warpdiff.request.layer_formats import layer_format, layer_of
 from warpdiff.request.settings import Display, DisplaySettings, GamutSettings
@@ -53,6 +63,10 @@ class Image:
             of the light, as ``"light.0"``. ``docs/how-to/layers_and_exr_files.md`` lists all layers.
         names: Names that the numbers of a layer stand for, by the name of the layer: number i of the layer
             ``"geometry"`` is the geometry ``names["geometry"][i]``.
+        wavelengths_nm: Wavelengths of ``spectra`` [nm], shape (m,); None without spectra.
+        spectra: Radiance at the wavelengths, shape (height, width, m), float32, multiplied by ``coverage``: the sum
+            over the lights of power · ρ(λ) S(λ) / S̄, with S̄ the mean of the illuminant S with the weight ȳ. It is
+            power · ρ(λ) for the illuminant ``"E"``. None without ``wavelengths_nm=``.
 
     Examples:
         >>> import warpdiff as wd
@@ -74,6 +88,8 @@ class Image:
     report: Report | None = None
     layers: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    wavelengths_nm: NDArray[np.float64] | None = None
+    spectra: NDArray[np.float32] | None = None
 
     def __repr__(self) -> str:
         height, width = self.mask.shape
@@ -311,8 +327,13 @@ class Image:
                 "warpdiff:preview_exposure": preview / factor,
             }
         )
+        channels: tuple[str, ...] = CHANNELS
+        if self.spectra is not None and self.wavelengths_nm is not None:
+            channels += tuple(spectral_channel(wavelength) for wavelength in self.wavelengths_nm.tolist())
+            colours.append(factor * self.spectra)
+            metadata |= SPECTRAL_METADATA
         pixels = np.concatenate(colours, axis=2, dtype=np.float32)
-        parts = [FilePart(CHANNELS, pixels, "picture" if self.layers else "", metadata)]
+        parts = [FilePart(channels, pixels, "picture" if self.layers else "", metadata)]
         for name, values in self.layers.items():
             layer, names = layer_format(name), self.names.get(name)
             suffixes, data = layer.channels, values.reshape(*self.mask.shape, len(layer.channels))
@@ -366,9 +387,17 @@ class Image:
                     f"{ref('path')}: {str(file)!r} lacks channels of the layer {name!r}; save the picture again"
                 )
             layers[name] = layer.shaped(np.stack(planes, axis=2), coverage.shape)
+        by_wavelength = sorted((nm, name) for name in channels if (nm := wavelength_of(name)) is not None)
+        wavelengths = spectra = None
+        if by_wavelength:
+            wavelengths = np.array([nm for nm, _ in by_wavelength])
+            spectra = np.stack([channels[name] for _, name in by_wavelength], axis=2)
         mask = coverage > 0.0
         illuminated = mask & (xyz.any(axis=2) | (error != 0.0))
-        return cls(xyz, mask, illuminated, coverage, error, plan=None, layers=layers, names=names)
+        return cls(
+            xyz, mask, illuminated, coverage, error, plan=None, layers=layers, names=names, wavelengths_nm=wavelengths,
+            spectra=spectra,
+        )  # fmt: skip
 
 
 def write_exr(image: Image, target: Path, shown: DisplaySettings, *, factor: float, preview: float) -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import files, memory, openimageio, validation
-from warpdiff.core.wording import ArgumentValueError, marked, ref
+from warpdiff.core import files, memory, openimageio
+from warpdiff.core.wording import ArgumentValueError, ref
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -22,6 +23,14 @@ if TYPE_CHECKING:
 CHANNELS = ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z", "error.Y")
 # Metadata with the names that the numbers of a layer stand for, as a list in JSON.
 NAMES = "warpdiff:names"
+# Metadata of spectral files in the layout of Fichet et al. 2021. The layout has no unit for relative radiances.
+SPECTRAL_METADATA = {
+    "spectralLayoutVersion": "1.0",
+    "emissiveUnits": "W.m^-2.sr^-1",
+    "warpdiff:spectra": "radiance relative to that of a source of constant spectrum with the luminance Y = 1",
+}
+# Name of a channel with the radiance at a wavelength in nm, with a decimal comma.
+_SPECTRAL = re.compile(r"S0\.(\d{1,6}(?:,\d{1,9})?)nm")
 _FORMATS = (".exr", ".png")
 # Last bytes of a complete PNG file: the chunk IEND with length, name and checksum. A file without them is incomplete,
 # but many readers accept it.
@@ -65,6 +74,17 @@ class FilePart:
         return spec
 
 
+def spectral_channel(wavelength_nm: float) -> str:
+    """Return the name of the channel of a wavelength, such as ``S0.550,000000nm`` (Fichet et al. 2021)."""
+    return f"S0.{wavelength_nm:.6f}nm".replace(".", ",").replace(",", ".", 1)
+
+
+def wavelength_of(channel: str) -> float | None:
+    """Return the wavelength of a channel [nm], or None if the channel has no spectral name."""
+    match = _SPECTRAL.fullmatch(channel)
+    return None if match is None else float(match[1].replace(",", "."))
+
+
 def check_target(path: Any, name: str = "path") -> Path:
     """Return the checked path of a picture file; raise an error if no picture can be written there.
 
@@ -72,15 +92,7 @@ def check_target(path: Any, name: str = "path") -> Path:
         path: Path that the user gave.
         name: Name of the argument for error messages.
     """
-    target = validation.path(path, name)
-    if target.suffix.lower() not in _FORMATS:
-        raise ArgumentValueError(f"{ref(name)} must end in {' or '.join(_FORMATS)}, got {target.name!r}")
-    files.check_folder(target.parent, name)
-    if target.is_dir():
-        raise marked(
-            IsADirectoryError, f"{ref(name)} must be a file, got the folder {str(target)!r}; name a file in it"
-        )
-    return target
+    return files.check_output(path, _FORMATS, name)
 
 
 def write_parts(target: Path, parts: Sequence[FilePart]) -> None:

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.lights.base import LightPart
     from warpdiff.lights.light_pass import LightPass, RayBatch, SurfaceOptics
+    from warpdiff.optics.materials import IlluminatedMaterial
     from warpdiff.request.directions import DirectionRange, DirectionSample
     from warpdiff.request.plan import Plan
     from warpdiff.scene.camera import View
@@ -155,7 +156,7 @@ class Picture:
         """Return the directions for which a plan is required: their range, a sample of them, and how many there are."""
         return self.sampler.measure_directions(heightfield, self.context.optics.coherence, self._light_sums)
 
-    def _sampled(
+    def sampled(
         self, progress: Progress, xyz_by_part: list[NDArray[np.float32]] | None = None
     ) -> Iterator[tuple[LobeIndex, Progress]]:
         """Sample every lobe at every ray of a pixel; after each lobe, yield it and a callable for its progress.
@@ -181,6 +182,17 @@ class Picture:
         if xyz_by_part is not None and len(groups) > 1:
             # Pictures of points have no margin, so that the cropped colours are those of all pixels.
             self._sums.xyz.assign(np.sum(xyz_by_part, axis=0, dtype=np.float32).reshape(-1, 3))
+
+    def illuminated(self, index: LobeIndex) -> Sequence[Sequence[IlluminatedMaterial]]:
+        """Return the illuminated materials of a lobe, by material and spectrum."""
+        return self._passes[index.light].illuminated[index.lobe]
+
+    def materials_of_hits(self) -> NDArray[np.int32] | None:
+        """Return the index of the material at the hit of each ray, any index for other rays; None for one material."""
+        if not self.context.has_materials:
+            return None
+        faces = self.rays.gbuffer.pixels.face.numpy()
+        return np.asarray(self.context.materials_of_faces.numpy()[np.maximum(faces, 0)])
 
     def directions_to(self, light: int) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
         """Return scattering vectors, directions to a light and geometry factors where rays through centres hit.
@@ -209,7 +221,7 @@ class Picture:
             self._unserved_gain = wp.empty(self.rays.size, dtype=wp.float32, device=self.context.device)
         if not self._means:
             batch = self.sampler.batch(self._sums, self._unserved_gain)
-            for index, share in self._sampled(progress, xyz_by_part):
+            for index, share in self.sampled(progress, xyz_by_part):
                 calls = self._passes[index.light].colour(index.lobe, batch, lookup)
                 launch_pipeline(
                     calls, self.rays.size, slice_size=lookup.slice_size, progress=share, **self.rays.options
@@ -285,13 +297,12 @@ class Picture:
 
         The list ``xyz_by_part`` is that of :meth:`render`.
         """
-        for index, share in self._sampled(progress, xyz_by_part):
+        for index, share in self.sampled(progress, xyz_by_part):
             scattering_vectors, to_lights, gains = (values.astype(np.float64) for values in self.sampler.directions())
-            by_material = self._passes[index.light].illuminated[index.lobe]
-            materials = np.zeros(self.rays.size, dtype=np.int32)
-            if self.context.has_materials:
-                faces = self.rays.gbuffer.pixels.face.numpy()
-                materials = self.context.materials_of_faces.numpy()[np.maximum(faces, 0)]
+            by_material = self.illuminated(index)
+            materials = self.materials_of_hits()
+            if materials is None:
+                materials = np.zeros(self.rays.size, dtype=np.int32)
             for material, (illuminated,) in enumerate(by_material):
                 part = subprogress(share, material / len(by_material), (material + 1) / len(by_material))
                 added = direct_colour(

@@ -9,6 +9,7 @@ import numpy as np
 
 from warpdiff.core import memory, validation
 from warpdiff.core.progress import Progress, reporter
+from warpdiff.core.threads import subprogress
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.kernels import refinement_levels
@@ -19,6 +20,7 @@ from warpdiff.planner.refusals import warn_outside
 from warpdiff.planner.strategy import directions_of, plan_for
 from warpdiff.render.layers import LIGHT, directed, expanded, layers_of, lights_of, names_of
 from warpdiff.render.picture import Picture, load_kernels
+from warpdiff.render.spectral_pictures import check_pigment, check_spectral, spectra_of
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.plan import AUTOMATIC, has_table
 from warpdiff.request.settings import PictureSettings, SinglePictureSettings
@@ -83,11 +85,23 @@ def shade(
     checked = SinglePictureSettings(**settings)
     inputs = PictureInputs.of(heightfield, lights, view, checked)
     wanted = LayerRequest.of(checked.layers, inputs)
+    spectral = None
+    if checked.wavelengths_nm is not None:
+        spectral = replace(inputs.evaluation, wavelengths_nm=np.asarray(checked.wavelengths_nm))
+        check_spectral(spectral, inputs.parts, view)
     progress = reporter(progress, "shade")
     load_kernels(inputs.evaluation.device)
     with picture_memory(view):
         surface = prepare_surface(mesh, tangents=checked.tangents)
-        image = wanted.added_to(_render(inputs, surface, view, progress, wanted), inputs, surface, view)
+        if spectral is not None:
+            check_pigment(checked.pigment, has_base_colour=surface.has_base_colour)
+        colours = progress if spectral is None else subprogress(progress, 0.0, _PROGRESS_OF_COLOURS)
+        image = wanted.added_to(_render(inputs, surface, view, colours, wanted), inputs, surface, view)
+        if spectral is not None:
+            picture = inputs.picture(surface, view)
+            picture.set_lights(inputs.parts)
+            spectra = spectra_of(picture, spectral, subprogress(progress, _PROGRESS_OF_COLOURS, 1.0))
+            image = replace(image, spectra=spectra, wavelengths_nm=spectral.wavelengths_nm)
     warn_unconverged(image)
     if image.mask.any() and not image.illuminated.any():
         warn(
@@ -186,6 +200,9 @@ def with_history(image: Image, heightfield: HeightField) -> Image:
     return replace(image, report=replace(image.report, history=heightfield.history))
 
 
+# Share of the progress of a spectral picture [0 to 1] that is reported when its colours are complete. Choice: it
+# changes only the display.
+_PROGRESS_OF_COLOURS = 0.5
 # Largest memory per pixel that any kind of picture requires during its computation [bytes]. Fitted to measurements.
 _BYTES_PER_PIXEL = 210
 
@@ -353,7 +370,8 @@ def check_extent(light: Light, name: str, coherence: Coherence, *, means: bool) 
     if not (means and coherence.adds_powers):
         raise ArgumentValueError(
             f"{ref(name)} has an extent and requires footprints, which {ref('coherence')} of kind {coherence.kind!r}, "
-            f"{ref('footprint', False)}, {ref('method', 'direct')} or a {ref('plan')} without footprints excludes, got "
+            f"{ref('footprint', False)}, {ref('wavelengths_nm')}, {ref('method', 'direct')} or a {ref('plan')} without "
+            "footprints excludes, got "
             f"{light!r}: give several lights without an extent"
         )
 

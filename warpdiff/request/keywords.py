@@ -73,6 +73,7 @@ class SinglePictureKeywords(PictureKeywords, total=False):
     """Keyword arguments of :class:`warpdiff.request.settings.SinglePictureSettings`."""
 
     layers: Collection[str]
+    wavelengths_nm: ArrayLike | None
 
 
 class ColourKeywords(TypedDict, total=False):
