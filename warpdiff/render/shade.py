@@ -84,7 +84,7 @@ def shade(
     """
     checked = SinglePictureSettings(**settings)
     inputs = PictureInputs.of(heightfield, lights, view, checked)
-    wanted = LayerRequest.of(checked.layers, inputs)
+    request = LayerRequest.of(checked.layers, inputs)
     spectral = None
     if checked.wavelengths_nm is not None:
         spectral = replace(inputs.evaluation, wavelengths_nm=np.asarray(checked.wavelengths_nm))
@@ -96,7 +96,7 @@ def shade(
         if spectral is not None:
             check_pigment(checked.pigment, has_base_colour=surface.has_base_colour)
         colours = progress if spectral is None else subprogress(progress, 0.0, _PROGRESS_OF_COLOURS)
-        image = wanted.added_to(_render(inputs, surface, view, colours, wanted), inputs, surface, view)
+        image = request.added_to(_render(inputs, surface, view, colours, request), inputs, surface, view)
         if spectral is not None:
             picture = inputs.picture(surface, view)
             picture.set_lights(inputs.parts)
@@ -162,13 +162,13 @@ class LayerRequest:
 
 
 def _render(
-    inputs: PictureInputs, surface: Surface, view: View, progress: Callable[[float], None] | None, wanted: LayerRequest
+    inputs: PictureInputs, surface: Surface, view: View, progress: Callable[[float], None] | None, request: LayerRequest
 ) -> tuple[Image, list[NDArray[np.float32]]]:
     """Render a prepared mesh, after choosing a plan for the directions that its pixels require.
 
-    The second result are the colours under each part of ``wanted.parts``.
+    The second result are the colours under each part of ``request.parts``.
     """
-    parts = [part for of_light in wanted.parts for part in of_light]
+    parts = [part for of_light in request.parts for part in of_light]
     xyz_by_part: list[NDArray[np.float32]] = []
     if parts:
         inputs = replace(inputs, parts=parts)
