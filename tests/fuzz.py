@@ -277,7 +277,12 @@ def _of_its_kind(option: Option) -> st.SearchStrategy:
     simple = {
         "flag": st.sampled_from([0, 1, "yes", "no", np.bool_(0), True, False]),
         "choice": st.sampled_from([*option.choices, *SPELLINGS, "x"]),
-        "choices": st.lists(st.sampled_from([*option.choices, "x", 1, None]), max_size=3),
+        "choices": st.lists(
+            st.sampled_from(
+                [*option.choices, *(f"{name}.{k}" for name in option.indexed for k in (0, 9)), "x", 1, None]
+            ),
+            max_size=3,
+        ),
         "text": _TEXTS,
     }
     if option.kind == "object":

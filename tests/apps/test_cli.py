@@ -229,6 +229,44 @@ def test_an_unwritable_folder_is_reported_before_rendering(arguments, tmp_path, 
     assert "is not writable; use another one" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("line", "message"), [
+    ("render tube -o a.png --layers normal", "--layers is for .exr files, got --output a.png"),
+    ("render tube -o a.png --wavelengths-nm 500", "--wavelengths-nm is for .exr files, got --output a.png"),
+    ("render tube -o a.exr --layers lihgt", "'light', got 'lihgt'; did you mean 'light'?"),
+    ("render tube -o a.exr --layers light.1", "--layers must name one of the --light, light.0 to light.0, got"),
+    ("render tube -o a.exr --wavelengths-nm 500 400", "--wavelengths-nm must increase in steps of at least 1e-05 nm"),
+    ("render tube -o a.jpg", "--output must end in .exr or .png, got 'a.jpg'"),
+    ("render tube -o folder.png", "--output must be a file, got the folder 'folder.png'; name a file in it"),
+    ("sequence tube -o turn --animation a.avi", "--animation must end in .webp"),
+    ("sequence tube -o turn --animation absent/a.webp", "--animation: the folder 'absent' does not exist"),
+    ("sequence tube -o file.txt", "--output: 'file.txt' is a file; name a folder"),
+    ("sequence tube -o file.txt/turn", "file.txt' is a file; name a folder"),
+    ("export-html absent/a.html", "OUT: the folder 'absent' does not exist"),
+    ("export-html folder.html", "OUT must be a file, got the folder 'folder.html'"),
+    ("brdf -o absent/a.png", "--output: the folder 'absent' does not exist"),
+])  # fmt: skip
+def test_outputs_are_checked_before_anything_is_drawn(line, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name in ("folder.png", "folder.html"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "file.txt").write_text("text")
+    before = sorted(tmp_path.rglob("*"))
+    for name in ("warpdiff.render.shade.prepare_surface", "warpdiff.render.renderer.prepare_surface",
+                 "warpdiff.evaluate.reflectance._Call", "warpdiff.baked.bake_lobes.plan_for"):  # fmt: skip
+        monkeypatch.setattr(name, lambda *_, **__: pytest.fail("work has begun"))
+    assert run(f"{line} --heightfield blazed") == 2
+    assert message in capsys.readouterr().err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_render_writes_layers_and_spectra(tmp_path):
+    line = "render tube --heightfield blazed --width 16 --height 9 --layers normal light --wavelengths-nm 450 550"
+    assert run(line, *SMALL, "-o", tmp_path / "a.exr") == 0
+    image = wd.Image.load(tmp_path / "a.exr")
+    assert list(image.layers) == ["normal", "light.0"]
+    assert image.wavelengths_nm.tolist() == [450.0, 550.0]
+
+
 def test_omitted_options_have_the_defaults_of_the_library():
     for command in (["render", "tube"], ["brdf"]):
         arguments = [*command, "--heightfield", "fingers", "-o", "a.png"]

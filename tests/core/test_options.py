@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from annotated_types import Ge, Gt, Interval, Unit
 
-from warpdiff.core.options import REQUIRED, Checked, Option, describe
+from warpdiff.core.options import REQUIRED, Checked, Names, Option, describe
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, spelled
 from warpdiff.optics.coherence import Coherence
 
@@ -53,6 +53,7 @@ class Group(Base):
     size: tuple[int, int] = (1, 2)
     centre: tuple[float, float, float] | None = None
     layers: Collection[Literal["normal", "depth"]] = ()
+    parts: Annotated[Collection[str], Names(("whole", "light"), indexed=("light",))] = ()
     formats: tuple[Literal["png", "exr"], ...] = ("png",)
     bits: Literal[8, 16] = 8
     strict: bool = True
@@ -93,6 +94,7 @@ def test_options_are_described_by_the_annotations_of_fields():
     assert options["size"] == Option("size", "integers", (1, 2), "", length=2)
     assert options["centre"] == Option("centre", "numbers", None, "", length=3, optional=True)
     assert options["layers"] == Option("layers", "choices", (), "", choices=("normal", "depth"))
+    assert options["parts"] == Option("parts", "choices", (), "", choices=("whole", "light"), indexed=("light",))
     assert options["formats"] == Option("formats", "choices", ("png",), "", choices=("png", "exr"))
     assert options["bits"] == Option("bits", "choice", 8, "", choices=(8, 16))
     assert options["coherence"] == Option("coherence", "object", None, "", optional=True, instance_of=Coherence)
@@ -132,6 +134,7 @@ ACCEPTED = [
     ("size", [3, 4], (3, 4)),
     ("centre", (1, 2, 3), (1.0, 2.0, 3.0)),
     ("layers", ["depth", "normal", "depth"], ("depth", "normal")),
+    ("parts", ["light.01", "whole", "light", "light.1"], ("light.1", "whole", "light")),
     ("formats", (), ()),
     ("bits", 16, 16),
     ("bits", np.int64(16), 16),
@@ -163,6 +166,9 @@ REFUSED = [
     ("centre", (1, 2), ArgumentValueError, "must be 3 numbers, got shape (2,)"),
     ("layers", "normal", ArgumentTypeError, "must be a tuple or list of 'normal', 'depth', got 'normal'"),
     ("layers", ["albedo"], ArgumentValueError, "must be one of 'normal', 'depth', got 'albedo'"),
+    ("parts", ["whole.1"], ArgumentValueError, "must be one of 'whole', 'light', got 'whole.1'; did you mean 'whole'?"),
+    ("parts", ["light.x"], ArgumentValueError, "must be one of 'whole', 'light', got 'light.x'; did you mean 'light'?"),
+    ("parts", ["light." + 10 * "1"], ArgumentValueError, "must be one of 'whole', 'light', got 'light.1111111111'"),
     ("bits", True, ArgumentValueError, "must be one of 8, 16, got True"),
     ("strict", 1, ArgumentTypeError, "must be True or False, got 1"),
     ("title", None, ArgumentTypeError, "must be a string, got NoneType"),

@@ -95,6 +95,24 @@ def test_files_of_pictures_contain_package_plan_report_and_exposure(image, suffi
         assert spec.getattribute("warpdiff:exposure") == 2.5
 
 
+@pytest.mark.parametrize("saving", [{}, {"exposure": 2.5, "exposure_stops": 1.0}, {"gamut": "display-p3"}], ids=str)
+@pytest.mark.parametrize("display", ["aces", "colorimetric"])
+def test_metadata_of_an_exr_file_state_how_the_picture_is_displayed(image, saving, display, tmp_path):
+    path = image.save(tmp_path / "a.exr", display=display, **saving)
+    spec, pixels = read(path)
+    facts = {name: spec.getattribute(f"warpdiff:preview_{name}") for name in ("display", "gamut", "exposure")}
+    shown = image.display(display, **saving)
+    np.testing.assert_allclose(wd.Image.load(path).display(**facts), shown, atol=1e-5)
+    # The description is that of the PNG file. White is the white point of the primaries, at which R = G = B.
+    png = read(image.save(tmp_path / "a.png", display=display, **saving))[0].getattribute("warpdiff:display")
+    text, _, exposure = spec.getattribute("warpdiff:preview").rpartition("; exposure ")
+    assert text == png.rpartition("; exposure ")[0] + "; white point D65"
+    assert float(exposure) == pytest.approx(facts["exposure"], rel=1e-5)
+    x, y = spec.getattribute("chromaticities")[6:]
+    np.testing.assert_allclose(colorimetry.xyz_to_rgb([x / y, 1.0, (1.0 - x - y) / y]), 1.0, atol=1e-3)
+    np.testing.assert_array_equal(pixels[..., 4:7], image.xyz * np.float32(spec.getattribute("warpdiff:exposure")))
+
+
 @pytest.mark.parametrize(("bits", "dtype"), [(8, np.uint8), (16, np.uint16)])
 @pytest.mark.parametrize("exposure", [None, 0.7])
 def test_clipped_png_is_srgb(image, bits, dtype, exposure, tmp_path):

@@ -1,6 +1,8 @@
-"""Layers of a picture: normal, depth and geometry number at the hits of central rays, and normals of mesh files."""
+"""Layers of a picture: values at the hits of central rays, directions and light of single lights, and EXR parts."""
 
-from typing import get_args
+import json
+import re
+from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (the name its own documentation uses)
@@ -10,9 +12,9 @@ from trimesh.visual import TextureVisuals
 
 import warpdiff as wd
 from warpdiff.core.wording import WarpdiffWarning
-from warpdiff.request.settings import Layer
+from warpdiff.request.layer_formats import LAYERS
 
-NAMES = get_args(Layer)
+NAMES = ("normal", "depth", "geometry")
 HF = wd.gratings.sinusoidal(2.0, 0.2)
 LIGHT = wd.DirectionalLight((0.2, 0.3, 1.0))
 # Matrix by which the vertex positions of the ball are multiplied to give its texture coordinates. Both coordinates vary
@@ -144,14 +146,173 @@ def test_facets_show_their_own_normals():
     np.testing.assert_allclose(smooth[met], points / np.linalg.norm(points, axis=1, keepdims=True), atol=0.02)
 
 
-def test_layers_are_channels_of_an_exr(tmp_path):
-    image = shade(box())
-    pixels = oiio.ImageBuf(str(image.save(tmp_path / "a.exr")))
-    names = list(pixels.spec().channelnames)
-    values = dict(zip(names, np.moveaxis(pixels.get_pixels(oiio.FLOAT), 2, 0), strict=True))
-    assert len(names) == 13
-    for index, name in enumerate(("normal.X", "normal.Y", "normal.Z")):
-        np.testing.assert_array_equal(values[name], image.layers["normal"][..., index])
-    np.testing.assert_array_equal(values["depth.Z"], image.layers["depth"])
-    np.testing.assert_array_equal(values["geometry.Y"], image.layers["geometry"])
+def test_positions_texture_coordinates_tangents_and_colours_are_those_of_the_mesh():
+    plain = box()
+    distance, normal = box_met(VIEW)
+    origin, along = rays(VIEW)
+    hit = np.isfinite(distance)
+    names = ("position", "uv", "tangent", "bitangent", "to_view")
+    layers = shade(plain, layers=names).layers
+    points = (origin + np.where(hit, distance, 0.0)[..., None] * along)[hit]
+    np.testing.assert_allclose(layers["position"][hit], points, atol=1e-6)
+    across = np.abs(normal[hit]) < 0.5
+    np.testing.assert_allclose(layers["uv"][hit], points[across].reshape(-1, 2), atol=1e-6)
+    # On each face of the cube, the texture coordinates are two coordinates of the world.
+    first = np.eye(3)[across.argmax(axis=1)]
+    second = np.eye(3)[2 - across[:, ::-1].argmax(axis=1)]
+    np.testing.assert_allclose(layers["tangent"][hit], first, atol=1e-6)
+    np.testing.assert_allclose(layers["bitangent"][hit], second, atol=1e-6)
+    local = [np.sum(axes * -along[hit], axis=1) for axes in (first, second, normal[hit])]
+    np.testing.assert_allclose(layers["to_view"][hit], np.transpose(local), atol=1e-6)
+    assert not any(layers[name][~hit].any() for name in names)
+    # Without a base colour, the layer is black.
+    assert not shade(plain, layers=["albedo"]).layers["albedo"].any()
+
+
+def test_base_colours_are_linear():
+    corner = box()
+    corner.visual = TextureVisuals(uv=corner.visual.uv, material=trimesh.visual.material.PBRMaterial(
+        baseColorFactor=[0.2, 0.5, 1.0, 1.0]
+    ))  # fmt: skip
+    image = shade(corner, layers=["albedo"], pigment=0.0)
+    hit = np.isfinite(box_met(VIEW)[0])
+    (colour,) = np.unique(image.layers["albedo"][hit], axis=0)
+    np.testing.assert_allclose(colour, [0.2, 0.5, 1.0], atol=5e-3)
+    assert not image.layers["albedo"][~hit].any()
+
+
+LIGHTS = [LIGHT, wd.PointLight((1.0, 2.0, 2.0), illuminant="A", power=3.0), wd.DirectionalLight((1.0, 0.1, 0.5))]
+
+
+def two_boxes():
+    """Return two boxes, one of which casts a shadow on the other."""
+    scene = trimesh.Scene()
+    scene.add_geometry(box(), node_name="below", geom_name="below")
+    scene.add_geometry(
+        box(size=0.4), node_name="above", geom_name="above",
+        transform=trimesh.transformations.translation_matrix((0.1, 0.2, 1.1)),
+    )  # fmt: skip
+    return scene
+
+
+def test_local_directions_give_the_colours_of_the_picture():
+    options = {"tolerance": 0.1, "footprint": False, "coherence": wd.Coherence(sigma_um=4.0)}
+    image = wd.shade(two_boxes(), HF, LIGHTS, VIEW, layers=("to_light", "to_view", "scattering"), **options)
+    expected = np.zeros_like(image.xyz)
+    reached = np.zeros_like(image.mask)
+    for index, light in enumerate(LIGHTS):
+        to_light, to_view = image.layers[f"to_light.{index}"], image.layers["to_view"]
+        lit = to_light.any(axis=2)
+        np.testing.assert_array_equal(
+            lit, wd.shade(two_boxes(), HF, light, VIEW, plan=image.plan).illuminated, err_msg=str(light)
+        )
+        for vectors in (to_light[lit], to_view[lit]):
+            np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), 1.0, atol=1e-6)
+        np.testing.assert_allclose(image.layers[f"scattering.{index}"][lit], -(to_light + to_view)[lit], atol=1e-6)
+        distance = 1.0
+        if isinstance(light, wd.PointLight):
+            position = shade(two_boxes(), layers=["position"]).layers["position"]
+            distance = np.linalg.norm(position[lit] - light.position, axis=1)[:, None]
+        colours = wd.reflectance(HF, to_light[lit], to_view[lit], illuminant=light.illuminant, plan=image.plan)
+        expected[lit] += light.power * colours / distance**2
+        reached |= lit
+    np.testing.assert_array_equal(reached, image.illuminated)
+    # Directions to the first light are 0 in the shadow of the upper box.
+    everywhere = wd.shade(two_boxes(), HF, LIGHT, VIEW, plan=image.plan, shadows=False).illuminated
+    assert np.count_nonzero(image.layers["to_light.0"].any(axis=2)) < 0.95 * np.count_nonzero(everywhere)
+    np.testing.assert_allclose(image.xyz, expected, atol=1e-5 * expected.max())
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"samples_per_pixel": 4}, {"footprint": True}, {"method": "direct", "coherence": wd.Coherence(sigma_um=2.0)}],
+    ids=["points", "samples", "means", "direct"],
+)
+def test_the_light_of_single_lights_sums_to_the_picture(options):
+    # The direct sum is slow, so its picture has few pixels.
+    size = {"width": 4, "height": 3} if "method" in options else {"width": 16, "height": 12}
+    view = wd.View(VIEW.eye, VIEW.target, fov_y_deg=30.0, **size)
+
+    def render(lights, **more):
+        more = {"tolerance": 0.1, "footprint": False, "strict": False, **options, **more}
+        return wd.shade(two_boxes(), HF, lights, view, **more)
+
+    image = render(LIGHTS, layers=["light"])
+    assert list(image.layers) == ["light.0", "light.1", "light.2"]
+    total = sum(layer.astype(np.float64) for layer in image.layers.values())
+    np.testing.assert_allclose(image.xyz, total, atol=1e-6 * total.max())
+    # Each layer is the picture under one light. Pictures without layers have equal colours within the tolerance.
+    again = {key: value for key, value in options.items() if key not in ("coherence", "method")} | {"plan": image.plan}
+    for index, light in enumerate(LIGHTS):
+        alone = wd.shade(two_boxes(), HF, light, view, **{"footprint": False, "strict": False, **again})
+        np.testing.assert_allclose(image.layers[f"light.{index}"], alone.xyz, atol=1e-6 * total.max())
+    error = 1e-6 if "footprint" not in options else 0.1
+    together = render(LIGHTS)
+    np.testing.assert_allclose(image.xyz, together.xyz, atol=error * total.max())
+    np.testing.assert_array_equal(image.coverage, together.coverage)
+    np.testing.assert_array_equal(image.illuminated, together.illuminated)
+
+
+REFUSED = {
+    "misspelt": (["lihgt"], [LIGHT], r"layers must be one of 'normal'.*'light', got 'lihgt'; did you mean 'light'\?"),
+    "index": (["light.1"], [LIGHT], r"layers must name one of the lights, light\.0 to light\.0, got 'light\.1'"),
+    "choice": (["light.3"], [LIGHT] * 64, "layers must not have 'light' for 64 lights, of which .* got 'light.3': "),
+    "sky": (
+        ["to_light"], [LIGHT, wd.Environment(np.ones((2, 4, 3)))],
+        r"layers must not have 'to_light\.1', because lights\[1\] has no single direction: name only .*'to_light\.0'",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_layers_are_refused_before_the_picture_is_drawn(case, monkeypatch):
+    names, lights, message = REFUSED[case]
+    monkeypatch.setattr("warpdiff.render.shade.prepare_surface", lambda *_, **__: pytest.fail("work has begun"))
+    with pytest.raises(ValueError, match=message):
+        wd.shade(box(), HF, lights, VIEW, layers=names)
+
+
+def test_a_picture_without_layers_does_no_work_for_them(monkeypatch):
+    monkeypatch.setattr("warpdiff.render.shade.layers_of", lambda *_: pytest.fail("layers were computed"))
+    image = shade(box(), layers=())
+    assert not image.layers
+    assert not image.names
+
+
+def test_the_documentation_lists_all_layers():
+    page = Path(__file__).parents[2] / "docs" / "how-to" / "layers_and_exr_files.md"
+    section = page.read_text(encoding="utf-8").partition("## Layers")[2].partition("##")[0]
+    listed = re.findall(r"^\| `([a-z_]+)(?:\.0)?` \|", section, re.MULTILINE)
+    assert sorted(listed) == sorted(LAYERS)
+
+
+def test_layers_are_parts_of_an_exr(tmp_path):
+    image = shade(two_boxes(), layers=list(LAYERS))
+    path = image.save(tmp_path / "a.exr")
+    file = oiio.ImageInput.open(str(path))
+    parts = {}
+    while file.seek_subimage(len(parts), 0):
+        spec = file.spec()
+        parts[spec.getattribute("oiio:subimagename")] = spec
+    assert list(parts) == ["picture", *image.layers]
+    assert tuple(parts["picture"].channelnames) == ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z", "error.Y")
+    assert {str(spec.format) for spec in parts.values()} == {"float"}
+    # The header of the geometry numbers has the names of the geometries.
+    assert json.loads(parts["geometry"].getattribute("warpdiff:names")) == ["below", "above"]
+    copy = wd.Image.load(path)
+    assert copy.names == image.names == {"geometry": ("below", "above")}
+    assert list(copy.layers) == list(image.layers)
+    for name, layer in image.layers.items():
+        np.testing.assert_array_equal(copy.layers[name], layer, strict=True)
+        pixels = file.read_image(list(parts).index(name), 0, 0, parts[name].nchannels, "float")
+        channels = dict(zip(parts[name].channelnames, np.moveaxis(pixels, 2, 0), strict=True))
+        for component, suffix in enumerate(LAYERS[name.partition(".")[0]].channels):
+            expected = layer[..., component] if layer.ndim == 3 else layer
+            np.testing.assert_array_equal(channels[f"{name}.{suffix}"], expected)
+    # The light of one light also has linear RGB, and is scaled like the colours of the picture.
+    bright = wd.Image.load(image.save(tmp_path / "b.exr", exposure=4.0))
+    np.testing.assert_array_equal(bright.layers["light.0"], 4.0 * image.layers["light.0"])
+    np.testing.assert_array_equal(bright.layers["position"], image.layers["position"])
+    red_and_blue = np.stack([channels["light.0.R"], channels["light.0.B"]], axis=2)
+    np.testing.assert_allclose(red_and_blue, image.rgb[..., ::2], atol=1e-6)
     image.save(tmp_path / "a.png")

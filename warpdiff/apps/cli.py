@@ -153,6 +153,10 @@ def _add_demo(flags: Flags) -> None:
 def _add_render(flags: Flags) -> None:
     _add_picture(flags, SinglePictureSettings)
     _add_output(flags)
+    flags.parser.add_argument(
+        "--wavelengths-nm", type=number, nargs="+", metavar="NM",
+        help="wavelengths of a spectral .exr file, which has the radiance of each pixel",
+    )  # fmt: skip
     group = _add_environment(flags)
     group.add_argument("--environment-behind", action="store_true", help="show the environment as background of a PNG")
 
@@ -450,8 +454,9 @@ _COMMANDS = {
     "render": _Command(
         "render a mesh whose surface carries a height field",
         "warpdiff render snake.obj --heightfield scan.png --extent-um 65 --height-range-um 0.375 \\\n"
-        "      --level 2 --despike --periodic --light 0.3 1 1 -o snake.png",
-        _add_render, cli_commands.render,
+        "      --level 2 --despike --periodic --light 0.3 1 1 -o snake.png\n"
+        "  warpdiff render tube --heightfield fingers --layers normal light --wavelengths-nm 450 550 650 -o tube.exr",
+        _add_render, cli_commands.render, _WORDS | {"wavelengths_nm": "--wavelengths-nm"},
     ),
     "sequence": _Command(
         "render the frames of a sequence: a rotating body, moving lights, or a camera path",

@@ -19,7 +19,7 @@ from warpdiff.apps.cli_tables import direction_of
 from warpdiff.core import disk_cache, files, validation
 from warpdiff.core.options import describe
 from warpdiff.core.wording import ArgumentValueError, marked, ref, renaming
-from warpdiff.image.image import check_target
+from warpdiff.image.picture_files import check_target
 from warpdiff.optics.materials import check_reflection
 from warpdiff.request.plan import plan_text
 from warpdiff.request.settings import EvaluationSettings, PictureSettings, SinglePictureSettings
@@ -37,10 +37,14 @@ _MOST_PORT = 65_535
 def render(options: argparse.Namespace) -> None:
     """Render a picture of a body and save it."""
     _check_output(options)
+    settings = cli_inputs.settings_of(options, SinglePictureSettings) | {"wavelengths_nm": options.wavelengths_nm}
+    if Path(options.output).suffix.lower() != ".exr":
+        for name in ("layers", "wavelengths_nm"):
+            if settings.get(name):
+                raise ArgumentValueError(f"{ref(name)} is for .exr files, got --output {options.output}")
     environment = cli_inputs.environment_of(options)
     mesh, heightfield, view = cli_inputs.scene_of(options)
     lights = cli_inputs.lights_of(options, view, environment)
-    settings = cli_inputs.settings_of(options, SinglePictureSettings)
     image = wd.shade(mesh, heightfield, lights, view, **settings, progress=options.progress)
     background = None
     if environment is not None and options.environment_behind:
@@ -73,6 +77,8 @@ def _save(image: wd.Image, options: argparse.Namespace, background: NDArray[np.f
 
 def sequence(options: argparse.Namespace) -> None:
     """Render the frames of a sequence."""
+    from warpdiff.apps.sequences.sequence import FORMATS, check_files
+
     if options.scheduler is not None and importlib.util.find_spec("distributed") is None:
         raise ArgumentValueError("--scheduler requires Dask, which is not installed: pip install 'warpdiff[dask]'")
     if options.lights_turn and (options.path or options.light_to):
@@ -80,6 +86,10 @@ def sequence(options: argparse.Namespace) -> None:
             f"--lights-turn is for --turns, not for {'--path' if options.path else '--light-to'}: give one of them"
         )
     saving = given(options, describe(wd.sequence))
+    # Files are checked here, because the renderer below draws the first picture before ``warpdiff.sequence`` checks
+    # them.
+    check_files(tuple(saving.get("formats", FORMATS[:1])), saving.get("animation"))
+    files.check_new_folder(options.output)
     environment = cli_inputs.environment_of(options)
     turning = options.path is None and options.light_to is None and not options.lights_turn
     mesh, heightfield, view = cli_inputs.scene_of(options, turning=turning)
@@ -110,10 +120,9 @@ def sequence(options: argparse.Namespace) -> None:
 
 def export_html(options: argparse.Namespace) -> None:
     """Write a web page that shows a body, which visitors rotate."""
-    target = validation.path(options.output, "path")
-    if target.suffix.lower() not in (".html", ".htm"):
-        raise ArgumentValueError(f"{ref('path')} must end in .html or .htm, got {options.output!r}")
-    files.check_folder(target.parent, "path")
+    from warpdiff.apps.web_page.export_html import SUFFIXES
+
+    target = files.check_output(options.output, SUFFIXES)
     page = given(options, describe(wd.export_html))
     mesh, heightfield, view = cli_inputs.scene_of(options, turning=True)
     baking = given(options, describe(wd.bake)) | {

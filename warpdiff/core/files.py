@@ -48,10 +48,7 @@ def atomic_write(target: Path, *, suffix: str = "", durable: bool = True) -> Ite
 
 def save_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Any], *, compressed: bool = True) -> Path:
     """Write arrays by name to a ``.npz`` file, which is complete or unchanged. Errors name the argument ``path``."""
-    target = validation.path(path, "path")
-    if target.suffix.lower() != ".npz":
-        raise ArgumentValueError(f"{ref('path')} must end in .npz, got {str(path)!r}")
-    check_folder(target.parent, "path")
+    target = check_output(path, (".npz",))
     with atomic_write(target) as temporary, temporary.open("rb+") as file:
         (np.savez_compressed if compressed else np.savez)(file, **arrays)
     return target
@@ -62,6 +59,55 @@ def discard_unfinished() -> None:
     for temporary in tuple(_unfinished):
         with contextlib.suppress(OSError):
             temporary.unlink()
+
+
+def check_output(path: Any, suffixes: tuple[str, ...], name: str = "path") -> Path:
+    """Return the checked path of a file; raise an error if no file with one of the suffixes can be written there.
+
+    Args:
+        path: Path that the user gave.
+        suffixes: Accepted suffixes in lower case, such as ``".exr"``.
+        name: Name of the argument for error messages.
+    """
+    target = validation.path(path, name)
+    if target.suffix.lower() not in suffixes:
+        raise ArgumentValueError(f"{ref(name)} must end in {' or '.join(suffixes)}, got {target.name!r}")
+    check_folder(target.parent, name)
+    if target.is_dir():
+        raise marked(
+            IsADirectoryError, f"{ref(name)} must be a file, got the folder {str(target)!r}; name a file in it"
+        )
+    return target
+
+
+def made_folder(folder: Any, name: str = "folder") -> Path:
+    """Create a folder for files unless it exists; return its path after a check that it is writable.
+
+    Args:
+        folder: Path that the user gave.
+        name: Name of the argument for error messages.
+    """
+    target = validation.path(folder, name)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise marked(type(error), f"{ref(name)}: {target} cannot be created: {error.strerror}") from None
+    check_folder(target, name)
+    return target
+
+
+def check_new_folder(folder: Any, name: str = "folder") -> None:
+    """Raise an error if :func:`made_folder` could not create a folder, without creating it.
+
+    Args:
+        folder: Path that the user gave.
+        name: Name of the argument for error messages.
+    """
+    target = validation.path(folder, name)
+    existing = next(parent for parent in (target, *target.absolute().parents) if parent.exists())
+    if not existing.is_dir():
+        raise marked(NotADirectoryError, f"{ref(name)}: {str(existing)!r} is a file; name a folder")
+    check_folder(existing, name)
 
 
 def check_folder(folder: Path, name: str) -> None:

@@ -27,8 +27,23 @@ if typing.TYPE_CHECKING:
 Kind = Literal["flag", "integer", "number", "choice", "choices", "text", "pair", "numbers", "integers", "object"]
 # American spellings that are accepted, with the spelling that the library uses.
 SPELLINGS = {"normalized": "normalised", "centered": "centred", "taylor-uncentered": "taylor-uncentred"}
+# Largest number of digits of the index in a name such as "light.0". Limit: Python refuses to convert 4,301 digits.
+_MOST_DIGITS = 9
 _PACKAGE = f"{__name__.partition('.')[0]}."
 REQUIRED: Any = inspect.Parameter.empty
+
+
+@dataclass(frozen=True)
+class Names:
+    """Annotation of a collection of names, for names that are known at run time only.
+
+    Attributes:
+        choices: Accepted names.
+        indexed: Names among them that an index may follow, as in ``"light.0"``.
+    """
+
+    choices: tuple[str, ...]
+    indexed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -42,6 +57,7 @@ class Option:
         default: Default value; ``REQUIRED`` if there is none.
         help: Meaning of the option, in plain text.
         choices: Accepted values of a ``"choice"``, without American spellings.
+        indexed: Choices that an index may follow, as in ``"light.0"``.
         length: Number of elements of a tuple; 0 for other kinds.
         gt: Exclusive lower bound, or None.
         ge: Inclusive lower bound, or None.
@@ -57,6 +73,7 @@ class Option:
     help: str
     choices: tuple[Any, ...] = ()
     length: int = 0
+    indexed: tuple[str, ...] = ()
     gt: float | None = None
     ge: float | None = None
     le: float | None = None
@@ -90,6 +107,10 @@ class Option:
 
     def _check_choice(self, value: object) -> Any:
         value = SPELLINGS.get(value, value) if isinstance(value, str) else value
+        if self.indexed and isinstance(value, str):
+            name, _, index = value.partition(".")
+            if name in self.indexed and index.isdecimal() and len(index) <= _MOST_DIGITS:
+                return f"{name}.{int(index)}"
         return validation.choice(value, self.name, self.choices)
 
     def _check_choices(self, value: object) -> tuple[str | int, ...]:
@@ -137,7 +158,7 @@ class Option:
 def _describe_annotation(name: str, annotation: Any, default: object, text: str) -> Option:
     """Return the option of an annotation such as ``Annotated[float, Gt(0.0), Unit("µm")] | None``."""
     optional = False
-    facts: dict[str, Any] = {"gt": None, "ge": None, "le": None, "unit": ""}
+    facts: dict[str, Any] = {"gt": None, "ge": None, "le": None, "unit": "", "choices": (), "indexed": ()}
     while True:
         origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
         if origin is Annotated:
@@ -154,10 +175,12 @@ def _describe_annotation(name: str, annotation: Any, default: object, text: str)
         else:
             break
     kind: Kind = _KINDS.get(annotation, "object")
-    choices: tuple[str | int, ...] = ()
+    choices: tuple[str | int, ...] = facts.pop("choices")
     length = 0
     inner = arguments[0] if len(arguments) == 1 or arguments[1:] == (...,) else None
-    if origin is Literal:
+    if choices:
+        kind = "choices"
+    elif origin is Literal:
         kind, choices = "choice", _choices_of(annotation)
     elif typing.get_origin(inner) is Literal:
         kind, choices = "choices", _choices_of(inner)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol, overload
 
 import numpy as np
 
-from warpdiff.core import files, validation
+from warpdiff.core import files
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, did_you_mean, ref
 
 if TYPE_CHECKING:
@@ -174,11 +174,7 @@ class Table:
 
 def check_csv(path: str | os.PathLike[str]) -> Path:
     """Check the path of a CSV file to write, and return it: it must end in .csv, and its folder must exist."""
-    target = validation.path(path, "path")
-    if target.suffix.lower() != ".csv":
-        raise ArgumentValueError(f"{ref('path')} must end in .csv, got {str(path)!r}")
-    files.check_folder(target.parent, "path")
-    return target
+    return files.check_output(path, (".csv",))
 
 
 def _text(value: Any) -> str:

@@ -14,9 +14,9 @@ from warpdiff.core import memory, validation
 from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
-from warpdiff.device.kernel_calls import launch
 from warpdiff.diffraction import direct_sum, energy_normalisation
 from warpdiff.evaluate.reflectance_spectra import ReflectanceSpectra
+from warpdiff.evaluate.spectral_values import SpectralSum
 from warpdiff.image.error_model import lengths, relative_errors
 from warpdiff.image.image import Image
 from warpdiff.image.report import report_of
@@ -29,7 +29,6 @@ from warpdiff.request.directions import DirectionRange, DirectionSample
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.settings import BrdfSettings, EvaluationSettings, SpectralSettings
 from warpdiff.request.signatures import accepts
-from warpdiff.tables.coefficient_table import table_for
 from warpdiff.tables.lookup import ColourLookup
 
 if TYPE_CHECKING:
@@ -332,30 +331,10 @@ class _Call:
 
     def spectra(self, *, progress: Callable[[float], None] | None) -> NDArray[Any]:
         """Return the relative reflectance ρ of n pairs of directions at m wavelengths, shape (n, m)."""
-        heightfield, wavelengths_nm = self._request.heightfield, np.asarray(self._request.wavelengths_nm)
-        if self.plan.method == "direct":
-            result: NDArray[Any] = np.zeros((len(self._lights), len(wavelengths_nm)))
-            illuminated = self._gains > 0.0
-            power = direct_sum.window_power(
-                heightfield, self.plan.coherence, self._scattering_vectors[illuminated], wavelengths_nm * 1e-3,
-                to_lights=self._lights[illuminated], progress=progress,
-            )  # fmt: skip
-            result[illuminated] = (
-                self._gains[illuminated, None] * power * self._reflectances(wavelengths_nm, illuminated)
-            )
-            return result
-        table = table_for(heightfield, self.plan, self._scope, **self._where)
-        wavenumbers = wp.array(1e3 / wavelengths_nm, dtype=wp.float64, device=self._request.device)
-        values = wp.empty((len(self._lights), len(wavelengths_nm)), dtype=wp.float32, device=self._request.device)
-        inputs = [table.arguments, *self._on_device(), wavenumbers]
-        launch(table.sample, len(self._lights), inputs, [values], progress=progress, **self._where)
-        spectra: NDArray[np.float32] = values.numpy()
-        if self._request.illuminated[0].material is not None:
-            spectra *= self._reflectances(wavelengths_nm).astype(np.float32)
-        return spectra
-
-    def _reflectances(self, wavelengths_nm: NDArray[np.float64], some: Any = slice(None)) -> NDArray[np.float64]:
-        return reflectances(self._request.illuminated[0].material, self._scattering_vectors[some], wavelengths_nm)
+        wavelengths_nm = np.asarray(self._request.wavelengths_nm)
+        terms = SpectralSum(self._request.heightfield, self.plan, self._scope, wavelengths_nm, **self._where)
+        material = self._request.illuminated[0].material
+        return terms.spectra(self._scattering_vectors, self._lights, self._gains, material, progress=progress)
 
     def colours(self, *, progress: Callable[[float], None] | None) -> NDArray[Any]:
         """Return the XYZ of n pairs of directions, shape (n, 3)."""

@@ -67,6 +67,8 @@ MATRICES = {
     "labToRoots": _LAB_TO_ROOTS,
 }  # fmt: skip
 
+# Chromaticities x, y of the primaries R, G and B and of the white point D65 of linear sRGB (ITU-R BT.709).
+SRGB_CHROMATICITIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 # Range of the chroma compression. Chromas are relative to the largest chroma of the same hue in Display P3. Chromas
 # below the first number are unchanged; those between both numbers are compressed so that the second number becomes 1.
 # Derived: the chroma of monochromatic light is at most 3.96, at 495 nm.

@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
+import json
 import sys
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
-from warpdiff.core import files, memory, openimageio, validation
-from warpdiff.core.wording import ArgumentValueError, marked, ref
+from warpdiff.core import files, validation
+from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.image import display_transform
+from warpdiff.image.picture_files import (
+    CHANNELS,
+    NAMES,
+    SPECTRAL_METADATA,
+    FilePart,
+    check_target,
+    read_exr,
+    spectral_channel,
+    wavelength_of,
+    write_parts,
+)
 from warpdiff.optics import colorimetry
+from warpdiff.request.layer_formats import layer_format, layer_of
 from warpdiff.request.plan import plan_text
 from warpdiff.request.settings import Display, DisplaySettings, GamutSettings
 from warpdiff.request.signatures import accepts
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
     from pathlib import Path
 
     import PIL.Image
@@ -29,18 +41,6 @@ if TYPE_CHECKING:
     from warpdiff.image.report import Report
     from warpdiff.request.keywords import DisplayKeywords, GamutKeywords
     from warpdiff.request.plan import Plan
-
-# Channels of every EXR file, followed by the channels of each layer: "normal", for example, has the channels normal.X,
-# normal.Y and normal.Z.
-_CHANNELS = ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z", "error.Y")
-_LAYER_CHANNELS = {"normal": "XYZ", "depth": "Z", "geometry": "Y"}
-_FORMATS = (".exr", ".png")
-# Last bytes of a complete PNG file: the chunk IEND with length, name and checksum. A file without them is incomplete,
-# but many readers accept it.
-PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
-# Memory for reading an EXR file [bytes per sample]: four for a float32 sample, and four for a copy in which each
-# channel is contiguous.
-_BYTES_PER_SAMPLE = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +60,15 @@ class Image:
         plan: Plan of the computation; plans by part of the mesh for several surfaces; None for a picture that
             :meth:`load` has read.
         report: Report on the picture's errors and refinement; None for a picture that :meth:`load` has read.
-        layers: Further outputs by name, as requested from :func:`warpdiff.shade`, at the first hit of the ray through
-            each pixel's centre. ``"normal"``: unit shading normal on the viewer's side, world frame, shape (height,
-            width, 3), float32, 0 in the background. ``"depth"``: distance along the ray from the eye, or from the plane
-            through the eye of an orthographic camera [the mesh's unit], shape (height, width), float32, infinite in the
-            background. ``"geometry"``: index of the scene's geometry, in the order of its nodes, shape (height, width),
-            int32, −1 in the background.
+        layers: Further outputs by name, as requested from :func:`warpdiff.shade`, shape (height, width) or (height,
+            width, components), at the hit of the ray through each pixel's centre. Layers of one light end in the index
+            of the light, as ``"light.0"``. ``docs/how-to/layers_and_exr_files.md`` lists all layers.
+        names: Names that the numbers of a layer stand for, by the name of the layer: number i of the layer
+            ``"geometry"`` is the geometry ``names["geometry"][i]``.
+        wavelengths_nm: Wavelengths of ``spectra`` [nm], shape (m,); None without spectra.
+        spectra: Radiance at the wavelengths, shape (height, width, m), float32, multiplied by ``coverage``: the sum
+            over the lights of power · ρ(λ) S(λ) / S̄, with S̄ the mean of the illuminant S with the weight ȳ. It is
+            power · ρ(λ) for the illuminant ``"E"``. None without ``wavelengths_nm=``.
 
     Examples:
         >>> import warpdiff as wd
@@ -86,6 +89,9 @@ class Image:
     plan: Plan | Mapping[str, Plan] | None
     report: Report | None = None
     layers: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    wavelengths_nm: NDArray[np.float64] | None = None
+    spectra: NDArray[np.float32] | None = None
 
     def __repr__(self) -> str:
         height, width = self.mask.shape
@@ -253,9 +259,10 @@ class Image:
 
         Args:
             path: File with the suffix ``.exr`` or ``.png``. EXR holds linear float32 channels, multiplied by alpha: R,
-                G, B, A, XYZ.X, XYZ.Y, XYZ.Z, the estimated error as error.Y, and the layers of the picture as normal.X,
-                normal.Y, normal.Z, depth.Z and geometry.Y. PNG holds display RGB, not multiplied by alpha, and alpha
-                unless there is a background. The file's metadata states the transform and the exposure.
+                G, B, A, XYZ.X, XYZ.Y, XYZ.Z, the estimated error as error.Y, and one part per layer of the picture,
+                with channels such as normal.X. PNG holds display RGB, not multiplied by alpha, and alpha unless there
+                is a background. The metadata of PNG files state the transform and the exposure. Those of EXR files
+                state how the same call would display the picture as PNG: see ``docs/how-to/layers_and_exr_files.md``.
             exposure_from: Picture whose automatic exposure is used, so that several pictures get the same exposure.
             background: Background of PNG files, mixed in the display's linear light: an encoded colour (R, G, B) with
                 components from 0 to 1, a picture of the same size, or linear sRGB of shape (height, width, 3). None
@@ -268,58 +275,89 @@ class Image:
             ValueError: The suffix is not ``.exr`` or ``.png``, or an argument is not accepted.
             OSError: The file cannot be written; an existing file is unchanged.
         """
-        import OpenImageIO as oiio  # noqa: N813 (the name that its manual uses)
-
         target = check_target(path)
-        is_png = target.suffix.lower() == ".png"
         shown = DisplaySettings(**settings)
-        factor = self._exposure(shown, exposure_from, scales=is_png)
+        if target.suffix.lower() == ".png":
+            write_parts(target, [self._png_part(shown, self._exposure(shown, exposure_from), background)])
+            return target
+        if background is not None:
+            raise ArgumentValueError(
+                f"{ref('background')} must be None for .exr files, which hold alpha; composite the background yourself"
+            )
+        factor = self._exposure(shown, exposure_from, scales=False)
+        write_exr(self, target, shown, factor=factor, preview=self._exposure(shown, exposure_from))
+        return target
 
-        height, width = self.mask.shape
-        if is_png:
-            encoded = self._displayed(shown, factor, background)
-            channels: tuple[str, ...] = ("R", "G", "B", "A")[: encoded.shape[2]]
-            pixels = _quantised(encoded, shown.bits)
-            spec = oiio.ImageSpec(width, height, len(channels), oiio.UINT8 if shown.bits == 8 else oiio.UINT16)
-            spec.attribute("oiio:UnassociatedAlpha", 1)
-            spec.attribute("oiio:ColorSpace", "sRGB")
-            if (cicp := display_transform.GAMUTS[shown.gamut].cicp) is not None:
-                spec.erase_attribute("oiio:ColorSpace")
-                spec.attribute("CICP", oiio.TypeDesc("int[4]"), cicp)
-            transform = f"{display_transform.description(shown)}; exposure {factor:.6g}"
-        else:
-            if background is not None:
-                raise ArgumentValueError(
-                    f"{ref('background')} must be None for .exr files, which hold alpha; "
-                    "composite the background yourself"
-                )
-            channels = _CHANNELS
-            alpha = self.coverage[..., None]
-            layers = [factor * self.rgb, alpha, factor * self.xyz, self.error[..., None]]
-            for name, suffixes in _LAYER_CHANNELS.items():
-                if name in self.layers:
-                    channels += tuple(f"{name}.{suffix}" for suffix in suffixes)
-                    layers.append(self.layers[name].reshape(height, width, len(suffixes)))
-            pixels = np.concatenate(layers, axis=2, dtype=np.float32)
-            spec = oiio.ImageSpec(width, height, len(channels), oiio.FLOAT)
-            spec.attribute("compression", "zip")
+    def _png_part(self, shown: DisplaySettings, factor: float, background: Image | ArrayLike | None) -> FilePart:
+        """Return the only part of a PNG file; ``factor`` is the linear exposure factor."""
+        encoded = self._displayed(shown, factor, background)
+        cicp = display_transform.GAMUTS[shown.gamut].cicp
+        metadata = self._metadata() | {
+            "oiio:UnassociatedAlpha": 1,
+            **({"oiio:ColorSpace": "sRGB"} if cicp is None else {"CICP": cicp}),
+            "warpdiff:display": f"{display_transform.description(shown)}; exposure {factor:.6g}",
+            "warpdiff:exposure": factor,
+        }
+        channels = ("R", "G", "B", "A")[: encoded.shape[2]]
+        return FilePart(channels, _quantised(encoded, shown.bits), metadata=metadata)
+
+    def _exr_parts(self, shown: DisplaySettings, factor: float, preview: float) -> list[FilePart]:
+        """Return the parts of an EXR file: colours and errors, then one part per layer.
+
+        The arguments are those of :func:`write_exr`.
+        """
+        colours = [factor * self.rgb, self.coverage[..., None], factor * self.xyz, self.error[..., None]]
+        # Some attributes must be equal in all parts.
+        common: dict[str, str | float | tuple[float, ...]] = {
+            "compression": "zip",
             # The attribute "DateTime" is set to an empty text. Otherwise the writer would store the current time, and
             # two files of the same picture would differ.
-            spec.attribute("DateTime", "")
-            spec.attribute("oiio:ColorSpace", "lin_rec709")
-            transform = f"none, linear; exposure {factor:.6g}"
-        spec.channelnames = channels
-        spec.alpha_channel = channels.index("A") if "A" in channels else -1
-        spec.attribute("Software", "warpdiff")
-        if self.plan is not None:
-            spec.attribute("ImageDescription", f"{plan_text(self.plan)}\n\n{self.report}")
-        if self.report is not None and self.report.history:
-            spec.attribute("warpdiff:history", " ".join(self.report.history))
-        spec.attribute("warpdiff:display", transform)
-        spec.attribute("warpdiff:exposure", float(factor))
+            "DateTime": "",
+            "oiio:ColorSpace": "lin_rec709",
+            "chromaticities": display_transform.SRGB_CHROMATICITIES,
+        }
+        metadata = (
+            self._metadata()
+            | common
+            | {
+                "warpdiff:display": f"none, linear; exposure {factor:.6g}",
+                "warpdiff:exposure": factor,
+                "warpdiff:preview": f"{display_transform.description(shown)}; white point D65; exposure "
+                f"{preview / factor:.6g}",
+                "warpdiff:preview_display": shown.display,
+                "warpdiff:preview_gamut": shown.gamut,
+                "warpdiff:preview_exposure": preview / factor,
+            }
+        )
+        channels: tuple[str, ...] = CHANNELS
+        if self.spectra is not None and self.wavelengths_nm is not None:
+            channels += tuple(spectral_channel(wavelength) for wavelength in self.wavelengths_nm.tolist())
+            colours.append(factor * self.spectra)
+            metadata |= SPECTRAL_METADATA
+        pixels = np.concatenate(colours, axis=2, dtype=np.float32)
+        parts = [FilePart(channels, pixels, "picture" if self.layers else "", metadata)]
+        for name, values in self.layers.items():
+            layer, names = layer_format(name), self.names.get(name)
+            suffixes, data = layer.channels, values.reshape(*self.mask.shape, len(layer.channels))
+            if layer.is_colour:
+                suffixes = ("R", "G", "B", *suffixes)
+                data = factor * np.concatenate([colorimetry.xyz_to_rgb(values), data], axis=2)
+            parts.append(
+                FilePart(
+                    tuple(f"{name}.{suffix}" for suffix in suffixes), data.astype(np.float32), name,
+                    common if names is None else common | {NAMES: json.dumps(names, ensure_ascii=False)},
+                )
+            )  # fmt: skip
+        return parts
 
-        _write(target, spec, np.ascontiguousarray(pixels))
-        return target
+    def _metadata(self) -> dict[str, str | float | tuple[float, ...]]:
+        """Return the metadata of every file: program, plan, report, and history of the height field."""
+        metadata: dict[str, str | float | tuple[float, ...]] = {"Software": "warpdiff"}
+        if self.plan is not None:
+            metadata["ImageDescription"] = f"{plan_text(self.plan)}\n\n{self.report}"
+        if self.report is not None and self.report.history:
+            metadata["warpdiff:history"] = " ".join(self.report.history)
+        return metadata
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Image:
@@ -339,116 +377,44 @@ class Image:
         """
         file = validation.path(path, "path")
         files.check_file(file)
-        channels = _read_exr(file)
+        channels, names = read_exr(file)
         xyz = np.stack([channels[f"XYZ.{component}"] for component in "XYZ"], axis=2)
         coverage, error = channels["A"], channels["error.Y"]
         layers: dict[str, NDArray[Any]] = {}
-        if "normal.X" in channels:
-            layers["normal"] = np.stack([channels[f"normal.{component}"] for component in "XYZ"], axis=2)
-        if "depth.Z" in channels:
-            layers["depth"] = channels["depth.Z"]
-        if "geometry.Y" in channels:
-            layers["geometry"] = channels["geometry.Y"].astype(np.int32)
+        for name in dict.fromkeys(filter(None, map(layer_of, channels))):
+            layer = layer_format(name)
+            planes = [channels[key] for suffix in layer.channels if (key := f"{name}.{suffix}") in channels]
+            if len(planes) < len(layer.channels):
+                raise ArgumentValueError(
+                    f"{ref('path')}: {str(file)!r} lacks channels of the layer {name!r}; save the picture again"
+                )
+            layers[name] = layer.shaped(np.stack(planes, axis=2), coverage.shape)
+        by_wavelength = sorted((nm, name) for name in channels if (nm := wavelength_of(name)) is not None)
+        wavelengths = spectra = None
+        if by_wavelength:
+            wavelengths = np.array([nm for nm, _ in by_wavelength])
+            spectra = np.stack([channels[name] for _, name in by_wavelength], axis=2)
         mask = coverage > 0.0
         illuminated = mask & (xyz.any(axis=2) | (error != 0.0))
-        return cls(xyz, mask, illuminated, coverage, error, plan=None, layers=layers)
+        return cls(
+            xyz, mask, illuminated, coverage, error, plan=None, layers=layers, names=names, wavelengths_nm=wavelengths,
+            spectra=spectra,
+        )  # fmt: skip
+
+
+def write_exr(image: Image, target: Path, shown: DisplaySettings, *, factor: float, preview: float) -> None:
+    """Write a picture to an EXR file.
+
+    Args:
+        image: Picture to write.
+        target: File to write, after a check of its path.
+        shown: Options of the display, which the metadata of the file state.
+        factor: Linear factor of the file's colours.
+        preview: Exposure factor with which these options display the picture.
+    """
+    write_parts(target, image._exr_parts(shown, factor, preview))
 
 
 def _quantised(encoded: NDArray[np.float32], bits: int) -> NDArray[np.uint8 | np.uint16]:
     """Return display RGB from 0 to 1 as unsigned integers of 8 or 16 bits for a PNG file."""
     return np.asarray(np.round(np.float64(encoded) * (2**bits - 1)), dtype=np.uint8 if bits == 8 else np.uint16)
-
-
-def check_target(path: Any, name: str = "path") -> Path:
-    """Return the checked path of a picture file; raise an error if no picture can be written there.
-
-    Args:
-        path: Path that the user gave.
-        name: Name of the argument for error messages.
-    """
-    target = validation.path(path, name)
-    if target.suffix.lower() not in _FORMATS:
-        raise ArgumentValueError(f"{ref(name)} must end in {' or '.join(_FORMATS)}, got {target.name!r}")
-    files.check_folder(target.parent, name)
-    if target.is_dir():
-        raise marked(
-            IsADirectoryError, f"{ref(name)} must be a file, got the folder {str(target)!r}; name a file in it"
-        )
-    return target
-
-
-def _write(target: Path, spec: Any, pixels: NDArray[Any]) -> None:
-    """Write a picture file, read it again and compare it.
-
-    The comparison is necessary because writers may report success on a full disk: the PNG writer always, the EXR writer
-    sometimes.
-    """
-    # OpenImageIO selects the file format by the suffix. The temporary file therefore has the suffix of the final file.
-    with openimageio.in_use() as oiio, files.atomic_write(target, suffix=target.suffix.lower()) as temporary:
-        output = oiio.ImageOutput.create(str(temporary))
-        if output is None or not output.open(str(temporary), spec):
-            reason = oiio.geterror() if output is None else output.geterror()
-            raise OSError(f"cannot write {target}: {reason}")
-        written = output.write_image(pixels)
-        if not (output.close() and written):
-            raise OSError(f"cannot write {target}: {output.geterror()}")
-        if not _is_written(oiio, temporary, pixels, spec.channelnames):
-            raise OSError(f"cannot write {target}: the file does not hold what was written; the disk may be full")
-
-
-def _is_written(oiio: Any, path: Path, pixels: NDArray[Any], channels: Sequence[str]) -> bool:
-    """Whether a file is complete and contains the pixels, in channels with the given names in any order."""
-    with path.open("rb") as file:
-        file.seek(max(path.stat().st_size - len(PNG_END), 0))
-        if path.suffix == ".png" and file.read() != PNG_END:
-            return False
-    straight = oiio.ImageSpec()
-    straight.attribute("oiio:UnassociatedAlpha", 1)
-    source = oiio.ImageInput.open(str(path), straight)
-    if source is None:
-        _discard_error(oiio)
-        return False
-    names = list(source.spec().channelnames)
-    samples = source.read_image(0, 0, 0, pixels.shape[2], "unknown")
-    source.close()
-    if samples is None or samples.dtype != pixels.dtype or sorted(names) != sorted(channels):
-        return False
-    return bool(samples[..., [names.index(name) for name in channels]].tobytes() == pixels.tobytes())
-
-
-def _discard_error(source: Any) -> None:
-    """Read OpenImageIO's error message and discard it, because unread messages are printed when the process ends.
-
-    A message may contain bytes that are not UTF-8.
-    """
-    with contextlib.suppress(UnicodeDecodeError):
-        source.geterror()
-
-
-def _read_exr(file: Path) -> dict[str, NDArray[np.float32]]:
-    """Return the channels of an EXR file that :meth:`Image.save` wrote, by name, each of shape (height, width)."""
-    with openimageio.in_use() as oiio:
-        source = oiio.ImageInput.open(str(file))
-        if source is None:
-            _discard_error(oiio)
-            raise ArgumentValueError(f"{ref('path')}: {str(file)!r} cannot be read as an image; name an EXR file")
-        try:
-            spec = source.spec()
-            names = tuple(spec.channelnames)
-            if not {*_CHANNELS} <= {*names}:
-                raise ArgumentValueError(
-                    f"{ref('path')}: {str(file)!r} has the channels {', '.join(names)}; "
-                    f"name an EXR file of Image.save, which has {', '.join(_CHANNELS)}"
-                )
-            memory.require_memory(
-                _BYTES_PER_SAMPLE * spec.width * spec.height * len(names),
-                f"{ref('path')}: {str(file)!r} of {spec.width} × {spec.height} pixels",
-                "take {share} of its pixels",
-            )
-            pixels = source.read_image(0, 0, 0, len(names), "float")
-            if pixels is None or source.has_error:
-                _discard_error(source)
-                raise ArgumentValueError(f"{ref('path')}: {str(file)!r} is damaged; save the picture again")
-        finally:
-            source.close()
-    return dict(zip(names, np.ascontiguousarray(np.moveaxis(pixels, 2, 0)), strict=True))

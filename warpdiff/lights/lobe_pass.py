@@ -49,10 +49,11 @@ class LobePass(LightPass):
         reused = previous if isinstance(previous, LobePass) and len(previous.part.lobes) == len(lobes) else None
         self._lights = self._lights if reused is None else reused._lights
         places, deviations, powers = zip(*self._sources, strict=True)
+        whites = [context.pigment_white(lobe.illuminant, is_of_sky=lobe.is_of_sky) for lobe in lobes]
         values: dict[str, tuple[type, list[Any]]] = {
             "places": (wp.vec4d, list(places)), "deviations": (wp.vec3f, list(deviations)),
             "strengths": (wp.float64, list(powers)),
-            "white_rgb": (wp.vec3d, [context.pigment_white(lobe.illuminant, is_of_sky=lobe.is_of_sky) for lobe in lobes]),
+            "white_rgb": (wp.vec3d, whites),
         }  # fmt: skip
         for name, (dtype, value) in values.items():
             if reused is None:

@@ -9,6 +9,7 @@ are stored in a file, because the import of colour-science takes 0.7 s.
 from __future__ import annotations
 
 import functools
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -157,13 +158,52 @@ def products_by_colour_science(name: str) -> NDArray[np.float64]:
     return _products(_distribution(name).copy().align(_shape()).values)
 
 
+@functools.cache
+def _tabulated(illuminant: Illuminant) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Return the wavelengths [nm] and powers of an illuminant, and the mean of its power with the weight ȳ."""
+    if isinstance(illuminant, Spectrum):
+        wavelengths, values = np.asarray(illuminant.wavelengths_nm), np.asarray(illuminant.values)
+        visible = _at_whole_nanometres(wavelengths, values)
+    else:
+        start, end = _tabulated_nm(illuminant) or (LAMBDA_MIN_NM, LAMBDA_MAX_NM)
+        shape = colour_science().SpectralShape(math.ceil(start), math.floor(end), 1)
+        distribution = _distribution(illuminant).copy().align(shape)
+        wavelengths, values = distribution.wavelengths, distribution.values
+        visible = np.interp(VISIBLE_NM, wavelengths, values)
+    luminous = _observer()[:, 1]
+    return wavelengths, values, float(visible @ luminous / luminous.sum())
+
+
+def relative_powers(illuminant: Illuminant, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return S(λ) / S̄ of an illuminant S at wavelengths [nm], shape (m,).
+
+    S̄ is the mean of S with the weight ȳ. The equal-energy illuminant has the relative power 1.
+
+    Raises:
+        ValueError: The illuminant is not known at one of the wavelengths.
+    """
+    known_nm, values, mean = _tabulated(check_illuminant(illuminant))
+    if wavelengths_nm.min() < known_nm[0] or wavelengths_nm.max() > known_nm[-1]:
+        raise ArgumentValueError(
+            f"{ref('wavelengths_nm')} must lie within the range of the illuminant {str(illuminant)!r}, {known_nm[0]:g} "
+            f"to {known_nm[-1]:g} nm, got {wavelengths_nm.min():g} to {wavelengths_nm.max():g} nm"
+        )
+    return np.asarray(np.interp(wavelengths_nm, known_nm, values) / mean)
+
+
+def _observer() -> NDArray[np.float64]:
+    """Return x̄, ȳ and z̄ of the CIE 1931 observer at 380, 381, … 780 nm, shape (401, 3)."""
+    curves = colour_science().MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(_shape()).values
+    return np.asarray(curves, dtype=np.float64)
+
+
 def _shape() -> Any:
     return colour_science().SpectralShape(LAMBDA_MIN_NM, LAMBDA_MAX_NM, 1)
 
 
 def _products(source: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return S·(x̄, ȳ, z̄) divided by the sum of S·ȳ, for a spectrum S with steps of 1 nm."""
-    observer = colour_science().MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(_shape()).values
+    observer = _observer()
     # Negative values are replaced by 0: the interpolation of colour-science to 1 nm gives values of −1e-24 at the ends
     # of the colour-matching functions.
     products = np.maximum(np.asarray(observer * source[:, None], dtype=np.float64), 0.0)

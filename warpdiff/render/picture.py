@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.lights.base import LightPart
     from warpdiff.lights.light_pass import LightPass, PictureUnit, RayBatch, SurfaceOptics
+    from warpdiff.optics.materials import IlluminatedMaterial
     from warpdiff.request.directions import DirectionRange, DirectionSample
     from warpdiff.request.plan import Plan
     from warpdiff.scene.camera import View
@@ -160,19 +161,57 @@ class Picture:
         """Return the directions for which the plan of a surface is required: range, sample and number."""
         return self.sampler.measure_directions(heightfield, surface, self._light_sums)
 
-    def _sampled(self, progress: Progress) -> Iterator[tuple[LobeIndex, Progress]]:
+    def sampled(
+        self, progress: Progress, xyz_by_part: list[NDArray[np.float32]] | None = None
+    ) -> Iterator[tuple[LobeIndex, Progress]]:
         """Sample every lobe for every camera ray, one ray per pixel at a time.
 
-        After each lobe, yield its index and a callable that reports the progress of the caller's work on this lobe.
+        After each lobe, yield its index and a callable that reports the progress of the caller's work on this lobe. If
+        ``xyz_by_part`` is a list, the parts of the lights are sampled one after the other. The list then gets the
+        colours under each part.
         """
         lobes = list(self.sampler.lobes())
-        count = self._samples_per_pixel * len(lobes)
-        for sample in range(self._samples_per_pixel):
-            for at, index in enumerate(lobes, sample * len(lobes)):
-                self.sampler.scatter(sample, index, self._light_sums)
-                yield index, subprogress(progress, at / count, (at + 1) / count)
+        groups = [lobes]
+        if xyz_by_part is not None:
+            groups = [[lobe for lobe in lobes if lobe.light == part] for part in range(len(self._passes))]
+        done, count = 0, self._samples_per_pixel * len(lobes)
+        for group in groups:
+            if group is not groups[0]:
+                self._sums.xyz.zero_()
+            for sample in range(self._samples_per_pixel):
+                for index in group:
+                    self.sampler.scatter(sample, index, self._light_sums)
+                    yield index, subprogress(progress, done / count, (done + 1) / count)
+                    done += 1
+            if xyz_by_part is not None:
+                xyz_by_part.append(self._cropped(self._sums.xyz).copy())
+        if xyz_by_part is not None and len(groups) > 1:
+            # Pictures of points have no margin, so that the cropped colours are those of all pixels.
+            self._sums.xyz.assign(np.sum(xyz_by_part, axis=0, dtype=np.float32).reshape(-1, 3))
 
-    def render(self, lookups: Lookups, *, tolerance: float, progress: Progress = None, previews: Previews = ()) -> None:
+    def illuminated(self, index: LobeIndex) -> Sequence[Sequence[IlluminatedMaterial]]:
+        """Return the illuminated materials of a lobe, by finish and spectrum."""
+        return self._passes[index.light].illuminated[index.lobe]
+
+    def finishes_of_hits(self) -> NDArray[np.int32] | None:
+        """Return the index of the finish at the hit of each ray, any index for other rays; None for one finish."""
+        if not self.context.has_finishes:
+            return None
+        faces = self.rays.gbuffer.pixels.face.numpy()
+        return np.asarray(self.context.finish_of_faces.numpy()[np.maximum(faces, 0)])
+
+    def directions_to(self, light: int) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
+        """Return scattering vectors, directions to a light and geometry factors where rays through centres hit.
+
+        The picture shows points with one ray per pixel. Factors are 0 where the light does not reach the hit.
+        """
+        self.sampler.scatter(0, LobeIndex(light, 0), self._light_sums)
+        return self.sampler.directions()
+
+    def render(
+        self, lookups: Lookups, *, tolerance: float, progress: Progress = None, previews: Previews = (),
+        xyz_by_part: list[NDArray[np.float32]] | None = None,
+    ) -> None:  # fmt: skip
         """Compute the picture by look-ups of colours.
 
         Args:
@@ -181,12 +220,14 @@ class Picture:
             progress: Callable that gets the share that is done; None reports nothing.
             previews: Pairs of a larger tolerance and a callable, the largest tolerance first. The callable is called
                 when the picture meets the tolerance. Previews have no effect on a GPU.
+            xyz_by_part: List that gets the colours under each part of the lights, shape (height, width, 3); None gets
+                none. Without previews only.
         """
         if lookups.needs_sampling and not len(self._unserved_gain):
             self._unserved_gain = wp.empty(self.rays.size, dtype=wp.float32, device=self.context.device)
         if not self._means:
             batch = self.sampler.batch(self._sums, self._unserved_gain)
-            for index, share in self._sampled(progress):
+            for index, share in self.sampled(progress, xyz_by_part):
                 calls = self._passes[index.light].colour(index.lobe, batch, lookups)
                 launch_pipeline(
                     calls, self.rays.size, slice_size=lookups.slice_size, progress=share, **self.rays.options
@@ -206,11 +247,13 @@ class Picture:
                 completed()
                 self.sampler.set_lights(self._passes)
             progress, previews = subprogress(progress, 1.0 - 1.0 / count, 1.0), ()
-        self._render_means(lookups, RefinementPolicy(tolerance, least_level, self._refine), progress, previews)
+        policy = RefinementPolicy(tolerance, least_level, self._refine)
+        self._render_means(lookups, policy, progress, previews, xyz_by_part)
 
     def _render_means(
-        self, lookups: Lookups, policy: RefinementPolicy, progress: Progress, previews: Previews = ()
-    ) -> None:
+        self, lookups: Lookups, policy: RefinementPolicy, progress: Progress, previews: Previews = (),
+        xyz_by_part: list[NDArray[np.float32]] | None = None,
+    ) -> None:  # fmt: skip
         """Compute pixels as means over footprints, one light after the other."""
         self._sums.clear_errors()
         of_light, count = self._light_sums, len(self._passes)
@@ -234,6 +277,8 @@ class Picture:
             self._loop.run(refinement, refined, previews)
             if refined is not None:
                 refined(1.0)
+            if xyz_by_part is not None:
+                xyz_by_part.append(self._cropped(of_light.xyz).copy())
             if count > 1:
                 light_sums = [of_light.xyz, of_light.errors, of_light.illuminated]
                 sums = [self._sums.xyz, self._sums.errors, self._sums.illuminated]
@@ -250,15 +295,20 @@ class Picture:
                 progress=subprogress(progress, at / len(lobes), (at + 1) / len(lobes)), **self.rays.options,
             )  # fmt: skip
 
-    def render_directly(self, heightfield: HeightField, plan: Plan, *, progress: Progress) -> None:
-        """Compute the picture by the direct sum, without tables: for every ray and every light."""
-        for index, share in self._sampled(progress):
+    def render_directly(
+        self, heightfield: HeightField, plan: Plan, *, progress: Progress,
+        xyz_by_part: list[NDArray[np.float32]] | None = None,
+    ) -> None:  # fmt: skip
+        """Compute the picture by the direct sum, without tables: for every ray and every light.
+
+        The list ``xyz_by_part`` is that of :meth:`render`.
+        """
+        for index, share in self.sampled(progress, xyz_by_part):
             scattering_vectors, to_lights, gains = (values.astype(np.float64) for values in self.sampler.directions())
-            by_finish = self._passes[index.light].illuminated[index.lobe]
-            finishes = np.zeros(self.rays.size, dtype=np.int32)
-            if self.context.has_finishes:
-                faces = self.rays.gbuffer.pixels.face.numpy()
-                finishes = self.context.finish_of_faces.numpy()[np.maximum(faces, 0)]
+            by_finish = self.illuminated(index)
+            finishes = self.finishes_of_hits()
+            if finishes is None:
+                finishes = np.zeros(self.rays.size, dtype=np.int32)
             for finish, (illuminated,) in enumerate(by_finish):
                 part = subprogress(share, finish / len(by_finish), (finish + 1) / len(by_finish))
                 added = direct_colour(

@@ -207,6 +207,20 @@ class PictureInputs:
             parts_of(lights, own.evaluation, refine=refine, means=means)
         return parts_of(lights, _in_unit(self), refine=refine, means=means)
 
+    def parts_of_light(self, index: int) -> list[LightPart]:
+        """Return the parts of one light, which are not combined with those of other lights."""
+        evaluation = _in_unit(self)
+        light = self.lights[index]
+        return parts_of([light], evaluation, refine=self.settings.refine, means=evaluation.footprint, first=index)
+
+    def of_points(self, parts: Sequence[LightPart]) -> PictureInputs:
+        """Return the inputs of a picture of points with one ray per pixel, under other parts of lights."""
+        settings = replace(self.settings, footprint=False, refine=False, samples_per_pixel=1)
+        surfaces = {
+            key: replace(own, evaluation=replace(own.evaluation, footprint=False)) for key, own in self.surfaces.items()
+        }
+        return replace(self, settings=settings, surfaces=surfaces, parts=list(parts))
+
     def by_key(self, plans: Sequence[Plan]) -> Plan | dict[str, Plan]:
         """Return the plans of the surfaces as the user knows them: one plan, or plans by the keys of the parts.
 
@@ -392,13 +406,18 @@ def check_extent(light: Light, name: str, coherence: Coherence, *, means: bool) 
     if not (means and coherence.adds_powers):
         raise ArgumentValueError(
             f"{ref(name)} has an extent and requires footprints, which {ref('coherence')} of kind {coherence.kind!r}, "
-            f"{ref('footprint', False)}, {ref('method', 'direct')} or a {ref('plan')} without footprints excludes, got "
+            f"{ref('footprint', False)}, {ref('wavelengths_nm')}, {ref('method', 'direct')} or a {ref('plan')} without "
+            "footprints excludes, got "
             f"{light!r}: give several lights without an extent"
         )
 
 
-def parts_of(lights: Sequence[Light], evaluation: Evaluation, *, refine: bool, means: bool) -> list[LightPart]:
+def parts_of(
+    lights: Sequence[Light], evaluation: Evaluation, *, refine: bool, means: bool, first: int = 0
+) -> list[LightPart]:
     """Check lights and return their parts. Without refinement, discs of up to 5° become single lobes.
+
+    ``first`` is the index of the first light among the lights of the picture, for errors.
 
     The lobes of all lights form one part, so that the error of a pixel is estimated under all of them. An uneven
     surface causes errors under each light, and separate estimates would not bound the sum of these errors. Many
@@ -407,7 +426,7 @@ def parts_of(lights: Sequence[Light], evaluation: Evaluation, *, refine: bool, m
     """
     lobes: list[Lobe] = []
     others: list[LightPart] = []
-    for index, light in enumerate(lights):
+    for index, light in enumerate(lights, first):
         name = f"lights[{index}]"
         for part in light.parts(evaluation.coherence, single_lobe=not refine, name=name):
             if part.has_extent:

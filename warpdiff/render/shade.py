@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Unpack
 
+import numpy as np
+
 from warpdiff.core.progress import Progress, reporter
+from warpdiff.core.threads import subprogress
 from warpdiff.core.warnings import warn
-from warpdiff.core.wording import ref
+from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.planner.strategy import directions_of
-from warpdiff.render.layers import layers_of
+from warpdiff.render.layers import LIGHT, directed, expanded, layers_of, lights_of, names_of
 from warpdiff.render.picture import load_kernels
 from warpdiff.render.picture_inputs import PictureInputs, picture_memory
+from warpdiff.render.spectral_pictures import check_pigment, check_spectral, spectra_of
 from warpdiff.request.settings import SinglePictureSettings
 from warpdiff.request.signatures import accepts
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.tables.lookup import ColourLookup, Lookups
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Collection, Sequence
+
+    from numpy.typing import NDArray
 
     from warpdiff.image.image import Image
-    from warpdiff.lights.base import Light
+    from warpdiff.lights.base import Light, LightPart
     from warpdiff.render.picture_inputs import SurfacesOfMesh
     from warpdiff.request.keywords import SinglePictureKeywords
     from warpdiff.request.plan import Plan
@@ -73,17 +79,29 @@ def shade(
     """
     checked = SinglePictureSettings(**settings)
     inputs = PictureInputs.of(heightfield, lights, view, checked)
+    request = LayerRequest.of(checked.layers, inputs)
+    spectral = None
+    if checked.wavelengths_nm is not None:
+        spectral = replace(inputs.evaluation, wavelengths_nm=np.asarray(checked.wavelengths_nm))
+        check_spectral(spectral, inputs.parts, view)
+        if len(inputs.surfaces) > 1:
+            raise ArgumentValueError(
+                f"{ref('wavelengths_nm')} must not be given for several surfaces, got the parts "
+                f"{', '.join(map(repr, inputs.surfaces))}: give one {ref('heightfield')}"
+            )
     progress = reporter(progress, "shade")
-    device, threads = inputs.evaluation.device, inputs.evaluation.threads
-    load_kernels(device)
+    load_kernels(inputs.evaluation.device)
     with picture_memory(view):
         surface = prepare_surface(mesh, tangents=checked.tangents)
-        image = _render(inputs, surface, view, progress)
-        if checked.layers:
-            layers = tuple(checked.layers)
-            image = replace(
-                image, layers=layers_of(surface, view, layers, smooth=checked.smooth, device=device, threads=threads)
-            )
+        if spectral is not None:
+            check_pigment(checked.pigment, has_base_colour=surface.has_base_colour)
+        colours = progress if spectral is None else subprogress(progress, 0.0, _PROGRESS_OF_COLOURS)
+        image = request.added_to(_render(inputs, surface, view, colours, request), inputs, surface, view)
+        if spectral is not None:
+            picture = inputs.picture(surface, view)
+            picture.set_lights(inputs.parts)
+            spectra = spectra_of(picture, spectral, subprogress(progress, _PROGRESS_OF_COLOURS, 1.0))
+            image = replace(image, spectra=spectra, wavelengths_nm=spectral.wavelengths_nm)
     warn_unconverged(image)
     if image.mask.any() and not image.illuminated.any():
         warn(
@@ -93,8 +111,67 @@ def shade(
     return image
 
 
-def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Callable[[float], None] | None) -> Image:
-    """Render a prepared mesh, after choosing a plan for the directions that the pixels of each surface require."""
+@dataclass(frozen=True)
+class LayerRequest:
+    """Layers of a picture, after checks against its lights.
+
+    Attributes:
+        names: Names of the layers, with the index of a light where there is one layer per light.
+        parts: Parts of the lights that are rendered one after the other, for each light; empty if no layer is the light
+            of a single light.
+        directed: Parts whose directions layers show, for each light of ``layers.lights_of``.
+    """
+
+    names: tuple[str, ...]
+    parts: tuple[list[LightPart], ...]
+    directed: tuple[LightPart, ...]
+
+    @classmethod
+    def of(cls, names: Collection[str], inputs: PictureInputs) -> LayerRequest:
+        """Check layers, before any kernel runs."""
+        every = expanded(tuple(names), inputs.lights, inputs.parts)
+        apart = any(name.partition(".")[0] == LIGHT for name in every)
+        of_light = [inputs.parts_of_light(index) for index in range(len(inputs.lights) * apart)]
+        directions = [directed(inputs.parts_of_light(index), name) for index, name in lights_of(every).items()]
+        return cls(every, tuple(of_light), tuple(directions))
+
+    def added_to(
+        self, rendered: tuple[Image, list[NDArray[np.float32]]], inputs: PictureInputs, surface: Surface, view: View
+    ) -> Image:
+        """Return a picture with its layers.
+
+        Args:
+            rendered: Picture, and its colours under each part of ``parts``.
+            inputs: Inputs of the picture.
+            surface: The prepared mesh.
+            view: Camera of the picture.
+        """
+        image, xyz_by_part = rendered
+        if not self.names:
+            return image
+        points = inputs.of_points(self.directed).picture(surface, view)
+        points.set_lights(self.directed)
+        colours = iter(xyz_by_part)
+        by_light: dict[str, NDArray[Any]] = {
+            f"{LIGHT}.{index}": sum((next(colours) for _ in parts[1:]), next(colours))
+            for index, parts in enumerate(self.parts)
+        }
+        others = layers_of(points, [name for name in self.names if name not in by_light])
+        layers = {name: by_light[name] if name in by_light else others[name] for name in self.names}
+        return replace(image, layers=layers, names=names_of(surface, self.names))
+
+
+def _render(
+    inputs: PictureInputs, surface: Surface, view: View, progress: Callable[[float], None] | None, request: LayerRequest
+) -> tuple[Image, list[NDArray[np.float32]]]:
+    """Render a prepared mesh, after choosing a plan for the directions that the pixels of each surface require.
+
+    The second result are the colours under each part of ``request.parts``.
+    """
+    parts = [part for of_light in request.parts for part in of_light]
+    xyz_by_part: list[NDArray[np.float32]] = []
+    if parts:
+        inputs = replace(inputs, parts=parts)
     picture = inputs.picture(surface, view)
     picture.set_lights(inputs.parts)
     plans: list[Plan] = []
@@ -104,18 +181,25 @@ def _render(inputs: PictureInputs, surface: Surface, view: View, progress: Calla
             lookups.append(None)
             continue
         count: float
-        if all(part.has_lobes for part in own.parts):
+        if all(part.has_lobes for part in inputs.parts):
             direction_range, sample, count = picture.measure_directions(own.evaluation.heightfield, index)
         else:
             # Light from a sky comes from the whole hemisphere, so that the plan must cover all directions.
             direction_range, sample, count = directions_of(own.evaluation)
         plans.append(own.planned(direction_range, sample, count))
         lookups.append(own.lookup(plans[-1], direction_range))
+    collected = xyz_by_part if parts else None
     if plans[0].method == "direct":
-        picture.render_directly(inputs.evaluation.heightfield, plans[0], progress=progress)
+        picture.render_directly(inputs.evaluation.heightfield, plans[0], progress=progress, xyz_by_part=collected)
     else:
-        picture.render(Lookups(lookups), tolerance=min(plan.tolerance for plan in plans), progress=progress)
-    return inputs.image(picture, plans)
+        tolerance = min(plan.tolerance for plan in plans)
+        picture.render(Lookups(lookups), tolerance=tolerance, progress=progress, xyz_by_part=collected)
+    return inputs.image(picture, plans), xyz_by_part
+
+
+# Share of the progress of a spectral picture [0 to 1] that is reported when its colours are complete. Choice: it
+# changes only the display.
+_PROGRESS_OF_COLOURS = 0.5
 
 
 def warn_unconverged(image: Image) -> None:

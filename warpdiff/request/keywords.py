@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import Material
 from warpdiff.request.plan import Plan
-from warpdiff.request.settings import Bits, Display, Energy, GamutName, Integration, Layer, Method
+from warpdiff.request.settings import Bits, Display, Energy, GamutName, Integration, Method
 
 
 class CommonKeywords(TypedDict, total=False):
@@ -72,7 +72,8 @@ class PictureKeywords(EvaluationKeywords, total=False):
 class SinglePictureKeywords(PictureKeywords, total=False):
     """Keyword arguments of :class:`warpdiff.request.settings.SinglePictureSettings`."""
 
-    layers: Collection[Layer]
+    layers: Collection[str]
+    wavelengths_nm: ArrayLike | None
 
 
 class ColourKeywords(TypedDict, total=False):

@@ -12,12 +12,15 @@ from collections.abc import Collection  # noqa: TC003 (fields are described at r
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
+import numpy as np
 from annotated_types import Ge, Gt, Interval, Unit
 
 from warpdiff.core import validation
-from warpdiff.core.options import Checked
+from warpdiff.core.options import Checked, Names
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.optics.coherence import Coherence
+from warpdiff.optics.colorimetry import check_wavelengths
+from warpdiff.request.layer_formats import BY_LIGHT, LAYERS
 from warpdiff.request.plan import Plan, check_footprint, check_method
 
 if TYPE_CHECKING:
@@ -32,12 +35,13 @@ Method = Literal[
 ]
 Integration = Literal["auto", "sampled", "table"]
 Energy = Literal["stam", "normalised", "normalized"]
-Layer = Literal["normal", "depth", "geometry"]
 Display = Literal["aces", "colorimetric", "clip"]
 GamutName = Literal["srgb", "display-p3"]
 Bits = Literal[8, 16]
 # Maximum number of camera rays per pixel, 256 × 256; more do not change an 8-bit picture.
 MOST_SAMPLES = 2**16
+# Smallest step between the wavelengths of a spectral picture [nm]. Limit: names of channels have six decimals.
+LEAST_STEP_NM = 1e-5
 # Largest correction of an exposure [stops]. Limit: a factor of 1e9 is more than any picture needs.
 MOST_STOPS = 30.0
 
@@ -200,10 +204,47 @@ class SinglePictureSettings(PictureSettings):
     """Options of ``shade``.
 
     Attributes:
-        layers: Further outputs, any of ``"normal"``, ``"depth"`` and ``"geometry"``, for ``image.layers``.
+        layers: Names of further outputs, for ``image.layers``. ``"light"``, ``"to_light"`` and ``"scattering"`` are one
+            layer per light; ``"light.0"`` is that of the first light. With ``"light"``, each light is refined
+            separately.
+        wavelengths_nm: Wavelengths [nm], shape (m,), at which ``image.spectra`` has the radiance of each pixel. Pixels
+            are then means over ``samples_per_pixel`` rays instead of footprints. None computes no spectra.
     """
 
-    layers: Collection[Layer] = ()
+    layers: Annotated[Collection[str], Names(tuple(LAYERS), BY_LIGHT)] = ()
+    wavelengths_nm: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.wavelengths_nm is None:
+            return
+        wavelengths = check_wavelengths(self.wavelengths_nm)
+        if np.any(np.diff(wavelengths) < LEAST_STEP_NM):
+            raise ArgumentValueError(
+                f"{ref('wavelengths_nm')} must increase in steps of at least {LEAST_STEP_NM:g} nm, got "
+                f"{wavelengths.tolist()!s:.60}"
+            )
+        object.__setattr__(self, "wavelengths_nm", wavelengths)
+        if self.footprint:
+            raise ArgumentValueError(
+                f"{ref('footprint')} must be None or False with {ref('wavelengths_nm')}, got True: give "
+                f"{ref('samples_per_pixel')}"
+            )
+        if self.energy != "stam":
+            raise ArgumentValueError(
+                f"{ref('energy')} must be 'stam' with {ref('wavelengths_nm')}, because its factors are means over the "
+                f"wavelengths, got {self.energy!r}"
+            )
+        if self.integration == "table":
+            raise ArgumentValueError(
+                f"{ref('integration')} must be 'auto' or 'sampled' with {ref('wavelengths_nm')}, because a table "
+                f"contains colours, got {self.integration!r}"
+            )
+
+    @property
+    def effective_footprint(self) -> bool:
+        """Whether pixels show means over their filter, which spectral pictures do not."""
+        return super().effective_footprint and self.wavelengths_nm is None
 
 
 @dataclass(frozen=True, kw_only=True)

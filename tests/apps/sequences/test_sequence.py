@@ -13,6 +13,7 @@ from PIL import Image
 import warpdiff as wd
 from warpdiff.apps.sequences import frames
 from warpdiff.lights.environment import with_settings
+from warpdiff.request.settings import DisplaySettings
 
 LIGHT = wd.DirectionalLight((0.3, 1.0, 0.4))
 VIEW = wd.View((0.0, 2.0, 3.0), (0.1, 0.0, 0.0), fov_y_deg=50.0, width=40, height=30)
@@ -163,7 +164,7 @@ def test_frames_under_every_kind_of_light_equal_those_of_shade(tmp_path):
             exact.save(tmp_path / "exact.exr", exposure=1e-2)
             assert path.read_bytes() == (tmp_path / "exact.exr").read_bytes()
     assert turning[1].lights[0]._grid is sweeping[1].lights[0]._grid
-    job = frames.FrameJob("key", (".exr",), {".exr": {"exposure": 1e-2}})
+    job = frames.FrameJob("key", (".exr",), DisplaySettings(exposure=1e-2), None, 1e-2)
     pickled = pickle.dumps((renderer, sweeping))
     assert len(pickled) < 1.5 * len(pickle.dumps((renderer, sweeping[:1])))
     assert frames.draw_in_worker(job, pickled, 1)[".exr"] == path.read_bytes()
@@ -191,8 +192,10 @@ def test_frames_equal_those_of_the_renderer_at_one_exposure(renderer, tmp_path):
         renderer.draw(shot.lights, shot.view)
         expected = renderer.image().save(tmp_path / "expected.png", exposure=exposure)
         np.testing.assert_array_equal(pixels(paths[index]), pixels(expected))
-        xyz = oiio.ImageBuf(str(paths[5 + index])).get_pixels(oiio.FLOAT)[..., 4:7]
-        np.testing.assert_array_equal(xyz, renderer.image().xyz)
+        linear = oiio.ImageBuf(str(paths[5 + index]))
+        np.testing.assert_array_equal(linear.get_pixels(oiio.FLOAT)[..., 4:7], renderer.image().xyz)
+        # The EXR files contain unscaled colours, and state the exposure of the PNG files.
+        assert linear.spec().getattribute("warpdiff:preview_exposure") == pytest.approx(exposure, rel=1e-6)
     factors = []
     for shot in shots:
         renderer.draw(shot.lights, shot.view)

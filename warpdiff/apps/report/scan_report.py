@@ -15,7 +15,7 @@ from warpdiff.apps.report.report_figures import figures_of
 from warpdiff.apps.report.report_numbers import numbers_of, tables_of
 from warpdiff.core import files, validation
 from warpdiff.core.progress import Progress, reporter
-from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, marked, ref
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.heightfield.field import HeightField
 from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry
@@ -135,7 +135,7 @@ def report(
     # are absent.
     flat = HeightField.of_known_scale([[0.0]], 1.0)
     Evaluation.of(flat, EvaluationSettings(**settings), illuminants=(illuminant,))
-    target = _folder(folder)
+    target = files.made_folder(folder)
     announce = reporter(progress, "report") or (lambda _: None)
     data = collect(request, announce)
     figures = figures_of(data)
@@ -174,17 +174,6 @@ def _sigmas(value: Sequence[float]) -> tuple[float, ...]:
             f"{value!r:.60}"
         )
     return tuple(sigmas)
-
-
-def _folder(folder: str | os.PathLike[str]) -> Path:
-    """Create the folder of the files if necessary, check that it is writable, and return its path."""
-    target = validation.path(folder, "folder")
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise marked(type(error), f"{ref('folder')}: {target} cannot be created: {error.strerror}") from None
-    files.check_folder(target, "folder")
-    return target
 
 
 def _title(heightfield: HeightField) -> str:

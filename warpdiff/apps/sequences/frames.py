@@ -6,6 +6,7 @@ Workers (https://distributed.dask.org) may join or leave the cluster during a se
 from __future__ import annotations
 
 import copy
+import dataclasses
 import functools
 import pickle
 import tempfile
@@ -15,15 +16,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpdiff.core.caching import LruCache
+from warpdiff.image.display_transform import exposure_factor
+from warpdiff.image.image import write_exr
 from warpdiff.lights.environment import Environment
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from warpdiff.apps.sequences.shots import Shot
     from warpdiff.image.image import Image
     from warpdiff.lights.base import Light
     from warpdiff.render.renderer import Renderer
+    from warpdiff.request.settings import DisplaySettings
 
 # Number of times that a frame, or the pickled renderer, is sent to workers again after a worker was lost. Limit: a
 # worker that always crashes must end the sequence. If doubled, the error of such a sequence appears later.
@@ -43,12 +47,23 @@ class FrameJob:
     Attributes:
         key: Hash of all inputs of the frames: renderer, shots and options.
         suffixes: Suffixes of each frame's files: ``".png"``, ``".exr"``.
-        saving: Keyword arguments of ``Image.save`` by suffix.
+        shown: Options of the display, with the exposure of all PNG files.
+        background: Background of PNG files; None is transparent.
+        exr_scale: Linear factor of the colours of EXR files.
     """
 
     key: str
     suffixes: tuple[str, ...]
-    saving: Mapping[str, Mapping[str, Any]]
+    shown: DisplaySettings
+    background: tuple[float, float, float] | None
+    exr_scale: float
+
+    def save(self, image: Image, path: Path) -> None:
+        """Write a frame to a file with one of the suffixes."""
+        if path.suffix == ".png":
+            image.save(path, background=self.background, **dataclasses.asdict(self.shown))
+        else:
+            write_exr(image, path, self.shown, factor=self.exr_scale, preview=exposure_factor(self.shown, ()))
 
 
 class FrameRenderer:
@@ -85,11 +100,13 @@ def draw_frame(
 ) -> dict[str, bytes]:
     """Draw one frame, and return the contents of its files by suffix."""
     image = renderer.draw(shot, progress)
+    contents = {}
     with tempfile.TemporaryDirectory(prefix="warpdiff-") as folder:
-        return {
-            suffix: image.save(Path(folder) / f"frame{suffix}", **job.saving[suffix]).read_bytes()
-            for suffix in job.suffixes
-        }
+        for suffix in job.suffixes:
+            path = Path(folder) / f"frame{suffix}"
+            job.save(image, path)
+            contents[suffix] = path.read_bytes()
+    return contents
 
 
 # Renderer and shots of the sequence that this worker process drew last, by the key of the sequence.

@@ -17,9 +17,9 @@ from warpdiff.apps.sequences.frames import FrameJob, FrameRenderer, draw_by_work
 from warpdiff.apps.sequences.shots import Shot
 from warpdiff.core import files, openimageio, validation
 from warpdiff.core.progress import Progress, reporter
-from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, marked, ref
-from warpdiff.image.display_transform import MEAN_SHOWN
-from warpdiff.image.image import PNG_END
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
+from warpdiff.image.display_transform import MEAN_SHOWN, exposure_factor
+from warpdiff.image.picture_files import PNG_END
 from warpdiff.lights.base import LobeLight
 from warpdiff.lights.environment import Environment
 from warpdiff.render.renderer import Renderer  # noqa: TC001 (the decorator ``checked`` needs the class at run time)
@@ -99,11 +99,8 @@ def sequence(
     shown = DisplaySettings(**settings)
     report = reporter(progress, "sequence") or (lambda _: None)
     _check_shots(shots, renderer)
-    if not formats:
-        raise ArgumentValueError(f"{ref('formats')} must name at least one of {' and '.join(FORMATS)}, got none")
     suffixes = tuple(formats)
-    target = validation.path(folder, "folder")
-    animated_file = None if animation is None else animated.check_target(animation, suffixes)
+    animated_file = check_files(suffixes, animation)
     if background is not None and not all(0.0 <= component <= 1.0 for component in background):
         raise ArgumentValueError(
             f"{ref('background')} must be a colour of components from 0 to 1, got {list(background)}"
@@ -111,11 +108,7 @@ def sequence(
     if client is not None and not (hasattr(client, "submit") and hasattr(client, "scatter")):
         raise ArgumentTypeError(f"{ref('client')} must be a distributed.Client or None, got {type(client).__name__}")
 
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise marked(type(error), f"{ref('folder')}: {target} cannot be created: {error.strerror}") from None
-    files.check_folder(target, "folder")
+    target = files.made_folder(folder)
     png = dataclasses.asdict(shown) | {"background": background}
     exposure = png.pop("exposure")
     key = _key(renderer, shots, (suffixes, exposure, png))
@@ -123,8 +116,10 @@ def sequence(
     if factor is None:
         factor = _metered(renderer, shots, shown.display, report) if exposure is None else exposure
         _write(target / _MANIFEST, json.dumps({"key": key, "frames": len(shots), "exposure": factor}).encode())
-    exr = {"exposure": exposure, "exposure_stops": shown.exposure_stops if exposure is not None else 0.0}
-    job = FrameJob(key, suffixes, {".png": {**png, "exposure": factor}, ".exr": exr})
+    # EXR files have the exposure of the caller, and otherwise none. Their metadata state the exposure of the PNG files.
+    shown = dataclasses.replace(shown, exposure=factor)
+    scale = 1.0 if exposure is None else exposure_factor(shown, ())
+    job = FrameJob(key, suffixes, shown, background, scale)
 
     digits = max(4, len(str(len(shots) - 1)))
     paths = [[target / f"frame_{index:0{digits}d}{suffix}" for suffix in suffixes] for index in range(len(shots))]
@@ -146,6 +141,13 @@ def sequence(
         column = suffixes.index(".png")
         animated.write(animated_file, [of_frame[column] for of_frame in paths], frames_per_second)
     return [of_frame[column] for column in range(len(suffixes)) for of_frame in paths]
+
+
+def check_files(suffixes: tuple[str, ...], animation: object) -> Path | None:
+    """Check the formats of frames and the file of the animation; return its path, or None without an animation."""
+    if not suffixes:
+        raise ArgumentValueError(f"{ref('formats')} must name at least one of {' and '.join(FORMATS)}, got none")
+    return None if animation is None else animated.check_target(animation, suffixes)
 
 
 def _draw(

@@ -51,6 +51,8 @@ _WAVELENGTHS = 10
 _ENTRIES_OF_W = 512
 # Largest number of lights of a page. Limit: each light renders the mesh and a shadow map in every frame.
 _MOST_LIGHTS = 8
+# Suffixes of the file of a page.
+SUFFIXES = (".html", ".htm")
 _BACKGROUND = (0.11, 0.11, 0.12)
 _PARTS = {
     "RESAMPLE": "resample.frag", "SHARPEN": "sharpen.frag", "SURFACE_VERT": "surface.vert",
@@ -108,14 +110,11 @@ def export_html(
         >>> wd.export_html("page.html", body, lobes, light, view).name
         'page.html'
     """
-    target = validation.path(path, "path")
-    if target.suffix.lower() not in (".html", ".htm"):
-        raise ArgumentValueError(f"{ref('path')} must end in .html or .htm, got {str(path)!r}")
+    target = files.check_output(path, SUFFIXES)
     checked_lights = _check_lights(lights, lobes)
     if view.extent_y is not None:
         raise ArgumentValueError(f"{ref('view')} must be a perspective camera, got an orthographic one")
     normal = normal_reflectance(lobes, ior)
-    files.check_folder(target.parent, "path")
     with memory.as_memory_error("export_html()", f"use a {ref('mesh')} with fewer faces"):
         surface = prepare_surface(mesh, tangents=tangents)
         _check_positions(checked_lights, surface)
