@@ -6,6 +6,7 @@ import pickle
 import numpy as np
 import pytest
 import trimesh
+from conftest import relative_errors
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
@@ -63,7 +64,14 @@ def test_parts_equal_pictures_of_one_surface_in_the_unit_of_the_picture(lights, 
         inside = np.flatnonzero(part == PARTS)[2:-2]
         expected = unit * one.xyz[2:-2, inside]
         assert expected.max() > 1e-4
-        np.testing.assert_allclose(image.xyz[2:-2, inside], expected, rtol=1e-5, atol=1e-6 * expected.max())
+        if points:
+            np.testing.assert_allclose(image.xyz[2:-2, inside], expected, rtol=1e-5, atol=1e-6 * expected.max())
+        else:
+            # A table depends on the range of directions, which is smaller for a part than for the whole mesh.
+            assert (
+                np.percentile(relative_errors(image.xyz[2:-2, inside].reshape(-1, 3), expected.reshape(-1, 3)), 99.0)
+                <= OPTIONS["tolerance"]
+            )
 
 
 @pytest.mark.parametrize(
@@ -77,23 +85,18 @@ def test_luminance_relative_to_a_white_plain_surface_is_that_of_the_brdf(coheren
     """The ratio of luminances is π ∫ f Ω S ȳ dλ / ∫ Ω S ȳ dλ, with the absolute BRDF f and Ω ~ λ² for a window."""
     image = wd.shade(
         BODY, {"middle": wd.Surface(WAVE, coherence=coherence, pigment=0.0, **reflection), "*": None}, LIGHT, VIEW,
-        **OPTIONS | {"tolerance": 1e-3, "footprint": False},
+        **OPTIONS | {"tolerance": 1e-3, "footprint": False}, layers=["to_light", "to_view"],
     )  # fmt: skip
-    row, column = 8, np.flatnonzero(PARTS == 1)[8]
-    x, y = (column + 0.5) * 6.6 / 48 - 3.3, 1.1 - (row + 0.5) * 2.2 / 16
-    normal = np.array([0.1 * x, 0.1 * y, 1.0]) / np.linalg.norm([0.1 * x, 0.1 * y, 1.0])
-    tangent = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
-    tangent /= np.linalg.norm(tangent)
-    frame = np.stack([tangent, np.cross(normal, tangent), normal])
-    to_light = np.array(LIGHT.to_light) / np.linalg.norm(LIGHT.to_light)
+    row, columns = 8, [np.flatnonzero(part == PARTS)[8] for part in (0, 1)]
+    to_lights, to_views = (image.layers[name][row, columns].astype(np.float64) for name in ("to_light.0", "to_view"))
     nm = colorimetry.VISIBLE_NM
-    values = wd.brdf(WAVE, frame @ to_light, frame @ [0, 0, 1.0], nm, coherence=coherence, tolerance=1e-3, **reflection)
+    values = wd.brdf(WAVE, to_lights[1], to_views[1], nm, coherence=coherence, tolerance=1e-3, **reflection)
     solid = np.ones(len(nm)) if coherence.kind == "source" else nm**2
     weights = solid * colorimetry.colour_products("D65")[:, 1]
-    expected = math.pi * np.sum(values * weights) / np.sum(weights) * (frame @ to_light)[2]
-    # The normal of a plain quad is the same as that of the neighbour at the same place in its quad.
-    plain = image.xyz[row, np.flatnonzero(PARTS == 0)[8], 1] / (frame @ to_light)[2]
-    assert image.xyz[row, column, 1] / plain == pytest.approx(expected, rel=1e-2)
+    expected = math.pi * np.sum(values * weights) / np.sum(weights) * to_lights[1, 2]
+    white, colour = image.xyz[row, columns, 1] / (to_lights[0, 2], 1.0)
+    assert expected > 1e-3
+    assert colour / white == pytest.approx(expected, rel=1e-2)
 
 
 def test_under_an_even_sky_a_mirror_and_a_white_plain_surface_show_the_sky():
