@@ -42,7 +42,7 @@ _WORDS = {
     **{f"{method}()": flag for method, (flag, _) in CLEANING.items()},
     "mesh": "MESH", "heightfield": "--heightfield", "material": "--material", "film": "--film", "lights": "--light",
     "light": "--light", "to_light": "--light", "illuminant": "--illuminant", "coherence": "--coherence",
-    "view": "--width and --height", "size_um": "--crop-um", "order": "--level",
+    "surface": "--surface", "view": "--width and --height", "size_um": "--crop-um", "order": "--level",
 }  # fmt: skip
 
 
@@ -343,6 +343,11 @@ def _add_picture(flags: Flags, settings: type) -> None:
     """Add the flags of pictures: mesh, height field, evaluation, lights, camera and picture file."""
     flags.parser.add_argument("mesh", metavar="MESH", help=_MESH_HELP)
     _add_height_field(flags)
+    flags.parser.add_argument(
+        "--surface", action="append", metavar="PART=HEIGHTFIELD",
+        help="height field of the parts with this geometry or material, or 'plain' for a matte surface in the base "
+        "colour of the mesh; other parts have --heightfield; may be repeated",
+    )  # fmt: skip
     _add_evaluation(flags, settings)
     _add_scene(flags)
     _add_saving(flags)

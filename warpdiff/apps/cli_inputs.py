@@ -16,6 +16,7 @@ from warpdiff.core.options import describe
 from warpdiff.core.wording import ArgumentValueError, did_you_mean, marked, ref, renaming
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import Metal
+from warpdiff.scene.part_names import REST
 
 if TYPE_CHECKING:
     import argparse
@@ -43,6 +44,8 @@ _LIGHTS = {name.removesuffix("Light").lower(): name for name in dir(wd) if name.
 # to its sun, at the upper right.
 _CLEAR_SKY, _SUN_DIRECTION = "clear-sky", (0.6, 1.0, 0.4)
 METAL_SYMBOLS = get_args(Metal)
+# Value of ``--surface`` for a surface without a height field.
+_PLAIN = "plain"
 
 
 def _named(text: str, functions: dict[str, tuple[str, dict[str, Any]]], module: Any, flag: str) -> Any:
@@ -99,14 +102,39 @@ def _value(text: str) -> Any:
 def height_field_of(options: argparse.Namespace) -> wd.HeightField:
     """Return the height field that the command line names, a file or a synthetic grating, after cleaning."""
     # Commands that use no mesh accept the height field as a positional argument instead of a flag.
-    text = options.scan if options.heightfield is None else options.heightfield
-    made = _named(text, GRATINGS, wd.gratings, "heightfield")
+    return _height_field(options.scan if options.heightfield is None else options.heightfield, "heightfield", options)
+
+
+def surfaces_of(options: argparse.Namespace) -> wd.HeightField | dict[str, wd.HeightField | None]:
+    """Return the height field, or the surfaces of the parts that ``--surface`` names and of all other parts."""
+    heightfield = height_field_of(options)
+    # Pages show one surface, so that the command ``export-html`` has no flag ``--surface``.
+    texts = getattr(options, "surface", None)
+    if not texts:
+        return heightfield
+    surfaces: dict[str, wd.HeightField | None] = {}
+    for text in texts:
+        part, equals, surface = text.partition("=")
+        if not equals or not part or not surface:
+            raise ArgumentValueError(
+                f"{ref('surface')} must be PART=HEIGHTFIELD or PART={_PLAIN}, got {text!r}; a part is the name of a "
+                "geometry or a material"
+            )
+        if part in surfaces:
+            raise ArgumentValueError(f"{ref('surface')} must name each part once, got {part!r} twice")
+        surfaces[part] = None if surface == _PLAIN else _height_field(surface, "surface", options)
+    return surfaces if REST in surfaces else surfaces | {REST: heightfield}
+
+
+def _height_field(text: str, flag: str, options: argparse.Namespace) -> wd.HeightField:
+    """Return the height field of a file or of a synthetic grating, after cleaning; ``flag`` is for messages."""
+    made = _named(text, GRATINGS, wd.gratings, flag)
     if made is None:
-        if not validation.path(text, "heightfield").is_file():
+        if not validation.path(text, flag).is_file():
             names = list(GRATINGS)
             raise marked(
                 FileNotFoundError,
-                f"{ref('heightfield')}: there is no file {text!r}; a synthetic one is called by its name, one of "
+                f"{ref(flag)}: there is no file {text!r}; a synthetic one is called by its name, one of "
                 f"{', '.join(names)}{did_you_mean(text, names)}",
             )
         made = scan_of(text, options)
@@ -261,9 +289,9 @@ def environment_of(options: argparse.Namespace) -> wd.Environment | None:
         return wd.Environment.load(options.environment, **values)
 
 
-def scene_of(options: argparse.Namespace, *, turning: bool = False) -> tuple[Any, wd.HeightField, wd.View]:
-    """Return mesh, height field and view. With ``turning``, the whole mesh stays in view while it rotates."""
-    heightfield = height_field_of(options)
+def scene_of(options: argparse.Namespace, *, turning: bool = False) -> tuple[Any, Any, wd.View]:
+    """Return mesh, surfaces and view. With ``turning``, the whole mesh stays in view while it rotates."""
+    heightfield = surfaces_of(options)
     mesh = _named(options.mesh, BODIES, wd.meshes, "mesh")
     mesh = options.mesh if mesh is None else mesh
     values = given(options, describe(wd.View))

@@ -18,6 +18,7 @@ from warpdiff.apps.sequences.shots import Shot
 from warpdiff.core import files, openimageio, validation
 from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
+from warpdiff.heightfield.field import HeightField
 from warpdiff.image.display_transform import MEAN_SHOWN, exposure_factor
 from warpdiff.image.picture_files import PNG_END
 from warpdiff.lights.base import LobeLight
@@ -190,13 +191,13 @@ def _key(renderer: Renderer, shots: Sequence[Shot], saving: Any) -> str:
     digest = hashlib.sha256(str(_VERSION).encode())
     _feed(digest, saving)
     state = renderer.__getstate__()
-    settings, heightfield = state["settings"], state["heightfield"]
+    settings = state["settings"]
     # Tolerance, method and integration are not hashed themselves. The plan is hashed, and it was computed from them.
     names = {field.name for field in dataclasses.fields(settings)}
     names -= {"tolerance", "method", "integration", "device", "threads"}
     _feed(digest, {name: getattr(settings, name) for name in names})
     device = settings.device.partition(":")[0]
-    _feed(digest, (device, state["surface"], heightfield.heights_um, heightfield.pitch_um))
+    _feed(digest, (device, state["surface"], state["heightfield"]))
     radiances: dict[int, str] = {}
     # Each shot is hashed as its text (``repr``), because this is fast enough for 100,000 shots.
     for shot in shots:
@@ -215,8 +216,10 @@ def _key(renderer: Renderer, shots: Sequence[Shot], saving: Any) -> str:
 
 
 def _feed(digest: Any, value: Any) -> None:
-    """Add a value to a hash: an array, a dataclass, a mapping, a sequence, or any object by its repr."""
-    if isinstance(value, np.ndarray):
+    """Add a value to a hash: array, height field, dataclass, mapping, sequence, or any object by its repr."""
+    if isinstance(value, HeightField):
+        _feed(digest, (value.heights_um, value.pitch_um))
+    elif isinstance(value, np.ndarray):
         digest.update(repr((value.dtype.str, value.shape)).encode())
         digest.update(np.ascontiguousarray(value).data)
     elif dataclasses.is_dataclass(value):
