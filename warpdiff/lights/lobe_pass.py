@@ -50,7 +50,7 @@ class LobePass(LightPass):
         """
         lobes, context = self.part.lobes, self.context
         reused = previous if isinstance(previous, LobePass) and len(previous.part.lobes) == len(lobes) else None
-        if reused is not None and all(len(grid.starts) for grid in reused._grids):
+        if reused is not None and not any(grid.mesh_id for grid in reused._grids):
             before = [lobe.to_light for lobe in reused.part.lobes]
             self._grids = reused._grids if before == [lobe.to_light for lobe in lobes] else []
         self._lights = self._lights if reused is None else reused._lights
