@@ -17,7 +17,7 @@ UNLIT = wp.constant(wp.uint8(2))
 MISSED = wp.constant(wp.uint8(4))
 CAUTION = wp.constant(wp.float32(refinement_levels.CAUTION))
 EDGE_FACTOR = wp.constant(wp.float32(refinement_levels.EDGE_FACTOR))
-CROWD = wp.constant(wp.float32(2.0))
+SCATTER_CAUTION = wp.constant(wp.float32(refinement_levels.SCATTER_CAUTION))
 SCATTER_FACTOR = wp.constant(wp.float32(refinement_levels.SCATTER_FACTOR))
 CONTRAST_BASE = wp.constant(wp.float32(refinement_levels.CONTRAST_BASE))
 CONTRAST_PER_UNEVENNESS = wp.constant(wp.float32(refinement_levels.CONTRAST_PER_UNEVENNESS))
@@ -336,10 +336,11 @@ def raise_levels(
     run: wp.int32,
     levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Raise the levels of the tiles at ``level`` that cause errors above the tolerance.
+    """Raise the levels of the tiles at ``level`` that cause errors of pixels above the tolerance.
 
-    The decrease of the scatter with more cells is predicted. The arguments are those of :func:`select_levels`.
-    ``colours`` and ``errors`` are resolved from the cells of tiles at levels up to ``level``.
+    The decrease of the scatter with more cells is predicted. The arguments are those of :func:`select_levels`, and
+    ``errors``, the estimated errors of pixels. ``colours`` and ``errors`` are resolved from the cells of tiles at
+    levels up to ``level``.
     """
     thread, _ = wp.tid()
     for k in range(first + thread * run, first + (thread + 1) * run):
@@ -356,9 +357,9 @@ def raise_levels(
             for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
                 there = (row + line - 1) * width + column + side - 1
                 if marks[there] != wp.uint8(0):
-                    # Tiles that contribute little to the error of a pixel are not refined for it.
+                    # More cells of a tile cannot reduce the error that the other eight tiles cause.
                     share = FILTER_SHARES[line] * FILTER_SHARES[side]
-                    error = wp.min(errors[there], CROWD * SCATTER_FACTOR * share * scatter)
+                    error = wp.min(errors[there], SCATTER_CAUTION * SCATTER_FACTOR * share * scatter)
                     excess = wp.max(excess, error / (tolerance * wp.max(wp.length(colours[there]), floor[0])))
         steps = wp.int32(wp.floor(wp.log2(excess) + 0.5))
         levels_out[pixel] = wp.uint8(wp.clamp(level + steps, level, most))
