@@ -17,6 +17,9 @@ UNLIT = wp.constant(wp.uint8(2))
 MISSED = wp.constant(wp.uint8(4))
 CAUTION = wp.constant(wp.float32(refinement_levels.CAUTION))
 EDGE_FACTOR = wp.constant(wp.float32(refinement_levels.EDGE_FACTOR))
+# Level from which on a tile has enough samples to estimate its own scatter. The few samples of coarser tiles rarely
+# include the brightest directions; they use the mean scatter of nine tiles.
+LEVEL_OF_OWN_SCATTER = wp.constant(wp.int32(3))
 SCATTER_CAUTION = wp.constant(wp.float32(refinement_levels.SCATTER_CAUTION))
 SCATTER_FACTOR = wp.constant(wp.float32(refinement_levels.SCATTER_FACTOR))
 CONTRAST_BASE = wp.constant(wp.float32(refinement_levels.CONTRAST_BASE))
@@ -328,6 +331,25 @@ def select_levels(
         levels_out[pixel] = wp.uint8(level)
 
 
+@wp.func
+def mean_scatter(
+    sums: FilteredSums, levels: wp.array(dtype=wp.uint8), row: wp.int32, column: wp.int32, width: wp.int32,
+    height: wp.int32,
+) -> wp.float32:  # fmt: skip
+    """Return the root mean square of the scatter of a tile and of its neighbours, weighted by the pixel filter."""
+    square = wp.float32(0.0)
+    weight = wp.float32(0.0)
+    for line in range(wp.max(1 - row, 0), wp.min(height + 1 - row, 3)):
+        for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
+            there = (row + line - 1) * width + column + side - 1
+            if levels[there] != wp.uint8(0):
+                share = FILTER_SHARES[line] * FILTER_SHARES[side]
+                change = sums.changes[compact_index(sums.ranks, there)]
+                square += share * change * change
+                weight += share
+    return wp.sqrt(square / weight)
+
+
 @wp.kernel
 def raise_levels(
     sums: FilteredSums, tiles: wp.array(dtype=wp.int32), marks: wp.array(dtype=wp.uint8),
@@ -352,6 +374,8 @@ def raise_levels(
         row = pixel // width
         column = pixel % width
         scatter = sums.changes[compact_index(sums.ranks, pixel)]
+        if level < LEVEL_OF_OWN_SCATTER:
+            scatter = mean_scatter(sums, levels_out, row, column, width, height)
         excess = wp.float32(1.0)
         for line in range(wp.max(1 - row, 0), wp.min(height + 1 - row, 3)):
             for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
