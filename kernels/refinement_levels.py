@@ -42,6 +42,10 @@ ERROR_ORDER, ERROR_PER_CHANGES = 1.75, 0.6
 # Estimated error of a mean over random samples, divided by the standard deviation of the mean. Limit: with twice the
 # value, pictures under sampled lights require four times as many samples.
 SCATTER_FACTOR = 1.5
+# Safety factor on the scatter that one tile contributes to the error of a pixel, when the level of the tile is raised.
+# Derived: the error is the root sum of squares of up to four equal contributions. Tested on a snake and a tube
+# (docs/decisions/adaptive_sampling.md).
+SCATTER_CAUTION = 2.0
 # Share of the illuminated pixels that are brighter than the reference luminance Y* of refinement, the 99th percentile
 # of Y. Derived: one minus the percentile. The Y* of reported errors may be larger, because it is also at least the
 # luminance-weighted median of Y. Refinement is then stricter than the report.

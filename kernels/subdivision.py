@@ -17,6 +17,10 @@ UNLIT = wp.constant(wp.uint8(2))
 MISSED = wp.constant(wp.uint8(4))
 CAUTION = wp.constant(wp.float32(refinement_levels.CAUTION))
 EDGE_FACTOR = wp.constant(wp.float32(refinement_levels.EDGE_FACTOR))
+# Level from which on a tile has enough samples to estimate its own scatter. The few samples of coarser tiles rarely
+# include the brightest directions; they use the mean scatter of nine tiles.
+LEVEL_OF_OWN_SCATTER = wp.constant(wp.int32(3))
+SCATTER_CAUTION = wp.constant(wp.float32(refinement_levels.SCATTER_CAUTION))
 SCATTER_FACTOR = wp.constant(wp.float32(refinement_levels.SCATTER_FACTOR))
 CONTRAST_BASE = wp.constant(wp.float32(refinement_levels.CONTRAST_BASE))
 CONTRAST_PER_UNEVENNESS = wp.constant(wp.float32(refinement_levels.CONTRAST_PER_UNEVENNESS))
@@ -328,17 +332,38 @@ def select_levels(
         levels_out[pixel] = wp.uint8(level)
 
 
+@wp.func
+def mean_scatter(
+    sums: FilteredSums, levels: wp.array(dtype=wp.uint8), row: wp.int32, column: wp.int32, width: wp.int32,
+    height: wp.int32,
+) -> wp.float32:  # fmt: skip
+    """Return the root mean square of the scatter of a tile and of its neighbours, weighted by the pixel filter."""
+    square = wp.float32(0.0)
+    weight = wp.float32(0.0)
+    for line in range(wp.max(1 - row, 0), wp.min(height + 1 - row, 3)):
+        for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
+            there = (row + line - 1) * width + column + side - 1
+            if levels[there] != wp.uint8(0):
+                share = FILTER_SHARES[line] * FILTER_SHARES[side]
+                change = sums.changes[compact_index(sums.ranks, there)]
+                square += share * change * change
+                weight += share
+    return wp.sqrt(square / weight)
+
+
 @wp.kernel
 def raise_levels(
     sums: FilteredSums, tiles: wp.array(dtype=wp.int32), marks: wp.array(dtype=wp.uint8),
-    colours: wp.array(dtype=wp.vec3f), width: wp.int32, height: wp.int32, floor: wp.array(dtype=wp.float32),
-    tolerance: wp.float32, level: wp.int32, most: wp.int32, first: wp.int32, run: wp.int32,
+    colours: wp.array(dtype=wp.vec3f), errors: wp.array(dtype=wp.float32), width: wp.int32, height: wp.int32,
+    floor: wp.array(dtype=wp.float32), tolerance: wp.float32, level: wp.int32, most: wp.int32, first: wp.int32,
+    run: wp.int32,
     levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Raise the levels of the tiles at ``level``, so that the scatter of their samples meets the tolerance.
+    """Raise the levels of the tiles at ``level`` that cause errors of pixels above the tolerance.
 
-    The decrease of the scatter with more cells is predicted. The arguments are those of :func:`select_levels`.
-    ``colours`` are resolved from the cells of tiles at levels up to ``level``.
+    The decrease of the scatter with more cells is predicted. The arguments are those of :func:`select_levels`, and
+    ``errors``, the estimated errors of pixels. ``colours`` and ``errors`` are resolved from the cells of tiles at
+    levels up to ``level``.
     """
     thread, _ = wp.tid()
     for k in range(first + thread * run, first + (thread + 1) * run):
@@ -349,27 +374,19 @@ def raise_levels(
             continue
         row = pixel // width
         column = pixel % width
-        need = wp.float32(0.0)
-        square = wp.float32(0.0)
-        count = wp.float32(0.0)
+        scatter = sums.changes[compact_index(sums.ranks, pixel)]
+        if level < LEVEL_OF_OWN_SCATTER:
+            scatter = mean_scatter(sums, levels_out, row, column, width, height)
+        excess = wp.float32(1.0)
         for line in range(wp.max(1 - row, 0), wp.min(height + 1 - row, 3)):
             for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
                 there = (row + line - 1) * width + column + side - 1
-                share = FILTER_SHARES[line] * FILTER_SHARES[side]
                 if marks[there] != wp.uint8(0):
-                    need = wp.max(need, share / wp.max(wp.length(colours[there]), floor[0]))
-                if levels_out[there] != wp.uint8(0):
-                    rank = compact_index(sums.ranks, there)
-                    # Levels of neighbours are read from ``sums``, which does not change here, and not from
-                    # ``levels_out``, which other threads may change now.
-                    if sums.levels[rank] == wp.uint8(level):
-                        square += share * sums.changes[rank] * sums.changes[rank]
-                        count += share
-        # The scatter is averaged over nine tiles. The few samples of one tile rarely include the brightest directions,
-        # so its own scatter is often too small.
-        scatter = wp.sqrt(square / wp.max(count, TINY))
-        excess = SCATTER_FACTOR * need * scatter / tolerance
-        steps = wp.int32(wp.floor(wp.log2(wp.max(excess, 1.0)) + 0.5))
+                    # More cells of a tile cannot reduce the error that the other eight tiles cause.
+                    share = FILTER_SHARES[line] * FILTER_SHARES[side]
+                    error = wp.min(errors[there], SCATTER_CAUTION * SCATTER_FACTOR * share * scatter)
+                    excess = wp.max(excess, error / (tolerance * wp.max(wp.length(colours[there]), floor[0])))
+        steps = wp.int32(wp.floor(wp.log2(excess) + 0.5))
         levels_out[pixel] = wp.uint8(wp.clamp(level + steps, level, most))
 
 

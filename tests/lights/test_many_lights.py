@@ -7,6 +7,7 @@ import warpdiff as wd
 from warpdiff import meshes
 from warpdiff.lights.base import MANY_LIGHTS
 from warpdiff.render import shade
+from warpdiff.scene import occluder_grid
 
 TOLERANCE = 0.1
 VIEW = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=48, height=36)
@@ -48,3 +49,20 @@ def test_a_picture_with_many_lights_does_not_depend_on_the_number_of_threads(fin
     )
     np.testing.assert_array_equal(one.xyz, two.xyz)
     np.testing.assert_array_equal(one.error, two.error)
+
+
+def test_occluder_grids_are_kept_for_lights_that_do_not_move(fingers, monkeypatch):
+    """More lights than the mesh stores grids for, so that only their pass keeps all of them."""
+    made, make = [], occluder_grid._made
+    monkeypatch.setattr(occluder_grid, "_made", lambda *args, **options: made.append(1) or make(*args, **options))
+    body, lights = meshes.tube(segments_along=48, segments_around=24), hemisphere(7)
+    options = {"tolerance": 4.0 * TOLERANCE, "strict": False}
+    renderer = wd.Renderer(body, fingers, lights[:6], VIEW, **options)
+    renderer.draw()
+    before = len(made)
+    renderer.draw()
+    assert len(made) == before >= 6
+    renderer.draw(lights[1:])
+    expected = wd.Renderer(meshes.tube(segments_along=48, segments_around=24), fingers, lights[1:], VIEW, **options)
+    expected.draw()
+    np.testing.assert_array_equal(renderer.image().xyz, expected.image().xyz)

@@ -44,9 +44,15 @@ class LobePass(LightPass):
         self._no_directions = wp.empty(0, dtype=wp.vec4f, device=context.device)
 
     def begin(self, previous: LightPass | None) -> None:
-        """Write the lobes into arrays. Arrays of the previous pass are reused if it had equally many lobes."""
+        """Write the lobes into arrays. Arrays of the previous pass are reused if it had equally many lobes.
+
+        Its occluder grids are reused if the directions are the same, too.
+        """
         lobes, context = self.part.lobes, self.context
         reused = previous if isinstance(previous, LobePass) and len(previous.part.lobes) == len(lobes) else None
+        if reused is not None and not any(grid.mesh_id for grid in reused._grids):
+            before = [lobe.to_light for lobe in reused.part.lobes]
+            self._grids = reused._grids if before == [lobe.to_light for lobe in lobes] else []
         self._lights = self._lights if reused is None else reused._lights
         places, deviations, powers = zip(*self._sources, strict=True)
         whites = [context.pigment_white(lobe.illuminant, is_of_sky=lobe.is_of_sky) for lobe in lobes]

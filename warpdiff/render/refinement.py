@@ -161,6 +161,7 @@ class LightRefinement:
             policy.most_level,
         ]  # fmt: skip
         if policy.is_sampled:
+            inputs.insert(4, self.sums.errors)
             return KernelCall(subdivision.raise_levels, inputs, [group.levels], in_runs=True)
         inputs.append(policy.silhouette_level)
         return KernelCall(subdivision.select_levels, inputs, [group.sums.changes, group.levels], in_runs=True)
