@@ -92,6 +92,26 @@ def test_launches_are_recorded_again_if_a_spotlight_rotates(fingers):
     assert len(set(keys)) == 2
 
 
+@dataclass(frozen=True)
+class Beam(wd.DirectionalLight):
+    """Directional light with a profile that is 1 in its only direction."""
+
+    def lobes(self):
+        axis = tuple(-np.array(self.to_light) / np.linalg.norm(self.to_light))
+        return tuple(replace(lobe, profile=CosineProfile(axis)) for lobe in super().lobes())
+
+
+def test_shadows_of_distant_lights_with_a_profile_equal_those_without(fingers):
+    body = meshes.tube(segments_along=48, segments_around=24)
+    view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=48, height=36)
+    options = {"coherence": wd.Coherence(sigma_um=4.0), "tolerance": 0.3, "pigment": 0.0, "strict": False}
+    plain, beam = (
+        wd.shade(body, fingers, kind((0.3, 0.4, 1.0)), view, **options) for kind in (wd.DirectionalLight, Beam)
+    )
+    np.testing.assert_array_equal(beam.illuminated, plain.illuminated)
+    np.testing.assert_allclose(beam.xyz, plain.xyz, rtol=1e-3, atol=1e-4 * plain.xyz.max())
+
+
 def test_a_profile_dims_the_light_of_the_pigment(fingers):
     """In the direction in which the profile is 1, the pigment is as bright as under a point light, elsewhere darker."""
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])

@@ -102,10 +102,13 @@ class LobePass(LightPass):
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:
         """Prepare one occluder grid per lobe.
 
-        The grid of a point light is empty, because a grid serves only one direction; its shadow rays use the hierarchy.
+        The grids of point lights and of lobes with an emission profile are empty, because a grid serves only one
+        direction; their shadow rays use the hierarchy.
         """
         rays = self.context.rays
-        to_lights = [None if lobe.position is not None else lobe.to_light for lobe in self.part.lobes]
+        to_lights = [
+            lobe.to_light if lobe.position is None and lobe.profile is None else None for lobe in self.part.lobes
+        ]
         # The previous grids are deleted before new ones are made, because the memory may not suffice for both.
         self._grids.clear()
         self._grids += rays.shadow_grids(to_lights, count)
