@@ -1,6 +1,7 @@
 """Environments: mirrors and gratings under them, pigment and shadows, and skies as backgrounds of pictures."""
 
 import copy
+import dataclasses
 import math
 
 import numpy as np
@@ -207,6 +208,14 @@ def test_environment_files_are_read_and_invalid_ones_are_refused(tmp_path, squar
         wd.shade(square, flat, sky, seen_at(20.0), footprint=False)
 
 
+@dataclasses.dataclass(frozen=True)
+class RayOfASky(wd.DirectionalLight):
+    """Directional light whose illuminant is a radiance divided by λ²."""
+
+    def lobes(self):
+        return tuple(dataclasses.replace(lobe, is_of_sky=True) for lobe in super().lobes())
+
+
 def test_pigment_and_shadows_under_a_sky_equal_those_under_many_lights():
     # The mesh is like an open book, whose halves occlude a part of the sky for each other.
     corners = [[0, 0, -1], [0, 0, 1], [1, 1, 1], [1, 1, -1], [-1, 1, 1], [-1, 1, -1]]
@@ -224,7 +233,7 @@ def test_pigment_and_shadows_under_a_sky_equal_those_under_many_lights():
     result = [wd.shade(book, flat, sky, view, **options | {"pigment": each}).xyz for each in (0.0, 1.0)]
     spectrum, per_luminance = spectrum_of_a_sky(8.0)
     lamps = [
-        wd.DirectionalLight(tuple(towards), illuminant=spectrum, power=radiance * share * per_luminance)
+        RayOfASky(tuple(towards), illuminant=spectrum, power=radiance * share * per_luminance)
         for towards, radiance, share in zip(
             along.reshape(-1, 3), grey.ravel(), np.broadcast_to(solid, grey.shape).ravel(), strict=True
         )

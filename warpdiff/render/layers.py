@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpdiff.core import forks
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.lights.base import LobeChoice, LobeSet
 from warpdiff.request.layer_formats import layer_format
@@ -88,12 +88,12 @@ class CentralHits:
         self._view, self._pixels = rays.view, rays.gbuffer.pixels
         self.hit: NDArray[np.bool_] = self._pixels.hit.numpy() != 0
 
-    @cached_property
+    @forks.cached_property
     def faces(self) -> NDArray[np.int32]:
         """Indices of the faces that are hit, shape (hits,)."""
         return np.asarray(self._pixels.face.numpy()[self.hit])
 
-    @cached_property
+    @forks.cached_property
     def _barycentric(self) -> NDArray[np.float64]:
         place = self._pixels.place.numpy()[self.hit].astype(np.float64)
         return np.column_stack([place, 1.0 - place.sum(axis=1)])
@@ -107,7 +107,7 @@ class CentralHits:
         """Return vectors of the G-buffer at the hits, shape (hits, 3)."""
         return np.asarray(getattr(self._pixels, name).numpy()[self.hit])
 
-    @cached_property
+    @forks.cached_property
     def positions(self) -> NDArray[np.float64]:
         """Positions of the hits, world frame, shape (hits, 3)."""
         return self.interpolated(self.surface.vertices) * self.surface.radius + self.surface.centre

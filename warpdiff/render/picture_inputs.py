@@ -176,6 +176,7 @@ class PictureInputs:
                 raise ArgumentValueError(
                     f"{ref('plan')} must be a warpdiff.Plan for one {ref('heightfield')}, got a mapping"
                 )
+            validation.instance(heightfield, HeightField, "heightfield")
             surfaces = {"": SurfaceInputs.of(heightfield, lights, settings)}
         first = next(iter(surfaces.values()))
         validation.instance(view, View, "view")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import json
 import sys
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -20,7 +21,6 @@ from warpdiff.request.directions import DirectionRange
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Mapping
     from pathlib import Path
 
 # Format of saved plans, written to each file. The number increases when a field of a plan changes its name or meaning.
@@ -428,6 +428,6 @@ def has_table(expansion: str, coherence: Coherence) -> bool:
 
 def plan_text(plan: Plan | Mapping[str, Plan]) -> str:
     """Return the text of a plan, or the texts of the plans of several surfaces with the parts of the mesh."""
-    if isinstance(plan, Plan):
-        return str(plan)
-    return "\n\n".join(f"{part}\n{text}" for part, text in plan.items())
+    if isinstance(plan, Mapping):
+        return "\n\n".join(f"{part}\n{text}" for part, text in plan.items())
+    return str(plan)
