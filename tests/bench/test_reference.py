@@ -135,8 +135,8 @@ def test_the_reference_resolves_narrow_lines_of_many_periods(rng):
 def test_a_smaller_tolerance_changes_results_only_within_the_larger_one(kind, rng):
     """Results at a tolerance of 0.01 are accurate to 0.01/20, so no narrow order was missed, even near grazing."""
     heightfield = fingers()
-    lights, views = hemisphere(rng, 24, lowest=0.05), hemisphere(rng, 24)
-    views[:4] = lights[:4] * [-1.0, -1.0, 1.0]
+    lights, views = hemisphere(rng, 12, lowest=0.05), hemisphere(rng, 12)
+    views[:3] = lights[:3] * [-1.0, -1.0, 1.0]
     coherence = coherence_of(kind, None, 0.53, (20, 30))
     rough_one = reference.reference_reflectance(heightfield, lights, views, coherence, tolerance=1e-2)
     fine = reference.reference_reflectance(heightfield, lights, views, coherence, tolerance=1e-8)

@@ -57,7 +57,7 @@ LINE = (-0.7, 1.8, 1.0), (0.7, 1.8, 1.0)
 def picture(light, fingers):
     body = wd.meshes.tube(segments_along=12, segments_around=12)
     view = wd.View.fit(body, width=24, height=18)
-    return wd.shade(body, fingers, light, view, coherence=wd.Coherence(sigma_um=4.0), tolerance=0.1, pigment=0.0)
+    return wd.shade(body, fingers, light, view, coherence=wd.Coherence(sigma_um=2.0), tolerance=0.1, pigment=0.0)
 
 
 def relative_errors(image, reference):
@@ -69,7 +69,7 @@ def relative_errors(image, reference):
 def test_the_light_of_the_page_about_lights_equals_many_point_lights(module_of, fingers):
     """Both pictures have a tolerance of 0.1, so that they may differ by the sum of both, 0.2."""
     start, end = np.array(LINE)
-    points = [wd.PointLight(tuple(start + t * (end - start)), power=3.0 / 64) for t in (np.arange(64) + 0.5) / 64]
+    points = [wd.PointLight(tuple(start + t * (end - start)), power=3.0 / 32) for t in (np.arange(32) + 0.5) / 32]
     page = module_of("add_a_light")
     errors = relative_errors(picture(page.LineLight(*LINE, power=3.0), fingers), picture(points, fingers))
     assert np.percentile(errors, 99.0) < 0.2

@@ -88,7 +88,7 @@ def damaged(whole, rng):
                 content[content.index(header) + at - 4] ^= 0x41
                 yield bytes(content)
     yield from (whole[:size] for size in range(0, len(whole), 29))
-    for _ in range(count(1000, 12_000)):
+    for _ in range(count(400, 12_000)):
         content = bytearray(whole)
         content[rng.integers(len(content))] ^= 1 << int(rng.integers(8))
         yield bytes(content)

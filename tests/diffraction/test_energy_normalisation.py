@@ -52,7 +52,7 @@ def test_pictures_have_the_factors_of_single_directions(square):
     factors = energy_normalisation.achromatic_factors(heightfield)
     both = factors.between(np.array([light]), np.array([view]))[0]
     assert abs(both - 1.0) > 0.02
-    options = MIRROR | {"tolerance": 3e-3}
+    options = MIRROR | {"tolerance": 3e-3, "coherence": wd.Coherence(sigma_um=3.0)}
     rho = wd.reflectance(heightfield, light, view, energy="normalised", **options)
     np.testing.assert_allclose(rho, both * wd.reflectance(heightfield, light, view, **options), rtol=1e-5)
     options |= {"energy": "normalised", "footprint": False}
@@ -64,7 +64,9 @@ def test_pictures_have_the_factors_of_single_directions(square):
     for image in (*images, renderer.image()):
         np.testing.assert_allclose(image.xyz[1, 1], rho, rtol=6e-3)
         assert "Energy is normalised" in str(image.plan)
-    assert "nergy" not in str(wd.shade(square, heightfield, lights[0], seen_from(view), **MIRROR).plan)
+    assert "nergy" not in str(
+        wd.shade(square, heightfield, lights[0], seen_from(view), **options | {"energy": "stam"}).plan
+    )
 
 
 def test_normalised_maps_are_reciprocal_and_report_the_normalisation():
@@ -84,9 +86,9 @@ def test_normalised_maps_are_reciprocal_and_report_the_normalisation():
 def test_the_brdf_at_a_wavelength_does_not_depend_on_other_wavelengths():
     heightfield, views = SURFACES["fingers"](), [at(10.0, 60.0), at(50.0, -30.0), at(45.0, 200.0)]
     options = {"coherence": WINDOW, "ior": math.inf, "energy": "normalised", "tolerance": 1e-3}
-    wide = np.array([350.0, *np.arange(400.0, 701.0, 25.0), 800.0])
+    wide = np.array([350.0, *np.arange(400.0, 701.0, 50.0), 800.0])
     among = wd.brdf(heightfield, at(30.0, 20.0), views, wide, **options)
-    for column in (0, 6, 7, len(wide) - 1):
+    for column in (0, 4, len(wide) - 1):
         alone = wd.brdf(heightfield, at(30.0, 20.0), views, wide[column], **options)
         assert np.ravel(alone) == pytest.approx(among[:, column], rel=5e-3)
 

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+from small_pictures import draw_roughly
 
 from warpdiff.heightfield.readers import reader_registry
 
@@ -19,8 +20,12 @@ BUILT = ("reference/api", "reference/options", "reference/command_line", "refere
 @pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
 @pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.stem)
 def test_python_blocks_run_one_after_the_other(page, tmp_path, monkeypatch):
-    """Run all Python blocks of a page in order, except those marked as requiring an extra package or a GPU."""
+    """Run all Python blocks of a page in order, except those marked as requiring an extra package or a GPU.
+
+    The pictures are small and rough, to save time.
+    """
     monkeypatch.chdir(tmp_path)
+    draw_roughly(monkeypatch)
     names: dict = {}
     for mark, code in BLOCK.findall(page.read_text(encoding="utf-8")):
         if not mark:

@@ -1,7 +1,5 @@
 """Examples: every script runs alone, at a small size, and writes a picture that is not empty."""
 
-import dataclasses
-import functools
 import runpy
 from pathlib import Path
 
@@ -9,57 +7,29 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from PIL import Image
+from small_pictures import draw_roughly, rough
 
 import warpdiff as wd
 
 FOLDER = Path(__file__).parents[2] / "examples"
 SCRIPTS = sorted(FOLDER.glob("*/plot_*.py"))
-# Largest number of lines of a script, and of pixels along the longer side of a test picture.
-MOST_LINES, MOST_PIXELS = 40, 32
-
-
-def smaller(view):
-    """Return a copy of the view with few pixels."""
-    scale = MOST_PIXELS / max(view.width, view.height)
-    size = {name: max(round(scale * getattr(view, name)), 2) for name in ("width", "height")}
-    return dataclasses.replace(view, **size)
-
-
-class SmallView:
-    """Replacement for ``wd.View`` in an example, which makes views with few pixels."""
-
-    def __call__(self, *arguments, **options):
-        return smaller(wd.scene.camera.View(*arguments, **options))
-
-    def fit(self, *arguments, **options):
-        return smaller(wd.scene.camera.View.fit(*arguments, **options))
-
-
-def rough(function, **fixed):
-    """Return the function with some of its arguments fixed, so that it runs faster."""
-
-    @functools.wraps(function)
-    def call(*arguments, **options):
-        return function(*arguments, **options | fixed)
-
-    return call
+# Largest number of lines of a script.
+MOST_LINES = 40
 
 
 @pytest.fixture
 def _small(monkeypatch, request):
     mpl.use("Agg")
-    monkeypatch.setattr(wd, "View", SmallView())
     monkeypatch.setattr(wd, "reflectance_map", rough(wd.reflectance_map, size=16, tolerance=0.3))
+    monkeypatch.setattr(wd, "reflectance", rough(wd.reflectance, tolerance=0.3))
     if request.node.callspec.params["script"].parent.name != "scans":
         monkeypatch.setattr(wd.gratings, "fingers", rough(wd.gratings.fingers, size_um=3.2, pitch_um=0.1))
         monkeypatch.setattr(wd.gratings, "disc", rough(wd.gratings.disc, tracks=2, length_um=12.5, pitch_um=0.1))
     monkeypatch.setattr(wd.meshes, "tube", rough(wd.meshes.tube, segments_along=48, segments_around=16))
     monkeypatch.setattr(wd.meshes, "disc", rough(wd.meshes.disc, segments=64, rings=4))
     monkeypatch.setattr(wd.meshes, "snake", rough(wd.meshes.snake, scale_rows=9, ventrals=20, segments=2))
-    for name in ("shade", "Renderer"):
-        monkeypatch.setattr(wd, name, rough(getattr(wd, name), tolerance=0.3, coherence=wd.Coherence(sigma_um=1.5)))
     monkeypatch.setattr(wd, "report", rough(wd.report, sigmas_um=[1.5], tolerance=0.5, wavelengths_nm=550.0))
-    monkeypatch.setattr(wd, "bake", rough(wd.bake, delta_e=20.0, coherence=wd.Coherence(sigma_um=1.5)))
+    draw_roughly(monkeypatch)
 
 
 @pytest.mark.usefixtures("_small")

@@ -30,19 +30,21 @@ def directions(rng):
     return -(to_lights + to_views), to_lights, gains, footprints
 
 
+@pytest.fixture(
+    scope="module", params=[wd.Coherence(sigma_um=3.25), wd.Coherence("source", angular_diameter_deg=2.0)],
+    ids=lambda coherence: coherence.kind,
+)  # fmt: skip
+def plan(request, fingers):
+    made = wd.plan(fingers, coherence=request.param, method="low-rank", integration="table", tolerance=1e-1)
+    return dataclasses.replace(made, footprint=True)
+
+
 @pytest.mark.parametrize("footprints_are_given", [False, True])
-@pytest.mark.parametrize(
-    "coherence", [wd.Coherence(sigma_um=3.25), wd.Coherence("source", angular_diameter_deg=2.0)], ids=lambda c: c.kind
-)
-def test_native_look_ups_equal_the_reference_implementation(coherence, footprints_are_given, rng):
-    heightfield = wd.gratings.fingers(size_um=12.8, seed=4)
+def test_native_look_ups_equal_the_reference_implementation(fingers, plan, footprints_are_given, rng):
     scattering_vectors, to_lights, gains, footprints = directions(rng)
-    plan = wd.plan(heightfield, coherence=coherence, method="low-rank", integration="table", tolerance=1e-1)
-    plan = dataclasses.replace(plan, footprint=True)
-    direction_range = DirectionRange.of(
-        heightfield, coherence, scattering_vectors, to_lights, np.ones(COUNT, dtype=bool)
-    )
-    lookup = ColourLookup(heightfield, plan, direction_range, device=wp.get_device("cpu"), threads=2)
+    coherence, every = plan.coherence, np.ones(COUNT, dtype=bool)
+    direction_range = DirectionRange.of(fingers, coherence, scattering_vectors, to_lights, every)
+    lookup = ColourLookup(fingers, plan, direction_range, device=wp.get_device("cpu"), threads=2)
     arrays = [
         wp.array(scattering_vectors, dtype=wp.vec3d, device="cpu"),
         wp.array(to_lights, dtype=wp.vec3f, device="cpu"),

@@ -120,8 +120,12 @@ def test_spectral_kernels_compile_and_stay_in_registers(name, lanes, form, power
 
 
 @pytest.mark.parametrize("arch", ARCHITECTURES)
-@pytest.mark.parametrize("source", [False, True])
-@pytest.mark.parametrize("name", sorted(KERNELS["colour_lookup"]))
+@pytest.mark.parametrize(
+    ("name", "source"),
+    # The kernels ``blur`` and ``interpolate`` are equal for windows and sources.
+    [("integrate", False), *(slow(name, False) for name in ("blur", "interpolate")),
+     *((name, True) for name in sorted(KERNELS["colour_lookup"]))],
+)  # fmt: skip
 def test_kernels_of_table_look_ups_compile_and_stay_in_registers(name, source, arch, tmp_path):
     ptx = compile_to_ptx(getattr(colour_lookup.lookup(8, source), name).module, tmp_path, arch)
     assert entry_points(ptx) == {name}

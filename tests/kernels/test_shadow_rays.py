@@ -102,7 +102,7 @@ def test_shadows_equal_brute_force(make, light, rng):
     light = unit(light)
     surface = surface_of(make())
     scene = scene_of(surface)
-    origins = points_on(surface, light, 600, rng)
+    origins = points_on(surface, light, 400, rng)
     rays = np.tile(light, (len(origins), 1))
     t, _, _, margin = intersect(origins.astype(float), rays, surface.vertices.astype(float), surface.faces, 64)
     # Rays that pass near an edge are excluded, because rounding decides whether they hit the face.
@@ -213,7 +213,7 @@ def test_pictures_with_occluder_grids_equal_pictures_with_the_hierarchy(samples,
     heightfield = wd.gratings.fingers(size_um=6.4, seed=1)
     lights = [wd.DirectionalLight((0.3, 0.5, 1.0)), wd.DirectionalLight((-0.8, 0.1, 0.2))]
     view = wd.View((0.0, 1.0, 1.5), (0.0, 0.0, 0.0), width=96, height=72)
-    options = {"coherence": wd.Coherence(sigma_um=3.25), "tolerance": 3e-2, "samples_per_pixel": samples}
+    options = {"coherence": wd.Coherence(sigma_um=2.0), "tolerance": 0.1, "samples_per_pixel": samples}
     made = []
     monkeypatch.setattr(
         camera_rays, "grid_for", lambda *a, **k: made.append(occluder_grid.grid_for(*a, **k)) or made[-1]

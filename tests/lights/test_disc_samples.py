@@ -1,5 +1,6 @@
 """Disc lights: distribution of their samples, and pictures and shadows compared with many directional lights."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -15,8 +16,8 @@ from warpdiff.kernels.light_samples import Lights
 from warpdiff.kernels.structs import Pixels
 from warpdiff.lights.base import orthonormal_pair
 
-SHORT = wd.Coherence(sigma_um=8.0)
-VIEW = wd.View((0, 2, 4), (0, 0, 0), width=96, height=72)
+SHORT, LONG = wd.Coherence(sigma_um=4.0), wd.Coherence(sigma_um=8.0)
+VIEW = wd.View((0, 2, 4), (0, 0, 0), width=56, height=42)
 TOWARDS = (0.2, 0.5, 1.0)
 
 
@@ -176,10 +177,11 @@ def test_the_luminance_in_a_penumbra_is_the_visible_share_of_the_disc():
 def test_the_best_table_is_used_if_none_meets_the_tolerance_for_single_directions():
     """For this blazed grating, no table meets the tolerance for single directions. The best is used, with a warning."""
     blazed, light = wd.gratings.blazed(1.5, 0.3), wd.DirectionalLight((0.5, 0.3, 1.0), angular_diameter_deg=10.0)
+    view = dataclasses.replace(VIEW, width=96, height=72)
     with pytest.warns(wd.WarpdiffWarning, match="cannot meet tolerance=0.03"):
-        image = wd.shade(wd.meshes.disc(), blazed, light, VIEW, coherence=SHORT, tolerance=3e-2, pigment=0.0)
+        image = wd.shade(wd.meshes.disc(), blazed, light, view, coherence=LONG, tolerance=3e-2, pigment=0.0)
     assert image.plan.error > 3e-2
-    sums = SkySums(wd.meshes.disc(), blazed, VIEW, SHORT)
+    sums = SkySums(wd.meshes.disc(), blazed, view, LONG)
     inside = sums.interior()
     bright = inside[np.argsort(image.xyz[tuple(inside.T)][:, 1])[-40::8]]
     exact = sums.under_disc(bright, light, 64, 0)
@@ -208,10 +210,10 @@ def test_the_reflected_rim_of_a_disc_light_is_sharp(diameter, fov_y_deg, square)
     flat = wd.HeightField(np.zeros((32, 32)), 0.09)
     light = wd.DirectionalLight((0, 0, 1), angular_diameter_deg=diameter)
     view = wd.View((0, 0, 4), (0, 0, 0), fov_y_deg=fov_y_deg, width=48, height=36)
-    image = wd.shade(square, flat, light, view, coherence=SHORT, tolerance=0.1, pigment=0.0)
+    image = wd.shade(square, flat, light, view, coherence=LONG, tolerance=0.1, pigment=0.0)
     # All rays that contribute to the compared pixels hit the square mesh.
     places = np.array([[18, column] for column in range(24, 43)])
-    exact = SkySums(square, flat, view, SHORT).under_disc(places, light, 64, 0)
+    exact = SkySums(square, flat, view, LONG).under_disc(places, light, 64, 0)
     size = np.maximum(np.linalg.norm(exact, axis=1), 1e-3 * np.percentile(image.xyz[..., 1], 99.0))
     errors = np.linalg.norm(image.xyz[tuple(places.T)] - exact, axis=1) / size
     # At least three of the compared pixels are outside of the reflection of the disc.
@@ -226,9 +228,9 @@ def test_the_luminance_of_a_mirror_under_a_disc_light_follows_its_formula(square
     flat = wd.HeightField(np.zeros((32, 32)), 0.09)
     view = wd.View.orthographic((0, 0, 4), (0, 0, 0), extent_y=1.0, width=8, height=6)
     light = wd.DirectionalLight((0.0, 0.0, 1.0), angular_diameter_deg=4.0)
-    image = wd.shade(square, flat, light, view, coherence=SHORT, tolerance=0.1, pigment=0.0, refine=False)
+    image = wd.shade(square, flat, light, view, coherence=LONG, tolerance=0.1, pigment=0.0, refine=False)
     # Standard deviations in radians: `alpha` of the light, half of its angular radius, and √`lobe2` of the lobe,
     # λ/(2√2πσ).
     middle, alpha = image.xyz[3, 4], math.radians(2.0) / 2.0
-    lobe2 = (0.55 / (2.0 * math.sqrt(2.0) * math.pi * 8.0)) ** 2
+    lobe2 = (0.55 / (2.0 * math.sqrt(2.0) * math.pi * LONG.sigma_um)) ** 2
     assert middle[1] == pytest.approx(lobe2 / (lobe2 + alpha**2), rel=0.2)

@@ -43,6 +43,7 @@ def test_a_choice_of_lights_has_the_colours_of_all_lights(fingers, monkeypatch, 
 
 def test_a_picture_with_many_lights_does_not_depend_on_the_number_of_threads(fingers):
     body, options = meshes.tube(segments_along=48, segments_around=24), {"tolerance": 4.0 * TOLERANCE, "pigment": 0.1}
+    options["coherence"] = wd.Coherence(sigma_um=3.0)
     one, two = (
         wd.shade(body, fingers, hemisphere(MANY_LIGHTS, "FL11"), VIEW, threads=threads, strict=False, **options)
         for threads in (1, 2)

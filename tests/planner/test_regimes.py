@@ -147,12 +147,12 @@ def test_directions_far_darker_than_the_mirror_direction_meet_the_tolerance(coun
     assert Case(heightfield, methods.at_elevation(count, 0.1, None, seed)).automatic <= TOLERANCE
 
 
-@pytest.mark.parametrize("elevation", [0.1, 0.5, 3.0, 30.0])
+@pytest.mark.parametrize("elevation", [0.1, slow(0.5), 3.0, slow(30.0)])
 @pytest.mark.parametrize("spread", [0.1, None])
 def test_spectra_of_sources_towards_the_horizon_meet_the_tolerance(elevation, spread):
     heightfield, source = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=4), wd.Coherence("source")
-    lights, views = methods.at_elevation(48, elevation, spread)
-    wavelengths = np.linspace(0.38, 0.78, 41)
+    lights, views = methods.at_elevation(24, elevation, spread)
+    wavelengths = np.linspace(0.38, 0.78, 21)
     exact = reference.reference_spectral(heightfield, lights, views, wavelengths, source)
     rho = wd.spectral_reflectance(heightfield, lights, views, 1e3 * wavelengths, coherence=source, tolerance=TOLERANCE)
     assert methods.spectral_error(rho, exact) <= TOLERANCE
@@ -160,7 +160,7 @@ def test_spectra_of_sources_towards_the_horizon_meet_the_tolerance(elevation, sp
         assert Case(heightfield, (lights, views), source).automatic <= TOLERANCE
 
 
-@pytest.mark.parametrize(("elevation", "count", "seed"), [(0.5, 8, 0), slow(0.5, 20, 1), slow(0.2, 8, 1)])
+@pytest.mark.parametrize(("elevation", "count", "seed"), [(0.5, 4, 0), slow(0.5, 20, 1), slow(0.2, 8, 1)])
 def test_colours_of_a_source_at_the_horizon_meet_the_tolerance(elevation, count, seed):
     """At half a degree above the horizon or less, a source is foreshortened more than 100 times.
 

@@ -145,7 +145,8 @@ def test_directions_that_a_plan_used_are_not_judged(rng):
     z, phi = rng.uniform(0.1, 1.0, 40_000), rng.uniform(0.0, 2.0 * np.pi, 40_000)
     s = np.sqrt(1.0 - z * z)
     views = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
-    case = call(wd.gratings.fingers(size_um=6.4), to_light=np.broadcast_to(UP, views.shape), to_view=views)
+    directions = {"to_light": np.broadcast_to(UP, views.shape), "to_view": views}
+    case = call(wd.gratings.fingers(size_um=6.4), coherence=wd.Coherence(sigma_um=3.0), **directions)
     result = judge.evaluate(case)
     chosen, weights = judge.sampled(result, rng)
     assert 100 < np.count_nonzero(result.read) <= 9000

@@ -232,7 +232,8 @@ def test_a_tilt_reflects_to_twice_its_angle(cycles, method, device):
 def test_directions_below_the_horizon_reflect_nothing(rough, kind):
     options = {"coherence": coherence_of(kind, 3.0)}
     up, down = (0.1, 0.0, 1.0), (0.1, 0.0, -1.0)
-    for light, view in ((up, down), (down, up), (down, down), (up, (1.0, 0.0, 0.0)), ((0.0, 1.0, 0.0), up)):
+    several = [up, down, down, up, (0.0, 1.0, 0.0)], [down, up, down, (1.0, 0.0, 0.0), up]
+    for light, view in ((up, down), several):
         calls = [
             lambda pair=(light, view): wd.spectral_reflectance(rough, *pair, [400.0, 700.0], **options),
             lambda pair=(light, view): wd.spectral_reflectance(rough, *pair, 500.0, method="direct", **options),
@@ -247,7 +248,7 @@ def test_directions_below_the_horizon_reflect_nothing(rough, kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_is_negative_or_unbounded_over_the_sphere(rough, kind, rng):
     """The directions include all special cases: poles, horizon, opposite and equal directions."""
-    count = 1000 if kind == "source" else 3000
+    count = 500 if kind == "source" else 1500
     directions = rng.normal(size=(count, 3))
     special = np.array([[0, 0, 1], [0, 0, -1], [1, 0, 0], [0, -1, 0], [1, 0, 1e-9], [-1, 0, 1e-9], [1, 0, 1e-300]])
     lights = np.concatenate([directions, np.repeat(special, len(special), axis=0)])
@@ -284,7 +285,7 @@ def test_threads_and_repetition_do_not_change_a_bit(rough, kind, rng):
     # Directions near the horizon are excluded, because a source there requires thousands of wavelengths per direction.
     lowest = 0.3 if kind == "source" else 0.05
     lights, views = hemisphere(rng, count, lowest), hemisphere(rng, count, lowest)
-    options = {"coherence": coherence_of(kind), "tolerance": 1e-2 if kind == "averaged" else 0.1}
+    options = {"coherence": coherence_of(kind, 4.0), "tolerance": 1e-2 if kind == "averaged" else 0.1}
     one = wd.reflectance(rough, lights, views, threads=1, **options)
     for threads in (1, 2, 5):
         assert np.array_equal(wd.reflectance(rough, lights, views, threads=threads, **options), one)

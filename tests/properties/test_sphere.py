@@ -31,7 +31,7 @@ def sphere():
     rings = [
         (math.cos(e) * math.cos(phi), math.cos(e) * math.sin(phi), math.sin(e))
         for e in np.radians(ELEVATIONS_DEG)
-        for phi in (0.0, 2.5, 3.9)
+        for phi in (0.0, 2.5)
     ]
     return np.array(exact + rings)
 

@@ -8,7 +8,7 @@ from conftest import hemisphere, relative_errors, slow
 import warpdiff as wd
 from bench.truth import reference
 
-SHORT = wd.Coherence(sigma_um=5.0)
+SHORT = wd.Coherence(sigma_um=3.0)
 GOLD, SILVER = wd.Material.metal("Au"), wd.Material.metal("Ag")
 MATERIALS = {"gold": GOLD, "a film on glass": wd.Material.dielectric(1.5).coated(wd.Material.dielectric(2.3), 90.0)}
 

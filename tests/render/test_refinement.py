@@ -53,7 +53,7 @@ def lumpy(subdivisions=3):
 BODIES = {"tube": lambda: meshes.tube(segments_along=48, segments_around=32), "lumpy": lumpy}
 
 
-def by_points(mesh, heightfield, light, camera, plan, points=36):
+def by_points(mesh, heightfield, light, camera, plan, points=24):
     """Return XYZ of pixels by ``points`` × ``points`` rays each, their coverage, and a mask of the inner pixels.
 
     All rays of an inner pixel hit the illuminated surface. The picture of the rays has a margin, because the pixel
@@ -177,7 +177,7 @@ def test_pictures_without_a_table_for_means_sum_points(fingers):
     """With ``footprint=True`` but without a table for footprint means, pixels are computed from many points each."""
     mesh, coherence = BODIES["lumpy"](), wd.Coherence("centred", sigma_um=3.25)
     plan = wd.plan(fingers, coherence=coherence, method="low-rank", tolerance=3e-3)
-    exact = by_points(mesh, fingers, LIGHT, view("lumpy"), plan, points=12)
+    exact = by_points(mesh, fingers, LIGHT, view("lumpy"), plan, points=8)
     plan = dataclasses.replace(plan, tolerance=5e-2)
     result = wd.shade(mesh, fingers, LIGHT, view("lumpy"), plan=plan, footprint=True)
     assert result.plan.footprint

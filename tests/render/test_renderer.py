@@ -22,11 +22,11 @@ from warpdiff.device.kernel_calls import KernelCall
 from warpdiff.kernels import tile_lists
 from warpdiff.render import device_tiles, renderer
 
-SHORT = wd.Coherence(sigma_um=3.25)
+SHORT = wd.Coherence(sigma_um=2.0)
 LIGHTS = [wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.8, 0.3, 0.5), illuminant="A", power=0.5)]
 WIDTH, HEIGHT = 40, 30
 # Number of pictures that each of two concurrent threads renders.
-TURNS = endurance.count(20, 150)
+TURNS = endurance.count(10, 150)
 
 
 def view(angle=0.0, size=(WIDTH, HEIGHT)):
@@ -372,7 +372,7 @@ def test_pictures_do_not_depend_on_the_number_of_parts_of_a_tile_list(tube, fing
         drawn.draw(rotated(0.2)[0])
         return drawn.image()
 
-    monkeypatch.setattr(device_tiles, "_MOST_RAYS", 1 << 20)
+    monkeypatch.setattr(device_tiles, "_MOST_RAYS", 1 << 15)
     whole = picture()
     monkeypatch.setattr(device_tiles, "_MOST_RAYS", 300)
     parts = picture()

@@ -9,7 +9,7 @@ import weakref
 
 import numpy as np
 import pytest
-from conftest import at_angle, hemisphere, relative_errors, slow
+from conftest import at_angle, coherence_of, hemisphere, relative_errors, slow
 
 import warpdiff as wd
 from bench.truth import reference
@@ -103,7 +103,7 @@ def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
 
 @pytest.mark.parametrize(
     "coherence",
-    [wd.Coherence(sigma_um=6.5), wd.Coherence("centred", 6.5), slow(wd.Coherence("source", angular_diameter_deg=0.53)),
+    [wd.Coherence(sigma_um=4.0), wd.Coherence("centred", 4.0), slow(wd.Coherence("source", angular_diameter_deg=0.53)),
      slow(wd.Coherence("replicas", periods=(2, 3)))],
     ids=lambda each: each.kind,
 )  # fmt: skip
@@ -120,7 +120,7 @@ def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
     samples = dataclasses.replace(few, max_uv=plan.max_uv, max_order_rate=plan.max_order_rate)
     assert plan.multiply_adds < samples.multiply_adds
     # The exact sum over replicated periods requires 0.1 s per direction, so fewer directions are compared.
-    apart = 650 if coherence.kind == "replicas" else 160
+    apart = 650 if coherence.kind == "replicas" else 240
     for part in (slice(0, 39_000 // apart), slice(1000, 40_000, apart)):
         exact = reference.reference_reflectance(rough, lights[part], views[part], coherence, tolerance=1e-3)
         with warnings.catch_warnings():
@@ -136,8 +136,7 @@ def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
 
 @pytest.mark.parametrize("kind", ["averaged", "centred", "source", "replicas"])
 def test_the_plan_does_not_depend_on_threads(rough, kind):
-    coherence = wd.Coherence(kind, periods=(2, 2) if kind == "replicas" else None)
-    options = {"tolerance": 0.1, "coherence": coherence}
+    options = {"tolerance": 0.1, "coherence": coherence_of(kind, 4.0, periods=(2, 2))}
     assert wd.plan(rough, at_angle(40.0), threads=1, **options) == wd.plan(rough, at_angle(40.0), threads=2, **options)
 
 

@@ -52,7 +52,7 @@ def _scene():
     heightfield = wd.gratings.fingers(size_um=6.4, seed=1)
     mesh = wd.meshes.tube(segments_along=24, segments_around=16)
     light = wd.DirectionalLight((0.1, 0.9, 1.2))
-    options = {"coherence": wd.Coherence(sigma_um=3.25), "tolerance": 0.2, "threads": 2}
+    options = {"coherence": wd.Coherence(sigma_um=2.0), "tolerance": 0.2, "threads": 2}
     return lambda view: wd.shade(mesh, heightfield, light, view, **options).xyz
 
 

@@ -56,8 +56,7 @@ runpy.run_module("warpdiff", run_name="__main__", alter_sys=True)
 """
 # Delays in seconds: some signals arrive during imports, others during the compilation of kernels.
 GRID = [
-    *((0.15, "SIGINT"), (0.25, "SIGTERM"), (0.4, "SIGHUP"), (0.6, "SIGINT")),
-    *((0.9, "SIGTERM"), (1.3, "SIGHUP"), (2.5, "SIGTERM")),
+    *((0.15, "SIGINT"), (0.4, "SIGTERM"), (0.8, "SIGHUP"), (1.6, "SIGTERM")),
 ]
 if IS_SOAK:
     GRID = [(0.15 * 1.16**k, name) for k in range(20) for name in NAMES]

@@ -23,33 +23,33 @@ from warpdiff.tables.mip_layout import MipLayout
 SHORT = wd.Coherence(sigma_um=3.25)
 
 
-def truth(heightfield, lights, views, coherence):
+def truth(heightfield, lights, views, coherence, tolerance=1e-4):
     """Return XYZ computed by the float64 reference."""
     scattering_vectors = -lights - views
     gains = reflectance_factors.gain(lights, views, normal=reflectance_factors.normal_reflectance(1.5), masking=True)
-    return gains[:, None] * reference.colours(heightfield, scattering_vectors, lights, coherence, tolerance=1e-4)
+    return gains[:, None] * reference.colours(heightfield, scattering_vectors, lights, coherence, tolerance=tolerance)
 
 
 @pytest.mark.parametrize(
     ("kind", "tolerance"), [("averaged", 2e-2), ("centred", 1e-1), slow("averaged", 1e-1), slow("centred", 2e-2)]
 )
 def test_a_table_meets_its_tolerance(fingers, kind, tolerance, rng):
-    coherence = wd.Coherence(kind, 9.0)
-    lights, views = hemisphere(rng, 160), hemisphere(rng, 160)
+    coherence = wd.Coherence(kind, 6.0)
+    lights, views = hemisphere(rng, 100), hemisphere(rng, 100)
     options = {"tolerance": tolerance, "coherence": coherence, "method": "low-rank", "integration": "table"}
     plan = wd.plan(fingers, lights, views, **options)
     assert plan.rings_per_octave > 0
     assert plan.error <= tolerance
     result = wd.reflectance(fingers, lights, views, plan=plan)
-    errors = relative_errors(result, truth(fingers, lights, views, coherence))
+    errors = relative_errors(result, truth(fingers, lights, views, coherence, tolerance=1e-3))
     assert np.percentile(errors, 99.0) <= tolerance
     assert np.percentile(errors, 99.0) >= 0.05 * plan.error
 
 
 @pytest.mark.parametrize("kind", ["averaged", slow("centred")])
 def test_more_rings_and_azimuths_have_smaller_errors(fingers, kind, rng):
-    coherence = wd.Coherence(kind, 9.0)
-    lights, views = hemisphere(rng, 100), hemisphere(rng, 100)
+    coherence = wd.Coherence(kind, 6.0)
+    lights, views = hemisphere(rng, 60), hemisphere(rng, 60)
     exact = truth(fingers, lights, views, coherence)
     plan = wd.plan(fingers, lights, views, coherence=coherence, method="low-rank", tolerance=1e-3)
     errors = []
@@ -61,15 +61,15 @@ def test_more_rings_and_azimuths_have_smaller_errors(fingers, kind, rng):
     assert errors[-1] < 5e-3
 
 
-@pytest.mark.parametrize("nodes", [4, 5, 7])
-def test_the_smallest_tables_have_approximate_colours(fingers, nodes, rng):
+def test_the_smallest_tables_have_approximate_colours(fingers, rng):
     lights, views = hemisphere(rng, 200), hemisphere(rng, 200)
     plan = wd.plan(fingers, lights, views, coherence=SHORT, method="low-rank", tolerance=1e-2)
     exact = wd.reflectance(fingers, lights, views, plan=plan)
-    sized = dataclasses.replace(plan, rings_per_octave=nodes, azimuths_per_width=1.1)
-    errors = relative_errors(wd.reflectance(fingers, lights, views, plan=sized), exact)
-    assert np.median(errors) < 0.2
-    assert errors.max() < 2.0
+    for nodes in (4, 5, 7):
+        sized = dataclasses.replace(plan, rings_per_octave=nodes, azimuths_per_width=1.1)
+        errors = relative_errors(wd.reflectance(fingers, lights, views, plan=sized), exact)
+        assert np.median(errors) < 0.2
+        assert errors.max() < 2.0
 
 
 @pytest.mark.parametrize("powers", [True, False])

@@ -53,7 +53,7 @@ def save_table(self: Table | Tabular, path: str | os.PathLike[str]) -> Path:  # 
         >>> import warpdiff as wd
         >>> wd.Table({"order": [0, 1]}).save("orders.csv").name
         'orders.csv'
-        >>> wd.gratings.fingers(size_um=12.8).periods().save("periods.csv").name
+        >>> wd.gratings.fingers(size_um=6.4).periods().save("periods.csv").name
         'periods.csv'
     """
     # This function is the method ``save`` of `Table` and of all results with a method ``table``.

@@ -76,7 +76,7 @@ class ToleranceError(ArgumentValueError):
         >>> import warpdiff as wd
         >>> grating = wd.gratings.sinusoidal(period_um=2.0, depth_um=2.0)
         >>> try:
-        ...     wd.plan(grating, method="taylor", tolerance=1e-5)
+        ...     wd.plan(grating, (0, 0, 1), (0, 0, 1), method="taylor", tolerance=1e-5)
         ... except wd.ToleranceError as error:
         ...     print(error)
         the Taylor series cannot meet tolerance=1e-05: ...

@@ -63,11 +63,12 @@ class Renderer:
         >>> import warpdiff as wd
         >>> body, grating = wd.meshes.tube(), wd.gratings.sinusoidal(2.0, 0.1)
         >>> light, view = wd.DirectionalLight((0.3, 1.0, 0.8)), wd.View.fit(body, width=32, height=18)
-        >>> renderer = wd.Renderer(body, grating, light, view, tolerance=0.1)
+        >>> coherence = wd.Coherence(sigma_um=5.0)
+        >>> renderer = wd.Renderer(body, grating, light, view, coherence=coherence, tolerance=0.1)
         >>> renderer.draw(wd.DirectionalLight((0.0, 1.0, 1.0))).shape
         (18, 32)
         >>> renderer.image()
-        Image(32 × 18 pixels, 21 % illuminated, estimated error 0.69 at the 99th percentile)
+        Image(32 × 18 pixels, 21 % illuminated, estimated error 0.71 at the 99th percentile)
     """
 
     @accepts(PictureSettings)

@@ -106,7 +106,8 @@ class Plan:
     Examples:
         >>> import dataclasses
         >>> import warpdiff as wd
-        >>> plan = wd.plan(wd.gratings.sinusoidal(period_um=2.0, depth_um=0.1), tolerance=0.01)
+        >>> grating = wd.gratings.sinusoidal(period_um=2.0, depth_um=0.1)
+        >>> plan = wd.plan(grating, (0, 0, 1), (0, 0, 1), tolerance=0.01)
         >>> plan.error <= plan.tolerance
         True
         >>> dataclasses.replace(plan, wavelengths=64).wavelengths

@@ -21,7 +21,7 @@ from warpdiff.lights import sky_distribution
 
 KNOWN = controls()
 VALUES = checked(
-    KNOWN, {"mesh": "disc", "surface": "blazed", "height": 240, "tolerance": 0.1, "sigma_um": 4.0, "azimuth_deg": 20.0}
+    KNOWN, {"mesh": "disc", "surface": "blazed", "height": 240, "tolerance": 0.1, "sigma_um": 2.0, "azimuth_deg": 20.0}
 )
 WAIT_S = 120.0
 

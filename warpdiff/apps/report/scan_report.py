@@ -55,7 +55,7 @@ class ScanReport:
     Examples:
         >>> import warpdiff as wd
         >>> grating = wd.gratings.sinusoidal(2.0, 0.1)
-        >>> report = wd.report(grating, "report", sigmas_um=[10.0])
+        >>> report = wd.report(grating, "report", sigmas_um=[2.0])
         >>> report.page.name, report.reasons["periods"][:38]
         ('report.html', 'no wave repeats at least three times i')
     """
@@ -119,7 +119,7 @@ def report(
 
     Examples:
         >>> import warpdiff as wd
-        >>> report = wd.report(wd.gratings.blazed(2.0, 0.2), "report", sigmas_um=[10.0])
+        >>> report = wd.report(wd.gratings.blazed(2.0, 0.2), "report", sigmas_um=[2.0])
         >>> [path.name for path in report.paths]
         ['report.html', 'report.json', 'roughness.csv', 'theory.csv', 'orders.csv', 'colours.csv']
     """

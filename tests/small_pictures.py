@@ -1,0 +1,45 @@
+"""Replacements of public functions that draw small, rough pictures, so that examples and pages run quickly."""
+
+import dataclasses
+import functools
+
+import warpdiff as wd
+
+# Largest number of pixels along the longer side of a picture.
+MOST_PIXELS = 32
+
+
+def smaller(view):
+    """Return a copy of the view with few pixels."""
+    scale = MOST_PIXELS / max(view.width, view.height)
+    size = {name: max(round(scale * getattr(view, name)), 2) for name in ("width", "height")}
+    return dataclasses.replace(view, **size)
+
+
+class SmallView:
+    """Replacement for ``wd.View`` in an example, which makes views with few pixels."""
+
+    def __call__(self, *arguments, **options):
+        return smaller(wd.scene.camera.View(*arguments, **options))
+
+    def fit(self, *arguments, **options):
+        return smaller(wd.scene.camera.View.fit(*arguments, **options))
+
+
+def rough(function, **fixed):
+    """Return the function with some of its arguments fixed, so that it runs faster."""
+
+    @functools.wraps(function)
+    def call(*arguments, **options):
+        return function(*arguments, **options | fixed)
+
+    return call
+
+
+def draw_roughly(monkeypatch):
+    """Make views small, and pictures and baked lobes rough: large tolerances and a short coherence window."""
+    window = wd.Coherence(sigma_um=1.5)
+    monkeypatch.setattr(wd, "View", SmallView())
+    for name in ("shade", "Renderer"):
+        monkeypatch.setattr(wd, name, rough(getattr(wd, name), tolerance=0.3, coherence=window))
+    monkeypatch.setattr(wd, "bake", rough(wd.bake, delta_e=20.0, coherence=window))
