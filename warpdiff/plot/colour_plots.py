@@ -103,14 +103,19 @@ def _add_directions(ax: Axes, light: NDArray[np.float64] | None) -> None:
     ax.add_patch(Circle((0.0, 0.0), 1.0, fill=False, edgecolor="0.3", linewidth=1.0))
     ax.text(0.735, 0.735, "90°", fontsize="small", ha="left", va="bottom")
     if light is not None:
-        for place, marker, name in ((-light, "+", "mirror direction"), (light, "o", "light")):
+        for direction, marker, name in ((-light, "+", "mirror direction"), (light, "o", "light")):
             for colour, size, width in (("black", 15.0, 3.2), ("white", 13.0, 1.4)):
                 ax.plot(
-                    place[0], place[1], marker, color=colour, markersize=size if marker == "+" else 0.6 * size,
+                    direction[0], direction[1], marker, color=colour, markersize=size if marker == "+" else 0.6 * size,
                     markerfacecolor="none", markeredgewidth=width,
                 )  # fmt: skip
             ax.annotate(
-                name, (place[0], place[1]), xytext=(8, -13), textcoords="offset points", fontsize="small", **outlined()
+                name,
+                (direction[0], direction[1]),
+                xytext=(8, -13),
+                textcoords="offset points",
+                fontsize="small",
+                **outlined(),
             )
     ax.set_xlim(-1.02, 1.02)
     ax.set_ylim(-1.02, 1.02)

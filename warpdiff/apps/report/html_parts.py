@@ -30,10 +30,12 @@ def text_of(value: object) -> str:
 
 
 def table_of(names: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return an HTML table. Columns with a name that ends in `RIGHT` are numbers; columns without a name are notes.
+    """Return an HTML table. Columns with a name that ends in `RIGHT` are numbers; a last column without a name is notes.
 
-    On narrow screens, each row is a block, and each cell has the name of its column.
+    If all notes are empty, their column is omitted. On narrow screens, each row is a block, and each cell has the name of its column.
     """
+    if not names[-1] and not any(row[-1] for row in rows):
+        names, rows = names[:-1], [row[:-1] for row in rows]
     kinds = ["number" if name.endswith(RIGHT) else "" if name else "note" for name in names]
     classes = [f' class="{kind}"' if kind else "" for kind in kinds]
     labels = [text_of(name.rstrip(RIGHT)) for name in names]

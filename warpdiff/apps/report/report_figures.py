@@ -32,7 +32,7 @@ _DPI = 150
 # samples are not visible.
 _MOST_DRAWN = 1400
 # Width of pictures of curves, and of pictures of maps [inches]. Limit: their text is legible on a screen of 400 pixels.
-_WIDE, _SQUARE = 6.2, 5.4
+_WIDE, _SQUARE = 5.6, 5.4
 # Side of the middle part of a field that the report also shows enlarged [µm], and the least size of the field, relative
 # to this side.
 _ZOOM_UM, _LEAST_FIELD = 10.0, 2.0
@@ -120,22 +120,22 @@ def _surface(data: ReportData) -> Figure:
         uri = _drawn("svg", _WIDE, 2.6, lambda ax: plot.profile(field, ax=ax, along=along))
         caption = f"Heights of the field, constant along {'y' if along == 'x' else 'x'}."
         return Figure("surface", (uri,), "Profile of the heights", caption)
-    parts, size = [field], field.size_um
-    if min(size) >= _LEAST_FIELD * _ZOOM_UM:
+    parts = [field]
+    if min(field.size_um) >= _LEAST_FIELD * _ZOOM_UM:
         parts.append(field.cropped(_ZOOM_UM))
-    uris = tuple(
-        _drawn(
+
+    def drawn(part: HeightField) -> str:
+        return _drawn(
             "png", *_map_size(part),
-            lambda ax, part=part: plot.height_map(_thinned(part), ax=ax, profile_along=along, is_shaded=True),
-        )
-        for part in parts
-    )  # fmt: skip
+            lambda ax: plot.height_map(_thinned(part), ax=ax, profile_along=along, is_shaded=True),
+        )  # fmt: skip
+
     zoom = f" Second picture: the middle {_ZOOM_UM:g} µm." if len(parts) > 1 else ""
     caption = (
         "Heights of the field, shaded as a relief in light from the upper left, and a profile along "
         f"{along} at the dashed line. Row 0 of the field is at y = 0, at the bottom.{zoom}"
     )
-    return Figure("surface", uris, "Map of the heights, and a profile", caption)
+    return Figure("surface", tuple(map(drawn, parts)), "Map of the heights, and a profile", caption)
 
 
 def _map_size(field: HeightField) -> tuple[float, float]:
@@ -156,22 +156,23 @@ def _spectrum(data: ReportData) -> Figure:
     limits: list[float | None] = [None]
     if data.periods:
         nearest = _SPECTRUM_PERIODS / data.periods[0].period_um
-        if nearest < 0.5 / max(part.pitch_um):
-            limits = [nearest, None]
+        highest = 0.5 / min(part.pitch_um)
+        if nearest < highest:
+            limits = [nearest, highest]
             text += (
                 f" First picture: up to {_SPECTRUM_PERIODS:g} times the frequency of the strongest period. Second "
                 "picture: the whole spectrum. Spots with fewer than "
                 f"{LEAST_SAMPLES:g} samples per period, beyond {1.0 / (LEAST_SAMPLES * max(part.pitch_um)):.3g} per µm "
                 "along an axis, may be artefacts of sampling."
             )
-    uris = tuple(
-        _drawn(
+
+    def drawn(most: float | None) -> str:
+        return _drawn(
             "png", _SQUARE + 0.8, _SQUARE,
-            lambda ax, most=most: plot.power_spectrum(part, ax=ax, most_frequency=most, title=""),
-        )
-        for most in limits
-    )  # fmt: skip
-    return Figure("periods", uris, alt, text)
+            lambda ax: plot.power_spectrum(part, ax=ax, most_frequency=most, title=""),
+        )  # fmt: skip
+
+    return Figure("periods", tuple(map(drawn, limits)), alt, text)
 
 
 def _orders(data: ReportData, efficiencies: OrderEfficiencies) -> Figure:
@@ -190,7 +191,7 @@ def _orders(data: ReportData, efficiencies: OrderEfficiencies) -> Figure:
     return Figure("orders", (uri,), "Efficiencies of the orders against their angles", caption)
 
 
-def _exposure(luminances: NDArray[np.float64]) -> float:
+def _exposure(luminances: NDArray[np.floating[Any]]) -> float:
     """Return the automatic exposure of luminances, rounded to two digits."""
     return float(f"{auto_exposure(luminances[luminances > 0.0], 'aces'):.2g}")
 

@@ -254,7 +254,7 @@ def _surface(data: ReportData, numbers: dict[str, Any]) -> str:
         else paragraph("The heights were not cleaned. Tilt, dust, scan-line steps and noise count as relief.")
     )
     history += paragraph(
-        f"Roughness and power spectrum are of the heights minus {plane}. Diffraction is of the heights as they are."
+        f"Roughness and power spectrum are of the heights minus {plane}. Diffraction is of the heights unchanged."
     )
     part = ""
     if data.is_cropped:
@@ -285,11 +285,9 @@ def _roughness(data: ReportData) -> str:
     roughness = data.roughness
     if roughness is None:
         return _absent(data, "roughness")
-    rows = [(p.name, p.meaning, _shown(p), p.reason) for p in roughness]
-    notes = any(p.reason for p in roughness)
     table = table_of(
-        ["Parameter", "Meaning", "Value ± standard error" + RIGHT, *([""] if notes else [])],
-        rows if notes else [row[:3] for row in rows],
+        ["Parameter", "Meaning", "Value ± standard error" + RIGHT, ""],
+        [(p.name, p.meaning, _shown(p), p.reason) for p in roughness],
     )
     blocks = roughness.blocks[0] * roughness.blocks[1]
     levelled = "mean" if roughness.order == 0 else f"least-squares polynomial of degree {roughness.order}"
@@ -318,14 +316,13 @@ def _periods(data: ReportData) -> str:
         ))  # fmt: skip
     numbers = ("No.", "Period ± standard error", "Direction", "Amplitude", "Share of variance")
     names = [*(name + RIGHT for name in numbers), "Phase", ""]
-    if all(period.is_resolved for period in data.periods):
-        names, rows = names[:-1], [row[:-1] for row in rows]
     return table_of(names, rows) + paragraph(
         "The period is the mean over the field. Its error is that of the mean of the whole surface, not the spread of "
         "single ridges. The direction is that of the wave vector, from x towards y. The amplitude is that of the "
         "fundamental sine. If the phase varies, the distance of neighbouring ridges varies over the field, and the "
         "amplitude is that of a sine with the variance of the wave. The rest of the variance is roughness, waviness "
-        "and features that do not repeat. Directions, amplitudes and shares describe this field alone and have no error."
+        "and features that do not repeat. Directions, amplitudes and shares describe this field alone and have no "
+        "error."
     )
 
 
@@ -460,8 +457,9 @@ def _colours(data: ReportData) -> str:
         )
     return paragraph(
         "The coherence window is the part of the surface whose light interferes, a Gaussian of standard deviation σ. A "
-        "larger window separates orders better, because its lobes are narrower. For lamps and daylight use "
-        "σ = 16.25 µm. The page “Coherence length” of warpdiff's documentation has other lights. View angles θ are positive "
+        "larger window separates orders better, because its lobes are narrower. For daylight and artificial light use "
+        "σ = 16.25 µm. The page “Coherence length” of warpdiff's documentation has other lights. View angles θ are "
+        "positive "
         f"towards +{_axis(data)}. The numerical error of XYZ is at most {100.0 * tolerance:g} % for 99 % of the "
         "directions. The error of scalar diffraction is stated above. Differences between parts of the surface are not "
         f"included.{text}"
