@@ -30,9 +30,14 @@ def text_of(value: object) -> str:
 
 
 def table_of(names: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return an HTML table. Columns with a name that ends in `RIGHT` are numbers; a last column without a name is notes.
+    """Return an HTML table.
 
-    If all notes are empty, their column is omitted. On narrow screens, each row is a block, and each cell has the name of its column.
+    On narrow screens, each row is a block, and each cell has the name of its column.
+
+    Args:
+        names: Names of the columns. A name that ends in `RIGHT` marks numbers. The last name may be empty, for a column
+            of notes, which is omitted if all notes are empty.
+        rows: Cells of each row.
     """
     if not names[-1] and not any(row[-1] for row in rows):
         names, rows = names[:-1], [row[:-1] for row in rows]
