@@ -89,7 +89,7 @@ def test_errors_of_orders_are_bars_of_their_wavelength(ax):
         np.testing.assert_allclose(heights, 2.0 * (1.0, 3.0)[row])
         assert len(segments) == np.count_nonzero(~np.isnan(result.to_view[row, :, 0]))
     assert len(ax.texts) == np.count_nonzero(~np.isnan(result.to_view[..., 0]))
-    with pytest.raises(ValueError, match=r"errors must have the shape \(2,\), one number per wavelength, got \(3,\)"):
+    with pytest.raises(ValueError, match=r"errors must have the shape \(2,\), one number of at least 0 per wavelength"):
         wd.plot.orders(result, ax=ax, against="angle", errors=[0.1, 0.1, 0.1])
 
 

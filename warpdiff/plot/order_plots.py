@@ -85,11 +85,11 @@ def orders(
             f"{ref('against', against)} requires one wavelength, got {len(efficiencies.wavelengths_nm)}: compute the "
             "efficiencies for one wavelength"
         )
-    bars = None if errors is None else validation.finite_array(errors, "errors")
-    if bars is not None and bars.shape != efficiencies.wavelengths_nm.shape:
+    bars = None if errors is None else validation.finite_array(errors, "errors", most=validation.MOST)
+    if bars is not None and (bars.shape != efficiencies.wavelengths_nm.shape or bars.min() < 0.0):
         raise ArgumentValueError(
-            f"{ref('errors')} must have the shape {efficiencies.wavelengths_nm.shape}, one number per wavelength, got "
-            f"{bars.shape}"
+            f"{ref('errors')} must have the shape {efficiencies.wavelengths_nm.shape}, one number of at least 0 per "
+            f"wavelength, got {errors!r:.60}"
         )
     ax = axes_for(ax, width=6.4, height=4.0)
     if against == "wavelength":
