@@ -272,7 +272,7 @@ def test_info_reports_pixels_that_are_not_square(tmp_path, capsys, words, size):
     assert run("info", tmp_path / "a.npy", *words) == 0
     out = capsys.readouterr().out
     assert f"size              {size} (x × y)" in out
-    assert "orientation       row 0 of 'a.npy' at y = 0 (rows='down')" in out
+    assert "orientation       row 0 of the picture in 'a.npy' at y = 0 (rows='down')" in out
 
 
 @pytest.mark.parametrize("words", [["0.3x"], ["axb"], ["0.3;0.15"]])

@@ -122,7 +122,7 @@ def _orientation(heightfield: HeightField) -> str:
         return "row 0 at y = 0, z towards the viewer"
     which = repr(Path(source.path).name) if source.path else "the topography"
     place = "at the top, the largest y" if source.rows == "up" else "at y = 0"
-    return f"row 0 of {which} {place} (rows={source.rows!r})"
+    return f"row 0 of the picture in {which} {place} (rows={source.rows!r})"
 
 
 def rms_slope(heights_um: NDArray[np.float64], pitch_um: tuple[float, float]) -> float:

@@ -149,8 +149,9 @@ class HeightField:
 
         Raises:
             FileNotFoundError: The file does not exist.
-            ValueError: The file cannot be read, is a colour image or a profile, or contains infinities; its size
-                or pitch is not given exactly once; or it has no channel of the given name.
+            ValueError: The file cannot be read, is a colour image or a profile, or contains infinities (in a text,
+                ``inf`` is a missing sample); its size or pitch is not given exactly once; or it has no channel of the
+                given name.
 
         Examples:
             >>> import pathlib, tempfile
@@ -188,6 +189,7 @@ class HeightField:
         make = cls.of_known_scale if content.is_known_scale else cls
         field = make(heights_um[::-1] if source.rows == "up" else heights_um, pitch_um)
         field._source = source
+        field._history = content.notes
         return field
 
     @classmethod

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import html
+import unicodedata
+
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, did_you_mean, ref
 
 # Size [µm] of each unit whose symbol the argument ``unit`` of `HeightField.load` accepts.
@@ -10,18 +13,22 @@ _WORDS = {
     "micron": 1.0, "microns": 1.0, "micrometer": 1.0, "micrometre": 1.0, "mikrometer": 1.0, "micromètre": 1.0,
     "nanometer": 1e-3, "nanometre": 1e-3, "nanomètre": 1e-3, "millimeter": 1e3, "millimetre": 1e3, "millimètre": 1e3,
     "centimeter": 1e4, "centimetre": 1e4, "meter": 1e6, "metre": 1e6, "mètre": 1e6, "picometer": 1e-6,
-    "picometre": 1e-6, "angstrom": 1e-4, "ångstrom": 1e-4, "ångström": 1e-4, "angström": 1e-4,
+    "picometre": 1e-6, "angstrom": 1e-4, "ångstrom": 1e-4, "ångström": 1e-4, "angström": 1e-4, "nanómetro": 1e-3,
+    "micrómetro": 1.0, "нм": 1e-3, "мкм": 1.0, "мм": 1e3, "纳米": 1e-3, "微米": 1.0, "毫米": 1e3,
 }  # fmt: skip
 
 
 def factor_of(text: str) -> float | None:
     """Return the size [µm] of a unit by its symbol or name in a file; None if the text is no unit of length."""
-    # Unicode has two characters for µ, and two for Å. "Âµ" is a micro sign in UTF-8 that was decoded as Latin-1.
-    name = text.strip().strip("[](){}").strip().replace("μ", "µ").replace("Âµ", "µ").replace("\u212b", "Å")
+    # The normal form joins the characters that Unicode has for µ, for Å and for symbols such as ㎚. "Âµ" is a micro
+    # sign in UTF-8 that was decoded as Latin-1.
+    name = unicodedata.normalize("NFKC", html.unescape(text)).strip().strip("[](){}.").strip()
+    name = name.replace("μ", "µ").replace("Âµ", "µ")
     if name in SYMBOLS:
         return SYMBOLS[name]
     lower = name.lower()
-    if lower in SYMBOLS and lower != "m" and len(name) > 1:
+    # Symbols in capital letters are accepted, but "Nm" is a unit of torque and "Mm" a million metres.
+    if lower in SYMBOLS and len(name) > 1 and name.isupper():
         return SYMBOLS[lower]
     if lower == "å":
         return SYMBOLS["Å"]

@@ -48,6 +48,9 @@ class FileContent:
         is_known_scale: Whether the file was written by `HeightField.save`. Its units are then certain, and no check
             asks whether the sizes and heights are plausible.
         metadata: Facts about instrument and measurement that the file states, as text by name.
+        notes: Changes of the samples by the reader, as sentences for the history of the field.
+        why_no_pitch: Reason why the file's statements of the pitch were not read, for the error that asks for it.
+        why_no_unit: Reason why the file's statements of the unit were not read, for the error that asks for it.
     """
 
     samples: np.ndarray
@@ -57,6 +60,9 @@ class FileContent:
     pitch_in_unit: tuple[float, float] | None = None
     is_known_scale: bool = False
     metadata: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    why_no_pitch: str = ""
+    why_no_unit: str = ""
 
 
 # Channels of a file by name, the default one first. A channel is read only when its function is called.
@@ -278,9 +284,10 @@ def _factor(content: FileContent, file: Path, unit: str | None) -> float:
             raise ArgumentValueError(f"{ref('unit')} must not be given: heights of {str(file)!r} have a unit already")
         return 1.0
     if unit is None:
+        text = "clear text" if content.why_no_unit else "text"
         raise ArgumentValueError(
-            f"{ref('unit')} must be given: {str(file)!r} has no text that states the unit of its heights; it is one of "
-            f"{', '.join(length_units.SYMBOLS)}"
+            f"{ref('unit')} must be given: {str(file)!r} has no {text} that states the unit of its heights"
+            f"{_because(content.why_no_unit)}; it is one of {', '.join(length_units.SYMBOLS)}"
         )
     return length_units.factor_um(unit, "unit")
 
@@ -291,6 +298,11 @@ def clipped_share(samples: NDArray[Any]) -> float:
         return 0.0
     is_extreme = (samples == 0) | (samples == np.iinfo(samples.dtype).max)
     return float(np.count_nonzero(is_extreme)) / samples.size
+
+
+def _because(reason: str) -> str:
+    """Return the reason why a file's statement was not read, as the continuation of an error message."""
+    return f" (header: {reason})" if reason else ""
 
 
 def refusal(file: Path, reason: str) -> ArgumentValueError:
@@ -338,7 +350,7 @@ def pitch_of(
     if len(names) != 1:
         raise ArgumentValueError(
             f"exactly one of {ref('extent_um')} (size of the field) and {ref('pitch_um')} (distance of the samples) "
-            f"must be given, got {'both' if names else 'neither'}"
+            f"must be given, got {'both' if names else 'neither'}{'' if names else _because(content.why_no_pitch)}"
         )
     return _stated_pitch((ny, nx), extent_um, pitch_um)
 

@@ -1,182 +1,32 @@
-"""Facts of the header of a text export: sizes and pitches with their units, unit of heights, channel, columns."""
+"""Header of a text export: finds the sizes and pitches with their units, the unit of heights, the channel and gaps."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+import unicodedata
 from typing import TYPE_CHECKING
 
-from warpdiff.heightfield.readers import length_units
+from warpdiff.heightfield.readers import text_facts, text_keys, text_statements, text_units
+from warpdiff.heightfield.readers.text_facts import Facts
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
+    from warpdiff.heightfield.readers.text_statements import Signs, Statement
     from warpdiff.heightfield.readers.text_table import Form
 
 # Number of header lines that are searched for facts: the last ones before the numbers.
 _MOST_LINES = 400
-# Largest relative difference of two statements of the same length that count as equal. If doubled, contradictions pass
-# more often.
-_MOST_DIFFERENCE = 1e-3
 # Number of characters above which a header line is not searched. Limit: longer lines are free text.
-_MOST_LENGTH = 400
-_NUMBER = r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eEdD][-+]?\d+)?"
-_UNIT = r"[A-Za-zµμÅåÂ\u212b][A-Za-zµμÅåèö]*"
-_PER_PIXEL = r"\s*/\s*(?:pixel|pix|px|sample|samples|pt|point)\b"
-# Matches a key with a number and perhaps a unit, such as "Width: 10 µm", "pixel size=0.1 um" or "XY calibration 277.3
-# nm/pixel".
-_STATEMENT = re.compile(
-    rf"(?P<key>[^\W\d_][^:=;\t]*?)\s*[:=\t;]\s*(?P<number>{_NUMBER})(?![\w.,]*[.:/]\d)"
-    rf"(?:\s*[;,\t]?\s*[\[(]?(?P<unit>{_UNIT})[\])]?(?P<per>{_PER_PIXEL})?)?"
-)
-_SPACED = re.compile(
-    rf"(?P<key>[^\W\d_][^:=;\t\d]*?)\s+(?P<number>{_NUMBER})\s*(?P<unit>{_UNIT})(?P<per>{_PER_PIXEL})?$"
-)
-# Matches a key with two numbers, such as "Scan size: 10 x 8 µm" or "Size = 10 µm × 8 µm".
-_PAIR = re.compile(
-    rf"(?P<key>[^\W\d_][^:=]*?)\s*[:=]\s*(?P<x>{_NUMBER})\s*(?P<unit_x>{_UNIT})?\s*(?:[x×*]|by)\s*(?P<y>{_NUMBER})\s*"
-    rf"(?P<unit_y>{_UNIT})\b"
-)
-_WORD = re.compile(rf"(?P<key>[^\W\d_][^:=;\t]*?)\s*[:=;\t]\s*(?P<unit>{_UNIT}|\[[^\]]+\])\s*;*$")
-_FACTOR = re.compile(
-    rf"height conversion factor\s*\(\s*-?>?\s*(?P<unit>{_UNIT})\s*\)\s*[:=]\s*(?P<number>{_NUMBER})", re.IGNORECASE
-)
-_HEIGHTS_IN = re.compile(
-    rf"(?:\b(?:z|heights?|höhen?|hauteurs?|altezz[ae]|alturas?|topography|depths?|elevations?|values?|data)\b)"
-    rf"[^\[(\d]{{0,30}}(?:[\[(]\s*(?P<bracket>{_UNIT})\s*[\])]|\bin\s+(?P<word>{_UNIT}))",
+MOST_LENGTH = 400
+# Number of numbers in a line above which it is no statement of sizes, but a row of a table.
+_MOST_NUMBERS = 4
+_WHOLE = re.compile(r"\d{1,9}(?:\.0*)?")
+_CHANNEL = re.compile(
+    r"(?:channel|kanal|canal|canale|kanał|kanál|канал|チャンネル|チャネル|通道|채널)\s*[:=;,\t]\s*(?P<name>.+)",
     re.IGNORECASE,
 )
-_Z_AMPLITUDE = re.compile(rf"z amplitude\s*:\s*{_NUMBER}\s*(?P<unit>{_UNIT})$", re.IGNORECASE)
-_ENDS_IN_NUMBER = re.compile(r"[:=]\s*[-+\d.,]+\s*$")
-_CHANNEL = re.compile(
-    r"(?:channel|kanal|canal|canale|kanał|kanál|канал|チャンネル|通道)\s*[:=;,\t]\s*(?P<name>.+)", re.IGNORECASE
-)
-_IN_KEY = re.compile(rf"[\[(]\s*(?P<unit>{_UNIT})\s*(?P<per>{_PER_PIXEL})?\s*[\])]")
-_COLUMN = re.compile(r"^(?P<axis>[xyz])\b|^(?P<other>[xyz])_", re.IGNORECASE)
-
-
-def _names(*lines: str) -> frozenset[str]:
-    """Return the set of keys in lines of text; vertical bars separate the keys of a line."""
-    return frozenset("|".join(lines).split("|"))
-
-
-# Keys of header lines, in lower case, by the fact that they state: width, height, pitch, number of samples, unit or
-# factor. They are the words of common programs and languages.
-_WIDTH = _names(
-    "width|breite|largeur|larghezza|ancho|anchura|largura|bredd|bredde|szerokość|šířka|ширина|genişlik|szélesség",
-    "leveys|幅|宽度|x amplitude|x size|size x|xsize|x range|range x|x scan size|scan size x|x scan range|scan range x",
-    "x length|length x|lx|xreal|x extent|extent x|x dimension|field width|image width|scan width",
-)
-_HEIGHT = _names(
-    "height|höhe|hoehe|hauteur|altezza|alto|altura|höjd|høyde|højde|wysokość|výška|высота|yükseklik|magasság",
-    "korkeus|高さ|y amplitude|y size|size y|ysize|y range|range y|y scan size|scan size y|y scan range|scan range y",
-    "高度|y length|length y|ly|yreal|y extent|extent y|y dimension|field height|image height|scan height",
-)
-_BOTH_SIZES = _names(
-    "size|scan size|scansize|scan range|extent|field of view|fov|image size|field size|physical size|area|scan area"
-)
-_PITCH_X = _names(
-    "pixel size x|x pixel size|pixel width|dx|x step|step x|x step size|step size x|x pitch|pitch x|x spacing",
-    "spacing x|x increment|increment x|x-increment|x sampling|sampling x|x interval|xpixelsize|pixelsizex",
-)
-_PITCH_Y = _names(
-    "pixel size y|y pixel size|pixel height|dy|y step|step y|y step size|step size y|y pitch|pitch y|y spacing",
-    "spacing y|y increment|increment y|y-increment|y sampling|sampling y|y interval|ypixelsize|pixelsizey",
-)
-# Keys of the pitch along both axes. "Step" and "pitch" alone are not among them, because they may state the step of the
-# focus along z.
-_BOTH_PITCHES = _names(
-    "pixel size|pixelsize|pixel pitch|lateral sampling|sampling interval|sampling distance|sample spacing|spacing",
-    "point spacing|grid spacing|lateral spacing|lateral step|xy calibration|xy-calibration|xy-justierung|dxy",
-    "xy step|xy pitch|camera res|camera resolution|pixelgröße|taille de pixel",
-)
-_COUNTS_X = _names(
-    "w|nx|columns|cols|number of columns|num columns|horizontal|horizont.|x pixels|pixels x|x-pixels|xres",
-    "samples/line|points x|x points|x samples|xdim|x size|size x|xsize",
-)
-_COUNTS_Y = _names(
-    "h|ny|rows|lines|number of rows|number of lines|num rows|vertical|vertikal|y pixels|pixels y|y-pixels|yres",
-    "points y|y points|y samples|ydim|y size|size y|ysize",
-)
-_UNITS_Z = _names(
-    "value units|value unit|values unit|z unit|z units|z-unit|zunit|unit z|units z|unit|units|height unit|height units",
-    "heightunit|unit of height|unit of heights|data unit|data units|einheit|einheiten",
-    "z einheit|höheneinheit|unité|unités|unità|unidad|unidades|z-axis unit|z axis unit|heights|values|z",
-)
-_UNITS_XY = _names(
-    "x unit|y unit|xy unit|xy units|x units|y units|lateral unit|lateral units|x-unit|y-unit|unit x|unit y"
-)
-_FACTORS = _names("z scale|z-scale|zscale|scale z|z factor|z-factor|factor|scale factor|height scale|multiplier|bit2nm")
-_GLOBAL_UNITS = _names("units|einheiten|unités")
-
-
-@dataclass
-class Facts:
-    """Facts that the header of a text states. Lengths are in µm. None means that the header does not state a fact.
-
-    Attributes:
-        size_x: Width of the field.
-        size_y: Height of the field.
-        size_of_both: Size of the field, if the header states one size for both axes.
-        pitch_x: Distance of samples along x.
-        pitch_y: Distance of samples along y.
-        count_x: Number of columns.
-        count_y: Number of rows.
-        units: Sizes of all units that the header states for the heights. Several ones contradict each other.
-        factor_key: Key of a factor by which the program scales heights. The factor is not applied, and the file is
-            refused. An empty string if there is none.
-        not_length: Unit of the values if it is no unit of length, such as V; an empty string if there is none.
-        factor: Height of a value of 1, if the header states it as a "height conversion factor".
-        lateral: Size of the unit of the positions along x and y.
-        global_unit: Size of the unit of all numbers of the file, heights and positions, if there is one.
-        channel: Name of the channel; an empty string if it is not stated.
-        metadata: Lines "key: value", as text.
-    """
-
-    size_x: float | None = None
-    size_y: float | None = None
-    size_of_both: float | None = None
-    pitch_x: float | None = None
-    pitch_y: float | None = None
-    count_x: int | None = None
-    count_y: int | None = None
-    units: set[float] = field(default_factory=set)
-    factor_key: str = ""
-    not_length: str = ""
-    factor: float | None = None
-    lateral: float | None = None
-    global_unit: float | None = None
-    channel: str = ""
-    metadata: dict[str, str] = field(default_factory=dict)
-    _stated: dict[str, list[tuple[bool, float]]] = field(default_factory=dict)
-
-    def add(self, name: str, length: float, *, names_axis: bool) -> None:
-        """Add the length that a header line states for the fact ``name``, a size or a pitch.
-
-        ``names_axis`` is whether the key of the line names x or y. Such statements outweigh keys like "Height" or
-        "Spacing".
-        """
-        self._stated.setdefault(name, []).append((names_axis, length))
-
-    def decide(self) -> None:
-        """Set each size and pitch for which the header lines state equal lengths; contradictory lines set nothing."""
-        for name, statements in self._stated.items():
-            strongest = max(names_axis for names_axis, _ in statements)
-            lengths = [length for names_axis, length in statements if names_axis == strongest]
-            if max(lengths) <= (1.0 + _MOST_DIFFERENCE) * min(lengths):
-                setattr(self, name, lengths[0])
-
-    @property
-    def has_scale(self) -> bool:
-        """Whether the header states the size, or the pitch, along both axes."""
-        return None not in (self.size_x, self.size_y) or None not in (self.pitch_x, self.pitch_y)
-
-    @property
-    def unit(self) -> float | None:
-        """Size of the unit of heights [µm]; None if the header does not state one, or states two different ones."""
-        if self.factor is not None:
-            return self.factor
-        return next(iter(self.units)) if len(self.units) == 1 else None
+_ASPECT = re.compile(r"\baspect(?: ratio)?\b[\s:=]*(?!1(?:[.,]0*)?(?:\s*[:/]\s*1(?:[.,]0*)?)?\s*$)\d", re.IGNORECASE)
 
 
 def is_statement(line: str) -> bool:
@@ -184,17 +34,12 @@ def is_statement(line: str) -> bool:
     return any(sign in line for sign in ":=") or re.search(r"\bin\b", line) is not None
 
 
-def value_of(text: str) -> float:
-    """Return the value of a number in a header; its decimal sign is a point or a comma."""
-    return float(text.replace(",", ".").upper().replace("D", "E"))
-
-
-def facts_of(header: Sequence[str], form: Form) -> Facts:
+def facts_of(header: Sequence[str], form: Form, signs: Signs) -> Facts:
     """Return the facts (sizes, pitches, units, channel) that the lines of a header state."""
     facts = Facts()
-    lines = [_plain(line, form) for line in header[-_MOST_LINES:] if len(line) <= _MOST_LENGTH]
+    lines = [_plain(line, form) for line in header[-_MOST_LINES:] if len(line) <= MOST_LENGTH]
     for line in lines:
-        _add_unit(facts, line)
+        text_units.add_unit(facts, line, signs)
     unnamed: list[tuple[int, float]] = []
     for index, line in enumerate(lines):
         key, _, value = line.partition(":") if ":" in line else line.partition("=")
@@ -202,30 +47,32 @@ def facts_of(header: Sequence[str], form: Form) -> Facts:
             facts.metadata.setdefault(key.strip(), value.strip())
         if (match := _CHANNEL.match(line)) and not facts.channel:
             facts.channel = match["name"].strip().strip('"')[:60]
-        if pair := _PAIR.match(line):
-            _add_pair(facts, pair)
-            continue
-        matches = list(_STATEMENT.finditer(line)) or [match for match in [_SPACED.match(line)] if match]
-        for match in matches:
-            length = _add_number(facts, match)
-            if length is not None and len(matches) == 1:
+        if _ASPECT.search(line):
+            facts.add("aspect", 1.0, text_statements.quoted(line), names_axis=False)
+        statements = list(text_statements.statements_of(line))
+        for statement in statements:
+            length = _add_statement(facts, statement, line, signs)
+            if length is not None and len(statements) == 1:
                 unnamed.append((index, length))
     facts.decide()
     # The program Gwyddion writes width and height in two lines before the unit of the heights. It translates the keys
     # of these lines, so that they are recognised by their order.
-    if not facts.has_scale and len(unnamed) == 2 and unnamed[1][0] == unnamed[0][0] + 1:
-        match = _WORD.match(lines[unnamed[1][0] + 1]) if unnamed[1][0] + 1 < len(lines) else None
-        if match and _words(match["key"]) == "value units":
+    if not facts.has_scale and not facts.unclear_size and len(unnamed) == 2 and unnamed[1][0] == unnamed[0][0] + 1:
+        below = text_units.LINE.fullmatch(lines[unnamed[1][0] + 1]) if unnamed[1][0] + 1 < len(lines) else None
+        if below and text_keys.words_of(below["key"]) == "value units":
             facts.size_x, facts.size_y = unnamed[0][1], unnamed[1][1]
+            facts.add("size_x", facts.size_x, text_statements.quoted(lines[unnamed[0][0]]), names_axis=False)
+            facts.add("size_y", facts.size_y, text_statements.quoted(lines[unnamed[1][0]]), names_axis=False)
     return facts
 
 
 def _plain(line: str, form: Form) -> str:
     """Return a header line without comment signs and quotes.
 
-    Separate cells for a key, a value and a unit are joined to "key: value unit".
+    Separate cells for a key, a value and a unit are joined to "key: value unit". Characters with several forms, such
+    as µ, Å, ㎚ and the wide colon, get the usual one.
     """
-    line = line.strip().lstrip("#%;/*'!\\ \t").strip()
+    line = unicodedata.normalize("NFKC", line.strip().lstrip("#%;/*'!\\ \t").strip()).replace("μ", "µ")
     if form.separator in (",", ";", "\t") and form.separator in line:
         cells = [cell.strip('"') for cell in form.cells(line)]
         filled = [cell for cell in cells if cell]
@@ -234,129 +81,107 @@ def _plain(line: str, form: Form) -> str:
     return line.replace('"', "")
 
 
-def _words(key: str) -> str:
-    """Return a key as sets such as `_UNITS_XY` list it: in lower case, and without units in brackets."""
-    return " ".join(_IN_KEY.sub("", key).replace("_", " ").lower().strip(" ,;-").split())
+def _add_statement(facts: Facts, statement: Statement, line: str, signs: Signs) -> float | None:
+    """Add to ``facts`` the numbers that a line states. If its key is not known, return its length [µm] instead."""
+    if text_keys.states_no_data(statement.words):
+        _add_no_data(facts, statement, line, signs)
+        return None
+    key, measures = statement.key, statement.measures
+    for measure in measures:
+        sign = text_statements.certain_sign(measure.number)
+        if sign and (measure.unit is not None or key.kind):
+            facts.signs.setdefault(sign, text_statements.quoted(line))
+    is_counted = measures[-1].counts == "pixels" and all(measure.counts == "" for measure in measures[:-1])
+    if (
+        (is_counted and not statement.units(None)[0])
+        or all(m.counts in ("pixels", "columns", "rows") for m in measures)
+        or (key.kind in ("count", "size or count") and _are_counts(statement, facts))
+    ):
+        _add_counts(facts, statement, line)
+        return None
+    if key.kind in ("count", "") or all(measure.counts for measure in measures):
+        is_length = key.kind == "" and len(measures) == 1 and not measures[0].counts
+        unit = statement.units(None)[0] if is_length else None
+        value = text_statements.value_of(measures[0].number, signs)
+        return unit * value if unit is not None and value is not None and value > 0.0 else None
+    _add_lengths(facts, statement, line, signs)
+    return None
 
 
-def _add_unit(facts: Facts, line: str) -> None:
-    """Add the unit of heights, or of lengths along x and y, that a line states."""
-    # The program WSxM writes the range of the heights ("Z Amplitude") with a unit, which is also the unit of the
-    # heights.
-    amplitude = _Z_AMPLITUDE.match(line)
-    if match := _FACTOR.search(line):
-        unit = length_units.factor_of(match["unit"])
-        facts.factor = None if unit is None else unit * value_of(match["number"])
-    elif (match := amplitude or _WORD.match(line)) is not None:
-        key, text = "z" if amplitude else _words(match["key"]), match["unit"]
-        unit = length_units.factor_of(text)
-        if key in _UNITS_XY:
-            facts.lateral = facts.lateral if unit is None else unit
-        elif key in _UNITS_Z and unit is None:
-            facts.not_length = facts.not_length or text
-        elif key in _UNITS_Z and unit is not None:
-            facts.units.add(unit)
-            facts.global_unit = unit if key in _GLOBAL_UNITS else facts.global_unit
-    # A line such as "Height [µm]: 10" states the size of the field along y, and not the unit of the heights.
-    elif not _ENDS_IN_NUMBER.search(line):
-        texts = (match["bracket"] or match["word"] for match in _HEIGHTS_IN.finditer(line))
-        facts.units.update(unit for unit in map(length_units.factor_of, texts) if unit is not None)
+def _are_counts(statement: Statement, facts: Facts) -> bool:
+    """Whether all numbers of a statement are whole and have no unit."""
+    units = statement.units(facts.lateral if statement.key.kind != "count" else None)
+    return all(
+        unit is None and measure.counts != "other" and _WHOLE.fullmatch(measure.number)
+        for unit, measure in zip(units, statement.measures, strict=True)
+    )
 
 
-def _add_pair(facts: Facts, match: re.Match[str]) -> None:
-    """Add to ``facts`` the sizes or pitches along x and y that a line with two numbers states."""
-    key = _words(match["key"])
-    unit_y = length_units.factor_of(match["unit_y"])
-    unit_x = unit_y if match["unit_x"] is None else length_units.factor_of(match["unit_x"])
-    if unit_x is None or unit_y is None:
+def _add_counts(facts: Facts, statement: Statement, line: str) -> None:
+    """Add the numbers of columns and rows that a line states, if their axes are clear."""
+    key, measures = statement.key, statement.measures
+    axes = ["x" if measure.counts == "columns" else "y" if measure.counts == "rows" else "" for measure in measures]
+    if not any(axes):
+        is_pair = len(measures) == 2 and not key.axis and (key.kind != "" or not statement.words)
+        axes = list(statement.axes() or "xy") if is_pair else [key.axis] * len(measures)
+    elif axes == ["y"]:
+        # A number of lines alone, such as "Header: 5 lines", may not be that of the matrix.
         return
-    x, y = unit_x * value_of(match["x"]), unit_y * value_of(match["y"])
-    kind = "size" if key in _BOTH_SIZES else "pitch" if key in _BOTH_PITCHES else ""
-    if kind:
-        facts.add(f"{kind}_x", x, names_axis=True)
-        facts.add(f"{kind}_y", y, names_axis=True)
+    for axis, measure in zip(axes, measures, strict=True):
+        if axis and _WHOLE.fullmatch(measure.number):
+            facts.counts.append((axis, int(float(measure.number)), text_statements.quoted(line)))
 
 
-def _add_number(facts: Facts, match: re.Match[str]) -> float | None:
-    """Add to ``facts`` the number that a line states. If its key is not known, return its length [µm] instead."""
-    inner = _IN_KEY.search(match["key"])
-    text = match["unit"] or (inner["unit"] if inner else None)
-    key, number = _words(match["key"]), value_of(match["number"])
-    unit = facts.lateral if text is None else length_units.factor_of(text)
-    if text is None and key in _FACTORS and number != 1.0:
-        facts.factor_key = match["key"]
-    if text is None and facts.lateral is None and 0 < number < 2**31 and number == int(number):
-        facts.count_x = int(number) if key in _COUNTS_X else facts.count_x
-        facts.count_y = int(number) if key in _COUNTS_Y else facts.count_y
-        return None
-    if unit is None or not number > 0.0:
-        return None
-    length = unit * number
-    per_pixel = match["per"] or (inner["per"] if inner else None)
-    names_axis = bool(re.search(r"^[dl]?[xy]|\b[xy]\b", key))
-    is_pitch = key in _BOTH_PITCHES or bool(per_pixel)
-    if key in _WIDTH and not per_pixel:
-        facts.add("size_x", length, names_axis=names_axis)
-    elif key in _HEIGHT and not per_pixel:
-        facts.add("size_y", length, names_axis=names_axis)
-    elif key in _PITCH_X or key in _PITCH_Y:
-        facts.add("pitch_x" if key in _PITCH_X else "pitch_y", length, names_axis=True)
-    elif is_pitch:
-        facts.add("pitch_x", length, names_axis=False)
-        facts.add("pitch_y", length, names_axis=False)
-    elif key in _BOTH_SIZES:
-        facts.size_of_both = length
-    elif text is not None:
-        return length
-    return None
+def _add_no_data(facts: Facts, statement: Statement, line: str, signs: Signs) -> None:
+    """Add the codes of missing samples that a line states.
+
+    A line such as "Missing: 6" may also state how many samples are missing: then the number is whole and positive.
+    """
+    is_code = text_keys.states_code(statement.words)
+    for measure in statement.measures:
+        value = text_statements.value_of(measure.number, signs)
+        if value is not None and not measure.counts and (is_code or measure.unit is None):
+            is_certain = is_code or _WHOLE.fullmatch(measure.number) is None
+            facts.no_data.append((value, is_certain, text_statements.quoted(line)))
 
 
-@dataclass
-class Columns:
-    """Indices of the columns of x, y and z, and the sizes of their units [µm]; None for a column without a unit."""
-
-    positions: tuple[int, int, int]
-    units: tuple[float | None, float | None, float | None]
-
-
-def columns_of(header: Sequence[str], form: Form, width: int) -> Columns | None:
-    """Return the columns of x, y and z by their headings in the last header lines; None without such headings."""
-    lines = [line for line in header[-3:] if len(line) <= _MOST_LENGTH]
-    for index in range(len(lines) - 1, -1, -1):
-        for cells in _cells(lines[index], form):
-            axes: dict[str, int] = {}
-            for position, cell in enumerate(cells):
-                match = _COLUMN.match(cell)
-                if match:
-                    axes.setdefault((match["axis"] or match["other"]).lower(), position)
-                elif re.match(r"(?:height|höhe|hauteur)\b", cell, re.IGNORECASE):
-                    axes.setdefault("z", position)
-            if set(axes) == set("xyz") and len(cells) <= width:
-                below = next(iter(_cells(lines[index + 1], form)), []) if index + 1 < len(lines) else []
-                texts = below if len(below) == len(cells) else cells
-                positions = axes["x"], axes["y"], axes["z"]
-                x, y, z = (_unit_of_cell(texts[k], is_alone=texts is below) for k in positions)
-                return Columns(positions, (x, y, z))
-    return None
-
-
-def _cells(line: str, form: Form) -> Iterator[list[str]]:
-    """Yield the cells of a header line, split by the separator of the numbers, and then by other common separators."""
-    line = line.strip().lstrip("#%;/*'!\\ \t").strip()
-    if form.separator is not None:
-        yield [cell.strip('" ') for cell in form.cells(line)]
-    for separator in (";", ",", "\t"):
-        if separator in line:
-            yield [cell.strip('" ') for cell in line.split(separator) if cell.strip()]
-    # A name and its unit are joined before the line is split at white space, for headings such as "X [nm] Y [nm] Z
-    # [nm]", "x(µm) y(µm) z(nm)" and "x in um  y in um  z in nm".
-    joined = re.sub(r"\s*(?:/|\bin\b)\s*", "/", re.sub(r"\s+([\[(])", r"\1", line))
-    yield joined.split()
-
-
-def _unit_of_cell(cell: str, *, is_alone: bool) -> float | None:
-    """Return the size [µm] of the unit in the heading of a column; None if the heading has no unit of length."""
-    if is_alone:
-        return length_units.factor_of(cell)
-    match = re.search(rf"[\[(/_,]\s*({_UNIT})\s*[\])]?$|\bin\s+({_UNIT})$|\s({_UNIT})$", cell)
-    return length_units.factor_of(next(filter(None, match.groups()))) if match else None
+def _add_lengths(facts: Facts, statement: Statement, line: str, signs: Signs) -> None:
+    """Add to ``facts`` the sizes or pitches that a line states; a line that is not clear is named there."""
+    key = statement.key
+    # A second number in brackets, such as "6 µm (12 px)" or "0.006 mm (6 µm)", is a number of samples or the same size.
+    pixels = [measure for measure in statement.measures if measure.counts == "pixels"]
+    if pixels and len(pixels) < len(statement.measures):
+        statement = statement.without(pixels)
+    values = [text_statements.value_of(measure.number, signs) for measure in statement.measures]
+    units, axes = statement.units(facts.lateral), statement.axes()
+    lengths = [unit * value for unit, value in zip(units, values, strict=True) if None not in (unit, value)]  # type: ignore[operator]
+    if (
+        len(lengths) == 2
+        and lengths[1] > 0.0
+        and abs(lengths[0] / lengths[1] - 1.0) <= text_facts.MOST_DIFFERENCE
+        and axes is None
+    ):
+        lengths, axes = lengths[:1], [key.axis]
+    if len(values) > _MOST_NUMBERS:
+        return
+    if None in values:
+        facts.unclear_size = (
+            facts.unclear_size or f"the sign in {text_statements.quoted(line)} may not be a decimal sign"
+        )
+    elif all(unit is None for unit in units):
+        facts.without_unit = facts.without_unit or f"{text_statements.quoted(line)} has no unit of length"
+    elif (
+        statement.has_two_units
+        or axes is None
+        or len(lengths) != len(axes)
+        or any(measure.counts for measure in statement.measures)
+    ):
+        facts.unclear_size = facts.unclear_size or f"{text_statements.quoted(line)} is not clear"
+    elif min(lengths) > 0.0:
+        kind = "pitch" if key.kind == "pitch" else "size"
+        for axis, length in zip(axes, lengths, strict=True):
+            names_axis = key.names_axis or len(axes) == 2 or axis != key.axis
+            if not axis and kind == "size":
+                facts.add("size_of_both", length, text_statements.quoted(line), names_axis=False)
+            for letter in axis or ("xy" if kind == "pitch" else ""):
+                facts.add(f"{kind}_{letter}", length, text_statements.quoted(line), names_axis=names_axis)

@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.core import memory
-from warpdiff.heightfield.readers import text_header, text_table
+from warpdiff.heightfield.readers import text_columns, text_facts, text_header, text_points, text_table
 from warpdiff.heightfield.readers.reader_registry import FileContent, refusal, register_reader
-from warpdiff.heightfield.readers.text_table import Form
+from warpdiff.heightfield.readers.text_statements import Signs
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
     from warpdiff.heightfield.readers.reader_registry import Channels
-    from warpdiff.heightfield.readers.text_header import Columns, Facts
-    from warpdiff.heightfield.readers.text_table import Block
+    from warpdiff.heightfield.readers.text_facts import Facts
+    from warpdiff.heightfield.readers.text_table import Block, Form
 
 # Measured peak memory while a text is read, per byte of a text with numbers of one digit. If doubled, texts that fit
 # into memory are refused.
@@ -32,16 +32,6 @@ _BYTES_PER_LETTER = 18.0
 # Largest number of rows for which three columns of numbers, without a header, are read as a matrix. With more rows,
 # they are probably points or a list and not a scan that is three samples wide.
 _MOST_NARROW_ROWS = 9
-# Largest ratio of the pitches along x and y that is accepted from a header. A larger one suggests that the header
-# states the range of the heights and not a size. If doubled, more such ranges are mistaken for sizes.
-_MOST_ASPECT = 50.0
-# Largest relative difference between the size that a header states and its number of samples times its pitch. If
-# doubled, more contradictions are accepted.
-_MOST_DIFFERENCE = 0.01
-# Number of the line, counted from 1, in which a Zygo XYZ file states the size of a pixel.
-_ZYGO_LINES = 8
-# Smallest share of the positions of a grid at which a file of points x, y, z must have points.
-_LEAST_FILLED = 0.5
 # Least number of equally spaced numbers in the first row or column that count as positions or indices instead of
 # heights. If halved, more small matrices of heights are refused.
 _LEAST_NUMBERED = 4
@@ -61,14 +51,21 @@ def read_text(file: Path) -> FileContent | Channels:
     form = text_table.form_of(lines)
     if form is None:
         raise refusal(file, "has no rows of numbers; give a text of heights, an image, .npy, .npz or .x3p")
+    if lines[0].startswith("Wyko ASCII"):
+        raise refusal(file, "is a Wyko ASCII export, whose lines run along y, without a unit; save it as .opd")
+    use = text_table.decimal_use(lines, form)
+    # Commas before three digits in all numbers do not show whether those of the header are decimal signs.
+    is_open = use == "none" or (use == "all" and form.decimal == ",")
+    signs = Signs("" if is_open else form.decimal, form.thousands)
     blocks = text_table.blocks_of(lines, form)
     same = _equal_blocks(file, blocks)
-    facts = [_facts_of(block, form, blocks[0].header) for block in same]
+    facts = [_facts_of(block, form, signs, blocks[0].header) for block in same]
+    _check_signs(file, use, form.decimal, facts[0])
     # Matrices whose unit is a length come first, because the first channel is the default.
     order = sorted(range(len(same)), key=lambda k: bool(facts[k].not_length) and facts[k].unit is None)
     channels: dict[str, Callable[[], FileContent]] = {}
     for k in order:
-        read = functools.partial(_content, file, same[k], form, facts[k], _zygo_pitch(lines[:_ZYGO_LINES]))
+        read = functools.partial(_content, file, same[k], form, facts[k], text_points.zygo_pitch(lines))
         name = facts[k].channel or (_title(same[k].header) if len(same) > 1 else "")
         if not name and len(same) == 1:
             return read()
@@ -96,16 +93,27 @@ def _equal_blocks(file: Path, blocks: list[Block]) -> list[Block]:
     return same
 
 
-def _facts_of(block: Block, form: Form, first_header: list[str]) -> Facts:
+def _facts_of(block: Block, form: Form, signs: Signs, first_header: list[str]) -> Facts:
     """Return the facts of a block's header. If it states no size or pitch, those of the file's first header apply."""
-    facts = text_header.facts_of(block.header, form)
-    if not facts.has_scale and first_header is not block.header:
-        first = text_header.facts_of(first_header, form)
-        for name in ("size_x", "size_y", "size_of_both", "pitch_x", "pitch_y"):
-            setattr(facts, name, getattr(first, name))
-        if not facts.units and not facts.not_length:
-            facts.units |= first.units
+    facts = text_header.facts_of(block.header, form, signs)
+    if first_header is not block.header:
+        facts.merge(text_header.facts_of(first_header, form, signs))
     return facts
+
+
+def _check_signs(file: Path, use: str, sign: str, facts: Facts) -> None:
+    """Raise an error if the sign in all numbers may separate thousands, and the header does not show that it does not.
+
+    It is a decimal sign if all numbers have it, and if no number of the header has the other decimal sign.
+    """
+    other = "," if sign == "." else "."
+    if sign in facts.signs or use in ("none", "certain") or (use == "all" and other not in facts.signs):
+        return
+    line = f", while its header has {facts.signs[other]}" if other in facts.signs else ""
+    raise refusal(
+        file, f"has numbers such as 1{sign}234, in which {sign!r} may separate thousands{line}; export them without "
+        "thousands signs"
+    )  # fmt: skip
 
 
 def _title(header: list[str]) -> str:
@@ -117,14 +125,12 @@ def _title(header: list[str]) -> str:
 def _content(file: Path, block: Block, form: Form, facts: Facts, zygo: float | None) -> FileContent:
     """Return the heights of a block of numbers, which is a matrix or a list of points x, y, z."""
     _check_block(file, block, form)
-    values = block.values
-    columns = text_header.columns_of(block.header, form, values.shape[1])
-    if columns is None and values.shape[1] in (3, 4) and not facts.has_scale:
-        columns = text_header.Columns((0, 1, 2), (None, None, None))
-        is_named = zygo is not None
-    else:
-        is_named = columns is not None
-    if columns is not None and (points := _of_points(file, values, columns, facts, zygo, is_named=is_named)):
+    if facts.factor_line:
+        raise refusal(
+            file, f"states a factor of its heights in the line {facts.factor_line}, which is not applied; export the "
+            "heights, or delete the line if they contain the factor"
+        )  # fmt: skip
+    if points := text_points.of_points(file, block, form, facts, zygo):
         return points
     if len(block.parts) > 1 and max(block.parts) > 1:
         raise refusal(
@@ -163,42 +169,60 @@ def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileConten
     if not facts.has_scale and (width == 3 < _MOST_NARROW_ROWS < rows or (width <= 4 and _has_headings(block, form))):
         raise refusal(file, f"has {width} columns, which are neither a matrix nor points x, y, z on an even grid")
     values, label_pitch = _without_labels(file, block, form)
-    values = _with_outer_columns(file, values, block.outer, facts.count_x)
+    values = _with_outer_columns(file, values, block, facts)
     ny, nx = values.shape
-    for count, actual, name in ((facts.count_x, nx, "columns"), (facts.count_y, ny, "rows")):
-        if count is not None and count != actual:
-            raise refusal(file, f"has {actual} {name}, and its header states {count}; export it again")
-    if facts.not_length and facts.unit is None:
-        raise refusal(file, f"has values in {facts.not_length[:20]!r}, which is no unit of length; export the heights")
-    if facts.factor_key:
-        raise refusal(
-            file, f"states a factor of its heights, {facts.factor_key[:20]!r}, which is not applied; export the heights"
-        )
+    for axis, count, line in facts.counts:
+        if count != (nx if axis == "x" else ny):
+            name = "columns" if axis == "x" else "rows"
+            raise refusal(
+                file, f"has {nx if axis == 'x' else ny} {name}, and its header states {count} in the line {line}; "
+                "export it again"
+            )  # fmt: skip
+    text_facts.require_length(file, facts)
+    values, notes = text_facts.without_codes(file, values, facts)
     is_wsxm = any("WSxM" in line for line in block.header)
-    # The program WSxM writes each row from the largest x to the smallest, and rows from the smallest y to the largest.
-    # Both axes are reversed here.
-    samples = values[::-1, ::-1] if is_wsxm else values
-    pitch = _pitch_of(facts, nx, ny)
+    if is_wsxm:
+        # The program WSxM writes each row from the largest x to the smallest, and rows from the smallest y to the
+        # largest.
+        values = values[::-1, ::-1]
+        notes = (
+            *notes,
+            "Loaded: reversed the rows and the columns of the text, because WSxM writes them from the end.",
+        )
+    pitch, why_no_pitch = text_facts.pitch_of(facts, nx, ny)
     unit = facts.unit
+    corner = text_columns.unit_of_corner(form.cells(block.header[-1])[0]) if label_pitch and block.header else None
+    if pitch is None and corner is not None and label_pitch is not None:
+        pitch, label_pitch = (corner * label_pitch[0], corner * label_pitch[1]), None
     return FileContent(
-        np.ascontiguousarray(samples if unit is None else unit * samples), pitch,
+        np.ascontiguousarray(values if unit is None else unit * values), pitch,
         rows="down" if (pitch, label_pitch, unit) == (None, None, None) else "up", has_unit=unit is not None,
-        pitch_in_unit=label_pitch if pitch is None else None, metadata=facts.metadata,
+        pitch_in_unit=label_pitch if pitch is None else None, metadata=facts.metadata, notes=notes,
+        why_no_pitch=why_no_pitch, why_no_unit=facts.why_no_unit,
     )  # fmt: skip
 
 
-def _with_outer_columns(file: Path, values: np.ndarray, outer: tuple[int, int], count: int | None) -> np.ndarray:
-    """Return a matrix with its empty first or last column if the header counts this column, and without it if not.
+def _with_outer_columns(file: Path, values: np.ndarray, block: Block, facts: Facts) -> np.ndarray:
+    """Return a matrix with its empty first or last column if it has missing samples, and without it if not.
 
-    Without a count in the header, the file is refused: an empty column may be a separator or missing samples.
+    An empty first column has missing samples. An empty last column comes from separators at the ends of the lines,
+    unless the header counts it or other cells are empty, too.
     """
-    if not any(outer) or count == values.shape[1]:
+    nx = values.shape[1]
+    counts = [count for axis, count, _ in facts.counts if axis == "x"]
+    has_empty_first = bool(np.isnan(values[:, 0]).all())
+    if nx in counts or not (block.outer or has_empty_first):
         return values
-    if count == values.shape[1] + sum(outer):
-        return np.pad(values, ((0, 0), outer), constant_values=np.nan)
-    raise refusal(
-        file, "has an empty first or last column, of separators or of missing samples; write NaN for missing samples"
-    )
+    if block.outer and nx + 1 in counts:
+        return np.pad(values, ((0, 0), (0, 1)), constant_values=np.nan)
+    if has_empty_first and nx - 1 in counts:
+        return values[:, 1:]
+    if (block.outer and block.has_gaps) or text_facts.contradict(facts.size_x, facts.pitch_x, nx):
+        raise refusal(
+            file,
+            "has an empty first or last column, of separators or of missing samples; write NaN for missing samples",
+        )
+    return values
 
 
 def _has_headings(block: Block, form: Form) -> bool:
@@ -207,29 +231,6 @@ def _has_headings(block: Block, form: Form) -> bool:
     is_key = not block.header or text_header.is_statement(block.header[-1])
     width = block.values.shape[1]
     return not is_key and len(words) in (width, width - 1) and all(form.number(word) is None for word in words)
-
-
-def _pitch_of(facts: Facts, nx: int, ny: int) -> tuple[float, float] | None:
-    """Return the pitch (dy, dx) [µm] that a header states."""
-    if _contradict(facts.size_x, facts.pitch_x, nx) or _contradict(facts.size_y, facts.pitch_y, ny):
-        return None
-    dx = facts.pitch_x or (facts.size_x / nx if facts.size_x else None)
-    dy = facts.pitch_y or (facts.size_y / ny if facts.size_y else None)
-    # A header may state one size without an axis. It is used only if both axes have equally many samples, because it is
-    # ambiguous otherwise.
-    if facts.size_of_both is not None and nx == ny:
-        dx, dy = dx or facts.size_of_both / nx, dy or facts.size_of_both / ny
-    # If the pitch along y is more than 50 times the pitch along x, or less than 1/50 of it, the "height" in the header
-    # is probably the range of the heights and not the size along y.
-    is_likely = dx is not None and dy is not None and dx / _MOST_ASPECT <= dy <= dx * _MOST_ASPECT
-    return (dy, dx) if is_likely else None  # type: ignore[return-value]
-
-
-def _contradict(size: float | None, pitch: float | None, count: int) -> bool:
-    """Whether a size contradicts a pitch: ``count`` pitches, or one less, do not give the size."""
-    if size is None or pitch is None:
-        return False
-    return not (1.0 - _MOST_DIFFERENCE) * (count - 1) <= size / pitch <= (1.0 + _MOST_DIFFERENCE) * count
 
 
 def _without_labels(file: Path, block: Block, form: Form) -> tuple[np.ndarray, tuple[float, float] | None]:
@@ -298,86 +299,3 @@ def _at_positions(inner: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.n
     dx, dy = x[1] - x[0], y[1] - y[0]
     # In a picture, x increases to the right and y increases upwards. Row 0 is the top.
     return inner[:: -1 if dy > 0.0 else 1, :: 1 if dx > 0.0 else -1], (abs(dy), abs(dx))
-
-
-def _zygo_pitch(top: list[str]) -> float | None:
-    """Return the size of a pixel [µm] in a Zygo XYZ file, 0 if the file does not state it; None for other files.
-
-    The size [m] is the seventh number in the eighth line. The unit of the heights depends on a setting of the program
-    that wrote the file, and is not in the file.
-    """
-    if not top[0].strip().startswith("Zygo XYZ Data File"):
-        return None
-    cells = top[-1].split()
-    size_m = Form(None, ".").number(cells[6]) if len(top) == _ZYGO_LINES and len(cells) > 6 else None
-    return 1e6 * size_m if size_m is not None and 0.0 < size_m < math.inf else 0.0
-
-
-def _of_points(
-    file: Path, values: np.ndarray, columns: Columns, facts: Facts, zygo: float | None, *, is_named: bool
-) -> FileContent | None:
-    """Return the heights of points x, y, z on an even grid; None if the columns do not contain such points.
-
-    If headings name the columns x, y and z (``is_named``), points that are not on an even grid raise an error instead.
-    """
-    x, y, z = (values[:, position] for position in columns.positions)
-    positions = _grid(file, x, y, is_named=is_named)
-    if positions is None:
-        return None
-    (at_x, dx), (at_y, dy) = positions
-    column, row = np.rint((x - at_x[0]) / dx).astype(np.int64), np.rint((y - at_y[0]) / dy).astype(np.int64)
-    heights = np.full((len(at_y), len(at_x)), np.nan)
-    heights[row, column] = z
-    # The rows of a picture go from the largest y to the smallest. In Zygo files, y is a row number of the camera, which
-    # is 0 at the top.
-    heights = heights if zygo is not None else heights[::-1]
-    unit_x, unit_y, unit_z = columns.units
-    if unit_x is None and unit_y is None:
-        unit_x = unit_y = facts.lateral or facts.global_unit
-    unit_z = unit_z or facts.unit
-    if facts.not_length and unit_z is None:
-        raise refusal(file, f"has values in {facts.not_length[:20]!r}, which is no unit of length; export the heights")
-    pitch, own = None, None
-    if zygo is not None:
-        pitch = (zygo * dy, zygo * dx) if zygo else None
-    elif unit_x is not None and unit_y is not None:
-        pitch = unit_y * dy, unit_x * dx
-    elif facts.has_scale and dx == dy == 1.0:
-        # Positions with a step of 1 and no unit are indices of the samples, and the header states the size.
-        pitch = _pitch_of(facts, *heights.shape[::-1])
-    else:
-        own = dy, dx
-    return FileContent(
-        heights if unit_z is None else unit_z * heights, pitch, rows="up", has_unit=unit_z is not None,
-        pitch_in_unit=own, metadata=facts.metadata,
-    )  # fmt: skip
-
-
-def _grid(
-    file: Path, x: np.ndarray, y: np.ndarray, *, is_named: bool
-) -> tuple[tuple[np.ndarray, float], tuple[np.ndarray, float]] | None:
-    """Return the positions and the step of an even grid of points, along x and along y; None if there is no grid.
-
-    If headings name the columns (``is_named``), points on no grid raise an error instead.
-    """
-    reason = _why_no_grid(x, y)
-    if reason and is_named:
-        raise refusal(file, f"has points x, y, z {reason}; interpolate them to an even grid first")
-    along_x, along_y = (None, None) if reason else (text_table.even_steps(x), text_table.even_steps(y))
-    return None if along_x is None or along_y is None else (along_x, along_y)
-
-
-def _why_no_grid(x: np.ndarray, y: np.ndarray) -> str:
-    """Return the reason why points are not on an even grid, for an error message; an empty string if they are."""
-    if not (np.isfinite(x).all() and np.isfinite(y).all()):
-        return "without a position"
-    along_x, along_y = text_table.even_steps(x), text_table.even_steps(y)
-    if along_x is None or along_y is None:
-        return "on no even grid"
-    nx, ny = len(along_x[0]), len(along_y[0])
-    # Two or three rows of a matrix with three columns could be read as points on a diagonal of a grid. Points must
-    # therefore fill more than one position per row and column.
-    if len(x) < 4 or len(x) <= max(nx, ny) or len(x) < _LEAST_FILLED * nx * ny:
-        return f"at {len(x)} of the {nx} × {ny} positions of a grid"
-    nodes = np.rint((y - along_y[0][0]) / along_y[1]) * nx + np.rint((x - along_x[0][0]) / along_x[1])
-    return "at equal positions" if len(np.unique(nodes)) < len(nodes) else ""

@@ -8,7 +8,7 @@ import gzip
 import math
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -38,17 +38,37 @@ _GAPS = frozenset({
     "---", "*", "**", "***", "nodata", "n/a", "#n/a", "na", "null", "none", "missing", "void", "invalid",
     "masked", "undefined",
 })  # fmt: skip
-_NO_DATA = re.compile(r"(?i)\bno[ _-]?data\b")
+# Matches "no data" in a cell, but not in a header line that states the code of missing samples.
+_NO_DATA = re.compile(r"(?i)\bno[ _-]?data\b(?!\s*(?:value|code|[:=]))")
+# Matches an apostrophe that separates thousands, and spaces that some programs write for this purpose.
+_APOSTROPHE = re.compile(r"(?<=\d)['’](?=\d{3}(?!\d))")
+_GROUPED = re.compile(r"\d[,. \xa0]\d{3}(?!\d)")
+_SPACES = re.compile("[\u2009\u202f]")
 _NUMBERS = {
-    ".": re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"),
+    (".", ""): re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"),
     # With a decimal comma, digits must follow the comma. A comma without digits after it is a separator.
-    ",": re.compile(r"[-+]?(?:\d+(?:,\d+)?|,\d+)(?:[eEdD][-+]?\d+)?"),
+    (",", ""): re.compile(r"[-+]?(?:\d+(?:,\d+)?|,\d+)(?:[eEdD][-+]?\d+)?"),
+    **{
+        (decimal, sign): re.compile(
+            rf"[-+]?(?:\d{{1,3}}(?:{re.escape(sign)}\d{{3}})+|\d+)(?:{re.escape(decimal)}\d+)?(?:[eEdD][-+]?\d+)?"
+        )
+        for decimal, sign in ((".", ","), (".", "\xa0"), (",", "."), (",", "\xa0"))
+    },
 }
 # Pairs of a separator and a decimal sign that are tried; a separator of None is white space. If several pairs give
 # equally many numbers, the first one is used.
 _FORMS: tuple[tuple[str | None, str], ...] = (
     ("\t", "."), (";", "."), (",", "."), (None, "."), ("\t", ","), (";", ","), (",", ","), (None, ","),
 )  # fmt: skip
+# Thousands signs that are tried after these pairs, by the decimal sign. A no-break space also stands for other spaces,
+# and is not tried if white space separates the numbers.
+_THOUSANDS = {".": (",", "\xa0"), ",": (".", "\xa0")}
+# Largest distance between a rounded position and the even axis, and largest width of a group of equal positions with
+# noise, both as shares of the step. If doubled, more scattered points are taken for a grid.
+_MOST_ROUNDING, _MOST_NOISE = 0.1, 0.01
+# Smallest gap between two groups of equal positions, as a share of the largest gap. If doubled, axes of which more
+# positions are missing are refused if they have noise.
+_GROUP_GAP = 0.05
 _LINE_END = re.compile(r"\r\n?|\n")
 
 
@@ -101,10 +121,17 @@ def decode(data: bytes) -> str:
 
 
 class Form(NamedTuple):
-    """Form of the numbers in a text: the separator between them (None is white space) and the decimal sign."""
+    """Form of the numbers in a text.
+
+    Attributes:
+        separator: Separator between the numbers; None is white space.
+        decimal: Decimal sign.
+        thousands: Thousands sign; an empty string for none.
+    """
 
     separator: str | None
     decimal: str
+    thousands: str = ""
 
     def cells(self, line: str) -> list[str]:
         """Return the texts between the separators of a line."""
@@ -119,15 +146,19 @@ class Form(NamedTuple):
     def number(self, cell: str) -> float | None:
         """Return the number in a cell: NaN for a missing sample, None if the text of the cell is no number."""
         cell = cell.strip("\"' ")
+        if self.thousands == "\xa0":
+            cell = cell.replace(" ", "\xa0")
         if not cell or cell.lower() in _GAPS:
             return math.nan
-        if _NUMBERS[self.decimal].fullmatch(cell) is None:
+        if _NUMBERS[self.decimal, self.thousands].fullmatch(cell) is None:
             return None
+        if self.thousands:
+            cell = cell.replace(self.thousands, "")
         return float(cell.replace(",", ".").upper().replace("D", "E"))
 
     def row(self, line: str) -> list[float] | None:
         """Return the numbers of a line; None if a cell is no number, or if the only cell is a missing sample."""
-        if self.decimal == "." and '"' not in line and "_" not in line:
+        if self.decimal == "." and not self.thousands and '"' not in line and "_" not in line:
             try:
                 fast = list(map(float, line.split(self.separator)))
             except ValueError:
@@ -139,9 +170,13 @@ class Form(NamedTuple):
                     return fast
         cells = self.cells(line)
         numbers = [self.number(cell) for cell in cells]
-        if None in numbers or not cells or (len(cells) == 1 and not _NUMBERS[self.decimal].match(cells[0])):
+        if None in numbers or not cells or (len(cells) == 1 and self._is_gap(cells[0])):
             return None
         return numbers  # type: ignore[return-value]
+
+    def _is_gap(self, cell: str) -> bool:
+        """Whether a cell does not begin with a number."""
+        return _NUMBERS[self.decimal, self.thousands].match(cell) is None
 
 
 @dataclass
@@ -156,8 +191,9 @@ class Block:
         is_cut: Whether the next line is a row with more or fewer numbers.
         above: Numbers of the row directly above the block, which has more or fewer of them; None if there is no such
             row.
-        outer: Number of empty columns before the first number of each row, and after the last one. An empty column
+        outer: Number of empty columns at the end of each row that are not part of ``values``, 0 or 1. Such a column
             comes from a separator at the end of the line, or from missing samples.
+        has_gaps: Whether other cells of the text are empty, too.
         odd_cell: Text of a cell among numbers that is no number, and its line number; None if there is none.
     """
 
@@ -167,28 +203,52 @@ class Block:
     line: int
     is_cut: bool = False
     above: NDArray[np.float64] | None = None
-    outer: tuple[int, int] = (0, 0)
+    outer: int = 0
+    has_gaps: bool = False
     odd_cell: tuple[str, int] | None = None
 
 
 def lines_of(text: str) -> list[str]:
-    """Return the lines of a text. Minus signs become ASCII, and "no data" becomes "nan"."""
-    text = text.lstrip("\ufeff").rstrip("\x1a\0").replace("\u2212", "-")
+    """Return the lines of a text. Minus signs become ASCII, and "no data" becomes "nan".
+
+    Apostrophes that separate thousands are removed.
+    """
+    text = _SPACES.sub("\xa0", text.lstrip("\ufeff").rstrip("\x1a\0").replace("\u2212", "-"))
+    if "'" in text or "’" in text:
+        text = _APOSTROPHE.sub("", text)
     return _LINE_END.split(_NO_DATA.sub("nan", text))
 
 
-def form_of(lines: Sequence[str]) -> Form | None:
-    """Return the separator and decimal sign that give the most numbers in rows of equal length; None if none do."""
+def _sample_of(lines: Sequence[str]) -> list[str]:
+    """Return the lines of a text in which separators and signs are tried."""
     filled = [line for line in lines if line.strip()]
     mean = sum(map(len, filled)) / max(len(filled), 1)
     count = max(min(_SAMPLE_LINES, int(_SAMPLE_CHARACTERS / max(mean, 1.0))), 5)
-    sample = filled[:: max(1, -(-len(filled) // count))]
+    return filled[:: max(1, -(-len(filled) // count))]
+
+
+def form_of(lines: Sequence[str]) -> Form | None:
+    """Return the separator and signs that give the most numbers in rows of equal length; None if none do."""
+    sample = _sample_of(lines)
+    has_quotes = any('"' in line for line in sample)
+    plain = [Form(*pair) for pair in _FORMS]
+    best, chosen = _best_form(plain, sample, has_quotes=has_quotes)
+    # Thousands signs are tried only if a line that is no row of numbers has a number with such a sign.
+    if any(_GROUPED.search(line) and (chosen is None or chosen.row(line) is None) for line in sample):
+        grouped = [Form(*pair, sign) for pair in _FORMS for sign in _THOUSANDS[pair[1]] if pair[0] or sign != "\xa0"]
+        score, form = _best_form(grouped, sample, has_quotes=has_quotes)
+        chosen = form if score > best else chosen
+    return chosen
+
+
+def _best_form(forms: Sequence[Form], sample: Sequence[str], *, has_quotes: bool) -> tuple[int, Form | None]:
+    """Return the largest number of numbers in rows of equal length, and the form that gives it."""
     best, chosen = 0, None
-    for separator, decimal in _FORMS:
-        form, counts = Form(separator, decimal), dict[int, int]()
-        # If a comma separates the cells and is also the decimal sign, only quotes around the cells show which commas
+    for form in forms:
+        counts = dict[int, int]()
+        # If a comma separates the cells and is also in their numbers, only quotes around the cells show which commas
         # are separators.
-        if separator == decimal and not any('"' in line for line in sample):
+        if form.separator in (form.decimal, form.thousands) and not has_quotes:
             continue
         for line in sample:
             row = form.row(line)
@@ -196,12 +256,36 @@ def form_of(lines: Sequence[str]) -> Form | None:
                 counts[len(row)] = counts.get(len(row), 0) + sum(map(math.isfinite, row))
         if counts and (score := max(counts.values())) > best:
             best, chosen = score, form
-    return chosen
+    return best, chosen
+
+
+def decimal_use(lines: Sequence[str], form: Form) -> Literal["none", "all", "some", "certain"]:
+    """Return how the numbers of a text use their decimal sign, which may be a thousands sign instead.
+
+    "none": no number has the sign. "all": three digits follow it in all numbers, so that it may separate thousands.
+    "some": the same, but other numbers are whole, which is usual for thousands. "certain": it is a decimal sign.
+    """
+    if form.thousands:
+        return "certain"
+    grouped = re.compile(rf"[-+]?[1-9]\d{{0,2}}{re.escape(form.decimal)}\d{{3}}")
+    has_sign = has_whole = False
+    for line in _sample_of(lines):
+        if (row := form.row(line)) is None or len(row) < 2:
+            continue
+        for cell in form.cells(line):
+            text = cell.strip("\"' ")
+            if form.decimal not in text:
+                has_whole = has_whole or text.lstrip("+-").isdigit()
+            elif grouped.fullmatch(text) is None:
+                return "certain"
+            else:
+                has_sign = True
+    return "none" if not has_sign else "some" if has_whole else "all"
 
 
 def blocks_of(lines: Sequence[str], form: Form) -> list[Block]:
     """Return all blocks of rows of numbers in the lines of a text, each with the header lines above it."""
-    lines, outer = _without_outer_separators(lines, form)
+    lines, outer, has_gaps = _without_last_separators(lines, form)
     result: list[Block] = []
     header: list[str] = []
     rows: list[NDArray[np.float64]] = []
@@ -212,7 +296,7 @@ def blocks_of(lines: Sequence[str], form: Form) -> list[Block]:
     def close(*, is_cut: bool) -> None:
         nonlocal above
         if rows:
-            result.append(Block(header.copy(), np.array(rows), parts.copy(), first, is_cut, above, outer))
+            result.append(Block(header.copy(), np.array(rows), parts.copy(), first, is_cut, above, outer, has_gaps))
             above = rows[-1] if is_cut else None
             header.clear()
             rows.clear()
@@ -252,27 +336,21 @@ def odd_cell(form: Form, line: str, width: int) -> str | None:
     return odd[0] if 2 * len(odd) <= width else None
 
 
-def _without_outer_separators(lines: Sequence[str], form: Form) -> tuple[Sequence[str], tuple[int, int]]:
-    """Return lines without separators before the first and after the last number, if every row has them.
+def _without_last_separators(lines: Sequence[str], form: Form) -> tuple[Sequence[str], int, bool]:
+    """Return lines without the separator after the last number, if every row has it.
 
-    Such a separator may also belong to an empty column of missing samples. This is possible only if other cells of the
-    text are empty, too. The second result is the possible number of such columns, 0 or 1, before and after the numbers.
+    Such a separator may also belong to an empty column of missing samples. The second result is the number of such
+    columns, 0 or 1, and the third one whether other cells of the text are empty, too.
     """
     separator = form.separator
     if separator is None:
-        return lines, (0, 0)
+        return lines, 0, False
     rows = [line.strip(" ") for line in lines if len(form.row(line) or ()) > 1]
-    begins = bool(rows) and all(line.startswith(separator) for line in rows)
-    ends = bool(rows) and all(line.endswith(separator) for line in rows)
-    if not begins and not ends:
-        return lines, (0, 0)
-    inner = [line[begins : len(line) - ends].replace(" ", "") for line in rows]
+    if not rows or not all(line.endswith(separator) for line in rows):
+        return lines, 0, False
+    inner = [line[:-1].replace(" ", "") for line in rows]
     has_gaps = any(2 * separator in line or line.startswith(separator) or line.endswith(separator) for line in inner)
-    if ends:
-        lines = [line.rstrip(" ").removesuffix(separator) for line in lines]
-    if begins:
-        lines = [line.lstrip(" ").removeprefix(separator) for line in lines]
-    return lines, (int(begins and has_gaps), int(ends and has_gaps))
+    return [line.rstrip(" ").removesuffix(separator) for line in lines], 1, has_gaps
 
 
 def is_even(values: NDArray[np.float64]) -> bool:
@@ -286,17 +364,38 @@ def even_steps(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]
 
     The function accepts values that were rounded in a text, and axes of which some positions have no value.
     """
-    low, high = float(np.min(values)), float(np.max(values))
-    if not high > low:
+    ordered = np.unique(values)
+    extent = float(ordered[-1] - ordered[0])
+    if not extent > 0.0:
         return None
-    # Values are rounded before they are compared, because equal positions may differ by rounding errors.
-    distinct = np.unique(np.round((values - low) / (high - low), 9)) * (high - low)
-    steps = np.diff(distinct)
-    for step in (float(np.median(steps)), float(np.min(steps))):
-        count = round((high - low) / step)
-        if not 1 <= count <= 4 * len(distinct):
+    # Equal positions may differ by rounding errors, and by noise. Gaps between groups of equal positions are far larger
+    # than the differences inside a group.
+    gaps = np.diff(ordered)
+    for bound, most_width in ((1e-9 * extent, math.inf), (_GROUP_GAP * float(np.max(gaps)), _MOST_NOISE)):
+        ends = np.flatnonzero(np.append(gaps > bound, True))
+        starts = np.append(0, ends[:-1] + 1)
+        axis = _axis_through(0.5 * (ordered[starts] + ordered[ends])) if len(ends) > 1 else None
+        if axis is None or float(np.max(ordered[ends] - ordered[starts])) > most_width * axis[1]:
             continue
-        step = (high - low) / count  # noqa: PLW2901 (the sum of rounded steps is more precise)
-        if np.all(np.abs(distinct / step - np.round(distinct / step)) <= 0.1):
+        if most_width == math.inf:
+            return axis
+        # All values together give a more precise step than the first and the last group.
+        numbers = np.rint((values - axis[0][0]) / axis[1])
+        step, low = (float(number) for number in np.polyfit(numbers, values, 1))
+        return low + step * np.arange(len(axis[0]), dtype=np.float64), step
+    return None
+
+
+def _axis_through(centres: NDArray[np.float64]) -> tuple[NDArray[np.float64], float] | None:
+    """Return the positions and the step of an even axis on which ascending positions lie; None if there is none."""
+    low, high = float(centres[0]), float(centres[-1])
+    steps = np.diff(centres)
+    for typical in (float(np.median(steps)), float(np.min(steps))):
+        count = round((high - low) / typical)
+        if not 1 <= count <= 4 * len(centres):
+            continue
+        # The mean of the rounded steps is more precise than one of them.
+        step = (high - low) / count
+        if np.all(np.abs((centres - low) / step - np.round((centres - low) / step)) <= _MOST_ROUNDING):
             return low + step * np.arange(count + 1, dtype=np.float64), step
     return None

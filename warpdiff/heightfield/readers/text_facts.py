@@ -1,0 +1,191 @@
+"""Facts that the header of a text export states, and the pitch, the gaps and the unit that follow from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.heightfield.readers.reader_registry import refusal
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+# Largest relative difference of two statements of the same length that count as equal. If doubled, contradictions pass
+# more often.
+MOST_DIFFERENCE = 1e-3
+# Largest ratio of the pitches along x and y that is accepted from a header. A larger one suggests that the header
+# states the range of the heights and not a size. If doubled, more such ranges are mistaken for sizes.
+_MOST_ASPECT = 50.0
+# Largest relative difference between the size that a header states and its number of samples times its pitch. If
+# doubled, more contradictions are accepted.
+_MOST_RATIO = 0.01
+# Absolute value above which a code of missing samples is compared with a tolerance, and that relative tolerance: such
+# codes are limits of number types, which programs round. Limit: no height has this size in any unit.
+_LEAST_ROUNDED_CODE, _MOST_CODE_DIFFERENCE = 1e30, 1e-5
+
+
+@dataclass
+class Facts:
+    """Facts that the header of a text states. Lengths are in µm. None means that the header does not state a fact.
+
+    Attributes:
+        size_x: Width of the field.
+        size_y: Height of the field.
+        size_of_both: Size of the field, if the header states one size for both axes.
+        pitch_x: Distance of samples along x.
+        pitch_y: Distance of samples along y.
+        counts: Number of columns ("x") and rows ("y"), each with its header line.
+        units: Sizes of all units that the header states for the heights. Several ones contradict each other.
+        factor_line: Line with a factor of the heights that is not applied. The file is refused. An empty string if
+            there is none.
+        not_length: Unit of the values if it is no unit of length, such as V; an empty string if there is none.
+        lateral: Size of the unit of the positions along x and y.
+        global_unit: Size of the unit of all numbers of the file, heights and positions, if there is one.
+        channel: Name of the channel; an empty string if it is not stated.
+        no_data: Numbers that the header states as codes of missing samples, each with its line, and with whether it is
+            certainly a code and not a number of samples.
+        metadata: Lines "key: value", as text.
+        signs: Decimal signs of the header's numbers that are certainly no thousands signs.
+        unclear_size: Reason why a line about the size or the pitch was not read, for an error message.
+        without_unit: Reason why a line about the size or the pitch without a unit was not read.
+        unclear_unit: Reason why a line about the unit of the heights was not read, for an error message.
+    """
+
+    size_x: float | None = None
+    size_y: float | None = None
+    size_of_both: float | None = None
+    pitch_x: float | None = None
+    pitch_y: float | None = None
+    counts: list[tuple[str, int, str]] = field(default_factory=list)
+    units: dict[float, str] = field(default_factory=dict)
+    factor_line: str = ""
+    not_length: str = ""
+    lateral: float | None = None
+    global_unit: float | None = None
+    channel: str = ""
+    no_data: list[tuple[float, bool, str]] = field(default_factory=list)
+    metadata: dict[str, str] = field(default_factory=dict)
+    signs: dict[str, str] = field(default_factory=dict)
+    unclear_size: str = ""
+    without_unit: str = ""
+    unclear_unit: str = ""
+    _stated: dict[str, list[tuple[bool, float, str]]] = field(default_factory=dict)
+
+    def add(self, name: str, length: float, line: str, *, names_axis: bool) -> None:
+        """Add the length that a header line states for the fact ``name``, a size or a pitch.
+
+        ``names_axis`` is whether the key of the line names x or y. Such statements outweigh keys like "Height" or
+        "Spacing".
+        """
+        self._stated.setdefault(name, []).append((names_axis, length, line))
+
+    def decide(self) -> None:
+        """Set each size and pitch for which the header lines state equal lengths; contradictory lines set nothing."""
+        for name, statements in self._stated.items():
+            strongest = max(names_axis for names_axis, *_ in statements)
+            strong = sorted((length, line) for names_axis, length, line in statements if names_axis == strongest)
+            if strong[-1][0] <= (1.0 + MOST_DIFFERENCE) * strong[0][0]:
+                setattr(self, name, strong[0][0])
+            else:
+                self.unclear_size = self.unclear_size or f"{strong[0][1]} contradicts {strong[-1][1]}"
+        if self.size_of_both is not None and "aspect" in self._stated:
+            self.unclear_size = f"{self._stated['aspect'][0][2]} states an aspect ratio"
+
+    def line_of(self, name: str) -> str:
+        """Return the quoted line that states a size or a pitch."""
+        return next(line for _, length, line in self._stated[name] if length == getattr(self, name))
+
+    def merge(self, first: Facts) -> None:
+        """Take the facts that this header does not state from those of the file's first header."""
+        if not self.has_scale and not self.unclear_size:
+            for name in (
+                "size_x",
+                "size_y",
+                "size_of_both",
+                "pitch_x",
+                "pitch_y",
+                "unclear_size",
+                "without_unit",
+                "_stated",
+            ):
+                setattr(self, name, getattr(first, name))
+        if not self.units and not self.not_length and not self.unclear_unit:
+            self.units, self.unclear_unit = first.units, first.unclear_unit
+        self.factor_line = self.factor_line or first.factor_line
+        self.no_data = self.no_data or first.no_data
+        self.signs = {**first.signs, **self.signs}
+
+    @property
+    def has_scale(self) -> bool:
+        """Whether the header states the size, or the pitch, along both axes."""
+        return None not in (self.size_x, self.size_y) or None not in (self.pitch_x, self.pitch_y)
+
+    @property
+    def unit(self) -> float | None:
+        """Size of the unit of heights [µm]; None if the header does not state one, or states two different ones."""
+        return next(iter(self.units)) if len(self.units) == 1 and not self.unclear_unit else None
+
+    @property
+    def why_no_unit(self) -> str:
+        """Reason why the unit of the heights is not known, for an error message; or an empty string."""
+        if len(self.units) > 1:
+            lines = list(self.units.values())
+            return f"{lines[0]} contradicts {lines[1]}" if lines[0] != lines[1] else f"{lines[0]} states two units"
+        return self.unclear_unit
+
+
+def require_length(file: Path, facts: Facts) -> None:
+    """Raise an error if the header states that the values are no lengths."""
+    if facts.not_length and facts.unit is None:
+        raise refusal(file, f"has values in {facts.not_length[:20]!r}, which is no unit of length; export the heights")
+
+
+def without_codes(file: Path, heights: np.ndarray, facts: Facts) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return heights with NaN instead of the codes of missing samples, and sentences for the history of the field."""
+    notes = []
+    for code, is_certain, line in facts.no_data:
+        difference = _MOST_CODE_DIFFERENCE if abs(code) > _LEAST_ROUNDED_CODE else 0.0
+        is_code = np.isclose(heights, code, rtol=difference, atol=0.0)
+        count = int(np.count_nonzero(is_code))
+        if count and not is_certain:
+            raise refusal(
+                file, f"has {count} sample(s) equal to the number in the line {line}, which may be a code of missing "
+                "samples; write NaN for them, or delete the line"
+            )  # fmt: skip
+        if count:
+            heights = np.where(is_code, np.nan, heights)
+            notes.append(f"Loaded: read {count} sample(s) as missing, as the header states in the line {line}.")
+    return heights, tuple(notes)
+
+
+def pitch_of(facts: Facts, nx: int, ny: int) -> tuple[tuple[float, float] | None, str]:
+    """Return the pitch (dy, dx) [µm] that a header states, and the reason if it states none, for an error message."""
+    if facts.unclear_size:
+        return None, facts.unclear_size
+    for axis, count in (("x", nx), ("y", ny)):
+        if contradict(getattr(facts, f"size_{axis}"), getattr(facts, f"pitch_{axis}"), count):
+            return None, (
+                f"{facts.line_of(f'size_{axis}')} contradicts {facts.line_of(f'pitch_{axis}')} for {count} samples"
+            )
+    dx = facts.pitch_x or (facts.size_x / nx if facts.size_x else None)
+    dy = facts.pitch_y or (facts.size_y / ny if facts.size_y else None)
+    # A header may state one size without an axis. It is used only if both axes have equally many samples, because it is
+    # ambiguous otherwise.
+    reason = facts.without_unit
+    if facts.size_of_both is not None and nx == ny:
+        dx, dy = dx or facts.size_of_both / nx, dy or facts.size_of_both / ny
+    elif facts.size_of_both is not None:
+        reason = f"{facts.line_of('size_of_both')} states one size for {nx} × {ny} samples (x × y)"
+    # If the pitch along y is more than 50 times the pitch along x, or less than 1/50 of it, the "height" in the header
+    # is probably the range of the heights and not the size along y.
+    is_likely = dx is not None and dy is not None and dx / _MOST_ASPECT <= dy <= dx * _MOST_ASPECT
+    return ((dy, dx), "") if is_likely else (None, reason)  # type: ignore[return-value]
+
+
+def contradict(size: float | None, pitch: float | None, count: int) -> bool:
+    """Whether a size contradicts a pitch: ``count`` pitches, or one less, do not give the size."""
+    if size is None or pitch is None:
+        return False
+    return not (1.0 - _MOST_RATIO) * (count - 1) <= size / pitch <= (1.0 + _MOST_RATIO) * count
