@@ -242,7 +242,7 @@ OBJECTS = {
     **dict.fromkeys(("path", "folder", "animation", "compare"), _PATHS),
     **dict.fromkeys(("to_light", "to_view", "wavelengths_nm", "scattering_vectors", "angle_deg"), _VECTORS),
     **dict.fromkeys(("eye", "target", "up", "direction", "sun_direction", "tangents", "background"), _VECTORS),
-    **dict.fromkeys(("n", "k", "values", "radiance_rgb", "pixels", "xyz"), _VECTORS),
+    **dict.fromkeys(("n", "k", "values", "errors", "radiance_rgb", "pixels", "xyz"), _VECTORS),
     **dict.fromkeys(("theta_deg", "phi_deg", "angles_deg", "sigmas_um"), _VECTORS),
     "columns": st.dictionaries(_TEXTS, _VECTORS),
     "efficiencies": _one_of(lambda: [efficiencies(), picture()]), "labels": st.lists(_TEXTS, max_size=2),

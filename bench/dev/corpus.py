@@ -63,6 +63,7 @@ SUMMARY_NUMBERS = (
 )  # fmt: skip
 PERIOD_NUMBERS = (
     "period_um", "standard_error_um", "direction_deg", "harmonics_um", "share", "frequency", "is_coherent",
+    "is_resolved",
 )  # fmt: skip
 
 

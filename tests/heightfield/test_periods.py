@@ -188,6 +188,29 @@ def test_making_few_periods_periodic_causes_a_warning():
         wd.HeightField(0.05 * rough / np.std(rough), PITCH).cropped(13.7).levelled(1).periodic()
 
 
+def test_a_broad_line_beside_that_of_a_short_period_does_not_move_it(rng):
+    # The wavering wave repeats 819 times. Noise around 1.18 times its frequency has a third of its power, in a broad
+    # line.
+    count, length = 4096, 5.0
+    smooth = np.fft.irfft(
+        np.fft.rfft(rng.normal(size=count)) * np.exp(-0.5 * (250.0 * np.fft.rfftfreq(count)) ** 2), count
+    )
+    phase = 2.0 * np.pi / length * np.cumsum(1.0 + 0.01 * smooth / np.std(smooth))
+    band = np.exp(-0.5 * ((length * np.fft.rfftfreq(count) - 1.18) / 0.06) ** 2)
+    beside = np.fft.irfft(np.fft.rfft(rng.normal(size=count)) * band, count)
+    heights = np.cos(phase) + 0.6 * beside / np.std(beside) + rng.normal(0.0, 0.05, count)
+    (period,) = wd.HeightField.of_known_scale(0.05 * heights[None], 0.1).periods(1)
+    assert not period.is_coherent
+    assert abs(period.period_um - 0.5) < 3.0 * period.standard_error_um < 0.01
+
+
+def test_periods_of_less_than_three_samples_are_not_resolved():
+    x = 0.1 * np.arange(200)
+    heights = np.cos(2.0 * np.pi * x / 0.33)[None] + 0.5 * np.cos(2.0 * np.pi * x / 0.27)
+    periods = wd.HeightField(0.05 * heights, 0.1).periods()
+    assert [period.is_resolved for period in periods] == [True, False]
+
+
 def test_periods_are_a_tuple_that_is_saved_as_a_table(tmp_path):
     x = 0.02 * np.arange(900)
     heights = 0.1 * np.cos(2.0 * np.pi * x / 0.61) + 0.03 * np.cos(2.0 * np.pi * x / 1.7)

@@ -80,6 +80,19 @@ def test_orders_over_angles_are_at_the_angles_of_the_grating_equation(ax):
     assert ax.get_title() == "Orders at 550 nm"
 
 
+def test_errors_of_orders_are_bars_of_their_wavelength(ax):
+    result = orders(wd.direction(-20.0), [450.0, 650.0])
+    wd.plot.orders(result, ax=ax, against="angle", errors=[0.01, 0.03])
+    for row, bars in enumerate(ax.containers):
+        segments = bars.lines[2][0].get_segments()
+        heights = [segment[1, 1] - segment[0, 1] for segment in segments]
+        np.testing.assert_allclose(heights, 2.0 * (1.0, 3.0)[row])
+        assert len(segments) == np.count_nonzero(~np.isnan(result.to_view[row, :, 0]))
+    assert len(ax.texts) == np.count_nonzero(~np.isnan(result.to_view[..., 0]))
+    with pytest.raises(ValueError, match=r"errors must have the shape \(2,\), one number of at least 0 per wavelength"):
+        wd.plot.orders(result, ax=ax, against="angle", errors=[0.1, 0.1, 0.1])
+
+
 def test_lines_over_the_incidence_are_closed_forms(ax):
     angles = [40.0, -40.0, 0.0]
     wd.plot.orders(orders(wd.direction(angles), 550.0), ax=ax, count=3)

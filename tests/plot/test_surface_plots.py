@@ -90,6 +90,11 @@ def test_marks_of_a_spectrum_are_at_the_inverse_of_the_period(ax, wave):
     assert np.abs(peak) == pytest.approx((2.0, 0.5), abs=0.34)
 
 
+def test_a_spectrum_may_end_at_a_lower_frequency(ax, wave):
+    wd.plot.power_spectrum(wave, ax=ax, most_frequency=3.0)
+    assert ax.get_xlim() == ax.get_ylim() == (-3.0, 3.0)
+
+
 def test_the_integral_of_the_density_is_the_variance():
     """The power spectral density of a cosine of amplitude a integrates to a²/2, its variance, on one axis and two."""
     x = 0.02 * np.arange(800)

@@ -166,20 +166,29 @@ class HeightField:
         orientation = reader_registry.rows_of(content, rows)
         heights = reader_registry.heights_of(content, file, height_range_um, unit)
         pitch = reader_registry.pitch_of(content, file, extent_um, pitch_um, unit)
+        arguments = {
+            "extent_um": extent_um, "pitch_um": pitch_um, "height_range_um": height_range_um, "channel": channel,
+            "rows": rows, "unit": unit,
+        }  # fmt: skip
+        source = reader_registry.Source(
+            str(file), name, orientation, dict(content.metadata),
+            {key: str(value) for key, value in arguments.items() if value is not None},
+            reader_registry.clipped_share(content.samples),
+        )  # fmt: skip
         try:
-            return cls._of_content(content, str(file), name, heights, pitch, orientation)
+            return cls._of_content(content, heights, pitch, source)
         except (ArgumentValueError, ArgumentTypeError) as error:
             raise ArgumentValueError(f"{ref('path')}: {str(file)!r}: {error}") from None
 
     @classmethod
     def _of_content(
-        cls, content: FileContent, path: str, channel: str, heights_um: NDArray[np.float64],
-        pitch_um: float | tuple[float, float], rows: Rows,
+        cls, content: FileContent, heights_um: NDArray[np.float64], pitch_um: float | tuple[float, float],
+        source: Source,
     ) -> HeightField:  # fmt: skip
-        """Return a height field of heights that were read from a file; it remembers the file, channel and metadata."""
+        """Return a height field of heights that were read from a file; it remembers its source."""
         make = cls.of_known_scale if content.is_known_scale else cls
-        field = make(heights_um[::-1] if rows == "up" else heights_um, pitch_um)
-        field._source = reader_registry.Source(path, channel, rows, dict(content.metadata))
+        field = make(heights_um[::-1] if source.rows == "up" else heights_um, pitch_um)
+        field._source = source
         field._history = content.notes
         return field
 
@@ -238,7 +247,8 @@ class HeightField:
             )
         orientation = reader_registry.rows_of(content, rows)
         try:
-            return cls._of_content(content, "", "", content.samples, content.pitch_um, orientation)
+            source = reader_registry.Source("", "", orientation, dict(content.metadata), {}, 0.0)
+            return cls._of_content(content, content.samples, content.pitch_um, source)
         except (ArgumentValueError, ArgumentTypeError) as error:
             raise ArgumentValueError(f"{ref('topography')}: {error}") from None
 

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 # Share of the variance of the heights below which a wave is not reported.
 _LEAST_SHARE = 1e-3
+# Least number of samples per period, along x and along y, of a resolved period. Limit: a scan that was rotated or
+# scaled has copies of its lines near the limit of sampling, which is two samples per period.
+LEAST_SAMPLES = 3.0
 # Standard deviation of the heights, relative to the largest absolute height, below which a field counts as flat.
 _ROUNDING = 1e-10
 # Number of periods by which a wave may fall short of the required three, because its fitted frequency has an error.
@@ -43,6 +46,10 @@ _MOST_ALIASED = 5
 # Radius of the band of a wavering wave, in standard deviations of the frequencies in this band, weighted by their
 # power.
 _BAND_IN_DEVIATIONS = 2.5
+# Largest radius of the band with which the search for the mean frequency of a wavering wave begins [cycles over the
+# field]. It is the width of the widest boxes in which lines are searched. If doubled, the bands of periods that are
+# short compared with the field contain neighbouring lines, which move the mean frequency.
+_FIRST_BAND = 31.0
 # Distance of two lines [cycles over the field] below which they count as one, because they are within one main lobe of
 # the Hann window.
 _RESOLUTION = 2.5
@@ -93,6 +100,8 @@ class Period:
         share: Share of the variance of the heights, without tilt, that the wave explains.
         frequency: Wave vector (y, x) [cycles per µm].
         is_coherent: Whether the phase of the wave is nearly that of a perfect grating over the whole field.
+        is_resolved: Whether the wave has at least three samples per period along x and along y. A shorter period may be
+            an artefact of sampling.
 
     Examples:
         >>> import numpy as np
@@ -111,6 +120,7 @@ class Period:
     share: float
     frequency: tuple[float, float]
     is_coherent: bool
+    is_resolved: bool = True
 
     def __str__(self) -> str:
         """Return the period, its standard error and its direction as text."""
@@ -147,7 +157,7 @@ class Periods(tuple[Period, ...]):
             >>> x = np.arange(730) * 0.02
             >>> ripples = 0.1 * np.cos(np.pi * x) + np.random.default_rng(0).normal(0.0, 0.01, (40, 730))
             >>> print(wd.HeightField(ripples, pitch_um=0.02).periods().table())
-            period_um  standard_error_um  direction_deg  amplitude_um    share  is_coherent
+            period_um  standard_error_um  direction_deg  amplitude_um    share  is_coherent  is_resolved
                2.0001 ...
         """
         return Table(
@@ -158,6 +168,7 @@ class Periods(tuple[Period, ...]):
                 "amplitude_um": np.array([period.harmonics_um[0] for period in self]),
                 "share": np.array([period.share for period in self]),
                 "is_coherent": np.array([period.is_coherent for period in self], dtype=bool),
+                "is_resolved": np.array([period.is_resolved for period in self], dtype=bool),
             }
         )
 
@@ -186,7 +197,7 @@ def _fit(heightfield: HeightField, count: int) -> tuple[Period, ...]:
     search = _Search(np.where(known, field.heights_um, field.filled().heights_um) / deviation, known, size)
     with single_threaded_blas():
         waves = search.strongest(count)
-    periods = [wave.period(deviation, extent) for wave in waves if wave.share >= _LEAST_SHARE]
+    periods = [wave.period(deviation, extent, search.pitch) for wave in waves if wave.share >= _LEAST_SHARE]
     return tuple(sorted(periods, key=lambda period: -period.share))
 
 
@@ -208,8 +219,14 @@ class _Wave:
     share: float
     is_coherent: bool
 
-    def period(self, deviation: float, extent: float) -> Period:
-        """Return the wave in µm, from the standard deviation of the heights and the larger extent of the field [µm]."""
+    def period(self, deviation: float, extent: float, pitch: tuple[float, float]) -> Period:
+        """Return the wave in µm.
+
+        Args:
+            deviation: Standard deviation of the heights [µm].
+            extent: Larger extent of the field [µm].
+            pitch: Distances (y, x) of the samples, relative to ``extent``.
+        """
         frequency = float(np.hypot(*self.q))
         qy, qx = (self.q / extent).tolist()
         if qx < 0.0 or (qx == 0.0 and qy < 0.0):
@@ -219,6 +236,7 @@ class _Wave:
             direction_deg=math.degrees(math.atan2(qy, qx)) + 0.0,
             harmonics_um=tuple(deviation * amplitude for amplitude in self.harmonics), share=self.share,
             frequency=(qy, qx), is_coherent=self.is_coherent,
+            is_resolved=bool(LEAST_SAMPLES * np.max(np.abs(self.q) * pitch) <= 1.0),
         )  # fmt: skip
 
 
@@ -405,7 +423,7 @@ class _Search:
         rows, columns = places[0][:, None], places[1][None, :]
         power = np.abs(coefficients) ** 2
         above = power - line.background_at(rows, columns)
-        centre, radius = line.cycles, band
+        centre, radius = line.cycles, min(band, _FIRST_BAND)
         for _ in range(_MOST_STEPS):
             dy, dx = rows - centre[0], columns - centre[1]
             inside = np.hypot(dy, dx) <= radius

@@ -47,6 +47,9 @@ _MARGIN = 1.3
 # at most this [degrees], the blocks are stripes along this axis, because parts along a groove resemble each other.
 # Limit: half of the angle between axis and diagonal.
 _ALONG_AXIS_DEG = 22.5
+# Standard error, relative to its value, above which a parameter has a reason for its large error. Choice: two standard
+# errors are then as large as the value.
+LARGE_ERROR = 0.5
 # Least standard error that is printed as a number, relative to its value; smaller ones are printed as an upper bound.
 # Limit: printed values have at most seven digits.
 _LEAST_SHOWN = 1e-6
@@ -58,6 +61,11 @@ _MEANINGS = {
     "Sdr": "developed interfacial area ratio",
     "Sal": "autocorrelation length",
     "Str": "texture aspect ratio",
+}
+# Reasons for a standard error above `LARGE_ERROR`. Near its minimum, the autocorrelation changes slowly with distance.
+_LARGE_ERRORS = {
+    "Sal": f"the autocorrelation falls only just below {autocorrelation.THRESHOLD} there, or not at all in some parts",
+    "Str": f"the autocorrelation falls only just below {autocorrelation.THRESHOLD}, or not at all in some parts",
 }
 # Parameters that follow from sums over the samples of a field, without its autocorrelation.
 _FROM_SUMS = ("Sa", "Sq", "Sdq", "Sdr")
@@ -75,7 +83,8 @@ class RoughnessParameter:
         value: Value of the parameter; None if the field does not determine it.
         standard_error: Standard error of the value, as an estimate for the whole surface from which the field is cut;
             None if it cannot be estimated.
-        reason: Reason why the value or the standard error is None, as a sentence; an empty string if both are numbers.
+        reason: Reason why the value or the standard error is None, or why the error is more than half of the value;
+            otherwise an empty string.
     """
 
     name: str
@@ -205,7 +214,9 @@ def measure(heightfield: HeightField, order: int) -> Roughness:
         elif len(blocks) < _LEAST_BLOCKS or not np.isfinite(without[name]).all():
             parameters.append(_parameter(name, value, None, _no_error(len(blocks))))
         else:
-            parameters.append(_parameter(name, value, standard_error(without[name])))
+            error = standard_error(without[name])
+            reason = _LARGE_ERRORS.get(name, "") if error > LARGE_ERROR * abs(value) else ""
+            parameters.append(_parameter(name, value, error, reason))
     return Roughness(tuple(parameters), order, counts, None if is_profile else decay.slowest_deg)
 
 

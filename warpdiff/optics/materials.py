@@ -43,6 +43,9 @@ _OPAQUE = 0.01
 # of 3e-6 for Schlick's reflectance.
 _TRANSMITTANCE_ANGLES = 1025
 
+# Index of refraction if the caller gives neither an index nor a material: glass.
+DEFAULT_IOR = 1.5
+
 
 @dataclass(frozen=True, eq=False)
 class Material:
@@ -374,7 +377,7 @@ def check_reflection(ior: object, material: Any) -> tuple[float, Material | None
     R(0) is 1 for a material, and otherwise follows from the index of refraction ``ior``.
     """
     if material is None:
-        return normal_reflectance(1.5 if ior is None else ior), None
+        return normal_reflectance(DEFAULT_IOR if ior is None else ior), None
     validation.instance(material, Material, "material")
     _check_no_ior(ior)
     return 1.0, material

@@ -40,13 +40,14 @@ def reflectance_map(
     """Plot the display colours of the reflectance over all view directions, for one direction to the light.
 
     The plot is a disc over the x and y components of the view direction: its centre is the normal and its rim the
-    horizon. Circles are at 30° and 60° from the normal. A cross marks the mirror direction of the light.
+    horizon. Circles are at 30° and 60° from the normal. A small circle marks the light, and a cross its mirror
+    direction.
 
     Args:
         source: Height field, which is evaluated with default settings, or the picture that
             :func:`warpdiff.reflectance_map` returned.
         to_light: Direction to the light in the local frame, shape (3,); required for a height field. The plot
-            marks its mirror direction; None, which is possible for a picture, marks nothing.
+            marks it and its mirror direction; None, which is possible for a picture, marks nothing.
         ax: Axes to draw into; None makes a figure.
         display: Display transform, as in :meth:`warpdiff.Image.display`.
         title: Title; None states the direction of the light.
@@ -102,12 +103,20 @@ def _add_directions(ax: Axes, light: NDArray[np.float64] | None) -> None:
     ax.add_patch(Circle((0.0, 0.0), 1.0, fill=False, edgecolor="0.3", linewidth=1.0))
     ax.text(0.735, 0.735, "90°", fontsize="small", ha="left", va="bottom")
     if light is not None:
-        ax.plot(-light[0], -light[1], "+", color="black", markersize=15.0, markeredgewidth=3.2)
-        ax.plot(-light[0], -light[1], "+", color="white", markersize=13.0, markeredgewidth=1.4)
-        ax.annotate(
-            "mirror direction", (-light[0], -light[1]), xytext=(8, -13), textcoords="offset points", fontsize="small",
-            **outlined(),
-        )  # fmt: skip
+        for direction, marker, name in ((-light, "+", "mirror direction"), (light, "o", "light")):
+            for colour, size, width in (("black", 15.0, 3.2), ("white", 13.0, 1.4)):
+                ax.plot(
+                    direction[0], direction[1], marker, color=colour, markersize=size if marker == "+" else 0.6 * size,
+                    markerfacecolor="none", markeredgewidth=width,
+                )  # fmt: skip
+            ax.annotate(
+                name,
+                (direction[0], direction[1]),
+                xytext=(8, -13),
+                textcoords="offset points",
+                fontsize="small",
+                **outlined(),
+            )
     ax.set_xlim(-1.02, 1.02)
     ax.set_ylim(-1.02, 1.02)
     ax.set_xticks([-1.0, -0.5, 0.0, 0.5, 1.0])

@@ -39,7 +39,7 @@ Against = Literal["wavelength", "angle", "incidence"]
 @checked
 def orders(
     efficiencies: OrderEfficiencies, *, ax: Axes | None = None, against: Against | None = None,
-    count: Annotated[int, Ge(1)] = 7, title: str | None = None,
+    count: Annotated[int, Ge(1)] = 7, errors: ArrayLike | None = None, title: str | None = None,
 ) -> Axes:  # fmt: skip
     """Plot the efficiencies of diffraction orders against the wavelength, the view angle or the incidence.
 
@@ -51,6 +51,8 @@ def orders(
             light, for several lights. None is ``"incidence"`` for several lights, otherwise ``"wavelength"`` for
             several wavelengths.
         count: Number of orders that are drawn as lines, at least 1; the strongest orders are drawn.
+        errors: Error of the efficiencies at each wavelength, shape (m,), drawn as bars if ``against`` is ``"angle"``;
+            None draws no bars.
         title: Title; None names the plotted quantity and, for a single wavelength, the wavelength.
 
     Returns:
@@ -59,7 +61,7 @@ def orders(
     Raises:
         ImportError: matplotlib is not installed.
         ValueError: ``against`` does not fit the result: ``"incidence"`` requires several lights and one wavelength, the
-            others one light.
+            others one light. Or ``errors`` does not have one number per wavelength.
 
     Examples:
         >>> import warpdiff as wd
@@ -83,13 +85,19 @@ def orders(
             f"{ref('against', against)} requires one wavelength, got {len(efficiencies.wavelengths_nm)}: compute the "
             "efficiencies for one wavelength"
         )
+    bars = None if errors is None else validation.finite_array(errors, "errors", most=validation.MOST)
+    if bars is not None and (bars.shape != efficiencies.wavelengths_nm.shape or bars.min() < 0.0):
+        raise ArgumentValueError(
+            f"{ref('errors')} must have the shape {efficiencies.wavelengths_nm.shape}, one number of at least 0 per "
+            f"wavelength, got {errors!r:.60}"
+        )
     ax = axes_for(ax, width=6.4, height=4.0)
     if against == "wavelength":
         text = _draw_over_wavelengths(ax, efficiencies, count)
     elif against == "incidence":
         text = _draw_over_incidence(ax, efficiencies, count)
     else:
-        text = _draw_over_angles(ax, efficiencies)
+        text = _draw_over_angles(ax, efficiencies, bars)
     ax.set_ylabel("efficiency [% of the incident power]")
     start_at_zero(ax)
     ax.set_title(text if title is None else title)
@@ -240,9 +248,10 @@ def _of_all(result: OrderEfficiencies, count: int) -> str:
     return f", the {count} strongest of {total}" if total > count else ""
 
 
-def _draw_over_angles(ax: Axes, result: OrderEfficiencies) -> str:
+def _draw_over_angles(ax: Axes, result: OrderEfficiencies, errors: NDArray[np.float64] | None) -> str:
     """Draw each order at its angle from the normal, in the colour of the wavelength; return the title of the plot."""
     many = len(result.wavelengths_nm) > len(LINE_COLOURS)
+    is_named = np.count_nonzero(~np.isnan(result.to_view[..., 0])) <= _MOST_NAMED
     for row in np.argsort(result.wavelengths_nm).tolist():
         wavelength = float(result.wavelengths_nm[row])
         live = ~np.isnan(result.to_view[row, :, 0])
@@ -251,11 +260,14 @@ def _draw_over_angles(ax: Axes, result: OrderEfficiencies) -> str:
         colour = wavelength_colour(wavelength)
         ax.vlines(angles, 0.0, values, color=colour, linewidth=1.6)
         ax.plot(angles, values, "o", color=colour, markersize=5.0, label=None if many else f"{wavelength:g} nm")
-        if len(result.wavelengths_nm) == 1 and len(angles) <= _MOST_NAMED:
+        bar = 0.0 if errors is None else 100.0 * float(errors[row])
+        if errors is not None:
+            ax.errorbar(angles, values, bar, fmt="none", ecolor=colour, elinewidth=0.8, capsize=3.0)
+        if is_named:
             for column, angle, value in zip(np.flatnonzero(live).tolist(), angles, values, strict=True):
                 ax.annotate(
-                    _name(result, column), (angle, value), xytext=(0, 5), textcoords="offset points", ha="center",
-                    fontsize="small",
+                    _name(result, column), (angle, value + bar), xytext=(0, 4), textcoords="offset points", ha="center",
+                    fontsize="small", color="black" if len(result.wavelengths_nm) == 1 else colour,
                 )  # fmt: skip
     ax.set_xlabel("angle of the order from the normal [°], negative towards −x")
     ax.set_xlim(-90.0, 90.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from annotated_types import Ge
+from annotated_types import Ge, Gt
 
 from warpdiff.core import validation
 from warpdiff.core.wording import ArgumentValueError, ref
@@ -185,7 +185,7 @@ def profile(
 @checked
 def power_spectrum(
     heightfield: HeightField, *, ax: Axes | None = None, count: Annotated[int, Ge(1)] = 3, cmap: str = "magma",
-    title: str | None = None,
+    most_frequency: Annotated[float, Gt(0.0)] | None = None, title: str | None = None,
 ) -> Axes:  # fmt: skip
     """Plot the power spectrum of the heights and mark the periods that :meth:`~warpdiff.HeightField.periods` finds.
 
@@ -198,6 +198,7 @@ def power_spectrum(
         ax: Axes to draw into; None makes a figure.
         count: Largest number of periods that are marked, at least 1.
         cmap: Name of a colour map of matplotlib.
+        most_frequency: Highest frequency on the axes of a map [1/µm]; None shows nearly all power, and all periods.
         title: Title; None states the number of periods.
 
     Returns:
@@ -226,20 +227,23 @@ def power_spectrum(
     name = f"{len(periods)} period{'s' * (len(periods) > 1)} marked" if periods else "no period"
     if min(levelled.shape) > 1:
         ax = axes_for(ax, width=6.0, height=5.0)
-        _draw_plane(ax, density, frequencies, periods, cmap)
+        _draw_plane(ax, density, frequencies, periods, cmap, most_frequency)
     else:
         ax = axes_for(ax, width=6.4, height=3.6)
         axis = int(levelled.shape[1] > 1)
         _draw_line(ax, density.ravel(), frequencies[axis], periods, "yx"[axis])
     ax.set_title(f"Power spectrum, {name}" if title is None else title)
     if periods:
-        ax.legend(loc="upper right", framealpha=0.9, fontsize="small")
+        # The legend is below the axes, because marks of periods may be anywhere in the spectrum.
+        ax.legend(
+            loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False, fontsize="small", markerscale=0.6
+        )
     return ax
 
 
 def _draw_plane(
     ax: Axes, density: NDArray[np.float64], frequencies: list[NDArray[np.float64]], periods: tuple[Period, ...],
-    cmap: str,
+    cmap: str, most_frequency: float | None,
 ) -> None:  # fmt: skip
     """Draw the power spectrum of a field with two axes as a map, and mark the periods."""
     from matplotlib.colors import LogNorm
@@ -251,6 +255,8 @@ def _draw_plane(
     shares = np.cumsum(density.ravel()[order])
     limit = float(radius[order][min(np.searchsorted(shares, _SHOWN_POWER * shares[-1]), len(order) - 1)])
     limit = max(limit, _AROUND_PERIODS * max((np.hypot(*period.frequency) for period in periods), default=0.0))
+    if most_frequency is not None:
+        limit = most_frequency
     if not limit > 0.0:
         # The spectrum of a flat field has no power. It is drawn up to its highest frequency.
         limit = float(radius[order][-1])

@@ -1,6 +1,7 @@
 """Reports of scans: their files, and numbers with errors. If a result is missing, the page states the reason."""
 
 import csv
+import hashlib
 import json
 import re
 from html.parser import HTMLParser
@@ -75,7 +76,8 @@ def test_the_page_is_complete_in_itself_and_its_texts_are_escaped(made):
     page = Page(text)
     assert page.open == []
     assert all(link.startswith("data:") for link in page.links)
-    assert len(page.alts) == 6
+    # Heights, two ranges of the power spectrum, orders, colours, map, comparison.
+    assert len(page.alts) == 7
     assert all(page.alts)
     assert "@DATE@ & co" in "".join(page.texts)
     assert "<b>@DATE@" not in text
@@ -116,13 +118,55 @@ def test_efficiencies_of_periods_sum_the_orders_around_them(made):
 def test_every_number_on_the_page_has_an_error_or_a_reason(made):
     _, report = made
     text = report.page.read_text(encoding="utf-8")
-    cells = re.findall(r'<td class="number">([^<]*)</td>', text)
+    cells = re.findall(r'<td class="number"[^>]*>([^<]*)</td>', text)
     names = ("Sa", "Sq", "Sdq", "Sdr", "Sal")
     for name in names:
-        value = re.search(rf"<tr><td>{name}</td><td>[^<]*</td><td class=\"number\">([^<]*)</td>", text)[1]
+        value = re.search(rf"<tr><td[^>]*>{name}</td><td[^>]*>[^<]*</td><td class=\"number\"[^>]*>([^<]*)</td>", text)[
+            1
+        ]
         assert "±" in value, name
     assert sum("±" in cell or "exact" in cell for cell in cells) > 30
     assert "have no error" in text
+
+
+def test_orders_below_their_error_are_marked(made):
+    _, report = made
+    orders, theory = report.numbers["orders"], report.numbers["theory"]
+    flat = wd.order_efficiencies(
+        wd.HeightField.of_known_scale([[0.0]], 1.0), report.numbers["light"]["to_light"], 450.0
+    )
+    assert theory[0]["flat_surface_efficiency"] == pytest.approx(float(flat[0, 0][0]))
+    for row in orders:
+        error = next(line for line in theory if line["wavelength_nm"] == row["wavelength_nm"])["efficiency_error"]
+        assert row["model_error"] == pytest.approx(error)
+        assert row["is_above_error"] == (row["efficiency"] > error)
+        assert abs(row["angle_deg"]) == pytest.approx(row["view_theta_deg"])
+    marked = report.page.read_text(encoding="utf-8").count(">not distinguishable from zero<")
+    assert marked == sum(not row["is_above_error"] for row in orders) > 0
+
+
+def test_inputs_settings_and_doubts_are_stated(tmp_path, monkeypatch):
+    monkeypatch.setattr("warpdiff.apps.report.report_data._MAP_PIXELS", 8)
+    x = np.arange(96)
+    codes = np.clip(128.0 + 130.0 * np.cos(2.0 * np.pi * x / 2.6) + np.zeros((24, 1)), 0.0, 255.0)
+    path = tmp_path / "scan.npy"
+    np.save(path, codes.astype(np.uint8))
+    field = wd.HeightField.load(path, pitch_um=0.1, height_range_um=0.2).levelled()
+    data = collect(request(field, settings={"tolerance": 0.2, "material": wd.Material.metal("Au")}), lambda _: None)
+    numbers = numbers_of(data, "title")
+    source = numbers["surface"]["source"]
+    assert source["stated_by_user"] == {"pitch_um": "0.1", "height_range_um": "0.2"}
+    assert source["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert source["clipped_share"] == pytest.approx(np.mean((codes < 1.0) | (codes == 255.0)))
+    for doubt in ("may be clipped", "0.26 µm has fewer than 3 samples"):
+        assert any(doubt in text for text in numbers["warnings"]), doubt
+    assert numbers["settings"]["material"] == "gold"
+    assert numbers["settings"]["coherence"] == "averaged window with σ = 16.25 µm"
+    text = page_of(data, numbers, [], [])
+    assert source["sha256"] in text
+    assert "stated by the user" in text
+    assert "gold, unpolarised light" in text
+    assert "may be an artefact of sampling" in text
 
 
 def test_a_measured_spectrum_is_compared_by_a_factor(made):

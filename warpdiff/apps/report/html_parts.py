@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -12,26 +12,52 @@ if TYPE_CHECKING:
 RIGHT = "→"
 
 
+class Html(NamedTuple):
+    """Cell of a table that is HTML text already."""
+
+    html: str
+
+
 def text_of(value: object) -> str:
-    """Return a value as escaped HTML text; a number and its unit (%, µm or nm) stay on one line."""
-    return html.escape(str(value)).replace(" %", "\u00a0%").replace(" µm", "\u00a0µm").replace(" nm", "\u00a0nm")
+    """Return a value as escaped HTML text; numbers stay on one line with their unit or sign."""
+    return (
+        html.escape(str(value))
+        .replace(" %", "\u00a0%")
+        .replace(" µm", "\u00a0µm")
+        .replace(" nm", "\u00a0nm")
+        .replace(" = ", "\u00a0=\u00a0")
+    )
 
 
 def table_of(names: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return an HTML table. Columns with a name that ends in `RIGHT` are numbers; columns without a name are notes."""
+    """Return an HTML table.
+
+    On narrow screens, each row is a block, and each cell has the name of its column.
+
+    Args:
+        names: Names of the columns. A name that ends in `RIGHT` marks numbers. The last name may be empty, for a column
+            of notes, which is omitted if all notes are empty.
+        rows: Cells of each row.
+    """
+    if not names[-1] and not any(row[-1] for row in rows):
+        names, rows = names[:-1], [row[:-1] for row in rows]
     kinds = ["number" if name.endswith(RIGHT) else "" if name else "note" for name in names]
     classes = [f' class="{kind}"' if kind else "" for kind in kinds]
-    head = "".join(f"<th{kind}>{text_of(name.rstrip(RIGHT))}</th>" for kind, name in zip(classes, names, strict=True))
+    labels = [text_of(name.rstrip(RIGHT)) for name in names]
+    head = "".join(f"<th{kind}>{label}</th>" for kind, label in zip(classes, labels, strict=True))
+    starts = [f'<td{kind} data-name="{label}">' for kind, label in zip(classes, labels, strict=True)]
     lines = [
-        "<tr>" + "".join(f"<td{kind}>{text_of(cell)}</td>" for kind, cell in zip(classes, row, strict=True)) + "</tr>\n"
+        "<tr>" + "".join(f"{start}{_cell(cell)}</td>" for start, cell in zip(starts, row, strict=True)) + "</tr>\n"
         for row in rows
     ]
-    return wide(f"<thead><tr>{head}</tr></thead>\n<tbody>\n{''.join(lines)}</tbody>")
+    return (
+        '<table class="wide">\n'
+        f"<thead><tr>{head}</tr></thead>\n<tbody>\n{''.join(lines)}</tbody></table>\n"
+    )  # fmt: skip
 
 
-def wide(table: str) -> str:
-    """Return an HTML table with the given head and body, which scrolls sideways on narrow screens."""
-    return f'<div class="wide" tabindex="0"><table>\n{table}</table></div>\n'
+def _cell(value: object) -> str:
+    return value.html if isinstance(value, Html) else text_of(value)
 
 
 def facts_table(facts: Sequence[tuple[str, str]]) -> str:

@@ -18,6 +18,7 @@ from warpdiff.evaluate.order_angles import order_angles
 from warpdiff.evaluate.orders import OrderEfficiencies, order_efficiencies
 from warpdiff.evaluate.reflectance import reflectance, reflectance_map, spectral_reflectance
 from warpdiff.heightfield.field import HeightField
+from warpdiff.heightfield.periods import LEAST_SAMPLES
 from warpdiff.heightfield.theory_verdict import verdict_on
 from warpdiff.optics.coherence import Coherence
 from warpdiff.request.settings import SpectralSettings
@@ -58,6 +59,10 @@ _WHOLE = 0.999
 _MOST_CELL_ORDERS = 60
 # Angle of the light from the normal if the caller gives no ``to_light`` [degrees]. Choice: common in goniometers.
 DEFAULT_INCIDENCE_DEG = 30.0
+# Share of integer samples at the ends of their range above which a report warns that heights may be clipped. Limit: a
+# scan that is scaled to this range has at least one sample at each end. If doubled, small clipped peaks are not
+# reported.
+_MOST_CLIPPED = 1e-4
 # Least sine of the angle between the light and the normal for which both define a plane of incidence. Limit: rounding
 # of unit vectors.
 _LEAST_SINE = 1e-9
@@ -104,6 +109,8 @@ class ReportData:
         roughness: ISO 25178 parameters of the whole field.
         verdicts: Verdict on scalar diffraction at each wavelength: expected error of an order's efficiency, and its
             reason.
+        flat_powers: Power that a flat surface of the material reflects at each wavelength, relative to the incident
+            power, shape (m,).
         efficiencies: Efficiencies of the orders that the picture of the orders shows.
         orders: Table of the orders; for a field without orders, of the power in the mirror direction and the scattered
             power.
@@ -125,6 +132,7 @@ class ReportData:
     periods: Periods | None = None
     roughness: Roughness | None = None
     verdicts: tuple[TheoryVerdict, ...] | None = None
+    flat_powers: NDArray[np.float64] | None = None
     efficiencies: OrderEfficiencies | None = None
     orders: Table | None = None
     patch_um: tuple[float, float] = (0.0, 0.0)
@@ -191,6 +199,7 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
     data.periods = data.attempt("periods", part.periods)
     if data.periods is not None and not data.periods:
         data.reasons["periods"] = "no wave repeats at least three times in this field and stands out from its roughness"
+    data.warnings += _doubts(data)
     progress(0.2)
     data.is_cell = not data.periods and _order_count(part, float(request.wavelengths_nm.min())) <= _MOST_CELL_ORDERS
     # A single period of a grating may be a tilted plane, such as a blazed groove. Only the mean is subtracted from it.
@@ -234,6 +243,24 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
         data.comparison = data.attempt("comparison", lambda: _compared(data, optical, measured))
     progress(0.95)
     return data
+
+
+def _doubts(data: ReportData) -> list[str]:
+    """Return warnings about clipped heights, and about periods near the limit of sampling."""
+    source = data.request.heightfield.source
+    texts = []
+    if source is not None and source.clipped > _MOST_CLIPPED:
+        texts.append(
+            f"{100.0 * source.clipped:.2g} % of the samples have the smallest or the largest integer of the file. "
+            "Their heights may be clipped."
+        )
+    texts += [
+        f"The period of {period.period_um:.3g} µm has fewer than {LEAST_SAMPLES:g} samples along an axis. It may be an "
+        "artefact of sampling or of resampling."
+        for period in data.periods or ()
+        if not period.is_resolved
+    ]
+    return texts
 
 
 def central_part(heightfield: HeightField) -> HeightField:
@@ -300,19 +327,21 @@ def _add_orders(data: ReportData, optical: HeightField) -> None:
     request = data.request
     light, wavelengths = data.to_light, request.wavelengths_nm
     material = {name: request.settings[name] for name in ("ior", "material") if request.settings.get(name) is not None}
-    result = order_efficiencies(optical, light, wavelengths, **material)
     flat = HeightField.of_known_scale([[0.0]], 1.0)
+    data.flat_powers = order_efficiencies(flat, light, wavelengths, **material).efficiencies[:, 0]
+    result = order_efficiencies(optical, light, wavelengths, **material)
     # A verdict states the expected error of scalar diffraction as a share of the power that a flat surface reflects.
     # The share times this power is the error of an order's efficiency.
     errors = [min(verdict_on(optical, nm).error, 1.0) for nm in wavelengths.tolist()]
-    model = np.array(errors) * order_efficiencies(flat, light, wavelengths, **material).efficiencies[:, 0]
+    model = np.array(errors) * data.flat_powers
     if data.periods:
-        data.orders, data.efficiencies = _of_periods(data, data.periods, result, model)
+        table, data.efficiencies = _of_periods(data, data.periods, result, model)
+        data.orders = _judged(table)
         return
     if data.is_cell:
         table = result.table()
         row = np.searchsorted(wavelengths, table["wavelength_nm"])
-        data.orders, data.efficiencies = Table({**table.columns, "model_error": model[row]}), result
+        data.orders, data.efficiencies = _judged(Table({**table.columns, "model_error": model[row]})), result
         return
     mirror = result[0, 0]
     rest = result.efficiencies.sum(axis=1) - mirror
@@ -321,6 +350,12 @@ def _add_orders(data: ReportData, optical: HeightField) -> None:
         "part": np.tile(["mirror direction", "scattered"], len(wavelengths)),
         "efficiency": np.stack([mirror, rest], axis=1).ravel(), "model_error": np.repeat(model, 2),
     })  # fmt: skip
+
+
+def _judged(table: Table) -> Table:
+    """Return a table of orders with their signed angles, and whether each efficiency exceeds its error."""
+    angles = signed_angles_deg(direction(table["view_theta_deg"], table["view_phi_deg"]))
+    return Table({**table.columns, "angle_deg": angles, "is_above_error": table["efficiency"] > table["model_error"]})
 
 
 def _patch(optical: HeightField, wavelength_nm: float) -> HeightField:

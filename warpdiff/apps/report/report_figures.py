@@ -11,10 +11,15 @@ import numpy as np
 from warpdiff import plot
 from warpdiff.apps.report.report_data import ANGLES_DEG
 from warpdiff.heightfield.field import HeightField
+from warpdiff.heightfield.periods import LEAST_SAMPLES
+from warpdiff.image.display_transform import auto_exposure
+from warpdiff.optics.coherence import Coherence
 from warpdiff.plot.axes import clean_grid, line_style
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from numpy.typing import NDArray
 
     from warpdiff.apps.report.measured_curve import CurveComparison
     from warpdiff.apps.report.report_data import ReportData
@@ -26,8 +31,17 @@ _DPI = 150
 # Largest number of samples along an axis of a height map; larger fields are thinned. Limit: at 150 dots per inch, more
 # samples are not visible.
 _MOST_DRAWN = 1400
-# Width of pictures of curves, and of pictures of maps [inches].
-_WIDE, _SQUARE = 8.6, 5.4
+# Width of pictures of curves, and of pictures of maps [inches]. Limit: their text is legible on a screen of 400 pixels.
+_WIDE, _SQUARE = 5.6, 5.4
+# Side of the middle part of a field that the report also shows enlarged [µm], and the least size of the field, relative
+# to this side.
+_ZOOM_UM, _LEAST_FIELD = 10.0, 2.0
+# Highest frequency of the enlarged power spectrum, relative to that of the strongest period.
+_SPECTRUM_PERIODS = 4.0
+# Factor of the exposure of the additional colour strip, which shows weak orders.
+_BRIGHTER = 16.0
+# Angles with a label below a colour strip [degrees].
+_TICKS_DEG = range(-75, 76, 15)
 # Azimuth of a wave vector, without its sign, above which it is nearer to the y axis than to the x axis [degrees].
 _NEARER_TO_Y_DEG = 45.0
 
@@ -37,17 +51,15 @@ class Figure(NamedTuple):
 
     Attributes:
         name: Name of the result that the picture shows.
-        uri: Picture as a data URI.
+        uris: Picture as a data URI, or two pictures side by side.
         alt: Description of the picture, for readers who cannot see it.
         caption: Text below the picture.
-        is_wide: Whether the picture takes the whole width of the page.
     """
 
     name: str
-    uri: str
+    uris: tuple[str, ...]
     alt: str
     caption: str
-    is_wide: bool = True
 
 
 def figures_of(data: ReportData) -> list[Figure]:
@@ -103,24 +115,27 @@ def _surface(data: ReportData) -> Figure:
     ny, nx = field.shape
     direction = data.periods[0].direction_deg if data.periods else 0.0
     along: Literal["x", "y"] = "y" if nx == 1 or (ny > 1 and abs(direction) > _NEARER_TO_Y_DEG) else "x"
-    profile = along if min(ny, nx) > 1 else None
-    # A field of one row or one column is drawn as a curve.
-    uri = (
-        _drawn("svg", _WIDE, 2.6, lambda ax: plot.profile(field, ax=ax, along=along))
-        if profile is None
-        else _drawn(
-            "png",
-            *_map_size(field),
-            lambda ax: plot.height_map(_thinned(field), ax=ax, profile_along=profile, is_shaded=True),
-        )
+    if min(ny, nx) == 1:
+        # A field of one row or one column is drawn as a curve.
+        uri = _drawn("svg", _WIDE, 2.6, lambda ax: plot.profile(field, ax=ax, along=along))
+        caption = f"Heights of the field, constant along {'y' if along == 'x' else 'x'}."
+        return Figure("surface", (uri,), "Profile of the heights", caption)
+    parts = [field]
+    if min(field.size_um) >= _LEAST_FIELD * _ZOOM_UM:
+        parts.append(field.cropped(_ZOOM_UM))
+
+    def drawn(part: HeightField) -> str:
+        return _drawn(
+            "png", *_map_size(part),
+            lambda ax: plot.height_map(_thinned(part), ax=ax, profile_along=along, is_shaded=True),
+        )  # fmt: skip
+
+    zoom = f" Second picture: the middle {_ZOOM_UM:g} µm." if len(parts) > 1 else ""
+    caption = (
+        "Heights of the field, shaded as a relief in light from the upper left, and a profile along "
+        f"{along} at the dashed line. Row 0 of the field is at y = 0, at the bottom.{zoom}"
     )
-    caption = "Heights of the field" + (
-        f", constant along {'y' if along == 'x' else 'x'}."
-        if profile is None
-        else ", shaded as a relief in light from the upper left, and a profile along "
-        f"{along} at the dashed line. Row 0 of the field is at y = 0, at the bottom."
-    )
-    return Figure("surface", uri, "Map of the heights, and a profile", caption, is_wide=profile is None)
+    return Figure("surface", tuple(map(drawn, parts)), "Map of the heights, and a profile", caption)
 
 
 def _map_size(field: HeightField) -> tuple[float, float]:
@@ -131,58 +146,93 @@ def _map_size(field: HeightField) -> tuple[float, float]:
 
 def _spectrum(data: ReportData) -> Figure:
     part = data.part
-    is_plane = min(part.shape) > 1
-    uri = _drawn(
-        "png" if is_plane else "svg", _SQUARE + 0.8 if is_plane else _WIDE, _SQUARE if is_plane else 3.3,
-        lambda ax: plot.power_spectrum(part, ax=ax),
-    )  # fmt: skip
-    caption = "Power spectral density of the levelled heights with a Hann window." + (
-        " Marks show the periods of the table, at their frequency and at the opposite frequency."
-        if data.periods
-        else ""
-    )
-    return Figure("periods", uri, "Power spectrum of the heights", caption, is_wide=not is_plane)
+    text = "Power spectral density of the heights minus a fitted plane, with a Hann window."
+    alt = "Power spectrum of the heights"
+    if data.periods:
+        text += " Marks show the periods of the table, at their frequency and at the opposite frequency."
+    if min(part.shape) == 1:
+        uri = _drawn("svg", _WIDE, 3.3, lambda ax: plot.power_spectrum(part, ax=ax, title=""))
+        return Figure("periods", (uri,), alt, text)
+    limits: list[float | None] = [None]
+    if data.periods:
+        nearest = _SPECTRUM_PERIODS / data.periods[0].period_um
+        highest = 0.5 / min(part.pitch_um)
+        if nearest < highest:
+            limits = [nearest, highest]
+            text += (
+                f" First picture: up to {_SPECTRUM_PERIODS:g} times the frequency of the strongest period. Second "
+                "picture: the whole spectrum. Spots with fewer than "
+                f"{LEAST_SAMPLES:g} samples per period, beyond {1.0 / (LEAST_SAMPLES * max(part.pitch_um)):.3g} per µm "
+                "along an axis, may be artefacts of sampling."
+            )
+
+    def drawn(most: float | None) -> str:
+        return _drawn(
+            "png", _SQUARE + 0.8, _SQUARE,
+            lambda ax: plot.power_spectrum(part, ax=ax, most_frequency=most, title=""),
+        )  # fmt: skip
+
+    return Figure("periods", tuple(map(drawn, limits)), alt, text)
 
 
 def _orders(data: ReportData, efficiencies: OrderEfficiencies) -> Figure:
-    uri = _drawn("svg", _WIDE, 3.0, lambda ax: plot.orders(efficiencies, ax=ax, against="angle", title=""))
+    errors = None
+    if data.flat_powers is not None and data.verdicts:
+        errors = data.flat_powers * [min(verdict.error, 1.0) for verdict in data.verdicts]
+    uri = _drawn(
+        "svg", _WIDE, 3.4, lambda ax: plot.orders(efficiencies, ax=ax, against="angle", errors=errors, title="")
+    )
     caption = (
         "Efficiencies of the orders of the field as one period of a grating, at their angles."
         if data.is_cell or not data.periods
         else f"Efficiencies of the orders of the strongest period, {data.periods[0].period_um:.4g} µm, at their angles."
     )
-    return Figure("orders", uri, "Efficiencies of the orders against their angles", caption)
+    caption += " Bars are the error of scalar diffraction." if errors is not None else ""
+    return Figure("orders", (uri,), "Efficiencies of the orders against their angles", caption)
+
+
+def _exposure(luminances: NDArray[np.floating[Any]]) -> float:
+    """Return the automatic exposure of luminances, rounded to two digits."""
+    return float(f"{auto_exposure(luminances[luminances > 0.0], 'aces'):.2g}")
 
 
 def _colours(data: ReportData) -> Figure:
+    strips = [(sigma, xyz, _exposure(xyz[:, 1])) for sigma, xyz in data.colours.items()]
+    sigma, xyz, exposure = strips[len(strips) // 2]
+    strips.append((sigma, xyz, _BRIGHTER * exposure))
+
     def draw(axes: Any) -> None:
-        strips = np.atleast_1d(axes)
-        for ax, (sigma, xyz) in zip(strips, data.colours.items(), strict=True):
+        for ax, (sigma, xyz, exposure) in zip(axes, strips, strict=True):
             plot.colour_strip(
-                xyz, data.to_light, angles_deg=ANGLES_DEG, azimuth_deg=data.azimuth_deg, ax=ax,
-                title=f"coherence window σ = {sigma:g} µm",
+                xyz, data.to_light, angles_deg=ANGLES_DEG, azimuth_deg=data.azimuth_deg, ax=ax, exposure=exposure,
+                title=f"coherence window σ = {sigma:g} µm, exposure {exposure:g}",
             )  # fmt: skip
-        for ax in strips[:-1]:
+            ax.set_xticks(_TICKS_DEG)
+        for ax in axes[:-1]:
             ax.set_xlabel("")
 
-    count = len(data.colours)
-    uri = _drawn("png", _WIDE, 1.25 * count + 0.2, draw, rows=count)
+    uri = _drawn("png", _WIDE, 1.3 * len(strips) + 0.2, draw, rows=len(strips))
     caption = (
         f"Colour against the view angle in the plane at the azimuth {data.azimuth_deg:.1f}°, for coherence windows of "
-        "different size. The exposure of each strip is automatic, so that strips show hues and not brightness."
+        "different size. The exposure is the factor by which Y is multiplied. The last strip is "
+        f"{_BRIGHTER:g} times as bright, so that weak orders are visible."
     )
-    return Figure("colours", uri, "Colours against the view angle", caption)
+    return Figure("colours", (uri,), "Colours against the view angle", caption)
 
 
 def _map(data: ReportData, image: Image) -> Figure:
+    exposure = _exposure(image.xyz[..., 1])
+    coherence = data.request.settings.get("coherence") or Coherence()
     uri = _drawn(
-        "png", _SQUARE, _SQUARE, lambda ax: plot.reflectance_map(image, data.to_light, ax=ax, title="")
+        "png", _SQUARE, _SQUARE,
+        lambda ax: plot.reflectance_map(image, data.to_light, ax=ax, exposure=exposure, title=""),
     )  # fmt: skip
     caption = (
-        "Colour of the reflectance in all view directions, for a light at "
-        f"{abs(data.light_deg):.3g}° from the normal. The centre is the normal of the surface, the rim the horizon."
+        f"Colour of the reflectance in all view directions ({coherence}, exposure {exposure:g}), for a light at "
+        f"{abs(data.light_deg):.3g}° from the normal. The centre is the normal of the surface, the rim the horizon. A "
+        "circle marks the light, and a cross its mirror direction."
     )
-    return Figure("map", uri, "Colours of the reflectance over the hemisphere", caption, is_wide=False)
+    return Figure("map", (uri,), "Colours of the reflectance over the hemisphere", caption)
 
 
 def _comparison(comparison: CurveComparison) -> Figure:
@@ -210,4 +260,4 @@ def _comparison(comparison: CurveComparison) -> Figure:
         f"Measured values of {measured.path.name}, and the computed {comparison.what}, multiplied by the factor in the "
         "table."
     )
-    return Figure("comparison", uri, "Measured and computed curve", caption)
+    return Figure("comparison", (uri,), "Measured and computed curve", caption)

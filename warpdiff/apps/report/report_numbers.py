@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
+import hashlib
 import math
 from importlib import metadata
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpdiff.apps.report.report_data import ANGLES_DEG
 from warpdiff.core.table import Table
+from warpdiff.optics.coherence import Coherence
+from warpdiff.optics.materials import DEFAULT_IOR
+from warpdiff.request.settings import EvaluationSettings
 
 if TYPE_CHECKING:
     from warpdiff.apps.report.report_data import ReportData
@@ -36,7 +41,7 @@ def numbers_of(data: ReportData, title: str) -> dict[str, Any]:
             "to_light": data.to_light.tolist(), "angle_deg": data.light_deg, "azimuth_deg": data.azimuth_deg,
             "illuminant": str(request.illuminant),
         },
-        "settings": {name: str(value) for name, value in request.settings.items() if value is not None},
+        "settings": _settings(data),
         **{name: _rows(table) for name, table in tables_of(data).items() if name != "colours"},
     }  # fmt: skip
     if data.roughness is not None:
@@ -61,8 +66,33 @@ def _source(data: ReportData) -> dict[str, Any] | None:
     if source is None:
         return None
     return {
-        "file": PurePath(source.path).name, "channel": source.channel, "rows": source.rows,
+        "file": PurePath(source.path).name, "sha256": _sha256(Path(source.path)), "channel": source.channel,
+        "rows": source.rows, "stated_by_user": dict(source.stated), "clipped_share": source.clipped,
         "metadata": {str(name): str(value) for name, value in source.metadata.items()},
+    }  # fmt: skip
+
+
+def _sha256(file: Path) -> str | None:
+    """Return the SHA-256 of a file; None if it cannot be read."""
+    try:
+        with file.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError:
+        return None
+
+
+def _settings(data: ReportData) -> dict[str, Any]:
+    """Return the arguments of the report, and the settings of its evaluations with their defaults, by name."""
+    request = data.request
+    settings = EvaluationSettings(**request.settings)
+    values = {option.name: getattr(settings, option.name) for option in dataclasses.fields(settings)}
+    if values["ior"] is None and values["material"] is None:
+        values["ior"] = DEFAULT_IOR
+    values["coherence"] = values["coherence"] or Coherence()
+    return {
+        "wavelengths_nm": request.wavelengths_nm.tolist(), "sigmas_um": list(request.sigmas_um),
+        "illuminant": str(request.illuminant),
+        **{name: _plain(value) for name, value in values.items()},
     }  # fmt: skip
 
 
@@ -74,9 +104,12 @@ def tables_of(data: ReportData) -> dict[str, Table]:
     if data.periods:
         tables["periods"] = data.periods.table()
     if data.verdicts:
+        errors = np.array([verdict.error for verdict in data.verdicts])
+        powers = np.full(len(errors), np.nan) if data.flat_powers is None else data.flat_powers
         tables["theory"] = Table({
             "wavelength_nm": [verdict.wavelength_nm for verdict in data.verdicts],
-            "expected_error": [verdict.error for verdict in data.verdicts],
+            "expected_error": errors, "flat_surface_efficiency": powers,
+            "efficiency_error": np.minimum(errors, 1.0) * powers,
             "grade": [verdict.grade for verdict in data.verdicts],
             "reason": [verdict.reason for verdict in data.verdicts],
         })  # fmt: skip
@@ -106,6 +139,12 @@ def _rows(table: Table) -> list[dict[str, Any]]:
     """Return the rows of a table as dictionaries."""
     names = list(table.columns)
     return [{name: _number(value) for name, value in zip(names, row, strict=True)} for row in table.rows]
+
+
+def _plain(value: Any) -> Any:
+    """Return a setting as a value of JSON, or as text if JSON has no such value."""
+    is_plain = value is None or isinstance(value, (bool, int, str)) or (isinstance(value, float) and value < math.inf)
+    return value if is_plain else str(value)
 
 
 def _number(value: Any) -> Any:

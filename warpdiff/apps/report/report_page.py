@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.apps.report.html_parts import RIGHT, facts_table, listed, paragraph, table_of, text_of, wide
-from warpdiff.core.angles import direction, signed_angles_deg
-from warpdiff.heightfield.roughness import with_error
+from warpdiff.apps.report.html_parts import RIGHT, Html, facts_table, listed, paragraph, table_of, text_of
+from warpdiff.heightfield.roughness import LARGE_ERROR, with_error
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,6 +29,8 @@ _MOST_METADATA = 30
 _MOST_TEXT = 200
 # Prefix that distinguishes absent pictures from absent results in the names of `ReportData.reasons`.
 _PICTURE = "picture of "
+# Note at an efficiency that is smaller than its error.
+_NOT_DISTINGUISHABLE = "not distinguishable from zero"
 # Azimuth of the y axis [degrees].
 _Y_DEG = 90.0
 # Largest distance of the end of a unit vector from the plane of the light, at which its direction counts as in this
@@ -37,10 +38,20 @@ _Y_DEG = 90.0
 _IN_PLANE = 1e-3
 # Height below which the page states heights in nanometres [µm], and the number of nanometres per micrometre.
 _LEAST_MICROMETRES, _NM_PER_UM = 1.0, 1e3
-_GRADES = {
-    "reliable": "use colours and numbers",
-    "qualitative": "use the positions of colours, and not their brightness",
-    "invalid": "use nothing but the angles of orders",
+_GRADES = (
+    "Reliable: use colours, and efficiencies that exceed their error. Qualitative: use the positions of colours, and "
+    "not their brightness. Invalid: use nothing but the angles of orders."
+)
+# Sentences that explain causes of an error, by the reason of a verdict.
+_CAUSES = {
+    "energy": (
+        " Scalar diffraction does not conserve energy: the efficiencies of all orders sum to more or less than the "
+        "reflected light."
+    ),
+    "narrow": (
+        " Features narrower than two wavelengths are components of the relief with periods below two wavelengths, "
+        "where light no longer follows the scalar theory."
+    ),
 }
 _ABSENT = {
     "roughness": "Roughness parameters were not found",
@@ -88,7 +99,7 @@ def page_of(data: ReportData, numbers: dict[str, Any], figures: list[Figure], na
         "VERSION": text_of(numbers["warpdiff"]), "TITLE": text_of(numbers["title"]),
         "DATE": text_of(numbers["made"][:10]),
         "STYLE": folder.joinpath("report.css").read_text(encoding="utf-8"),
-        "BODY": f'<section class="summary">\n{facts_table(_summary(data))}</section>\n{_warnings(data)}{body}',
+        "BODY": f'<section class="summary">\n{facts_table(_summary(data, numbers))}</section>\n{_warnings(data)}{body}',
     }  # fmt: skip
     # All placeholders of the template are replaced in one pass. A text of the user that looks like a placeholder is
     # therefore kept.
@@ -102,7 +113,9 @@ def summary_text(numbers: dict[str, Any], warnings: Sequence[str]) -> str:
     lines += [
         f"{row['parameter']:<16}{_value(row['value'], row['standard_error'])} {row['unit']}"
         for row in numbers.get("roughness", ())
-        if row["parameter"] in ("Sq", "Sal") and row["value"] is not None
+        if row["parameter"] in ("Sq", "Sal")
+        and row["value"] is not None
+        and (row["standard_error"] or 0.0) <= LARGE_ERROR * row["value"]
     ]
     periods = numbers.get("periods")
     period = _value(periods[0]["period_um"], periods[0]["standard_error_um"]) + " µm" if periods else "none found"
@@ -128,9 +141,10 @@ def _absent(data: ReportData, name: str) -> str:
 
 
 def _figure(number: int, figure: Figure) -> str:
-    kind = "" if figure.is_wide else ' class="narrow"'
+    kind = ' class="pair"' if len(figure.uris) > 1 else ""
+    images = "".join(f'<img src="{uri}" alt="{text_of(figure.alt)}">' for uri in figure.uris)
     return (
-        f'<figure{kind}><img src="{figure.uri}" alt="{text_of(figure.alt)}">\n'
+        f"<figure{kind}><div>{images}</div>\n"
         f"<figcaption><b>Figure {number}.</b> {text_of(figure.caption)}</figcaption></figure>\n"
     )
 
@@ -139,21 +153,24 @@ def _grade(grade: str) -> str:
     return f'<span class="grade {grade}">{grade}</span>'
 
 
-def _summary(data: ReportData) -> list[tuple[str, str]]:
+def _summary(data: ReportData, numbers: dict[str, Any]) -> list[tuple[str, str]]:
     field = data.request.heightfield
     (ny, nx), (ly, lx), (dy, dx) = field.shape, field.size_um, field.pitch_um
     facts = [(
         "Field", f"{lx:.4g} × {ly:.4g} µm (x × y), {nx} × {ny} samples, pitch {1e3 * dx:.4g} × {1e3 * dy:.4g} nm",
     )]  # fmt: skip
     if data.roughness is not None:
-        facts.append(
-            ("Roughness", f"Sq {text_of(_shown(data.roughness['Sq']))}, Sal {text_of(_shown(data.roughness['Sal']))}")
-        )
+        shown = [f"{p.name} {_shown(p)}" for p in data.roughness if p.name in ("Sq", "Sal") and not _has_large_error(p)]
+        facts.append(("Roughness", text_of(", ".join(shown))))
     facts.append(("Strongest period", text_of(data.periods[0]) if data.periods else "none"))
     if data.verdicts:
         worst = max(data.verdicts, key=lambda verdict: verdict.error)
-        facts.append(("Scalar theory", f"{_grade(worst.grade)} {text_of(str(worst).partition(' ')[2])}"))
-    facts.append(("Light", text_of(_light(data))))
+        of_incident = ""
+        if data.flat_powers is not None:
+            error = min(worst.error, 1.0) * data.flat_powers[data.verdicts.index(worst)]
+            of_incident = f" ({100.0 * error:.2g} % of the incident light)"
+        facts.append(("Scalar theory", f"{_grade(worst.grade)} {text_of(str(worst).partition(' ')[2] + of_incident)}"))
+    facts += [("Material", text_of(_material(numbers))), ("Light", text_of(_light(data)))]
     return facts
 
 
@@ -164,10 +181,26 @@ def _warnings(data: ReportData) -> str:
 
 
 def _light(data: ReportData) -> str:
+    axis = _axis(data)
+    side = f" on the side of {'+' if data.light_deg > 0.0 else '−'}{axis}" if data.light_deg else ""
     return (
-        f"{data.light_deg:.3g}° from the normal, in the plane at the azimuth {data.azimuth_deg:.1f}° from the x axis; "
-        f"illuminant {data.request.illuminant}"
+        f"θ = {abs(data.light_deg):.3g}° from the normal{side}, in the plane at the azimuth "
+        f"φ = {data.azimuth_deg:.1f}° from x towards y; illuminant {data.request.illuminant}"
     )
+
+
+def _material(numbers: dict[str, Any]) -> str:
+    settings = numbers["settings"]
+    if settings["material"] is not None:
+        return f"{settings['material']}, unpolarised light"
+    return f"index of refraction {settings['ior']}, unpolarised light"
+
+
+def _has_large_error(parameter: RoughnessParameter) -> bool:
+    """Whether the standard error of a parameter exceeds half of its value, or the parameter has no value."""
+    if parameter.value is None:
+        return True
+    return parameter.standard_error is not None and parameter.standard_error > LARGE_ERROR * abs(parameter.value)
 
 
 def _axis(data: ReportData) -> str:
@@ -205,14 +238,23 @@ def _surface(data: ReportData, numbers: dict[str, Any]) -> str:
         more = [("Metadata", f"{len(entries) - _MOST_METADATA} further entries are in report.json")]
         facts = [
             ("File", text_of(source["file"] or "a topography in memory")),
+            *([("SHA-256", source["sha256"])] if source["sha256"] else []),
             ("Channel", text_of(source["channel"] or "the only one of the file")),
-            ("Unit", "µm, converted from the unit of the file or as stated by the user"),
+            ("Size and unit", text_of(_stated(source["stated_by_user"]))),
             ("Row 0 of the file", place), *facts,
             *((_clipped(name), text_of(_clipped(value))) for name, value in entries[:_MOST_METADATA]),
             *(more if len(entries) > _MOST_METADATA else []),
         ]  # fmt: skip
+    settings = ", ".join(f"{name} = {value}" for name, value in numbers["settings"].items() if value is not None)
+    facts.append(("Settings", text_of(settings)))
+    plane = "the mean" if data.is_cell else "a fitted plane"
     history = "<h3>Cleaning</h3>\n" + (
-        listed(field.history, "ol") if field.history else paragraph("The heights were not cleaned.")
+        listed(field.history, "ol")
+        if field.history
+        else paragraph("The heights were not cleaned. Tilt, dust, scan-line steps and noise count as relief.")
+    )
+    history += paragraph(
+        f"Roughness and power spectrum are of the heights minus {plane}. Diffraction is of the heights unchanged."
     )
     part = ""
     if data.is_cropped:
@@ -223,6 +265,12 @@ def _surface(data: ReportData, numbers: dict[str, Any]) -> str:
             "because the field is large."
         )
     return facts_table(facts) + history + part
+
+
+def _stated(arguments: dict[str, str]) -> str:
+    """Return in words which of size and unit the user states, and which the file states."""
+    names = [f"{name} = {value}" for name, value in arguments.items() if name not in ("channel", "rows")]
+    return f"stated by the user: {', '.join(names)}" if names else "from the file"
 
 
 def _extent(size_um: tuple[float, float]) -> str:
@@ -237,11 +285,9 @@ def _roughness(data: ReportData) -> str:
     roughness = data.roughness
     if roughness is None:
         return _absent(data, "roughness")
-    rows = [(p.name, p.meaning, _shown(p), p.reason) for p in roughness]
-    notes = any(p.reason for p in roughness)
     table = table_of(
-        ["Parameter", "Meaning", "Value ± standard error" + RIGHT, *([""] if notes else [])],
-        rows if notes else [row[:3] for row in rows],
+        ["Parameter", "Meaning", "Value ± standard error" + RIGHT, ""],
+        [(p.name, p.meaning, _shown(p), p.reason) for p in roughness],
     )
     blocks = roughness.blocks[0] * roughness.blocks[1]
     levelled = "mean" if roughness.order == 0 else f"least-squares polynomial of degree {roughness.order}"
@@ -250,7 +296,8 @@ def _roughness(data: ReportData) -> str:
         text += f" Standard errors are from {blocks} parts of the field (jackknife)."
     if roughness.lay_deg is not None:
         text += (
-            f" The lay, along which the autocorrelation decays slowest, is {roughness.lay_deg:.0f}° from the x axis."
+            " The lay is the direction of grooves or scratches, along which the autocorrelation decays slowest: "
+            f"{roughness.lay_deg:.0f}° from the x axis. It describes this field alone and has no error."
         )
     return table + paragraph(text)
 
@@ -264,35 +311,50 @@ def _periods(data: ReportData) -> str:
         rows.append((
             k, f"{with_error(period.period_um, period.standard_error_um)} µm", f"{angle:.1f}°".replace("-", "−"),
             f"{1e3 * period.harmonics_um[0]:.3g} nm", f"{100.0 * period.share:.3g} %",
-            "constant phase" if period.is_coherent else "phase varies",
+            "constant" if period.is_coherent else "varies",
+            "" if period.is_resolved else "fewer than 3 samples per period: may be an artefact of sampling",
         ))  # fmt: skip
     numbers = ("No.", "Period ± standard error", "Direction", "Amplitude", "Share of variance")
-    names = [*(name + RIGHT for name in numbers), "Wave"]
+    names = [*(name + RIGHT for name in numbers), "Phase", ""]
     return table_of(names, rows) + paragraph(
-        "The direction is that of the wave vector, from x towards y. The error of a period includes its variation over "
-        "the field. Directions, amplitudes and shares describe this field alone and have no error."
+        "The period is the mean over the field. Its error is that of the mean of the whole surface, not the spread of "
+        "single ridges. The direction is that of the wave vector, from x towards y. The amplitude is that of the "
+        "fundamental sine. If the phase varies, the distance of neighbouring ridges varies over the field, and the "
+        "amplitude is that of a sine with the variance of the wave. The rest of the variance is roughness, waviness "
+        "and features that do not repeat. Directions, amplitudes and shares describe this field alone and have no "
+        "error."
     )
 
 
 def _theory(data: ReportData) -> str:
     if not data.verdicts:
         return _absent(data, "verdicts")
-    rows = [
-        f'<tr><td class="number">{verdict.wavelength_nm:g} nm</td><td>{_grade(verdict.grade)}</td>'
-        f'<td class="number">{100.0 * min(verdict.error, 1.0):.2g} %</td><td>{text_of(_GRADES[verdict.grade])}</td>'
-        f'<td class="note">{text_of(verdict.explanation if verdict.error > 0.0 else "none")}</td></tr>\n'
-        for verdict in data.verdicts
-    ]
-    head = (
-        '<tr><th class="number">Wavelength</th><th>Grade</th><th class="number">Expected error</th><th>Use</th>'
-        "<th>Largest cause</th></tr>"
+    powers = data.flat_powers
+    rows, names = [], ["Wavelength" + RIGHT, "Grade", "Error, share of reflected light" + RIGHT]
+    for k, verdict in enumerate(data.verdicts):
+        share = min(verdict.error, 1.0)
+        of_incident = [] if powers is None else [f"{100.0 * powers[k]:.2g} %", f"{100.0 * share * powers[k]:.2g} %"]
+        rows.append([
+            f"{verdict.wavelength_nm:g} nm", Html(_grade(verdict.grade)), f"{100.0 * share:.2g} %", *of_incident,
+            verdict.explanation if verdict.error > 0.0 else "none",
+        ])  # fmt: skip
+    names += (
+        []
+        if powers is None
+        else ["Reflected share of incident light" + RIGHT, "Error, share of incident light" + RIGHT]
     )
     worst = max(data.verdicts, key=lambda verdict: verdict.error)
     remedy = "" if worst.grade == "reliable" else f" Remedy: {worst.remedy}."
-    return wide(f"<thead>{head}</thead>\n<tbody>\n{''.join(rows)}</tbody>") + paragraph(
-        "The expected error of the efficiency of an order is a share of the power that a flat surface "
-        f"reflects. Compared with rigorous solutions, 19 of 20 gratings had at most twice this error.{remedy}"
-    )
+    causes = "".join(text for name, text in _CAUSES.items() if any(v.reason == name for v in data.verdicts))
+    return (
+        table_of([*names, "Largest cause"], rows)
+        + paragraph(_GRADES + remedy)
+        + paragraph(
+            "The error is that of the efficiency of one order, and the reflected light that of a flat surface. In a "
+            "test with rigorous solutions of Maxwell's equations, 19 of 20 gratings had at most twice the stated error."
+            + causes
+        )
+    )  # fmt: skip
 
 
 def _orders(data: ReportData) -> str:
@@ -302,30 +364,35 @@ def _orders(data: ReportData) -> str:
     light = f"The light is {_light(data)}."
     if "part" in table.columns:
         parts = [
-            (f"{nm:g} nm", part, f"{with_error(100.0 * efficiency, 100.0 * error)} %")
+            (
+                f"{nm:g} nm", part, f"{with_error(100.0 * efficiency, 100.0 * error)} %",
+                "" if efficiency > error or not error else _NOT_DISTINGUISHABLE,
+            )
             for nm, part, efficiency, error in table.rows
-        ]
-        names = ["Wavelength" + RIGHT, "Part", "Efficiency ± error of the theory" + RIGHT]
+        ]  # fmt: skip
+        names = ["Wavelength" + RIGHT, "Part", "Efficiency ± error of the theory" + RIGHT, ""]
         return table_of(names, parts) + paragraph(
             f"{light} Nothing repeats in this field, so that it has no orders of its own. The orders of a repeated "
             "scan depend on its size. The table has the power in the mirror direction, and all other reflected power."
         )
     is_period, is_plane = "order" in table.columns, _is_plane(data, table)
     kinds = [
-        "Wavelength", *(["Period"] if is_period else []),
+        "Wavelength", *(["Period"] if is_period and len(np.unique(table["period_um"])) > 1 else []),
         "Order" if is_period or not np.any(table["m_y"]) else "Order (x, y)",
-        "Angle ± standard error" if is_period else "Angle", *([] if is_plane else ["Azimuth"]),
+        "Angle θ ± standard error" if is_period else "Angle θ", *([] if is_plane else ["Azimuth φ"]),
         "Efficiency ± error of the theory",
     ]  # fmt: skip
     rows, left = _order_rows(table, is_plane=is_plane)
-    text = f"{light} Efficiencies are relative to the incident power. Angles are from the normal"
+    text = f"{light} Efficiencies are shares of the incident light. They are those of scalar theory, with the "
+    text += "reflectance of unpolarised light. Angles θ are from the normal"
     if is_plane:
         text += f", in the plane of the light, negative towards −{_axis(data)}."
     else:
-        text += ", and azimuths are from x towards y."
+        text += ", and azimuths φ are from x towards y."
     if is_period:
         text += (
-            " The error of an angle follows from the error of the period. The efficiency of an order is the sum over "
+            " The error of an angle follows from the error of the period. An efficiency that is smaller than its error "
+            "is not distinguishable from zero. The efficiency of an order is the sum over "
             "all directions nearer to it than half of the distance between two orders. It includes scattered light."
         )
     else:
@@ -335,7 +402,7 @@ def _orders(data: ReportData) -> str:
         )
     if left:
         text += f" {left} weaker orders are in orders.csv."
-    return table_of([kind + RIGHT for kind in kinds], rows) + paragraph(text)
+    return table_of([*(kind + RIGHT for kind in kinds), ""], rows) + paragraph(text)
 
 
 def _is_plane(data: ReportData, table: Table) -> bool:
@@ -348,9 +415,8 @@ def _order_rows(table: Table, *, is_plane: bool) -> tuple[list[list[str]], int]:
     """Return the lines of the table for the strongest orders of each wavelength, and the number of the other orders."""
     columns = table.columns
     is_period = "order" in columns
-    angles = columns["view_theta_deg"]
-    if is_plane:
-        angles = signed_angles_deg(direction(angles, columns["view_phi_deg"]))
+    has_periods = is_period and len(np.unique(columns["period_um"])) > 1
+    angles = columns["angle_deg" if is_plane else "view_theta_deg"]
     rows, left = [], 0
     for nm in np.unique(columns["wavelength_nm"]):
         own = np.flatnonzero(columns["wavelength_nm"] == nm)
@@ -363,9 +429,10 @@ def _order_rows(table: Table, *, is_plane: bool) -> tuple[list[list[str]], int]:
                 error = row["standard_error_deg"]
                 angle = f"{with_error(angles[k], error)}°" if error > 0.0 else f"{angles[k]:.1f}° (exact)"
             rows.append([
-                f"{nm:g} nm", *([f"{row['period_um']:.4g} µm"] if is_period else []), _order_name(row, columns),
+                f"{nm:g} nm", *([f"{row['period_um']:.4g} µm"] if has_periods else []), _order_name(row, columns),
                 angle, *([] if is_plane else [f"{row['view_phi_deg']:.1f}°"]),
                 f"{with_error(100.0 * row['efficiency'], 100.0 * row['model_error'])} %",
+                "" if row["is_above_error"] or not row["model_error"] else _NOT_DISTINGUISHABLE,
             ])  # fmt: skip
     return [[cell.replace("-", "−") for cell in row] for row in rows], left
 
@@ -389,7 +456,10 @@ def _colours(data: ReportData) -> str:
             "Fine stripes around the mirror direction are orders of this repetition."
         )
     return paragraph(
-        "A larger coherence window separates orders better, because its lobes are narrower. View angles are positive "
+        "The coherence window is the part of the surface whose light interferes, a Gaussian of standard deviation σ. A "
+        "larger window separates orders better, because its lobes are narrower. For daylight and artificial light use "
+        "σ = 16.25 µm. The page “Coherence length” of warpdiff's documentation has other lights. View angles θ are "
+        "positive "
         f"towards +{_axis(data)}. The numerical error of XYZ is at most {100.0 * tolerance:g} % for 99 % of the "
         "directions. The error of scalar diffraction is stated above. Differences between parts of the surface are not "
         f"included.{text}"
@@ -438,17 +508,23 @@ def _comparison(data: ReportData) -> str:
 
 
 def _methods(data: ReportData) -> str:
+    settings = data.request.settings
+    mirror = "a flat surface" if settings.get("material") is None else "a perfect mirror"
+    masking = ["Colours include V-cavity masking: ridges hide relief from light and viewer (Cook and Torrance 1982)."]
+    if not settings.get("masking", True):
+        masking = ["Colours do not include masking, the effect that ridges hide relief from light and viewer."]
     return listed([
-        "Sa, Sq, Sdq, Sdr, Sal and Str follow ISO 25178-2. Sdq is from differences of neighbouring samples.",
+        "Sa, Sq, Sdq, Sdr, Sal and Str follow ISO 25178-2:2021. Sdq is from differences of neighbouring samples.",
         "Sdr is the mean of both triangulations of each cell of four samples.",
         "Sal and Str are from the autocorrelation of the measured samples, with the threshold 0.2.",
         "Standard errors describe the variation between fields of the surface, not the calibration of the instrument.",
         "Sizes and pitches are from the file or from the user, and have no error.",
         "Periods are maxima of the power spectrum that noise alone would reach with a probability below 0.5 %.",
         "Reflectances are computed by scalar diffraction from the heights as a phase grating (Stam 1999).",
-        "A Fresnel factor and, for colours, V-cavity masking are included.",
-        "Polarisation and multiple scattering are not included.",
-        f"Colours are CIE XYZ under {data.request.illuminant}, shown in sRGB by the display transform ACES 2.0.",
+        "The Fresnel factor is that of unpolarised light. Other polarisation and multiple scattering are not included.",
+        *masking,
+        f"Colours are CIE XYZ under {data.request.illuminant}. At normal incidence, {mirror} has Y = 1.",
+        "They are shown in sRGB by the display transform ACES 2.0 (Academy of Motion Picture Arts and Sciences 2024).",
     ])  # fmt: skip
 
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -101,12 +101,17 @@ class Source(NamedTuple):
         channel: Name of the channel; an empty string if the file has only one array of heights.
         rows: Orientation: ``"down"`` if row 0 of the file is at y = 0, ``"up"`` if it is the top of the picture.
         metadata: Facts about instrument and measurement that the file states, as text by name.
+        stated: Arguments by which the caller stated size, unit, channel or orientation, as text by name.
+        clipped: Share of integer samples with the smallest or the largest value of their type; 0 for floating-point
+            samples.
     """
 
     path: str
     channel: str
     rows: Rows
     metadata: Mapping[str, str]
+    stated: Mapping[str, str]
+    clipped: float
 
 
 # Readers by suffix, in the order of registration. If several readers recognise a file, the last one reads it.
@@ -285,6 +290,14 @@ def _factor(content: FileContent, file: Path, unit: str | None) -> float:
             f"{_because(content.why_no_unit)}; it is one of {', '.join(length_units.SYMBOLS)}"
         )
     return length_units.factor_um(unit, "unit")
+
+
+def clipped_share(samples: NDArray[Any]) -> float:
+    """Return the share of integer samples with the smallest or the largest value of their type, otherwise 0."""
+    if samples.dtype.kind != "u" or not samples.size:
+        return 0.0
+    is_extreme = (samples == 0) | (samples == np.iinfo(samples.dtype).max)
+    return float(np.count_nonzero(is_extreme)) / samples.size
 
 
 def _because(reason: str) -> str:
