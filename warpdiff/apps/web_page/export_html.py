@@ -295,7 +295,9 @@ def _add_display(arrays: Arrays) -> dict[str, Any]:
 
 
 def _white(lobes: BakedLobes) -> Any:
-    """Return the linear sRGB colour of a white pigment of strength 1, ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ, shape (3,).
+    """Return the linear sRGB colour of a white pigment of strength 1, shape (3,).
+
+    Its CIE XYZ, from which the linear sRGB is computed, are ∫ G S x̄ȳz̄ dλ / ∫ S ȳ dλ.
 
     S is the illuminant. G(λ) converts the reflectance of a Lambertian surface to a relative reflectance ρ: see
     :func:`warpdiff.optics.reflectance_factors.pigment_solid_angle`.
