@@ -134,8 +134,7 @@ class _Table:
         self.distribution = mi.DiscreteDistribution2D(mi.TensorXf(cells))
 
     def at(self, value: Variant, entries: int) -> Variant:
-        """Return the coordinate, 0 to 1, of a value of κ or w in a texture over κ or w, which has ``entries`` texels.
-        """
+        """Return the coordinate, 0 to 1, of a value of κ or w in a texture of ``entries`` texels over κ or w."""
         import drjit as dr
 
         share = dr.clip((value - self.first) / self.span, 0.0, 1.0)
@@ -167,8 +166,7 @@ class _Table:
         return self.peak * dr.exp((x * x + y * y) * (-0.5 / self.deviation**2))
 
     def cell_density(self, x: Variant, y: Variant) -> Variant:
-        """Return the probability density with which the sampling selects the coordinates (x, y) of the grid.
-        """
+        """Return the probability density with which the sampling selects the coordinates (x, y) of the grid."""
         import drjit as dr
         import mitsuba as mi
 

@@ -387,8 +387,7 @@ class Studio:
             self._times.append((time.perf_counter() - built) / math.sqrt(view.width * view.height))
 
     def _smaller(self, view: wd.View) -> wd.View:
-        """Return the camera of a preview: ``view`` with the most pixels that meet the time limit of a movement.
-        """
+        """Return the camera of a preview: ``view`` with the most pixels that meet the time limit of a movement."""
         pixels = view.width * view.height
         least = min(math.sqrt(_LEAST_PIXELS / pixels), 1.0)
         expected = statistics.median(self._times) if self._times else 0.0
