@@ -264,8 +264,8 @@ def environment_of(options: argparse.Namespace) -> wd.Environment | None:
 def scene_of(options: argparse.Namespace, *, turning: bool = False) -> tuple[Any, wd.HeightField, wd.View]:
     """Return mesh, height field and camera (`View`) that the command line names.
 
-    Unless the user gives both the eye and the target, the camera is placed so that the whole mesh fits into the
-    picture. With ``turning``, the mesh also fits into it while the mesh rotates.
+    Unless the user gives the position of the camera, the camera is placed so that the whole mesh fits into the picture.
+    With ``turning``, the mesh fits into all pictures while it rotates.
     """
     heightfield = height_field_of(options)
     mesh = _named(options.mesh, BODIES, wd.meshes, "mesh")

@@ -46,8 +46,8 @@ class BakedLobes(table_files.SavedTable):
     f_k are principal functions of |w|. c_k are coefficients for X, Y and Z at the nodes of a polar grid: a periodic
     cubic B-spline interpolates along each ring, and a cubic in ln |(u, v)| between rings. The zeroth order is
     |H₀₀(w/λ)|² times a Gaussian at each wavelength. Colours are for a geometry factor of 1; :meth:`reflectance`
-    multiplies by it. With a material, the colours include its reflectance R(θd, λ), where θd is the angle between a
-    direction and the half vector.
+    multiplies by it. With a material, the colours include its reflectance R(θd, λ), where θd is half of the angle
+    between ωi and ωr.
 
     Files contain the arrays ``functions``, ``exponents``, ``mantissas`` and ``zeroth``, with a material also
     ``reflectances``, and for a ``Spectrum`` also ``illuminant_nm`` and ``illuminant_values``. Files also contain

@@ -6,10 +6,10 @@ Both give the absolute BRDF of ``warpdiff.brdf``,
 
     f cos θo = R(θd) M (1 + ωi·ωo)² / (cos θi w²) · D.
 
-R is Schlick's power reflectance at the angle θd between a direction and the half vector, M the masking factor, and D
-the density of the reflected power over (u, v), which integrates to 1. For a coherence window, D is 4πσ²/λ² ⟨|P|²⟩. For
-a source with the spread s, D is ⟨|P|²⟩ / 2πs². Scalar diffraction does not conserve energy, so the reflected power may
-exceed the incident power. The reflected power divided by the incident power is the sum of the efficiencies of
+R is Schlick's power reflectance, θd half of the angle between ωi and ωo, M the masking factor, and D the density of the
+reflected power over (u, v), which integrates to 1. For a coherence window, D is 4πσ²/λ² ⟨|P|²⟩. For a source with the
+spread s, D is ⟨|P|²⟩ / 2πs². Scalar diffraction does not conserve energy, so the reflected power may exceed the
+incident power. The reflected power divided by the incident power is the sum of the efficiencies of
 ``warpdiff.order_efficiencies``.
 
 Outgoing directions are drawn in two steps. First q is drawn, either from the table's cells in proportion to their power

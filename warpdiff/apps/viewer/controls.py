@@ -105,8 +105,8 @@ class Control:
 
     def __post_init__(self) -> None:
         default = self.option.default if self.default is None else self.default
-        # Attributes that are empty get their values from the option: name, default and labels. They are set in the
-        # dictionary of the object, because a frozen dataclass does not allow assignments.
+        # Empty attributes get their values from the option: name, default and labels. They are set in the dictionary of
+        # the object, because a frozen dataclass does not allow assignments.
         vars(self).update(
             name=self.name or self.option.name,
             default=default if self.element is None or not isinstance(default, tuple) else default[self.element],
