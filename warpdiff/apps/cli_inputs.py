@@ -39,8 +39,8 @@ BODIES: dict[str, tuple[str, dict[str, Any]]] = {
 }  # fmt: skip
 # Public lights by their kind on the command line: ``point`` is ``PointLight``.
 _LIGHTS = {name.removesuffix("Light").lower(): name for name in dir(wd) if name.endswith("Light")}
-# First: text of ``--environment`` that selects a computed clear sky instead of a file. Second: default direction to the
-# sun of this sky, in the world frame. It points up, to the right and towards the default camera.
+# Text of ``--environment`` that selects a computed clear sky instead of a file; and the default direction to the sun of
+# this sky, in the world frame. The direction points up, to the right and towards the default camera.
 _CLEAR_SKY, _SUN_DIRECTION = "clear-sky", (0.6, 1.0, 0.4)
 METAL_SYMBOLS = get_args(Metal)
 

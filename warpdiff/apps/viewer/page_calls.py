@@ -279,7 +279,7 @@ class Scene:
 
 
 def _further(view: wd.View) -> dict[str, Any]:
-    """Return the keyword arguments of a view except eye and target."""
+    """Return the keyword arguments of ``View`` for a camera, except ``eye`` and ``target``."""
     return {name: getattr(view, name) for name in ("up", "fov_y_deg", "width", "height")}
 
 
