@@ -190,7 +190,7 @@ def clear(folder: Path) -> None:
 
 
 def _matching_files(folder: Path, name: re.Pattern[str]) -> list[Entry]:
-    """Return the files of a folder whose names match a pattern. Files that other processes delete are skipped."""
+    """Return the files of a folder whose names match a pattern, without files that other processes delete meanwhile."""
     files = []
     with contextlib.suppress(FileNotFoundError):
         for path in folder.iterdir():
