@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 LINE_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 # Line styles of matplotlib. When all colours of lines are used, the colours repeat with the next style.
 LINE_STYLES = ("-", "--", ":", "-.")
-# First: colour of grid lines and backgrounds, a light grey. Second: colour of missing samples in height maps.
+# `FAINT` is the colour of grid lines and backgrounds, a light grey. `MISSING` is the colour of missing samples in
+# height maps.
 FAINT, MISSING = "0.85", "white"
 # Maximum length of a scale bar, as a share of the width of the map. Limit: a longer bar hides more of the map.
 _LONGEST_BAR = 0.25
