@@ -5,8 +5,8 @@ the largest estimate is the verdict:
 
 - steep: 0.22 times the root mean square slope, computed in the frequency domain with frequencies above 1/λ counted as
   1/λ.
-- deep: 0.05 (4πs/λ)² min(1, λ/P). Here s is the standard deviation of the heights, and P = 4√2 s/g with the mean
-  absolute slope g. P is the period of a sine that has the same s and g.
+- deep: 0.05 (4πs/λ)² min(1, λ/d). Here s is the standard deviation of the heights, and d = 4√2 s/g with the mean
+  absolute slope g. A sine of the period d has the same s and g.
 - narrow: the share of the light that features with periods below two wavelengths diffract, divided by 0.7. It is
   computed from the spectrum of exp(2πih/λ), the reflected wave of the heights h for |w| = 1.
 - energy: 1.1 times the deviation of the sum of Stam's efficiencies (Stam 1999) over all orders from the power that a
@@ -262,7 +262,7 @@ def _part(
 def _lost_power(heightfield: HeightField, wavelength_um: float) -> float:
     """Return the estimated power that leaves the zeroth order and that no other order carries.
 
-    It is (4πs/λ)² min(1, λ/P), where s is the standard deviation of the heights, and P the period of a sine with this s
+    It is (4πs/λ)² min(1, λ/d), where s is the standard deviation of the heights, and d the period of a sine with this s
     and the mean slope of the surface.
     """
     rms = heightfield.rms_um / wavelength_um

@@ -147,7 +147,7 @@ def _add_no_data(facts: Facts, statement: Statement, line: str, signs: Signs) ->
 
 
 def _add_lengths(facts: Facts, statement: Statement, line: str, signs: Signs) -> None:
-    """Add to ``facts`` the sizes or pitches that a line states; a line that is not clear is named there."""
+    """Add to ``facts`` the sizes or pitches that a line states, or the reason why the line is not clear."""
     key = statement.key
     # A second number in brackets, such as "6 µm (12 px)" or "0.006 mm (6 µm)", is a number of samples or the same size.
     pixels = [measure for measure in statement.measures if measure.counts == "pixels"]
