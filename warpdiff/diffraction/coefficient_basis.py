@@ -241,7 +241,7 @@ def _principal_functions(
 
     They are sampled at m Chebyshev nodes. With the first n of them, the sum of the squared errors of all coefficients
     is smaller than with any other n functions. In this sum, the error of each coefficient is relative to its largest
-    value.
+    value, and the strongest coefficients have a larger weight.
     """
     count = values.shape[-1]
     gram = np.zeros((count, count))
