@@ -41,7 +41,8 @@ def __getattr__(name: str) -> object:
     """Import a public name at its first use. ``import warpdiff`` itself is therefore fast."""
     if name in _SOURCES:
         source = import_module(_SOURCES[name])
-        # If a public name comes from a package, it is a module of that package, such as ``warpdiff.plot``.
+        # For a name that is itself a module, such as ``plot``, ``_SOURCES`` names the package that contains this
+        # module, such as ``warpdiff``. For any other name, it names the module that defines the name.
         is_package = hasattr(source, "__path__")
         value = import_module(f"{source.__name__}.{name}") if is_package else getattr(source, name)
     elif name == "__version__":

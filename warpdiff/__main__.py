@@ -17,7 +17,8 @@ def main() -> int:
         # A signal at this point ends the process at once, because no unfinished files exist yet that it would have to
         # delete.
         signal.signal(handled, lambda number, _frame: os._exit(128 + number))
-    # This module is imported only after signals are handled, because importing it takes time.
+    # The module ``process`` is imported only after the handlers of the signals are set, because its import takes time,
+    # and a signal may arrive meanwhile.
     from warpdiff.apps.process import Interruption, prepare_streams
 
     prepare_streams()

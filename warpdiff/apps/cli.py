@@ -36,8 +36,9 @@ _MESH_HELP = (
     f"mesh file with texture coordinates, or one of {', '.join(cli_inputs.BODIES)}, with parameters of "
     "warpdiff.meshes, for example snake:tangent=along"
 )
-# Flag or operand of the command line for each Python argument. Error messages print it instead of the argument. Flags
-# that ``cli_options.py`` generates from the options of a Python function are not listed.
+# Flag or operand of the command line that sets an argument of the library's Python functions. Error messages print the
+# flag or operand instead of the argument's name. Flags that ``cli_options.py`` generates from the options of a Python
+# function are not in this dictionary.
 _WORDS = {
     **{f"{method}()": flag for method, (flag, _) in CLEANING.items()},
     "mesh": "MESH", "heightfield": "--heightfield", "material": "--material", "film": "--film", "lights": "--light",

@@ -48,8 +48,8 @@ def render(options: argparse.Namespace) -> None:
     image = wd.shade(mesh, heightfield, lights, view, **settings, progress=options.progress)
     background = None
     if environment is not None and options.environment_behind:
-        # With a constant index of refraction, pictures are divided by the reflectance at normal incidence. The
-        # background is divided by the same number.
+        # With a constant index of refraction, the colours of a picture are relative to the reflectance at normal
+        # incidence. The environment that is visible behind the body is therefore divided by this reflectance, too.
         normal, _ = check_reflection(settings.get("ior"), settings["material"])
         background = environment.background(view) / np.float32(normal)
     _save(image, options, background)
@@ -159,7 +159,8 @@ def report(options: argparse.Namespace) -> None:
     incidence = DEFAULT_INCIDENCE_DEG if options.incidence_deg is None else options.incidence_deg
     to_light = None if azimuth is None else direction_of(incidence, azimuth, "--incidence-deg")
     to_view = None if options.view_deg is None else direction_of(options.view_deg, azimuth, "--view-deg")
-    # A synthetic height field has the name that the command gives it.
+    # The default title of the report of a synthetic height field is the text with which the user named the height field
+    # on the command line, such as ``fingers``.
     synthetic = options.heightfield or options.scan if heightfield.source is None else None
     result = wd.report(
         heightfield, options.output, to_light=to_light, to_view=to_view, wavelengths_nm=options.wavelengths_nm,

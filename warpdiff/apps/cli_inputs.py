@@ -40,8 +40,8 @@ BODIES: dict[str, tuple[str, dict[str, Any]]] = {
 }  # fmt: skip
 # Public lights by their kind on the command line: ``point`` is ``PointLight``.
 _LIGHTS = {name.removesuffix("Light").lower(): name for name in dir(wd) if name.endswith("Light")}
-# First string: name of the environment that is computed instead of loaded from a file. Second string: default direction
-# to its sun, at the upper right.
+# Text of ``--environment`` that selects a computed clear sky instead of a file; and the default direction to the sun of
+# this sky, in the world frame. The direction points up, to the right and towards the default camera.
 _CLEAR_SKY, _SUN_DIRECTION = "clear-sky", (0.6, 1.0, 0.4)
 METAL_SYMBOLS = get_args(Metal)
 # Value of ``--surface`` for a surface without a height field.
@@ -52,10 +52,10 @@ def _named(text: str, functions: dict[str, tuple[str, dict[str, Any]]], module: 
     """Return the object that a text such as ``fingers:size_um=25.6`` describes; None if the text names no function.
 
     Args:
-        text: Value of the flag: the name of a function, optionally with parameters after a colon.
+        text: Text from the command line: the name of a function, optionally with parameters after a colon.
         functions: Functions of the module by their name on the command line, with default parameters.
         module: Module of the functions.
-        flag: Name of the argument for error messages.
+        flag: Name of the Python argument for which the text was given. Error messages print its flag or operand.
     """
     name, colon, parameters = text.partition(":")
     if name.lower() in functions:
@@ -290,7 +290,11 @@ def environment_of(options: argparse.Namespace) -> wd.Environment | None:
 
 
 def scene_of(options: argparse.Namespace, *, turning: bool = False) -> tuple[Any, Any, wd.View]:
-    """Return mesh, surfaces and view. With ``turning``, the whole mesh stays in view while it rotates."""
+    """Return mesh, surfaces and camera (`View`) that the command line names.
+
+    Unless the user gives the position of the camera, the camera is placed so that the whole mesh fits into the picture.
+    With ``turning``, the mesh fits into all pictures while it rotates.
+    """
     heightfield = surfaces_of(options)
     mesh = _named(options.mesh, BODIES, wd.meshes, "mesh")
     mesh = options.mesh if mesh is None else mesh

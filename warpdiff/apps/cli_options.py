@@ -118,7 +118,7 @@ class Flags:
 def _shape(option: Option) -> dict[str, Any]:
     """Return the arguments of ``add_argument`` of argparse for a flag: type, number and placeholder of its values."""
     if option.name == "tangents":
-        # The Python value is an array, but the command line accepts three numbers.
+        # The Python option ``tangents`` is an array of vectors, but its flag accepts one vector, as three numbers.
         return {"type": number, "nargs": 3, "metavar": ("X", "Y", "Z")}
     kind = integer if isinstance((option.choices or [""])[0], int) else _TYPES.get(option.kind, str)
     placeholder: Any = _METAVARS.get(option.kind, "X")

@@ -12,8 +12,9 @@ if TYPE_CHECKING:
     from types import TracebackType
     from typing import Self, TextIO
 
-# Time from the start of a command to its first sign of progress, and between two updates of a bar [s]. Before that,
-# Python imports modules for up to 1 s, so a user waits for at most 2 s. Twice the value makes that 3 s.
+# Time from the start of a command to the first display of its progress, and between two updates of a progress bar [s].
+# Before a command starts, Python imports modules for up to 1 s, so a user waits for at most 2 s until the first
+# display. If doubled, the user waits for up to 3 s.
 _FIRST_S = 1.0
 # Longest interval between two lines of text [s]. Limit: a log of a day has 150 lines. Twice the value halves the number
 # of lines.

@@ -28,7 +28,10 @@ _MOST_WAVELENGTHS = 100_000
 
 
 def direction_of(theta_deg: float, phi_deg: float, flag: str) -> NDArray[np.float64]:
-    """Return the unit vector of two angles [degrees]; ``flag`` is the option of the first one, for error messages."""
+    """Return the unit vector at the angle ``theta_deg`` from the normal and the azimuth ``phi_deg`` from the x axis.
+
+    Error messages about ``theta_deg`` name the option ``flag``.
+    """
     if not abs(theta_deg) < _GRAZING_DEG:
         raise ArgumentValueError(f"{flag} must be more than -90 and less than 90, got {theta_deg:g}")
     with renaming({"phi_deg": flag.replace("--incidence", "--azimuth").replace("--view-deg", "--view-azimuth-deg")}):
@@ -51,7 +54,10 @@ def orders(options: argparse.Namespace) -> None:
 
 
 def angles(options: argparse.Namespace) -> None:
-    """Run ``warpdiff angles``: print the angles at which the orders of each period leave the surface."""
+    """Run ``warpdiff angles``: print the angles of diffraction orders.
+
+    The orders are those of each period that is measured in the height field.
+    """
     _check_csv(options)
     heightfield = cli_inputs.height_field_of(options)
     to_light = direction_of(options.incidence_deg, options.azimuth_deg, "--incidence-deg")

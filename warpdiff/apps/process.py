@@ -142,7 +142,8 @@ def flush_streams() -> bool:
             is_complete = stream is not sys.stdout
             if not is_complete and not isinstance(error, BrokenPipeError):
                 os.write(2, f"warpdiff: standard output: {error.strerror}\n".encode())
-            # Python flushes the streams again at the end of the process. The failed stream is connected to the null
-            # device, which prevents a second error message.
+            # Python flushes both streams again at the end of the process, and would print an error message of its own
+            # for the stream that could not be flushed here. This stream is connected to the null device, so that it can
+            # be flushed without an error.
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     return is_complete

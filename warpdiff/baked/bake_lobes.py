@@ -57,7 +57,8 @@ _SMALLEST_W = 0.06
 # First number: samples over |w| of each function of w that the table stores. Second number: samples over |κ| of the
 # zeroth order.
 _ENTRIES_OF_W, _ENTRIES_OF_KAPPA = 256, 512
-# Grid on which the reflectance of a material is stored: number of cos θd, and spacing of the wavelengths [nm].
+# Grid on which the reflectance R(θd, λ) of a material is stored: number of samples over cos θd, where θd is half of the
+# angle between ωi and ωr; and spacing of the wavelengths [nm].
 _ANGLES, _EACH_NM = 65, 5
 # Validation directions: size of each half of the set (uniform directions, and bright ones), number of random candidates
 # from which they are selected, and random seed.
@@ -87,8 +88,10 @@ def bake(
         illuminant: Name of a CIE illuminant or of a light source of colour-science, or a ``Spectrum``.
         material: Opaque material, such as a metal, whose reflectance is baked in; None leaves the reflectance to the
             index of refraction of the renderer.
-        delta_e: Accepted ΔE2000 at the 99th percentile of the directions. Bright directions are normalised to Y = 0.2;
-            directions below a thousandth of their luminance remain darker in proportion.
+        delta_e: Accepted ΔE2000 at the 99th percentile of the directions. Before the comparison, a colour is scaled to
+            Y = 0.2 if its luminance is at least a thousandth of the reference luminance. All darker colours are scaled
+            by the factor that scales this limit to 0.2, so that they remain darker. The reference luminance is about
+            that of the brightest directions.
         coherence: Averaged window or source; None is an averaged window of σ = 16.25 µm.
         strict: Whether a colour difference that the largest table does not meet raises ``ToleranceError``; otherwise it
             is a warning.

@@ -46,7 +46,8 @@ class BakedLobes(table_files.SavedTable):
     f_k are principal functions of |w|. c_k are coefficients for X, Y and Z at the nodes of a polar grid: a periodic
     cubic B-spline interpolates along each ring, and a cubic in ln |(u, v)| between rings. The zeroth order is
     |H₀₀(w/λ)|² times a Gaussian at each wavelength. Colours are for a geometry factor of 1; :meth:`reflectance`
-    multiplies by it. With a material, the colours include its reflectance R(θd, λ).
+    multiplies by it. With a material, the colours include its reflectance R(θd, λ), where θd is half of the angle
+    between ωi and ωr.
 
     Files contain the arrays ``functions``, ``exponents``, ``mantissas`` and ``zeroth``, with a material also
     ``reflectances``, and for a ``Spectrum`` also ``illuminant_nm`` and ``illuminant_values``. Files also contain
@@ -62,8 +63,8 @@ class BakedLobes(table_files.SavedTable):
         grid: Polar grid of the nodes.
         functions: f_k at equally spaced |w| from 0 to 2, for linear interpolation, shape (entries, K), float32.
         scale: Magnitude of the largest coefficient.
-        exponents: Largest magnitude of each node's coefficients for X, Y and Z, shape (nodes, 3), uint8. The value 255
-            means ``scale``; each smaller value divides the magnitude by 2^(1/8).
+        exponents: Largest magnitude of each node's coefficients for X, Y and Z, shape (nodes, 3), uint8. A value n
+            means the magnitude ``scale`` · 2^((n − 255)/8).
         mantissas: Coefficients in units of 1/127 of that magnitude, shape (nodes, 3, K), int8; or in units of 1/32767,
             int16, for lobes with a brightness that varies strongly with w.
         zeroth: |H₀₀|² at equally spaced |κ| from 0 to 2 / 0.38 µm, for linear interpolation, shape (entries,), float32.

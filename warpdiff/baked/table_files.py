@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
 
 class SavedTable:
-    """Base class of tables that can be saved: a file contains all attributes by name, unless a subclass overrides it.
+    """Base class of tables that can be saved in a file.
+
+    By default, the file contains all attributes by name. A subclass that stores other arrays overrides ``_arrays`` and
+    ``_from_arrays``.
 
     Attributes:
         FORMAT: Value of ``format`` in the file.

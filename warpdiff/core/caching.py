@@ -43,8 +43,8 @@ class LruCache(Generic[_T]):
         with _lock:
             value = self._values.get(key)
             if value is not None:
-                # Only the position of the key in the order of use changes. The key of the caller is equal but is not
-                # stored, because the caller may modify it later.
+                # Only the position of the stored key in the order of use changes. The caller's key, which is equal to
+                # the stored one, does not replace it, because the caller may modify its key later.
                 self._values.move_to_end(key)
             return value
 

@@ -87,15 +87,15 @@ def cached_on_disk(key: object, heights: NDArray[np.float64], make: Callable[[],
 
 @functools.cache
 def _code_digest(*folders: Path) -> str:
-    """Return a hash of all source files in folders.
+    """Return a hash of the contents of all source files in ``folders``, those of the code that computes cached arrays.
 
     The hash is a part of the cache's keys, so that arrays that older source code has made are not reused. The version
-    number would not suffice, because it does not change with each edit.
+    number of the package would not suffice, because it does not change with each edit of the code.
     """
     digest = hashlib.sha256()
     for path in sorted(path for folder in folders for path in folder.rglob("*") if path.suffix in (".py", ".h")):
-        # Beside a source file that is open, some editors put a symbolic link without a target. It is skipped, because
-        # it cannot be read.
+        # Some editors put a symbolic link without a target next to a source file that is open. Such a link is excluded
+        # from the hash, because it cannot be read.
         if path.is_file():
             digest.update(path.read_bytes())
     return digest.hexdigest()
@@ -122,7 +122,10 @@ def _user_folder() -> Path:
 
 
 def _read(path: Path, key: bytes) -> dict[str, Any] | None:
-    """Return the arrays of a file; delete a file that is damaged or has another key, and return None."""
+    """Return the arrays of a cache file; None if it is damaged or was written for another key than ``key``.
+
+    A file for which the result is None is deleted.
+    """
     arrays = None
     # NumPy and zipfile raise errors of many types for a damaged archive.
     with contextlib.suppress(Exception), path.open("rb") as file:
@@ -187,7 +190,7 @@ def clear(folder: Path) -> None:
 
 
 def _matching_files(folder: Path, name: re.Pattern[str]) -> list[Entry]:
-    """Return the files of a folder whose names match a pattern. Files that other processes delete are skipped."""
+    """Return the files of a folder whose names match a pattern, without files that other processes delete meanwhile."""
     files = []
     with contextlib.suppress(FileNotFoundError):
         for path in folder.iterdir():

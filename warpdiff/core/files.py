@@ -47,7 +47,10 @@ def atomic_write(target: Path, *, suffix: str = "", durable: bool = True) -> Ite
 
 
 def save_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Any], *, compressed: bool = True) -> Path:
-    """Write arrays by name to a ``.npz`` file, which is complete or unchanged. Errors name the argument ``path``."""
+    """Write arrays by name to a ``.npz`` file. Errors name the argument ``path``.
+
+    An existing file is replaced only after the new one is complete. After an error it is unchanged.
+    """
     target = check_output(path, (".npz",))
     with atomic_write(target) as temporary, temporary.open("rb+") as file:
         (np.savez_compressed if compressed else np.savez)(file, **arrays)
@@ -144,11 +147,11 @@ def naming_file(file: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def holding(argument: str, file: Path) -> Iterator[None]:
-    """Context for checking a value from a file. An error about the value names the file instead of an argument.
+    """Context for checking a value from a file. Error messages then name the argument ``path`` and the file.
 
     Args:
-        argument: Argument that the errors in the context name.
-        file: File from which the value was read. Error messages name it as the argument ``path``.
+        argument: Name of the value in the errors that the context raises. It is replaced in the error messages.
+        file: File from which the value was read.
     """
     try:
         yield

@@ -51,7 +51,7 @@ class cached_property(functools.cached_property[_T]):  # noqa: N801 (named after
 
 
 def importing() -> list[str]:
-    """Return the names of the slow modules that other threads are importing at the moment.
+    """Return the names of the modules of `_SLOW_PACKAGES` that other threads are importing at the moment.
 
     A child process would wait forever for the locks of these imports. Python has no documented function that lists
     them. If a future Python stores its import locks elsewhere, the list is empty, and forks during imports may hang.
@@ -69,7 +69,7 @@ def importing() -> list[str]:
 
 
 def finish_imports() -> None:
-    """Wait until no other thread is importing a slow module."""
+    """Wait until no other thread is importing a module of `_SLOW_PACKAGES`."""
     while names := importing():
         for name in names:
             # Importing the same module here waits until the other thread has imported it. If the import fails, the

@@ -24,8 +24,8 @@ _NO_LIMIT = 2**60
 # recognised.
 _REFUSED = re.compile(r"[Aa]llocate (?P<size>[\d.]+) (?P<unit>bytes|[KMGTPE]iB)(?:.* on device '(?P<device>[^']+)')?")
 _UNITS = {"bytes": 1.0, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30, "TiB": 2.0**40, "PiB": 2.0**50, "EiB": 2.0**60}
-# Measured peak memory while a synthetic height field or a sample body is made [bytes per height sample, bytes per
-# face]. If doubled, requests that would fit are refused.
+# Measured peak memory while a synthetic height field is made [bytes per height sample], and while a mesh of
+# ``warpdiff.meshes`` is made [bytes per face]. If doubled, requests that would fit are refused.
 _BYTES_PER_SAMPLE, _BYTES_PER_FACE = 80.0, 160.0
 
 

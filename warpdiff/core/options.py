@@ -1,4 +1,4 @@
-"""Descriptions of options, shared by Python, the command line, the viewer, the reference and the fuzz tests.
+"""Descriptions of options, for Python, the command line, the viewer, the reference documentation and fuzz tests.
 
 An option is a field of a frozen dataclass, or an argument of a public function: its annotation states type, range and
 unit, and the ``Attributes:`` or ``Args:`` section of the docstring states its meaning.
@@ -25,7 +25,7 @@ if typing.TYPE_CHECKING:
     from collections.abc import Callable
 
 Kind = Literal["flag", "integer", "number", "choice", "choices", "text", "pair", "numbers", "integers", "object"]
-# American spellings that are accepted, with the spelling that the library uses.
+# Values of options in American spelling, which are accepted, with the value in the spelling of the library.
 SPELLINGS = {"normalized": "normalised", "centered": "centred", "taylor-uncentered": "taylor-uncentred"}
 # Largest number of digits of the index in a name such as "light.0". Limit: Python refuses to convert 4,301 digits.
 _MOST_DIGITS = 9
@@ -52,11 +52,12 @@ class Option:
 
     Attributes:
         name: Name of the option in Python.
-        kind: Type of the option. ``"choices"`` is a tuple of choices, ``"pair"`` is one number or a pair (y, x),
-            ``"numbers"`` and ``"integers"`` are tuples of ``length`` elements, ``"object"`` is anything else.
+        kind: Type of the option. ``"flag"`` is a bool, ``"choice"`` is one of ``choices``, ``"choices"`` is a tuple of
+            them, ``"pair"`` is one number or a pair (y, x), ``"numbers"`` and ``"integers"`` are tuples of ``length``
+            elements, ``"object"`` is anything else.
         default: Default value; ``REQUIRED`` if there is none.
         help: Meaning of the option, in plain text.
-        choices: Accepted values of a ``"choice"``, without American spellings.
+        choices: Accepted values of an option of kind ``"choice"`` or ``"choices"``, without American spellings.
         indexed: Choices that an index may follow, as in ``"light.0"``.
         length: Number of elements of a tuple; 0 for other kinds.
         gt: Exclusive lower bound, or None.

@@ -31,7 +31,7 @@ class Tabular(Protocol):
     """Result that can be shown as a table."""
 
     def table(self) -> Table:
-        """Return the table."""
+        """Return the table of the result, with one column per quantity."""
 
 
 def save_table(self: Table | Tabular, path: str | os.PathLike[str]) -> Path:  # noqa: D417 (self is the object)
@@ -102,7 +102,8 @@ class Table:
             try:
                 column = np.array(values)
             except (TypeError, ValueError):
-                # NumPy raises these errors for nested lists of different lengths. The next check refuses such a column.
+                # NumPy raises a TypeError or ValueError for nested lists of different lengths. The check of the type of
+                # the elements refuses the column that is set here instead.
                 column = np.array(None)
             if column.dtype.kind not in "biufU":
                 raise ArgumentTypeError(f"{ref('columns')}: {name!r} must be numbers or texts, got {column.dtype}")

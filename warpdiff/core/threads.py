@@ -153,8 +153,8 @@ def _pool() -> ThreadPoolExecutor:
 forks.at_fork(after_in_child=_pool.cache_clear)
 
 
-# First: number of active contexts of `single_threaded_blas`. Second: number of threads that each library of linear
-# algebra had before the first of these contexts.
+# `_contexts` is the number of active contexts of `single_threaded_blas`. `_former` contains each library of linear
+# algebra, with the number of its threads before the first of these contexts.
 _contexts = 0
 _former: dict[str, tuple[LibController, int]] = {}
 _lock = forks.lock()
@@ -206,7 +206,10 @@ def _restore(libraries: Iterable[tuple[LibController, int]]) -> None:
 
 
 def _end() -> None:
-    """Restore the numbers of threads of the linear algebra, after the last context or in a forked child process."""
+    """Restore the numbers of threads that the libraries of linear algebra had before `single_threaded_blas`.
+
+    This happens at the end of the last active context of `single_threaded_blas`, and in a forked child process.
+    """
     global _contexts  # noqa: PLW0603 (a counter of the process, changed under a lock)
     _restore(_former.values())
     _former.clear()

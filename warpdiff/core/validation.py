@@ -24,8 +24,9 @@ _Choice = TypeVar("_Choice", bound=str | int)
 MOST, LEAST = 1e15, 1e-15
 # Largest accepted integer, that of int64; larger ones would overflow.
 MOST_COUNT = 2**63 - 1
-# A warning follows if directions look like angles in degrees. Each of their components is then ±1 or a multiple of the
-# first number, and the largest magnitude is from the second number to the third. Limit: unnormalised directions rarely
+# Directions look like angles in degrees, and a warning follows, if three conditions hold. Each component of all vectors
+# is ±1 or a multiple of the first number. The largest magnitude of all components is at least the second number and at
+# most the third number. At least one vector has two components that are not 0. Limit: unnormalised directions rarely
 # have such components.
 _ROUND_DEGREES, _LEAST_DEGREES, _MOST_DEGREES = 5.0, 10.0, 360.0
 
@@ -160,7 +161,8 @@ def directions(value: object, name: str) -> tuple[NDArray[np.float64], bool]:
         raise ArgumentValueError(f"{ref(name)} must have shape (3,) or (n, 3), got {array.shape}")
     single = array.ndim == 1
     array = np.atleast_2d(array)
-    # The vector is first divided by its largest component. Its squares then neither underflow nor overflow.
+    # Each vector is first divided by the magnitude of its largest component. The squares of its components, whose sum
+    # gives its length, then neither underflow nor overflow to infinity.
     largest = np.max(np.abs(array), axis=1, keepdims=True, initial=0.0)
     if not np.all(largest > 0.0):
         raise ArgumentValueError(

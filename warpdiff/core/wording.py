@@ -114,6 +114,9 @@ def renaming(words: Mapping[str, str]) -> Iterator[None]:
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """Return ``"; did you mean …?"`` with the most similar known name, or an empty string."""
+    """Return ``"; did you mean …?"`` with the element of ``known`` that is most similar to ``name``.
+
+    The text is empty if no element is similar, or if ``name`` is not a string.
+    """
     near = difflib.get_close_matches(name, list(known), n=1) if isinstance(name, str) else []
     return f"; did you mean {near[0]!r}?" if near else ""

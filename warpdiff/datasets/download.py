@@ -125,7 +125,7 @@ def _download(dataset: Dataset, folder: Path) -> Path:
 
 
 def _remedy(dataset: Dataset) -> str:
-    """Return the remedy for error messages: the address of the file, and the folder for a manual download."""
+    """Return advice for error messages after a failed download: how to download the file by other means."""
     folder = os.environ.get("WARPDIFF_DATA")
     place = f"in the folder {folder!r}" if folder else "in a folder, and set WARPDIFF_DATA to that folder"
     return (

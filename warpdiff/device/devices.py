@@ -1,4 +1,4 @@
-"""Devices that run kernels, their threads, and the compilation of kernels."""
+"""Choice of the Warp device and of the number of CPU threads; compilation and loading of kernels."""
 
 from __future__ import annotations
 
@@ -169,8 +169,8 @@ def codegen_lock() -> threading.Lock | None:
 # While this process forks, the list has one element: the lock that Warp holds while it parses kernels. Otherwise it is
 # empty.
 _acquired: list[threading.Lock] = []
-# New futures, for a forked child process, of the modules that were loaded before the fork. The original futures have
-# locks, which another thread may hold during the fork.
+# For a forked child process: a new future for each of Warp's modules of kernels that was loaded before the fork. The
+# original futures have locks, which another thread may hold during the fork.
 _loaded: dict[wp.Module, Future[None]] = {}
 
 
@@ -195,7 +195,11 @@ def _release() -> None:
 
 
 def _in_child() -> None:
-    """In a forked child process, note which modules are loaded and which work of other threads will never finish."""
+    """Update the state of a forked child process, in which the other threads of the parent do not exist.
+
+    `_loading` then contains the Warp modules whose kernels are loaded. `_cut_off` lists the work of the other threads
+    that will never finish.
+    """
     _loaders.cache_clear()
     _cut_off.extend(f"imported {name}" for name in forks.importing())
     is_all_loaded = len(_loaded) == len(_loading)

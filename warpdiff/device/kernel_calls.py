@@ -137,11 +137,12 @@ def launch_pipeline(
 
     Args:
         steps: Kernel calls in their order.
-        elements: Number of elements, or a range of them that starts at the beginning of a block.
+        elements: Number of elements, or a range of them. The range starts at a multiple of ``KernelCall.block`` of each
+            step.
         device: Warp device.
         threads: Largest number of threads on the CPU.
-        slice_size: Number of elements per slice, rounded up to whole blocks.
-        progress: Function that is called with the finished share; None reports nothing.
+        slice_size: Number of elements per slice, rounded up to a common multiple of ``KernelCall.block`` of all steps.
+        progress: Function that is called with the finished share of the slices, 0 to 1; None reports nothing.
     """
     indices = range(elements) if isinstance(elements, int) else elements
     if indices and device.is_cpu and not device.is_capturing:
@@ -150,8 +151,9 @@ def launch_pipeline(
         slices = -(-len(indices) // size)
         at_once = max(min(_MOST_AT_ONCE // size, slices // (_TURNS_PER_THREAD * threads)), 1)
         take = Pipeline(steps).slices(indices, size, at_once)
-        # Each call processes the next slices of a common list. A thread that the system has paused may begin the last
-        # call late, and its slices would wait. Additional calls let the other threads process these slices.
+        # Each call of ``take`` processes the next slices that no earlier call has taken, ``at_once`` of them. If the
+        # operating system pauses a thread before its call, the slices of this call would wait for the thread. There is
+        # therefore an additional call for each other thread, and these calls process such slices.
         times = -(-slices // at_once) + (threads - 1 if at_once > 1 else 0)
         parallel_for(lambda _: take(), range(times), threads=threads, progress=progress)
         return

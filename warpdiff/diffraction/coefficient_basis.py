@@ -38,8 +38,8 @@ POWER_METHODS = ("power",)
 # to the fastest oscillation of a power. The error of cubic interpolation between entries is 3/(128 n⁴), which is 4e-7.
 # Amplitudes oscillate half as fast, if heights are measured from the middle of their range, and their error is 2e-8.
 _STEPS_PER_RADIAN = 16
-# Smallest number of steps in the table of a basis over κ. It is for shallow surfaces, whose powers do not oscillate
-# over κ but grow as κ²ⁿ.
+# Smallest number of steps in the table of a basis over κ. It applies to shallow surfaces. Their powers do not oscillate
+# over κ, but grow in proportion to κ², κ⁴ or a higher power of κ.
 _FEWEST_STEPS = 64
 # Largest truncation error of the Jacobi-Anger series to which other bases are fitted: about the rounding error of
 # float32.
@@ -78,8 +78,10 @@ class Coefficients:
             (entries, terms).
         kappa_low: Lower end of the range of |κ| [1/µm].
         step: Difference in |κ| of neighbouring entries of ``basis`` [1/µm].
-        truncation_errors: Errors of a fitted basis with the first n terms, n = 0 … terms, relative to the largest value
-            of a coefficient in the range. Empty for a series, because its error has a known bound.
+        truncation_errors: Error of a fitted basis with the first n terms, n = 0 … terms: the 99.9th percentile over the
+            coefficients. The error of one coefficient is the largest one at any κ in the range, relative to the largest
+            value of this coefficient in the range. Errors and values are divided by |κ| before, or by κ² for powers.
+            Empty for a series, because its error has a known bound.
     """
 
     rows: NDArray[np.float32]
@@ -237,8 +239,9 @@ def _principal_functions(
 ) -> NDArray[np.float64]:
     """Return the principal functions of κ of all coefficients, orthonormal, in order of importance, shape (m, m).
 
-    They are sampled at m Chebyshev nodes. The first n of them represent the coefficients better than any other n
-    functions.
+    They are sampled at m Chebyshev nodes. With the first n of them, the sum of the squared errors of all coefficients
+    is smaller than with any other n functions. In this sum, the error of each coefficient is relative to its largest
+    value, and the strongest coefficients have a larger weight.
     """
     count = values.shape[-1]
     gram = np.zeros((count, count))

@@ -85,8 +85,9 @@ def _coefficient_sum(
     if to_light is not None:
         tangential, cos_light = (float(to_light[0]), float(to_light[1])), float(to_light[2])
     falloff, cutoff = _falloff(coherence, wavelength), _cutoff(coherence, wavelength)
-    # Coefficients beyond these distances along x and y are excluded. Where the component of the direction to the light
-    # along an axis is t, the Gaussian of a source is narrower by the factor √(1 − t²).
+    # Largest distances from q, along x and along y, of the coefficients that are summed. For a source, t is the
+    # component of the direction to the light along an axis. The Gaussian weight of the source, and thus the largest
+    # distance along this axis, is narrower by the factor √(1 − t²).
     cutoff_x, cutoff_y = (cutoff * math.sqrt(1.0 - t**2) for t in tangential)
     ny, nx = heightfield.shape
     length_y, length_x = heightfield.size_um

@@ -59,8 +59,9 @@ _LIGHTS = 4096
 _VISIBLE_RANGE_NM = (400.0, 700.0)
 # Constant of Roberts' quasi-random sequence in three dimensions, the real root of x⁴ = x + 1.
 _PLASTIC = 1.22074408460575947536
-# Largest angle from the normal of the light for which deviations of the reflected power at single wavelengths are
-# measured [radians]. The energy factors for colours conserve only the total power of all wavelengths.
+# Largest angle between the direction to the light and the normal [radians] for which `AchromaticFactors.spread` is
+# measured. The energy factors for colours conserve only the total power of all wavelengths. At a single wavelength, the
+# reflected power therefore deviates from the incident power.
 _STEEPEST = math.radians(80.0)
 # Wavelengths are divided into fixed bands, so that the energy factors of a wavelength do not depend on the other
 # wavelengths of a call. In each band, the factors are computed at this number of wavelengths and interpolated linearly.
@@ -70,8 +71,9 @@ _NODES, _BAND_NM = 5, (colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM)
 # directions that would require too much time, and the factors are interpolated instead.
 _MOST_LIGHTS = 64
 # Cosine of the angle from the normal at which the prescribed sum over orders reaches 1 (`rise`): 5.7° above the
-# horizon. Fitted: of the values from 0.05 to 1, it gives the most accurate orders of perfect mirrors
-# (bench/reproduce/theory_verdict.py). If doubled, their mean error is 3 % larger.
+# horizon. Fitted: of the values from 0.05 to 1, it gives the smallest mean error of the efficiencies of perfect
+# mirrors, compared with rigorous solutions (bench/reproduce/theory_verdict.py). If doubled, this mean error is 3 %
+# larger.
 RISEN = 0.1
 # Smallest sum over orders that is used as a divisor. Sums are smaller only if the power of all propagating orders is
 # zero.
@@ -191,8 +193,9 @@ class AchromaticFactors:
 
     Attributes:
         values: Factors on the grid of ``grid_weights``, which has n elevations and m azimuths, float32, shape (n, m).
-        spread: Relative deviation of the reflected power of single wavelengths and directions from the incident power:
-            root mean square, weighted by the cosine, up to 80° from the normal.
+        spread: Relative deviation of the reflected power from the incident power, for single wavelengths and directions
+            to the light: root mean square, weighted by the power that the light sends to the surface, which is
+            proportional to the cosine of its angle from the normal. Lights beyond 80° from the normal are excluded.
     """
 
     values: NDArray[np.float32]

@@ -5,7 +5,10 @@ H_rs(κ) = (1/N) Σ exp(2πiκh) exp(2πi(rx/Lx + sy/Ly)), which is ``numpy.fft.
 
     H_rs(κ) = e^{2πiκc} Σ_n b_n(x) F_n[s, r],   F_n = iⁿ · ifft2(p_n((h − c)/a)),   x = 2πκa.
 
-The first factor is a phase that is common to all coefficients and does not change a power.
+Here N is the number of samples, and g = (h − c)/a are the heights after an offset c and a scale a (``Expansion``). The
+polynomials p_n(g) and the functions b_n(x) belong to the series: gⁿ and xⁿ/n! to the Taylor series, Chebyshev
+polynomials and Bessel functions to the Jacobi-Anger series. The first factor is a phase that is common to all
+coefficients and does not change a power.
 """
 
 from __future__ import annotations

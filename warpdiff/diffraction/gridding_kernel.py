@@ -16,8 +16,9 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# The kernel is approximated by polynomials, one per interval between two frequencies of the grid. With this degree the
-# error is about 1e-8.
+# Degree of the polynomials that approximate the kernel, one per interval between two frequencies of the grid. With this
+# degree, the error of the polynomials is less than 1e-11 of the maximum of the kernel, which is below the rounding
+# errors of float32.
 _DEGREE = 12
 
 

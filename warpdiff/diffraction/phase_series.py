@@ -91,7 +91,10 @@ def _taylor_basis(argument: ArrayLike, terms: int) -> NDArray[np.float64]:
 
 
 def _taylor_remainder(argument: float, terms: int) -> float:
-    """Return the bound x^N/N! of the remainder (Single 2014, eq. 3.28, with M = 1 as |e^{ix}| is 1)."""
+    """Return the bound x^N/N! of the remainder of a Taylor series of e^{ix} with N terms (Single 2014, eq. 3.28).
+
+    The bound of the derivatives in that equation, M, is 1, because |e^{ix}| is 1.
+    """
     if argument == 0.0:
         return 0.0
     return math.exp(min(terms * math.log(argument) - math.lgamma(terms + 1.0), argument, _LARGEST_EXPONENT))

@@ -36,7 +36,7 @@ def order_angles(
 ) -> Table:  # fmt: skip
     """Return the angles at which the orders of each period leave the surface, with their standard errors.
 
-    The angles follow from the grating equation: ωi + ωr has the component mλ/P along the wave vector of the period P.
+    The angles follow from the grating equation: ωi + ωr has the component mλ/d along the wave vector of the period d.
     The standard error of an angle follows from that of the period. The efficiency of an order is not considered; see
     :func:`warpdiff.order_efficiencies`.
 
@@ -69,7 +69,8 @@ def order_angles(
         raise ArgumentValueError(f"{ref('to_light')} must be above the horizon (z > 0), got {to_light!r}")
     wavelengths_um = 1e-3 * colorimetry.check_wavelengths(wavelengths_nm)
     waves = _waves(source)
-    # The components of ωi and ωr along the wave vector are at most 1 each. Their sum is mλ/P, so |mλ/P| is at most 2.
+    # By the grating equation, the components of ωi and ωr along the wave vector of a period d have the sum mλ/d. Each
+    # component is at most 1, so |mλ/d| is at most 2.
     highest = [min(most_order, math.floor(2.0 * period / wavelengths_um.min())) for _, period, _ in waves]
     memory.require_memory(
         _BYTES_PER_ORDER * len(wavelengths_um) * sum(2 * order + 1 for order in highest),

@@ -40,8 +40,8 @@ if TYPE_CHECKING:
 
 
 # A call warns if the sum of Stam's efficiencies deviates from the reflected power by more than this share of that
-# power. Limit: of the gratings with a larger deviation, nine in ten have an order that is wrong by more than a tenth of
-# the reflected power.
+# power. Limit: of the gratings with a larger deviation, nine in ten have an order whose efficiency differs from the
+# rigorous solution by more than a tenth of the reflected power.
 _MOST_DEVIATION = 0.2
 # Lower bound of the reflectance of a flat surface, by which the sum of the efficiencies is divided. The reflectance of
 # an antireflective film may be 0 up to rounding.
@@ -159,10 +159,10 @@ def order_efficiencies(
     exceeds it for short periods at grazing angles.
 
     ``energy="normalised"`` multiplies the efficiencies by a(ωi) a(ωr). The factors a make the orders of a perfect
-    mirror sum to 1 for every direction (Sinkhorn 1967). The result is reciprocal, and closer to rigorous solutions for
-    mirrors and metals.
-    Orders within 5.7° of the horizon have a smaller weight, down to 0 at the horizon, so that efficiencies are
-    continuous where an order begins to propagate.
+    mirror sum to 1 for every direction (Sinkhorn 1967). The result is reciprocal. For mirrors and metals, it is closer
+    to rigorous solutions than Stam's efficiencies are. The efficiencies of orders within 5.7° of the horizon are
+    reduced, down to 0 at the horizon, so that the efficiencies of all orders are continuous where an order begins to
+    propagate.
 
     Args:
         heightfield: One period of the surface; a constant axis, which has a single sample, has order 0 only.
@@ -307,7 +307,10 @@ def _verdict(
 
 
 def _warn_of_theory(verdict: TheoryVerdict, energy_sums: NDArray[np.float64], *, energy: Energy) -> None:
-    """Warn if scalar diffraction is invalid, or if the sum of Stam's efficiencies is wrong by more than 20 %."""
+    """Warn if scalar diffraction is invalid, or if the orders do not sum to the reflected power.
+
+    The second warning follows if the sum of Stam's efficiencies deviates from the reflected power by more than 20 %.
+    """
     worst = float(energy_sums[np.argmax(np.abs(energy_sums - 1.0))])
     if energy == "stam" and abs(worst - 1.0) > _MOST_DEVIATION:
         warn(f"scalar diffraction is {verdict} (the orders sum to {worst:.3g} times that power): {verdict.remedy}")

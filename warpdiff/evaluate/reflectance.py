@@ -102,7 +102,7 @@ def reflectance_spectra(
         to_light: Directions to the light in the local frame, shape (3,) or (n, 3), of any length.
         to_view: Directions to the viewer in the local frame, shape (3,) or (n, 3), of any length; a single direction
             broadcasts.
-        wavelengths_nm: Wavelengths [nm], at least 200, shape (m,) or one number.
+        wavelengths_nm: Wavelengths, each at least 200 nm, shape (m,) or one number.
         progress: Function that is called with the finished share, 0 to 1, by one thread at a time; True shows a
             progress bar.
 
@@ -175,8 +175,8 @@ def reflectance_map(
         to_light: Direction to the light in the local frame, shape (3,), above the horizon.
         size: Width and height of the picture [pixels].
         illuminant: Name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
-        samples_per_pixel: Number of directions per pixel, a square number; the pixel is their mean. With 1, it is the
-            direction of the pixel centre.
+        samples_per_pixel: Number of view directions per pixel, a square number. The colour of the pixel is the mean of
+            their colours. With 1, the only direction is that of the pixel centre.
         progress: Function that is called with the finished share, 0 to 1; True shows a progress bar.
 
     Returns:

@@ -240,7 +240,9 @@ class _Rays:
         """
         from scipy import ndimage
 
-        # A lag that is within rounding of a whole number of samples requires only the sample at this lag.
+        # The autocorrelation is known at a lag if it is known at the neighbouring lags, which are whole numbers of
+        # samples. Along an axis where the lag itself is a whole number, up to rounding, there is only one such
+        # neighbour.
         roundings = (np.floor, 1e-9), (np.ceil, -1e-9)
         places = lags + self._centre.reshape(2, *[1] * (lags.ndim - 1))
         usable = np.ones(lags.shape[1:], dtype=bool)

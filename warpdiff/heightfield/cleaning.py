@@ -98,8 +98,8 @@ def despike(
         weight = np.maximum(_blurred(valid, pitch_um, spread), 0.0)
         filled = (_blurred(heights * valid, pitch_um, spread) + 0.02 * filled) / (weight + 0.02)
     if known.any():
-        # Weighted means lie between the heights that they average. Rounding errors of the Fourier transforms may exceed
-        # this range, and are clipped.
+        # Weighted means lie between the smallest and the largest of the averaged heights. By rounding errors of the
+        # Fourier transforms, computed means may lie outside of this range, and are clipped to it.
         filled = np.clip(filled, np.min(heights[known]), np.max(heights[known]))
     return np.where(spikes, filled, measured)
 
@@ -154,7 +154,10 @@ def smooth_part(heights: NDArray[np.float64]) -> NDArray[np.float64]:
 def crop(
     heights: NDArray[np.float64], pitch_um: tuple[float, float], size_um: object, offset_um: object
 ) -> tuple[NDArray[np.float64], tuple[int, int]]:
-    """Return a rectangle of heights as a view, and its first row and column, see `HeightField.cropped`."""
+    """Return the heights in a rectangle, and its first row and column; see `HeightField.cropped`.
+
+    The heights are a part of the array ``heights`` that shares its memory.
+    """
     size = validation.pair(size_um, "size_um")
     if offset_um is not None and not (validation.is_sequence(offset_um) and len(offset_um) == 2):
         raise ArgumentValueError(f"{ref('offset_um')} must be a pair (y, x) or None, got {offset_um!r}")

@@ -1,7 +1,7 @@
 """``HeightField``: heights on a regular grid, with methods that load, save, clean, crop and describe them.
 
 The sample ``heights_um[j, i]`` is at x = i·dx, y = j·dy: rows run along y, columns along x. Pairs are in the order (y,
-x), lengths in µm. Every transform returns a new `HeightField`.
+x), lengths in µm. Every method that changes heights returns a new `HeightField`.
 """
 
 from __future__ import annotations
@@ -494,7 +494,7 @@ class HeightField:
     def rotated(self, quarter_turns: int = 1) -> HeightField:
         """Rotate the field counter-clockwise as viewed from +z, with x to the right and y up.
 
-        A grating along x becomes a grating along y after one quarter turn.
+        After one quarter turn, a grating whose heights vary along x is one whose heights vary along y.
 
         Args:
             quarter_turns: Number of quarter turns, default 1; negative numbers turn clockwise.
@@ -521,7 +521,8 @@ class HeightField:
                 divides the size, which does not change; an axis of one sample stays unchanged.
 
         Returns:
-            The field with round(L / pitch) samples along each axis; frequencies beyond the new pitch are removed.
+            The field with round(L / pitch) samples along each axis; spatial frequencies above 1 / (2 · pitch), which
+            the new samples cannot represent, are removed.
 
         Raises:
             ValueError: The pitch is not positive, or larger than the field, or samples are missing.
@@ -643,8 +644,9 @@ class HeightField:
         - Sal is the shortest lag at which the autocorrelation is 0.2 of its value at lag 0.
         - Str is Sal divided by the longest such lag, over all directions.
 
-        Standard errors are from a jackknife over parts of the field (blocks). They say how far another field of the
-        same surface would differ; calibration and noise of the instrument are not included.
+        Standard errors are from a jackknife over parts of the field (blocks). They estimate the standard deviation of a
+        parameter among fields of the same size on the same surface. Errors by the calibration and the noise of the
+        instrument are not included.
 
         Args:
             order: Degree of the polynomial, at least 0, default 1, a plane; 0 subtracts the mean only.

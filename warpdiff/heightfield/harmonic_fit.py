@@ -216,7 +216,8 @@ class HarmonicFit:
     def heights(self) -> NDArray[np.float64]:
         """Return the heights of the fitted wave at all samples [µm], shape (ny, nx).
 
-        They include the fitted tilt, which the fit of the next wave would otherwise take for a wave.
+        They include the fitted tilt. They are subtracted from the field before the next wave is fitted, and a remaining
+        tilt would then be taken for a wave.
         """
         places, count = self._places(), len(self.orders)
         result = np.full(self.shape, self.linear[2 * count])

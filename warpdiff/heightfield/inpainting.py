@@ -57,8 +57,8 @@ def harmonic(heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> NDA
         cycle = linalg.LinearOperator(matrix.shape, _multigrid(matrix, np.nonzero(gaps), pitch_um))
         solution, _ = linalg.cg(matrix, target, rtol=_CONVERGED, maxiter=_MOST_STEPS, M=cycle)
         filled = mean + scale * solution
-    # A harmonic function lies between its smallest and largest boundary value. Rounding errors may exceed this range,
-    # so that the heights are clipped to it.
+    # A harmonic function lies between its smallest and its largest boundary value. By rounding errors, computed heights
+    # may lie outside of this range, and are clipped to it.
     result[gaps] = np.clip(filled, known.min(), known.max())
     return result
 

@@ -33,10 +33,10 @@ _ROUNDED_PERIODS = 0.02
 # Radius of the band of frequencies around a line, relative to the frequency of the line; and its minimum [cycles over
 # the field].
 _BAND, _LEAST_BAND = 0.35, 3.0
-# Distance from the frequency of a wavering wave, whose phase varies over the field, up to which weaker lines belong to
-# the same wave. It is relative to this frequency. Fitted to simulated waves whose phase varies as a sine with an
-# amplitude of 2.4 radians: nearly all of their power is in lines beside the mean frequency. If doubled, lines of other
-# waves are discarded.
+# Distance of a weaker line from the mean frequency of a wavering wave, relative to this frequency, up to which the line
+# belongs to the wave. Fitted to simulated waves whose phase varies as a sine with an amplitude of 2.4 radians: nearly
+# all of their power is in lines at lower and higher frequencies than the mean, within this distance of it. If doubled,
+# lines of other waves are discarded.
 _SIDE_LINES = 0.55
 # Radius of the bands that are excluded around the harmonics of a wave, relative to the frequency of the wave.
 _HARMONIC_BAND = 0.5
@@ -65,16 +65,18 @@ _TWIN = 0.25
 # Search for the mean frequency of a wavering wave: largest number of steps; largest step, relative to the radius of the
 # band; and step [cycles over the field] below which the search ends.
 _MOST_STEPS, _LARGEST_STEP, _CONVERGED = 12, 0.3, 1e-3
-# The standard error of a wave's frequency follows from the spectrum of its phase error. All frequencies here are in
-# cycles over the field. For a coherent wave, the lowest `_COHERENT_ORDINATES` frequencies along each axis are used; for
-# a wavering wave, those below `_WAVERING_ORDINATES`. The powers at these frequencies are extrapolated to the lower
-# frequency `_COHERENT_AT` or `_WAVERING_AT`. If the phase were an endless random walk, the frequency would be 0.5; the
-# values are fitted by bench/reproduce/periods.py. In a pair, the first number is for fields of two axes, and the second
-# for fields of one axis.
+# The standard error of a wave's frequency follows from the spectrum of its phase error, the deviation of its phase from
+# that of a perfect grating. All numbers are frequencies in this spectrum [cycles over the field]. For a coherent wave,
+# the lowest `_COHERENT_ORDINATES` frequencies along each axis are used; for a wavering wave, those below
+# `_WAVERING_ORDINATES`. The powers at these frequencies are extrapolated to `_COHERENT_AT` or `_WAVERING_AT`, which are
+# lower. If the phase error were an endless random walk, these two would have to be 0.5; their values are fitted by
+# bench/reproduce/periods.py. In a pair, the first number is for fields of two axes, and the second for fields of one
+# axis.
 _COHERENT_ORDINATES, _WAVERING_ORDINATES = 24, (5.0, 3.2)
 _COHERENT_AT, _WAVERING_AT = (0.43, 0.32), (0.4, 0.7)
-# The spectrum of the phase error is modelled as white noise plus a random walk. These are the ratios of the walk's
-# power to that of the noise, at one cycle over the field, that are compared with the measured powers.
+# The spectrum of the phase error is modelled as white noise plus a random walk. These are the tried ratios of the
+# walk's power to the noise's power at one cycle over the field. Each ratio gets as weight the likelihood of the
+# measured spectrum of the phase error (`_low_power`).
 _WALKS = (0.0, *(10.0 ** np.arange(-0.5, 5.1, 0.5)).tolist())
 
 # Cache: for each field, the periods found by calls, with the argument ``count`` of the call as the key.
@@ -284,7 +286,12 @@ class _Search:
         return waves
 
     def _measured(self, spectrum: WindowedSpectrum, line: Line) -> tuple[_Wave | None, WindowedSpectrum]:
-        """Return the wave that causes a line, or None if another wave does; and the spectrum for the next search."""
+        """Return the wave that causes a line, and the spectrum in which the next line is searched.
+
+        The wave is None if the line belongs to a wave that was found before, or has no power above the background. The
+        second result is ``spectrum`` unless the wave is coherent: then it is the spectrum of the heights without this
+        wave.
+        """
         line = self._fundamental(spectrum, line)
         length = float(np.hypot(*line.cycles))
         band = max(_BAND * length, _LEAST_BAND)
@@ -330,7 +337,10 @@ class _Search:
         return any(_distance(cycles, other) <= _SIDE_LINES * float(np.hypot(*other)) for other in self.wavering)
 
     def _fundamental(self, spectrum: WindowedSpectrum, line: Line) -> Line:
-        """Return the line at 1/2 to 1/5 of the frequency of a line if it has more power, otherwise the line itself."""
+        """Return the strongest of the lines at 1, 1/2, 1/3, 1/4 and 1/5 of the frequency of a line.
+
+        A line may be caused by a harmonic of a wave; the result is then the line of the fundamental.
+        """
         best, power = line, spectrum.around(line.cycles)
         for order in (2, 3, 4, 5):
             guess = line.cycles / order
@@ -388,7 +398,7 @@ class _Search:
         return wave, WindowedSpectrum(residual)
 
     def _noise(self, fit: HarmonicFit, residual: NDArray[np.float64]) -> list[float]:
-        """Return the variance of white noise that causes the same error of the frequency as the residual, per axis.
+        """Return for each axis the variance of white noise that causes the same error of the frequency as the residual.
 
         The residual of a fit is multiplied by the derivative of the wave with respect to its phase. In the spectrum of
         this product, only the lowest spatial frequencies cause an error of the wave's fitted frequency. Their power
@@ -454,8 +464,9 @@ class _Search:
         distance = np.hypot(*np.meshgrid(*(np.fft.fftfreq(n, 1.0 / n) for n in grid), indexing="ij"))
         low = (distance > 0.0) & (distance < _WAVERING_ORDINATES[not self.is_plane])
         variance = _low_power(spectrum[low], distance[low] ** 2, _WAVERING_AT[not self.is_plane])
-        # The variance is relative to all power in the band, but only the power above the background determines the mean
-        # frequency. The ratio of the two powers corrects the standard error.
+        # The square root of `variance` over the sum of `density` is the standard error of the mean frequency if all
+        # power in the band counts. Only the power above the background determines the mean frequency. The standard
+        # error is therefore multiplied by the ratio of all power to the power above the background.
         error = math.sqrt(variance) / float(np.sum(density)) * float(np.sum(power[inside])) / excess
         degrees = np.count_nonzero(low)
         error *= float(special.stdtrit(degrees, special.ndtr(2.0))) / 2.0
@@ -527,6 +538,7 @@ def cut_whole(heightfield: HeightField) -> tuple[HeightField, Period]:
     for axis in (0, 1):
         frequency = abs(periods[0].frequency[axis])
         number = math.floor(frequency * heightfield.size_um[axis] + 1e-6)
-        # If the wave shifts by less than a period along an axis, as along its grooves, the field is not cropped there.
+        # If the field contains less than one period of the wave along an axis, for example along the grooves of a
+        # grating, it is not cropped along this axis.
         size.append(number / frequency if number else heightfield.size_um[axis])
     return heightfield.cropped((size[0], size[1]), offset_um=(0.0, 0.0)), periods[0]

@@ -346,9 +346,10 @@ def _block_counts(shape: tuple[int, ...], pitch_um: tuple[float, float], decay: 
         length = max(extent, decay.fastest_um / pitch) * _DECAYS_PER_BLOCK
         counts.append(1 if n == 1 else max(min(int(n / length), most), 1))
     if not decay.is_closed and min(shape) > 1:
-        # The autocorrelation does not decay along grooves. Parts of a field along its grooves resemble each other, so
-        # that the field is split only across them. If the grooves are oblique, the field is split into at most two
-        # blocks along each axis.
+        # The autocorrelation does not decay along grooves, so that parts of a field one behind the other along a groove
+        # resemble each other. The field is therefore cut only parallel to the grooves: its blocks lie side by side, and
+        # each contains whole grooves. If the grooves are oblique, the field is cut into at most two blocks along each
+        # axis.
         across = [
             max(min(int(n * pitch / (decay.fastest_um * _DECAYS_PER_BLOCK)), most), 1)
             for n, pitch in zip(shape, pitch_um, strict=True)
@@ -405,7 +406,11 @@ def _decays(
 
 
 def _reach(extents: tuple[float, float], factors: tuple[int, ...], most: tuple[int, int]) -> tuple[int, int]:
-    """Return the largest lags (y, x) to be computed for a region of the given extents, with a margin."""
+    """Return the largest lags (y, x) at which the autocorrelation is computed [samples].
+
+    ``extents`` are those of the region of lags in which the autocorrelation exceeds `autocorrelation.THRESHOLD`. The
+    lags extend beyond this region by a margin, but not beyond ``most``.
+    """
     rows, columns = (
         min(math.ceil(_MARGIN * extent) + 2 * factor, limit)
         for extent, factor, limit in zip(extents, factors, most, strict=True)

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 # Size of an atom [µm]. A smaller pitch or height range is probably in another unit.
 _ATOM_UM = 1e-4
-# Height range [µm] and mean slope below which the unit of a field is doubtful. A warning follows only if another unit
-# makes the field usual, because flat and smooth surfaces of such a range exist.
+# Height range [µm] and mean slope. If those of a field are both below these numbers, its unit is doubtful. A warning
+# follows only if another unit makes the field usual, because flat and smooth surfaces of such a range exist.
 _SUSPICIOUS_RANGE_UM, _SUSPICIOUS_SLOPE = 5e-4, 1e-3
 # Largest usual pitch [µm]. Samples at this pitch resolve the diffraction of green light up to an angle of 8°.
 _MOST_PITCH_UM = 2.0
@@ -118,8 +118,8 @@ def _missing_code(heights: NDArray[np.float64]) -> tuple[float, int] | None:
             return None
         spread, gap = float(np.ptp(rest)), abs(float(others(rest)) - value)
         known = abs(value) >= _MOST_HEIGHT or any(math.isclose(value, code, rel_tol=1e-6) for code in _CODES)
-        # If all other heights are equal, as in a binary grating, only known codes for missing data of at least 1e4 µm
-        # count.
+        # In a binary grating with two heights, all samples except those of one height are equal. A height then counts
+        # as a code for missing data only if it is known as a code, and its magnitude is at least 1e4 µm.
         if (known and gap > _FAR * spread and (spread > 0.0 or abs(value) >= 1e4)) or (
             gap > _FARTHER * spread > 0.0 and count >= _REPEATED and 2 * count < heights.size
         ):

@@ -152,7 +152,10 @@ class WindowedSpectrum:
         ]
 
     def strongest_line(self, excluded: NDArray[np.bool_], sizes: NDArray[np.float64]) -> Line | None:
-        """Return the significant line of the largest power, or None if no line is significant.
+        """Return the significant line with the largest power above its background, or None if no line is significant.
+
+        Lines are searched in the spectrum after averages over boxes of several widths, because waves with a varying
+        phase have broad lines.
 
         Args:
             excluded: Mask of the coefficients that are not searched, of the shape of ``power``.
@@ -266,8 +269,8 @@ class WindowedSpectrum:
         if min(self.power.shape) > 1:
             ratio, inside, outside = self._over_ridge(centroid, mean, width)
             # Each straight line through the maximum contains only about √n of the n coefficients of the spectrum. Noise
-            # has fewer maxima on it than in the whole spectrum, so that a larger probability is accepted for each
-            # maximum.
+            # therefore has fewer maxima on it than in the whole spectrum. The accepted probability that noise causes a
+            # maximum is thus larger here than in the test above, by the factor √`tried`.
             if not _is_significant(ratio, inside, outside, level * math.sqrt(tried), width):
                 return None
         exponent = 0.0
@@ -319,7 +322,11 @@ class WindowedSpectrum:
         self, along: NDArray[np.float64], across: NDArray[np.float64], unit: NDArray[np.float64],
         sizes: NDArray[np.float64],
     ) -> NDArray[np.float64]:  # fmt: skip
-        """Return the powers at the points of a grid aligned with a unit vector (y, x); each coefficient counts once."""
+        """Return the powers at the points of a grid aligned with a unit vector (y, x).
+
+        The power at a point is that of the nearest coefficient. A coefficient that is the nearest one to several points
+        is contained once.
+        """
         ny, nx = self.power.shape
         vectors = along[:, None] * unit[0] + across * unit[1], along[:, None] * unit[1] - across * unit[0]
         row, column = (

@@ -5,14 +5,16 @@ the largest estimate is the verdict:
 
 - steep: 0.22 times the root mean square slope, computed in the frequency domain with frequencies above 1/λ counted as
   1/λ.
-- deep: 0.05 (4πs/λ)² min(1, λ/P). Here s is the standard deviation of the heights, and P = 4√2 s/g with the mean
-  absolute slope g. P is the period of a sine that has the same s and g.
+- deep: 0.05 (4πs/λ)² min(1, λ/d). Here s is the standard deviation of the heights, and d = 4√2 s/g with the mean
+  absolute slope g. A sine of the period d has the same s and g.
 - narrow: the share of the light that features with periods below two wavelengths diffract, divided by 0.7. It is
   computed from the spectrum of exp(2πih/λ), the reflected wave of the heights h for |w| = 1.
-- energy: 1.1 times the deviation of the sum over Stam's orders from the power that a flat surface reflects; 0.4 times
-  this deviation if the efficiencies are normalised. Without a direction to the light, the largest deviation of light
-  from 0°, 30° and 60° counts.
-- undersampled: twice the share of the relief on slopes where the phase changes by more than half a cycle per sample.
+- energy: 1.1 times the deviation of the sum of Stam's efficiencies (Stam 1999) over all orders from the power that a
+  flat surface reflects; 0.4 times this deviation if the efficiencies are normalised. Without a direction to the light,
+  the largest of the deviations for light from 0°, 30° and 60° counts.
+- undersampled: twice the share of undersampled steps in the sum of all height differences |Δh| between neighbouring
+  samples. An undersampled step and the next step change the phase by more than half a cycle each, in the same
+  direction.
 
 The first four estimates were fitted to rigorous solutions (bench/reproduce/theory_verdict.py). They are not upper
 bounds.
@@ -178,8 +180,8 @@ def verdict_on(
     errors["energy"] = (_PER_NORMALISED_ENERGY if conserves else _PER_ENERGY) * deviation
     reason = max(errors, key=errors.__getitem__)
     if reason == "deep" and errors["steep"] >= QUALITATIVE:
-        # If both the reasons "steep" and "deep" apply, "steep" is reported: the estimate for deep relief contains the
-        # slope, too.
+        # The estimate for deep relief contains the slope, too. If this estimate is the largest one, but the estimate
+        # for steep relief is at least `QUALITATIVE`, the reported reason is "steep".
         reason = "steep"
     if errors["undersampled"] >= INVALID:
         # If the samples are too far apart, all other estimates of the error are wrong too, because they use the same
@@ -260,7 +262,7 @@ def _part(
 def _lost_power(heightfield: HeightField, wavelength_um: float) -> float:
     """Return the estimated power that leaves the zeroth order and that no other order carries.
 
-    It is (4πs/λ)² min(1, λ/P), where s is the standard deviation of the heights, and P the period of a sine with this s
+    It is (4πs/λ)² min(1, λ/d), where s is the standard deviation of the heights, and d the period of a sine with this s
     and the mean slope of the surface.
     """
     rms = heightfield.rms_um / wavelength_um
@@ -270,10 +272,11 @@ def _lost_power(heightfield: HeightField, wavelength_um: float) -> float:
 
 
 def _undersampled_share(heightfield: HeightField, wavelength_um: float) -> float:
-    """Return the share of the relief in pairs of consecutive steps that change the phase by half a cycle each.
+    """Return the share of undersampled steps in the sum of all height differences |Δh| between neighbouring samples.
 
-    Both steps of a pair go up, or both go down. A single large step is not counted. It is a vertical wall, which two
-    samples represent correctly.
+    The larger of the shares along x and along y counts. A step is undersampled if it and the next step change the phase
+    by more than half a cycle each, both upwards or both downwards. A single large step is not counted, because it is a
+    vertical wall, which two samples represent correctly.
     """
     worst = 0.0
     limit = wavelength_um / 4.0

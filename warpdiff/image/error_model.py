@@ -17,9 +17,9 @@ from warpdiff.kernels.thresholds import FLOOR, PERCENTILE, TINY
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Relative error of a pixel, divided by the relative error that the plan predicts at the 99th percentile of directions.
-# The value is below 1, because a pixel averages many directions. Fitted: the ratio is this number times
-# (c/‖XYZ‖)^(1/8), where c is the largest ‖ΔXYZ‖ between the pixel and its four neighbours.
+# Factor a in the ratio a (c/‖XYZ‖)^(1/8) of the relative error of a pixel to the relative error that the plan predicts
+# at the 99th percentile of directions. Here c is the largest ‖ΔXYZ‖ between the pixel and its four neighbours. The
+# ratio is below 1, because a pixel averages many directions. Fitted.
 _MEAN_ERROR_PER_PLAN_ERROR = 0.32
 # A pixel has two independent errors: of the colours and of the subdivision into cells. The root sum of their squares is
 # multiplied by this factor, so that it bounds 95 % of all errors. Fitted.

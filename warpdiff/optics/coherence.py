@@ -20,8 +20,9 @@ DEFAULT_SIGMA_UM = 16.25
 # Angular diameter of the sun [degrees], from astronomy.
 _DEFAULT_DIAMETER_DEG = 0.53
 _WINDOWS = ("averaged", "centred")
-# Largest angular diameter of a source [degrees]. The model replaces the directions of the source by points of a plane
-# that touches the sky there, which is not accurate for wider sources.
+# Largest angular diameter of a source [degrees]. The model replaces the directions to the source, points of the unit
+# sphere, by points of the plane that touches the sphere at the centre of the source. For wider sources this is not
+# accurate.
 _MAX_DIAMETER_DEG = 30.0
 # Largest number of periods along an axis. 100,000 periods of 1 µm are ten centimetres, larger than typical gratings.
 _MAX_PERIODS = 100_000
@@ -32,11 +33,11 @@ class Coherence(Checked):
     """Part of the surface that interferes: a window, a source size or a number of periods.
 
     Attributes:
-        kind: Kind of coherence. ``"averaged"`` is the expectation over all positions of a Gaussian window exp(−r²/2σ²):
-            real, positive, and independent of the window's position. ``"centred"`` is one window at one position,
-            speckle included (Single 2014, eq. 3.8). ``"source"`` is a light source of finite size on an endless
-            surface: by van Cittert and Zernike's theorem a window whose σ is proportional to the wavelength.
-            ``"replicas"`` is a finite number of whole periods of the patch that interfere (Single 2014, eq. 3.35).
+        kind: Kind of coherence. ``"averaged"`` is a Gaussian window exp(−r²/2σ²); the reflected power is averaged over
+            all positions of the window. ``"centred"`` is one window at one position, speckle included (Single 2014, eq.
+            3.8). ``"source"`` is a light source of finite size on an endless surface: by van Cittert and Zernike's
+            theorem a window whose σ is proportional to the wavelength. ``"replicas"`` is a finite number of whole
+            periods of the patch that interfere (Single 2014, eq. 3.35).
         sigma_um: Standard deviation σ of the window for ``"averaged"`` and ``"centred"``, by default 16.25: a coherence
             length of 65 µm, taken as 4σ. None for the other kinds.
         centre_um: Position (y, x) of the window for ``"centred"`` [µm]; None is the centre of the patch,

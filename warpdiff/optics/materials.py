@@ -37,10 +37,11 @@ Polarisation = Literal["s", "p"]
 # sampling of colours resolves.
 _THICKEST_FILM_NM = 1000.0
 # Imaginary part k of the index above which a material counts as opaque, so that a pigment below it is invisible: at
-# this k, the power falls to 1/e within 4 µm. If doubled, more materials show their pigment.
+# this k, the power of light of 500 nm falls to 1/e within 4 µm of the material. If doubled, more materials show their
+# pigment.
 _OPAQUE = 0.01
-# Number of angles at which the transmittance of a surface is tabulated. Linear interpolation between them has an error
-# of 3e-6 for Schlick's reflectance.
+# Number of angles at which the transmittance of a surface is tabulated. For a surface with Schlick's reflectance, the
+# transmittance that is linearly interpolated between these angles has an absolute error of at most 3e-6.
 _TRANSMITTANCE_ANGLES = 1025
 
 # Index of refraction if the caller gives neither an index nor a material: glass.
@@ -358,13 +359,16 @@ class IlluminatedMaterial:
     def of(
         cls, illuminants: Iterable[colorimetry.Illuminant], materials: Iterable[Material | None]
     ) -> tuple[IlluminatedMaterial, ...]:
-        """Return all pairs of an illuminant and a material, without duplicates."""
+        """Return all pairs of one of ``illuminants`` and one of ``materials``, without duplicates."""
         return tuple(dict.fromkeys(itertools.starmap(cls, itertools.product(illuminants, materials))))
 
 
 @functools.lru_cache(maxsize=64)
 def reflectance_table(material: Material, angles: int) -> NDArray[np.float32]:
-    """Return R at equally spaced cosines from 0 to 1 and at 380, 381, … 780 nm, shape (angles, 401)."""
+    """Return the reflectance of a material at equally spaced cosines and at 380, 381, … 780 nm, shape (angles, 401).
+
+    The cosines are those of the angle of incidence, from 0 to 1.
+    """
     cosines = np.linspace(0.0, 1.0, angles)[:, None]
     result = reflectance_at(material, colorimetry.VISIBLE_NM, cosines).astype(np.float32)
     result.setflags(write=False)
@@ -372,9 +376,10 @@ def reflectance_table(material: Material, angles: int) -> NDArray[np.float32]:
 
 
 def check_reflection(ior: object, material: Any) -> tuple[float, Material | None]:
-    """Return the reflectance R(0) to which results are relative, and the material or None.
+    """Return R(0), to which the relative reflectance ρ of a surface refers, and the material or None.
 
-    R(0) is 1 for a material, and otherwise follows from the index of refraction ``ior``.
+    R(0) is the reflectance at normal incidence that follows from the index of refraction ``ior``. With a material, it
+    is 1, and ρ is relative to a perfect mirror.
     """
     if material is None:
         return normal_reflectance(DEFAULT_IOR if ior is None else ior), None
@@ -386,10 +391,11 @@ def check_reflection(ior: object, material: Any) -> tuple[float, Material | None
 def check_materials(
     ior: object, material: Any, band_nm: tuple[float, float], *, by_geometry: bool
 ) -> tuple[float, dict[str, Material | None]]:
-    """Return R(0), and the materials by the name of the geometry of a mesh; a single material has the name ``""``.
+    """Return R(0) as `check_reflection` does, and the materials by the name of the geometry of a mesh that has them.
 
-    With ``by_geometry`` the argument ``material`` may be a mapping from names to materials. Each material must be
-    tabulated over the band of wavelengths.
+    A single material has the name ``""``. With ``by_geometry`` the argument ``material`` may be a mapping from names to
+    materials. Each material must be tabulated at all wavelengths of ``band_nm``, the shortest and the longest
+    wavelength of the call.
     """
     if not (by_geometry and isinstance(material, Mapping)):
         normal, one = check_reflection(ior, material)
@@ -421,9 +427,10 @@ def _check_no_ior(ior: object) -> None:
 def transmittances(normal: float, material: Material | None) -> NDArray[np.float64]:
     """Return the transmittance 1 − R of a surface above a pigment, in linear RGB, shape (n, 3).
 
-    The rows are for equally spaced cosines of the angle of incidence, from 0 to 1. Without a material R is Schlick's
-    reflectance. Opaque materials transmit nothing. The transmittance of a film is averaged over the spectral
-    sensitivity of each of R, G and B under daylight.
+    The rows are for equally spaced cosines of the angle of incidence, from 0 to 1. Without a material, R is Schlick's
+    reflectance. Opaque materials transmit nothing. For other materials, with or without a film, 1 − R is averaged over
+    the wavelengths separately for red, green and blue. The weights are those of the wavelengths in the colour of a
+    white pigment under D65.
     """
     cosines = np.linspace(0.0, 1.0, _TRANSMITTANCE_ANGLES)
     if material is None:

@@ -46,9 +46,9 @@ def gain(
     """Factor C·M between ⟨|P|²⟩ and the relative reflectance ρ; 0 if a direction is at or below the horizon.
 
     C = R(θd)/R(0) · (1 + ωi·ωr)² / ((cos θi + cos θr)² cos θr) is eq. 3.15 of Single 2014, corrected: Schlick's
-    reflectance R is a power and is therefore not squared. M is the V-cavity masking and shadowing of Cook and Torrance
-    (1982). For a source of finite size the factor is C·M/cos θi: a flat mirror then shows the radiance of the source,
-    ρ = R(θi)/R(0).
+    reflectance R is a power and is therefore not squared. θd is half of the angle between ωi and ωr. M is the V-cavity
+    masking and shadowing of Cook and Torrance (1982). For a source of finite size the factor is C·M/cos θi: a flat
+    mirror then shows the radiance of the source, ρ = R(θi)/R(0).
 
     Args:
         to_light: Unit vectors, shape (n, 3).
@@ -144,8 +144,9 @@ def brdf_scale(
     """Return 1/(Ω cos θi), the ratio of the absolute BRDF [1/sr] to R(0)·ρ, with ρ without masking (Stam 1999).
 
     With ρ = C ⟨|P|²⟩, or C/cos θi ⟨|P|²⟩ for a source, the BRDF is R(θd) (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩
-    times a factor. The factor is 4πσ²/λ² for Gaussian windows and A N1 N2/λ² for periods. For a source of the spread s
-    it is 1/(2πs² cos θi), because the source is foreshortened in (u, v).
+    times a factor. Here θd is half of the angle between ωi and ωr. The factor is 4πσ²/λ² for Gaussian windows and A N1
+    N2/λ² for periods. For a source of the spread s it is 1/(2πs² cos θi), because the source is foreshortened in (u,
+    v).
 
     Args:
         cos_light: cos θi > 0, shape (n,).

@@ -32,17 +32,19 @@ if TYPE_CHECKING:
 # that have only weak orders can exceed the tolerance.
 AMPLITUDE_MARGIN = 1e-3
 # Smallest Gaussian weight of a neighbour that is included, as a share of the tolerance. First entry: if powers add.
-# Derived: the zeroth order has power 1. The directions of a call that does not contain its peak may be darker by a
-# factor of 1e-5, and errors are relative to 1e-3 of their luminance. Second entry: if amplitudes add. Derived: the
-# square root of the first entry, 1e-4, divided by 100 as a margin. If doubled, tails of the zeroth order are missing in
-# the darkest calls.
+# Derived: the peak of the zeroth order has the power 1. If all directions of a call are far from this peak, they may be
+# darker than the peak by a factor of 1e-5. Errors are relative to at least 1e-3 of the luminance of these directions.
+# The product of both factors is 1e-8. Second entry: if amplitudes add. Derived: 1e-4, which is the square root of the
+# first entry, divided by 100 as a margin. If doubled, the errors of the darkest calls exceed the tolerance, because
+# tails of the zeroth order are missing.
 _WEIGHT_MARGINS = {True: 1e-8, False: 1e-6}
 # Smallest Gaussian weight of a neighbour that is included, as a share of the tolerance, for plans that no trial has
 # validated. Derived: the luminance of a call may be as small as 1e-10 of that of a mirror (DARK).
 _DARKEST = trial.NEGLIGIBLE_SHARE * trial.DARK
 # Number of wavelength samples per unit of 1/λ [µm] that the colour-matching functions and the illuminant require.
 # Fitted for D65, FL11 and HP1 at tolerances from 1e-1 to 1e-4 (docs/decisions/plans_and_tolerance.md). If halved, the
-# error under illuminants with spectral lines exceeds its share of the tolerance.
+# integral over the wavelength alone has an error that is too large for the tolerance, under illuminants with spectral
+# lines.
 _COLOUR_BANDWIDTH_UM = 48.0
 # Number of wavelength samples per standard deviation of an order, whose light is a Gaussian over 1/λ. The number is for
 # a tolerance of 1 and increases for smaller tolerances, to 0.95 at 1e-2. Fitted for D65, FL11 and HP1 with standard
@@ -130,10 +132,10 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
     if coherence.sigma_um is not None:
         order_rate = per_deviation * 2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um
         return min(order_rate, MOST), cycles * heightfield.height_range_um, _COLOUR_BANDWIDTH_UM
-    # The wavelengths for a source have equal ratios instead of equal steps of 1/λ. Their largest step in 1/λ, at 380
-    # nm, is ``wider`` times the equal step, and b and c are multiplied by this factor. The number a is not: the
-    # coherence window of a source is proportional to λ (van Cittert-Zernike), so that orders have a constant width in
-    # ln λ.
+    # For other coherences, wavelengths have equal steps of 1/λ. For a source, they have equal ratios. Their largest
+    # step of 1/λ, at 380 nm, is ``wider`` times the equal step of as many wavelengths. The results b and c are
+    # therefore multiplied by ``wider``. The result a is not: the coherence window of a source is proportional to λ (van
+    # Cittert-Zernike), so that orders have a constant width in ln λ.
     log_band = math.log(LAMBDA_MAX_NM / LAMBDA_MIN_NM)
     wider = log_band * NM_PER_UM / LAMBDA_MIN_NM / cost_model.SPAN
     order_rate = per_deviation / coherence.spread * log_band / cost_model.SPAN

@@ -26,15 +26,15 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 # Largest number of repairs of a plan whose error on the validation set is too large. A repair tries to refine each
-# coordinate and keeps the best result; the first one refines by one step, and each further one by twice as many. Limit:
-# a search has fewer than fifty trials.
+# coordinate and keeps the best result. The first repair refines by one step, and each further repair by twice as many
+# steps as the repair before. Limit: a search has fewer than fifty trials.
 _REPAIRS = 3
 # Largest number of factors of 2 by which a search reduces a bandwidth. Upper bounds exceed the required bandwidth by
 # less than that.
 _OCTAVES = 3
-# Searches try only bandwidths that are 2^(n/SETS_PER_OCTAVE) times the upper bound for this tolerance, with whole n.
-# All tolerances thus have the same bandwidths. Otherwise a larger tolerance could give a slightly more expensive plan
-# than a smaller one.
+# A tolerance, for which the upper bound of the bandwidth is computed. Searches try only bandwidths that are
+# 2^(n/SETS_PER_OCTAVE) times this upper bound, with whole n, whatever the tolerance of the call is. Otherwise a larger
+# tolerance of a call could give a slightly more expensive plan than a smaller one.
 _GRID_TOLERANCE = 1e-2
 # Number of bright validation directions below which a search uses only a part of its error budget, because so few do
 # not represent the bright directions of a call well. Fitted to random calls with few bright directions
@@ -280,9 +280,10 @@ def _sufficient(plan: Plan, trial: Trial, target: float, *, automatic: bool) -> 
         wider = _with_bandwidth(plan, trial, _scaled(plan.bandwidth_um, 2.0, 2.0))
         trial.refine_reference(wider)
         wider_error = trial.training_error(wider)
-        # If there are too few samples to resolve an order (`needed`), twice as many may not reduce the error yet, and
-        # the loop continues. If there are enough, doubling them at least halves the error of the integral. An error
-        # that remains is then the rounding error of float32, and the loop ends.
+        # If a plan has fewer wavelengths than are needed to resolve an order (`needed`), twice as many wavelengths may
+        # not reduce the error yet, and the loop doubles their number again. If a plan has enough wavelengths, doubling
+        # their number at least halves the error of the integral. An error that remains is then the rounding error of
+        # float32, and the loop ends.
         if wider_error > error / 2.0 and wider.wavelengths >= needed:
             break
         plan, error = wider, wider_error

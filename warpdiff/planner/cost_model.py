@@ -2,8 +2,8 @@
 
 Other operations count as the number of multiply-adds that require the same time. ``Plan`` converts multiply-adds to
 seconds. The constants were fitted to times on two cores; the model predicts these times within a factor of 1.5. If one
-constant is doubled, the number of directions at which the planner prefers another method changes by less than this
-factor.
+constant is doubled, the number of directions from which on the planner prefers another method changes by less than a
+factor of 2.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ def sampling_multiply_adds(
         neighbours: float = coefficient_sum.TAPS**2 if heightfield.shape[0] > 1 else coefficient_sum.TAPS
         factors += plan.subdivisions
     else:
-        # For a source, the radius within which neighbours are summed depends on the wavelength; 0.5 µm is a typical
-        # one.
+        # For a source, the radius within which neighbours are summed depends on the wavelength. The radius at 0.5 µm, a
+        # typical wavelength, is used.
         radius = math.sqrt(-math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence, 0.5))
         neighbours = math.prod(
             2.0 * radius * length if n > 1 else 1.0

@@ -193,8 +193,9 @@ def warn_outside(
         # For windows, the order rate need not be compared: it equals |(u, v)|, which is compared above.
         numbers.append(("an order rate up to", direction_range.max_order_rate, plan.max_order_rate, 1.0))
     if plan.method not in EXPANSIONS:
-        # A fitted basis is valid for a range of |w|/λ only, so that 1/λ also has a lower limit. The smallest |w| is not
-        # compared, because renderers always report 0 for it.
+        # A fitted basis is valid only for |w|/λ from the product of the smallest |w| and the smallest 1/λ of its plan.
+        # A call must therefore not have a smaller 1/λ than the plan. The smallest |w| of the call is not compared with
+        # that of the plan, because renderers always report 0 for it.
         numbers.append(("1/λ [1/µm] down to", NM_PER_UM / direction_range.lambda_max_nm, longest, -1.0))
     beyond = [
         f"{name} {value:.3g}, planned {planned:.3g}"

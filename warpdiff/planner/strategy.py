@@ -58,7 +58,7 @@ _SEARCH_DIRECTIONS = 16_000
 # and that the caller selects. Limit: a trial requires about a second.
 _FEWEST_TRIED = 16
 # Assumed number of calls that use the same table, because pictures are often rendered again with another light or view.
-# If doubled, the planner prefers a table for about half as many directions.
+# If doubled, the planner prefers a table already for calls with about half as many directions.
 _EXPECTED_REPEATS = 3
 
 

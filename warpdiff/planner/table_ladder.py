@@ -116,7 +116,11 @@ def _first_size(plan: Plan, trial: Trial, *, needed: bool) -> int | None:
 
 
 def _measured(plan: Plan, trial: Trial, error: float, truncation: float, table_cost: float, *, footprint: bool) -> Plan:
-    """Return a plan with a table, and with the predicted errors and costs of that table."""
+    """Return a plan for a table with the errors and costs that are predicted for this table.
+
+    The errors are predicted from ``error``, which a trial has measured on the validation set. ``table_cost`` is the
+    cost of computing the table [multiply-adds].
+    """
     predicted = predicted_error(error, plan, trial)
     return replace(
         plan, footprint=footprint, truncation=min(truncation, predicted), neighbourhood=0.0,

@@ -177,7 +177,11 @@ class Trial:
 
     @forks.cached_property
     def rates(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Order rate, |w| and weight of each candidate. The predicted cost of a call is a mean over these."""
+        """Order rate, |w| and weight of each candidate, shape (n,) each.
+
+        The weight is proportional to the number of the call's directions that a candidate represents. The predicted
+        cost of a call is the weighted mean of the costs of all candidates, which depend on order rate and |w|.
+        """
         sample = self._candidates.sample
         return self._order_rates(sample), np.abs(sample.scattering_vectors[:, 2]), sample.weights
 
@@ -281,7 +285,7 @@ class Trial:
         return coefficients
 
     def training_error(self, plan: Plan) -> float:
-        """Return the 99.5th percentile of a plan's errors on the training set, for bright or for dim directions."""
+        """Return the larger 99.5th percentile of a plan's errors on the training set: of bright or dim directions."""
         exact = self.exact(self.training_set)
         return worst_percentile(self.training_set.errors(self.run(plan, self.training_set), exact), self.training_set)
 

@@ -33,9 +33,9 @@ _CANDIDATES, _TRAINING = 1024, 128
 # Number of validation directions. The validation set is larger than the training set, because it decides whether a plan
 # is accepted.
 _VALIDATION = 2 * _TRAINING
-# Number of edge cases of each kind, such as grazing directions. The directions near each of the strongest orders are
-# also one kind, and this is the number of orders for which they are selected. Limit: all edge cases together are at
-# most a third of the candidates.
+# Number of edge cases of each kind, such as the most grazing directions. The same number of strong orders is examined,
+# and the directions near each of these orders are a kind of their own. Limit: all edge cases together are at most a
+# third of the candidates.
 _EDGE_CASES = 16
 # Candidates are drawn into a set for three reasons: uniformly, because they are bright, or because they are edge cases.
 # This is the probability of the third reason relative to each of the others, so that about a ninth of a set is drawn as

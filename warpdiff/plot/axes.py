@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 LINE_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 # Line styles of matplotlib. When all colours of lines are used, the colours repeat with the next style.
 LINE_STYLES = ("-", "--", ":", "-.")
-# Light grey of grid lines and backgrounds, and the colour of missing samples in height maps.
+# `FAINT` is the colour of grid lines and backgrounds, a light grey. `MISSING` is the colour of missing samples in
+# height maps.
 FAINT, MISSING = "0.85", "white"
 # Maximum length of a scale bar, as a share of the width of the map. Limit: a longer bar hides more of the map.
 _LONGEST_BAR = 0.25
@@ -72,7 +73,10 @@ def line_style(index: int) -> dict[str, Any]:
 
 
 def length_unit(range_um: float) -> tuple[str, float]:
-    """Return the unit of a height axis, ``"µm"`` or ``"nm"``, and the factor that converts µm to this unit."""
+    """Return the unit of an axis of heights, and the factor that converts µm to this unit.
+
+    The unit is ``"µm"`` if the range of the heights is at least 1 µm, otherwise ``"nm"``.
+    """
     return ("µm", 1.0) if range_um >= _LEAST_MICROMETRES else ("nm", _NM_PER_UM)
 
 

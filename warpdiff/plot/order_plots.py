@@ -48,8 +48,8 @@ def orders(
         ax: Axes to draw into; None makes a figure.
         against: ``"wavelength"`` draws a line per order. ``"angle"`` draws each order at the angle at which it leaves
             the surface, with a colour per wavelength. ``"incidence"`` draws a line per order over the angle of the
-            light, for several lights. None is ``"incidence"`` for several lights, otherwise ``"wavelength"`` for
-            several wavelengths.
+            light, for several lights. None is ``"incidence"`` for several lights, ``"wavelength"`` for one light and
+            several wavelengths, and ``"angle"`` for one light and one wavelength.
         count: Number of orders that are drawn as lines, at least 1; the strongest orders are drawn.
         errors: Error of the efficiencies at each wavelength, shape (m,), drawn as bars if ``against`` is ``"angle"``;
             None draws no bars.
@@ -231,7 +231,7 @@ def _draw_lines(
     strongest = np.argsort(-efficiencies.max(axis=0), kind="stable")[:count]
     order = np.argsort(positions)
     values = 100.0 * np.where(np.isnan(components), np.nan, efficiencies)
-    # The legend lists the orders by their numbers, not by their efficiencies.
+    # The orders in the legend are sorted by their numbers, not by their efficiencies.
     for index, column in enumerate(sorted(strongest.tolist())):
         marker = "o" if len(order) < 3 else None
         ax.plot(

@@ -124,7 +124,8 @@ def _shaded(heightfield: HeightField, colours: NDArray[np.float64]) -> NDArray[n
 
     dy, dx = heightfield.pitch_um
     lowest = float(np.nanmin(heightfield.heights_um))
-    # The light source assumes that rows run downwards. In a map they run upwards, so that dy is negative.
+    # matplotlib's ``LightSource`` assumes that the rows of a map run downwards. In a height map they run upwards, so
+    # that dy is negative.
     result = LightSource(azdeg=315.0, altdeg=45.0).shade_rgb(
         colours[..., :3], np.nan_to_num(heightfield.heights_um, nan=lowest), blend_mode="soft",
         vert_exag=_RELIEF_SLOPE / heightfield.mean_slope, dx=dx, dy=-dy,

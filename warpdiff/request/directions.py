@@ -54,7 +54,7 @@ class DirectionSample:
         gains: NDArray[np.floating],
         parts: int = 1,
     ) -> DirectionSample:
-        """Return a sample of the illuminated directions of one pass, evenly distributed over the arrays.
+        """Return a sample of the illuminated directions of one pass, whose indices are evenly distributed.
 
         A call has a pass for each part of its lights: a lobe, a disc or the smooth rest of a sky. ``parts`` is the
         number of these passes, which contribute equal shares to the sample of the call.
@@ -77,7 +77,7 @@ class DirectionSample:
         )  # fmt: skip
 
     def some(self, places: NDArray[np.int64], weights: NDArray[np.float64]) -> DirectionSample:
-        """Return the sampled directions with the indices ``places``, with new weights."""
+        """Return the sampled directions with the indices ``places``, with ``weights`` instead of their weights."""
         return DirectionSample(self.scattering_vectors[places], self.to_lights[places], self.gains[places], weights)
 
 

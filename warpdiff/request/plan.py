@@ -40,8 +40,9 @@ LABELS = {
 _SUMMED_PER_SECOND, _LOOKED_UP_PER_SECOND = 9e9, 2.7e9
 # Smallest and largest number of rings per octave that a colour table may have.
 MIN_RINGS, MAX_RINGS = 4, 512
-# The number of functions of w in a colour table is a multiple of the first number, and at most the second number. Each
-# number requires separately compiled kernels; a smaller step would cause more compilations.
+# The number of functions of w in a colour table is a multiple of the first number, and at most the second number.
+# Kernels are compiled separately for each number of functions that occurs. A smaller step would cause more
+# compilations.
 W_BASIS_STEP, MOST_W_BASIS = 4, 32
 # Accepted minimum and maximum of the fields that state for which directions and wavelengths a plan is valid. A
 # component of a sum of two unit vectors is at most 2, plus rounding.
@@ -196,7 +197,7 @@ class Plan:
 
     @property
     def error(self) -> float:
-        """Predicted relative error of the call, the sum over all sources except aliasing."""
+        """Predicted relative error of the call: the sum of ``predicted_errors``, without aliasing and scalar error."""
         return float(sum(self.predicted_errors.values()))
 
     @property

@@ -6,10 +6,11 @@ Both give the absolute BRDF of ``warpdiff.brdf``,
 
     f cos θo = R(θd) M (1 + ωi·ωo)² / (cos θi w²) · D.
 
-R is the Fresnel reflectance, M the masking factor, and D the density of the reflected power over (u, v), which
-integrates to 1. For a coherence window, D is 4πσ²/λ² ⟨|P|²⟩. For a source with the spread s, D is ⟨|P|²⟩ / 2πs². Scalar
-diffraction does not conserve energy, so the reflected power may exceed the incident power. The ratio of both powers is
-the sum of the efficiencies of ``warpdiff.order_efficiencies``.
+R is Schlick's power reflectance, θd half of the angle between ωi and ωo, M the masking factor, and D the density of the
+reflected power over (u, v), which integrates to 1. For a coherence window, D is 4πσ²/λ² ⟨|P|²⟩. For a source with the
+spread s, D is ⟨|P|²⟩ / 2πs². Scalar diffraction does not conserve energy, so the reflected power may exceed the
+incident power. The reflected power divided by the incident power is the sum of the efficiencies of
+``warpdiff.order_efficiencies``.
 
 Outgoing directions are drawn in two steps. First q is drawn, either from the table's cells in proportion to their power
 or from the Gaussian lobe of the zeroth order, the reflection of the mean plane. Then ωo = −ωi − λ q, with
@@ -53,8 +54,8 @@ def register_mitsuba_bsdf(name: str = NAME) -> None:
     A scene then uses the BSDF ``{"type": "warpdiff", "filename": "lobes.npz"}``. Its options ``ior`` (default 1.5) and
     ``masking`` (default True) are those of :func:`warpdiff.shade`. Spectral variants read a file of
     ``BakedSpectrum.save``. RGB variants read a file of ``BakedLobes.save``, baked with ``Coherence("source")``. The
-    tangent is ∂P/∂u of the mesh's texture coordinates. Only the outside of the surface reflects. A ``twosided`` BSDF
-    around the plug-in reflects on both sides.
+    tangent is the direction along the mesh in which the first texture coordinate increases and the second one is
+    constant. Only the outside of the surface reflects. A ``twosided`` BSDF around the plug-in reflects on both sides.
 
     Args:
         name: Name of the plug-in, an identifier.
@@ -133,7 +134,7 @@ class _Table:
         self.distribution = mi.DiscreteDistribution2D(mi.TensorXf(cells))
 
     def at(self, value: Variant, entries: int) -> Variant:
-        """Return the texture coordinate, 0 to 1, at which a texture of ``entries`` texels stores a value of κ or w."""
+        """Return the coordinate, 0 to 1, of a value of κ or w in a texture of ``entries`` texels over κ or w."""
         import drjit as dr
 
         share = dr.clip((value - self.first) / self.span, 0.0, 1.0)
@@ -165,7 +166,7 @@ class _Table:
         return self.peak * dr.exp((x * x + y * y) * (-0.5 / self.deviation**2))
 
     def cell_density(self, x: Variant, y: Variant) -> Variant:
-        """Return the probability density at (x, y) in the table of sampled directions, per unit area of the table."""
+        """Return the probability density with which the sampling selects the coordinates (x, y) of the grid."""
         import drjit as dr
         import mitsuba as mi
 
@@ -184,7 +185,8 @@ def _spectrum(filename: str) -> _Table:
     deviation = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * baked.sigma_um)
     span = baked.largest_kappa - baked.least_kappa
     entry = round(_TYPICAL_KAPPA * (len(baked.functions) - 1))
-    # With this normalisation, the integral of the density D over q is 1.
+    # The baked powers are multiplied by this factor. The products are the density of the reflected power over q, which
+    # integrates to 1: λ² times the density D over (u, v).
     scale = 4.0 * math.pi * baked.sigma_um**2
     return _Table(
         scale * baked.powers, baked.functions, baked.zeroth, largest=baked.largest_q, first=baked.least_kappa,

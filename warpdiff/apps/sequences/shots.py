@@ -126,7 +126,8 @@ def light_sweep(
         lights: Light of the first frame, or several; with ``to_light`` the first one is a directional or a point light.
         view: Camera of all frames.
         to_light: Direction from the view's target to the first light in the last frame, world frame, shape (3,); it is
-            normalised. The light moves along the great circle. The first and the last frame are at its two ends.
+            normalised. Seen from the target, the light moves along the shortest arc of a great circle. The arc begins
+            at the light's direction in the first frame and ends at ``to_light`` in the last frame.
         turns: Number of turns around the view's ``up``, instead of ``to_light``, counter-clockwise as seen from above;
             negative numbers turn clockwise. The frame after the last one would complete the turns. Environments require
             an ``up`` of +y or −y.

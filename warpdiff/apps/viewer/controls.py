@@ -105,7 +105,8 @@ class Control:
 
     def __post_init__(self) -> None:
         default = self.option.default if self.default is None else self.default
-        # A frozen dataclass does not allow assignments, so that the derived values are set in its dictionary.
+        # Empty attributes get their values from the option: name, default and labels. They are set in the dictionary of
+        # the object, because a frozen dataclass does not allow assignments.
         vars(self).update(
             name=self.name or self.option.name,
             default=default if self.element is None or not isinstance(default, tuple) else default[self.element],
@@ -230,8 +231,8 @@ def controls(
              shown_if=any_light),
         _own("distance", "Light", "distance", "Distance of the light from the body's centre.", 2.0, "body radii",
              slider=(1.1, 20.0, 0.01), log=True, shown_if={"light": ("point",)}),
-        # Wider disc lights are not offered, because one Gaussian lobe, with which previews are drawn, cannot
-        # approximate them.
+        # The slider ends at the largest disc light that one Gaussian lobe can approximate, because previews are drawn
+        # with one lobe.
         Control(light["angular_diameter_deg"], "Light", "angular diameter", (0.0, ONE_LOBE_DEG, 0.01),
                 shown_if=averaged | {"light": ("directional",)}, name="light_diameter_deg", call="light"),
         Control(light["illuminant"], "Light", "illuminant", shown_if=any_light, labels=ILLUMINANTS, call="light"),
@@ -341,8 +342,9 @@ def arguments(known: dict[str, Control], values: Mapping[str, Any], call: str) -
         if control.call == call and control.is_shown(values):
             option, value = control.option, values[control.name]
             result[option.name] = value if control.element is None else (*result.get(option.name, ()), value)
-            # Arguments that have their default value are omitted from the call. If the library's default is None, the
-            # control's default is compared, because it is the value that the library uses for None.
+            # An argument is omitted from the call if its value equals the default of the library. If the library's
+            # default is None, the value is compared with the control's default instead, which is the value that the
+            # library uses for None.
             is_none = option.default is None and control.element is None
             standard[option.name] = control.default if is_none else option.default
     return {name: value for name, value in result.items() if value != standard[name]}

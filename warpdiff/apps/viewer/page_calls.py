@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
     from warpdiff.apps.viewer.controls import Control
 
-# Number of directions in which an environment light is sampled per pixel during a movement. Limit: with 16, the viewer
-# shows about 14 pictures per second; with more, fewer.
+# Number of directions in which an environment light is sampled per pixel of a preview, while the user drags with a
+# mouse button or a finger down. Limit: with 16, the viewer shows about 14 pictures per second; with more, fewer.
 _MOVING_DIRECTIONS = 16
 # Decimal places of coordinates in printed code. Limit: further decimals do not change a picture.
 _DIGITS = 7
@@ -261,8 +261,9 @@ class Scene:
     def command(self, view: wd.View, tolerance: float, saving: Mapping[str, Any]) -> str:
         """Return the command line that renders the scene and saves the picture.
 
-        The command makes a plan for this one picture, but the viewer's plan serves many views. Both pictures may
-        therefore differ by up to the sum of both tolerances.
+        The picture of the command may differ from the viewer's picture by up to twice the tolerance, because each has
+        an error of up to the tolerance. The command makes a plan for this one camera, and the viewer makes a plan for
+        many cameras.
         """
         words = ["warpdiff", "render", _named(self.mesh), "--heightfield", *_height_field_words(self.heightfield)]
         if self.light is not None:
@@ -278,7 +279,7 @@ class Scene:
 
 
 def _further(view: wd.View) -> dict[str, Any]:
-    """Return the keyword arguments of a view except eye and target."""
+    """Return the keyword arguments of ``View`` for a camera, except ``eye`` and ``target``."""
     return {name: getattr(view, name) for name in ("up", "fov_y_deg", "width", "height")}
 
 

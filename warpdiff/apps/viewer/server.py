@@ -212,8 +212,8 @@ class ViewServer:
 
     async def _page(self, connection: ServerConnection) -> None:
         """Serve one page over its web socket."""
-        # The limit is checked again here, because several sockets may have been accepted before the first of them was
-        # counted.
+        # The limit of open pages was checked when the browser requested the connection. It is checked again here,
+        # because several requests may have passed that check before the first page was counted as open.
         if self._pages >= MOST_PAGES:
             await connection.close(1013, "too many pages")
             return

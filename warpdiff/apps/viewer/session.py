@@ -1,4 +1,7 @@
-"""Progressive rendering for the viewer's pages: previews during a movement, then pictures of decreasing tolerance.
+"""Progressive rendering for the viewer's pages: previews, then pictures of decreasing tolerance.
+
+A page shows previews during a movement: while the user drags with a mouse button or a finger down, which moves the
+camera or changes the value of a control.
 
 One thread draws for all pages in turn. Pages therefore share tables, and memory does not grow with their number. Each
 request of a page has a generation, a number that the page increases with every change. Only the newest request of a
@@ -55,8 +58,9 @@ _MOST_IN_FLIGHT = 2
 _MOVING_S, _LEAST_MOVING_S = 0.065, 0.08
 # Factors by which the width and height of a preview may be reduced during a movement.
 _SCALES = (1.0, 0.75, 0.5, 0.375)
-# Number of pixels to which a preview may be reduced to meet the first time limit of a movement. It gets fewer pixels
-# only if this number would exceed the second limit, `_LEAST_MOVING_S`.
+# Number of pixels to which a preview may be reduced to meet the first time limit of a movement, `_MOVING_S`. A preview
+# gets fewer pixels only if a preview with this number of pixels is expected to exceed the second time limit,
+# `_LEAST_MOVING_S`.
 _LEAST_PIXELS = 320 * 240
 # First number: the median time of this many previews predicts the time of the next one. Second number: the size of
 # previews increases only if the predicted time is below this share of the limit. Without this margin, the size would
@@ -383,7 +387,7 @@ class Studio:
             self._times.append((time.perf_counter() - built) / math.sqrt(view.width * view.height))
 
     def _smaller(self, view: wd.View) -> wd.View:
-        """Return a view with the largest picture that can be drawn within the time limit of a movement."""
+        """Return the camera of a preview: ``view`` with the most pixels that meet the time limit of a movement."""
         pixels = view.width * view.height
         least = min(math.sqrt(_LEAST_PIXELS / pixels), 1.0)
         expected = statistics.median(self._times) if self._times else 0.0

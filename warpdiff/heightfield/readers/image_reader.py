@@ -81,7 +81,10 @@ def _upright(samples: np.ndarray, orientation: object) -> np.ndarray:
 
 
 def _reason(source: Any) -> str:
-    """Return the last message of OpenImageIO as one line; it may contain bytes of the file that are not text."""
+    """Return the last message of OpenImageIO as one line.
+
+    The message may quote bytes of the file that are not text. A fixed text is returned for such a message.
+    """
     try:
         return " ".join(source.geterror().split())
     except UnicodeDecodeError:

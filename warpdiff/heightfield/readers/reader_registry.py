@@ -131,8 +131,10 @@ def register_reader(
             of the same suffix, for the files that it recognises.
         title: Name of the format in the documentation; by default the suffixes.
         states: Text for the documentation: the facts that a file contains, and those that the caller states.
-        recognises: Function of a path that returns whether the file has this format by its content. Files of other
-            suffixes are read by the first reader that recognises them. Without it, the suffix alone decides.
+        recognises: Function of a path that returns whether the content of the file has this format. Without this
+            function, the reader reads all files of its suffixes and no others. With it, the reader also reads files of
+            other suffixes that it recognises, unless a reader of their suffix accepts them. Readers that were
+            registered later are asked first.
         extra: Name of warpdiff's optional extra that installs the libraries of the reader.
     """
 

@@ -76,8 +76,8 @@ class Facts:
     def add(self, name: str, length: float, line: str, *, names_axis: bool) -> None:
         """Add the length that a header line states for the fact ``name``, a size or a pitch.
 
-        ``names_axis`` is whether the key of the line names x or y. Such statements outweigh keys like "Height" or
-        "Spacing".
+        ``names_axis`` is whether the key of the line names x or y. If the key of any line for this fact does, lines
+        with a key such as "Height" or "Spacing", which names no axis, are ignored.
         """
         self._stated.setdefault(name, []).append((names_axis, length, line))
 

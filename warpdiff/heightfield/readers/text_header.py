@@ -55,8 +55,9 @@ def facts_of(header: Sequence[str], form: Form, signs: Signs) -> Facts:
             if length is not None and len(statements) == 1:
                 unnamed.append((index, length))
     facts.decide()
-    # The program Gwyddion writes width and height in two lines before the unit of the heights. It translates the keys
-    # of these lines, so that they are recognised by their order.
+    # The program Gwyddion writes width and height in two lines before the line with the unit of the heights. The keys
+    # of width and height are in the language of the user. They are therefore recognised by the order of the three
+    # lines.
     if not facts.has_scale and not facts.unclear_size and len(unnamed) == 2 and unnamed[1][0] == unnamed[0][0] + 1:
         below = text_units.LINE.fullmatch(lines[unnamed[1][0] + 1]) if unnamed[1][0] + 1 < len(lines) else None
         if below and text_keys.words_of(below["key"]) == "value units":
@@ -146,7 +147,7 @@ def _add_no_data(facts: Facts, statement: Statement, line: str, signs: Signs) ->
 
 
 def _add_lengths(facts: Facts, statement: Statement, line: str, signs: Signs) -> None:
-    """Add to ``facts`` the sizes or pitches that a line states; a line that is not clear is named there."""
+    """Add to ``facts`` the sizes or pitches that a line states, or the reason why the line is not clear."""
     key = statement.key
     # A second number in brackets, such as "6 µm (12 px)" or "0.006 mm (6 µm)", is a number of samples or the same size.
     pixels = [measure for measure in statement.measures if measure.counts == "pixels"]

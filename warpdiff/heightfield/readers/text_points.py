@@ -127,8 +127,8 @@ def _why_no_grid(x: np.ndarray, y: np.ndarray) -> str:
     if along_x is None or along_y is None:
         return "on no even grid"
     nx, ny = len(along_x[0]), len(along_y[0])
-    # Two or three rows of a matrix with three columns could be read as points on a diagonal of a grid. Points must
-    # therefore fill more than one position per row and column.
+    # Two or three rows of a matrix with three columns could be read as points on a diagonal of a grid. There must
+    # therefore be more points than the grid has columns, and more than it has rows.
     if len(x) < 4 or len(x) <= max(nx, ny) or len(x) <= _MOST_EMPTY * nx * ny:
         return f"at {len(x)} of the {nx} × {ny} positions of a grid"
     nodes = np.rint((y - along_y[0][0]) / along_y[1]) * nx + np.rint((x - along_x[0][0]) / along_x[1])

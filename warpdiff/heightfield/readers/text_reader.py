@@ -32,8 +32,9 @@ _BYTES_PER_LETTER = 18.0
 # Largest number of rows for which three columns of numbers, without a header, are read as a matrix. With more rows,
 # they are probably points or a list and not a scan that is three samples wide.
 _MOST_NARROW_ROWS = 9
-# Least number of equally spaced numbers in the first row or column that count as positions or indices instead of
-# heights. If halved, more small matrices of heights are refused.
+# Least number of rows or columns of a matrix from which its first column or row may count as indices or positions
+# instead of heights. A matrix with positions in both is refused. If halved, more small matrices are refused, whose
+# heights have even steps by chance.
 _LEAST_NUMBERED = 4
 
 

@@ -339,8 +339,9 @@ def odd_cell(form: Form, line: str, width: int) -> str | None:
 def _without_last_separators(lines: Sequence[str], form: Form) -> tuple[Sequence[str], int, bool]:
     """Return lines without the separator after the last number, if every row has it.
 
-    Such a separator may also belong to an empty column of missing samples. The second result is the number of such
-    columns, 0 or 1, and the third one whether other cells of the text are empty, too.
+    The separator may also mean that the last column is empty, because its samples are missing. The second result is the
+    number of such possible columns: 1 if a separator was removed, otherwise 0. The third result is whether other cells
+    of the text are empty, too.
     """
     separator = form.separator
     if separator is None:

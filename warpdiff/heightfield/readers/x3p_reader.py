@@ -90,9 +90,9 @@ def _damaged(file: Path, reason: str) -> Exception:
 def _member(archive: zipfile.ZipFile, name: str, most: int, file: Path, *, least: int = 0) -> bytes:
     """Return the bytes of a file in the archive.
 
-    An error is raised if the file has fewer than ``least`` bytes. If ``least`` is 0, an error is also raised if it has
-    more than ``most`` bytes. To find this out, one byte more than ``most`` is decompressed; longer files are not read
-    to their end.
+    An error is raised if the file has fewer than ``least`` bytes, the number that the header states. If ``least`` is 0,
+    the header states no number, and an error is raised if the file has more than ``most`` bytes. To find this out, at
+    most one byte more than ``most`` is decompressed. If ``least`` is not 0, further bytes are ignored.
     """
     try:
         with archive.open(name) as stream:

@@ -88,7 +88,9 @@ function hello(message) {
   document.body.dataset.connected = message.version;
   notice("");
   build(message.controls);
-  // A restarted server does not know the generations of the page before. Its first picture is therefore always shown.
+  // After a new connection, the page requests a picture of its current generation again, and the server counts the
+  // stages from 0 again. Without this reset, the page would take the first picture for an older one, and would not show
+  // it.
   shown = [-1, -1];
   requestPicture();
 }
@@ -135,7 +137,8 @@ async function picture(message, data) {
   context.drawImage(bitmap, 0, 0);
   bitmap.close();
   body = message.body;
-  // A picture of an older generation may show another body. Its camera is not used for the present one.
+  // A picture of an older generation may show another body than the one that is now selected. The camera of such a
+  // picture is not suitable for the selected body and is not adopted.
   if (state.camera === null && message.generation === generation) {
     state.camera = message.camera;
     store();

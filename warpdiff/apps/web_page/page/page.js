@@ -345,8 +345,9 @@ function lightCamera(light, matrix, positions) {
         ];
         return { rows, texel: size / SHADOW_SIZE };
     }
-    // The last row yields the distance along the light's axis. The frustum is not symmetric about this axis, because
-    // the centre of the visible part of the mesh need not lie on the axis.
+    // The light's axis is the straight line from the point light to the centre of the mesh. The last row of the
+    // projection matrix yields the distance from the light along this axis. The frustum is not symmetric about the
+    // axis, because the centre of the visible part of the mesh need not lie on it.
     const depth = [...back.map((r) => -r), away], [near, end] = [Math.max(away - 1.02, 1e-3), away + 1.02];
     const beside = (axis, middle) => depth.map((d, c) => 2 / size * ((c < 3 ? axis[c] : 0) - middle * d));
     const rows = [
@@ -522,7 +523,8 @@ function show() {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
 }
 
-// Returns the mean XYZ and coverage of the pixels as four numbers per pixel. The bottom row comes first.
+// Returns four numbers per pixel: X, Y, Z and the coverage by the mesh, each averaged over the frames that have been
+// added. The bottom row of pixels comes first.
 function colours() {
     const result = new Float32Array(4 * sums.width * sums.height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, sums.target);
