@@ -254,7 +254,8 @@ def _part(mesh: Any, transform: NDArray[np.float64], *, colours: bool) -> _Part:
         part.faces = part.faces[:, ::-1]
     if part.normals is not None and determinant != 0.0:
         # Normals are multiplied by the transposed inverse of the transform, times the absolute value of its
-        # determinant. A reflection reverses the order of the corners of faces above; normals remain on the outside.
+        # determinant. For a reflection, the order of each face's corners was reversed above, so that normals remain on
+        # the outside.
         part.normals = part.normals @ (np.linalg.inv(transform[:3, :3]) * abs(determinant))
     return part
 
