@@ -188,7 +188,8 @@ def test_kernels_are_never_imported_by_their_folder():
 def test_importing_the_package_loads_no_slow_packages():
     code = "import sys, warpdiff; print(*sys.modules)"
     assert "numpy" not in run([sys.executable, "-c", code], ROOT).split()
-    # Code that needs no device must not import Warp. No plain import may load packages that only some calls require.
+    # Code that needs no device must not import Warp. The import of the library or of all its public names must not load
+    # packages that only some calls require.
     slow = {"trimesh", "colour", "OpenImageIO", "PIL", "scipy", "matplotlib"}
     light = "gratings", "meshes", "HeightField", "Coherence", "DirectionalLight", "View", "Image", "Plan", "plot"
     code = f"import sys; from warpdiff import {', '.join(light)}; from warpdiff.apps import cli; print(*sys.modules)"

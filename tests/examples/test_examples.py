@@ -36,7 +36,7 @@ class SmallView:
 
 
 def rough(function, **fixed):
-    """Return the function with some of its arguments fixed, so that it runs faster."""
+    """Return a faster version of a function: the values ``fixed`` replace those of the caller."""
 
     @functools.wraps(function)
     def call(*arguments, **options):
