@@ -57,7 +57,8 @@ _SMALLEST_W = 0.06
 # First number: samples over |w| of each function of w that the table stores. Second number: samples over |κ| of the
 # zeroth order.
 _ENTRIES_OF_W, _ENTRIES_OF_KAPPA = 256, 512
-# Grid on which the reflectance of a material is stored: number of cos θd, and spacing of the wavelengths [nm].
+# Grid on which the reflectance of a material is stored: number of values of cos θd, and spacing of the wavelengths
+# [nm].
 _ANGLES, _EACH_NM = 65, 5
 # Validation directions: size of each half of the set (uniform directions, and bright ones), number of random candidates
 # from which they are selected, and random seed.
