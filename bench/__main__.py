@@ -22,7 +22,7 @@ EXAMPLES = """examples:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Draw the charts, or compare two runs. Return the exit code."""
+    """Draw the charts, or compare the numbers that two earlier calls of the benchmark saved. Return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m bench", description="Chart speed against accuracy, compared with other programs.",
         epilog=EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -1,4 +1,8 @@
-"""Location of the folder of measured height fields: the option ``--data``, ``WARPDIFF_DATA``, or ``../shared/data``."""
+"""Location of the folder of measured height fields.
+
+The first of these that is set is used: the option ``--data`` of a benchmark, the environment variable
+``WARPDIFF_DATA``, and ``shared/data`` in the folder that contains the repository.
+"""
 
 from __future__ import annotations
 

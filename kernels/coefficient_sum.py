@@ -21,8 +21,9 @@ FORMS = ("averaged", "centred", "source", "replicas")
 # Number of coefficients along an axis from which the amplitude at a frequency is interpolated. Limit: time is
 # proportional to it.
 TAPS = 8
-# Value of N t below which a parabola replaces the interference factor of N periods, which is 0/0 at its maximum, t = 0.
-# Derived: the error of the parabola is of fourth order in N t.
+# The interference factor of N periods, [sin(πNt) / (N sin(πt))]², is 0/0 at its maximum, t = 0; t is the distance from
+# the nearest coefficient of the patch, in spacings of the coefficients. For |N t| below this number, a parabola
+# replaces the factor. Derived: the error of the parabola is of fourth order in N t.
 NEAR_RESONANCE = wp.constant(wp.float32(1e-2))
 
 
@@ -336,8 +337,9 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         u = wp.float32(scattering_vector[0])
         v = wp.float32(scattering_vector[1])
         if wp.static(form == "source"):
-            # For light at the angle θ from the normal, the spread of (u, v) along the tangential direction of the light
-            # is smaller by cos θ. Coherence then extends farther in this direction, which increases the bandwidth.
+            # For light at the angle θ from the normal, the spread of (u, v) is cos θ times that at normal incidence, in
+            # the direction of the light's projection onto the surface. Coherence then extends farther in this
+            # direction, which increases the bandwidth.
             stretch = (u * to_light[0] + v * to_light[1]) / to_light[2]
             uv = wp.sqrt(u * u + v * v + stretch * stretch) * quadrature.per_u
         else:

@@ -67,7 +67,7 @@ class FootprintTaps:
 
 @wp.func
 def spline(away: wp.float32) -> wp.vec3f:
-    """Return the weights of three neighbouring samples in a quadratic B-spline, ``away`` from the middle one."""
+    """Return the weights of three neighbouring samples in a quadratic B-spline, at ``away`` from the middle sample."""
     return wp.vec3f(0.5 * (0.5 - away) * (0.5 - away), 0.75 - away * away, 0.5 * (0.5 + away) * (0.5 + away))
 
 
@@ -214,7 +214,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         table: Colours, scattering_vectors: wp.array(dtype=wp.vec3d), gains: wp.array(dtype=wp.float32),
         begin: wp.int32, end: wp.int32, xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the XYZ of the scattering vectors with indices from ``begin`` to ``end``, times their gains."""
+        """Add the XYZ of the scattering vectors from ``begin`` to ``end``, times their gains, to ``xyz_out``."""
 
     @wp.func_native(
         f"warpdiff::look_up_footprints<{w_basis_size}, {str(source).lower()}, {BATCH}, {MOST_PARTS}>(table, taps, "
@@ -226,7 +226,10 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         gains: wp.array(dtype=wp.float32), footprints: wp.array(dtype=Footprint), taps: FootprintTaps, begin: wp.int32,
         end: wp.int32, unserved_gain: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the XYZ of the scattering vectors from ``begin`` to ``end``, averaged over footprints and the source."""
+        """Add the XYZ of the scattering vectors from ``begin`` to ``end``, times their gains, to ``xyz_out``.
+
+        Each XYZ is the mean over the footprint and the source.
+        """
 
     @wp.kernel(module="unique", module_options=_LOOKUP_OPTIONS)
     def integrate(
@@ -235,7 +238,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         first: wp.int32,
         unserved_gain: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the XYZ of ``run`` directions per thread, times their gains; ``footprints`` may be empty.
+        """Add the XYZ of ``run`` directions per thread, times their gains, to ``xyz_out``; ``footprints`` may be empty.
 
         With a source, directions that the table cannot serve are skipped. Their gains are written to ``unserved_gain``,
         and 0 for all other directions.

@@ -100,8 +100,9 @@ def draw_disc(
         if share > 0.0:
             away = towards - mirrored
             away -= wp.dot(away, normal) * normal
-            # The probability densities of both ways of drawing are converted to densities per solid angle ω. That of
-            # the Gaussian is per area of (u, v), and du dv = dω cos θi.
+            # The probability density of the direction is that of the Gaussian around the mirror direction times
+            # `share`, plus that of the disc times the rest. Both are per solid angle ω. The density of the Gaussian per
+            # area of (u, v) is therefore multiplied by cos θi, because du dv = dω cos θi.
             of_mirror = wp.exp(-0.5 * wp.length_sq(away) / (spread * spread)) * wp.dot(towards, normal)
             of_mirror *= wp.static(0.5 / math.pi) / (spread * spread)
             even = wp.static(1.0 / math.pi) / (edge * edge)

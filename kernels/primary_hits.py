@@ -15,8 +15,8 @@ MOST_OFFSET = 1.5
 UNSEEN = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 
 # Constants of two algorithms. The first two are the multipliers of the hash function "lowbias32" (Wellons 2018). The
-# last three are the golden ratio and the two numbers of the R2 sequence (Roberts 2018), as fractions of 1 multiplied by
-# 2^32.
+# third, 2^32 divided by the golden ratio, makes a second seed for it. The last two are the increments of the R2
+# sequence (Roberts 2018) along x and y, times 2^32.
 HASH_1 = wp.constant(wp.uint32(0x7FEB352D))
 HASH_2 = wp.constant(wp.uint32(0x846CA68B))
 GOLDEN = wp.constant(wp.uint32(0x9E3779B9))
@@ -133,9 +133,9 @@ def rasterize(
         max_offset: Largest distance of a ray from its pixel's centre, along an axis [pixels].
         first: Index of the first thread's first face.
         run: Number of faces per thread.
-        nearest_out: For each ray, the depth along the view and the index of the face. The upper 32 bits are those of
-            the depth as a float32, so that the smallest value is the nearest face. All bits are set if the ray hits no
-            face.
+        nearest_out: For each ray, the depth of the hit along the camera's optical axis, and the index of the face. The
+            upper 32 bits are those of the depth as a float32, so that the smallest value is the nearest face. All bits
+            are set if the ray hits no face.
     """
     begin = first + wp.tid() * run
     rasterize_run(camera, surface, sampling, cells, max_offset, begin, begin + run, nearest_out)
@@ -213,9 +213,9 @@ def make_shading_frames(
 ):  # fmt: skip
     """Compute the shading frames at hits, and the origins of shadow rays.
 
-    The frame is right-handed on both sides of the surface. For a view from behind, the normal is reversed and t does
-    not change. The bitangent b = (n × t) · handedness uses the reversed normal. A view from behind then shows the
-    height field with the same x direction.
+    If the camera sees the back of a face, the normal n is reversed, and the tangent t does not change. The bitangent is
+    b = (n × t) · handedness with the reversed normal; ``handedness`` is −1 where the texture coordinates are mirrored.
+    The x direction of the height field, t, is therefore the same vector on the front and on the back.
 
     Args:
         surface: Mesh with vertex normals and tangents.

@@ -9,5 +9,5 @@ POLE = 2.0 * math.sqrt(2.0) - 3.0
 
 
 def prefilter(half_taps: int) -> list[float]:
-    """Return the 2 ``half_taps`` + 1 weights of neighbouring values whose sum is the coefficient at the middle node."""
+    """Return 2 ``half_taps`` + 1 weights; the weighted sum of values at as many nodes is the middle coefficient."""
     return [math.sqrt(2.0) * POLE ** abs(j) for j in range(-half_taps, half_taps + 1)]

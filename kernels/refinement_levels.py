@@ -29,10 +29,10 @@ LEAST_LEVEL_OF_POINTS = 2
 # successive changes of (u, v); the change is that of (u, v) per pixel relative to |(u, v)|. Fitted to bound 95 of 100
 # pixels (docs/decisions/adaptive_sampling.md); twice as much refines more pixels.
 CONTRAST_BASE, CONTRAST_PER_UNEVENNESS, CONTRAST_PER_CHANGE = 0.008, 0.52, 0.55
-# Safety factor on the predicted change of a tile when its level is selected, and a second factor at edges. A tile is at
-# an edge if it and its neighbours have both illuminated cells and dark or empty ones. Fitted to the snake, tested on
-# other bodies and surfaces (docs/decisions/adaptive_sampling.md); twice as large factors require 1.4 times as many
-# cells per axis.
+# The level of a tile is selected from the predicted change of its colour if its cells were finer. This change is
+# multiplied by the first number, and at edges also by the second. A tile is at an edge if it and its neighbours have
+# both illuminated cells and dark or empty ones. Fitted to the snake, tested on other bodies and surfaces
+# (docs/decisions/adaptive_sampling.md); twice as large factors require 1.4 times as many cells per axis.
 CAUTION, EDGE_FACTOR = 2.0, 1.5
 # A refined pixel is a weighted sum over the cells of nine tiles: itself and its neighbours. Its estimated error is
 # ERROR_PER_CHANGES times the root sum of squares of the errors of these tiles. The error of a tile is assumed to

@@ -50,7 +50,7 @@ class ShadowGrid:
 
 @wp.func
 def light_coordinates(grid: ShadowGrid, position: wp.vec3f) -> wp.vec3d:
-    """Return a position in the axes of an occluder grid: along ``across`` and ``up`` in steps, and the height."""
+    """Return a position in the axes of an occluder grid: along ``across`` and ``up`` [steps], and along ``towards``."""
     at = wp.vec3d(position)
     return wp.vec3d(
         wp.rint(wp.dot(at, grid.across) * STEPS), wp.rint(wp.dot(at, grid.up) * STEPS), wp.dot(at, grid.towards)
@@ -68,7 +68,10 @@ def cell_of(place: wp.float64, low: wp.float64, per_step: wp.float64) -> wp.int3
 
 @wp.func
 def left_of(a: wp.vec3f, b: wp.vec3f, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Return twice the signed area of a triangle, exactly; it is positive if the point is to the left of the edge."""
+    """Return twice the signed area of the triangle (a, b, (x, y)), exactly.
+
+    It is positive if the point (x, y) is to the left of the edge from a to b; x points to the right and y upwards.
+    """
     ax = wp.float64(a[0])
     ay = wp.float64(a[1])
     return (wp.float64(b[0]) - ax) * (y - ay) - (wp.float64(b[1]) - ay) * (x - ax)
@@ -177,11 +180,11 @@ def trace_shadow_rays(
     pixels: Pixels, first: wp.int32, run: wp.int32,
     occluded_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Trace a shadow ray from each hit to one of the lights, unless the surface faces away from it.
+    """Trace a shadow ray from each hit to the light ``light_index``, unless the surface faces away from it.
 
     ``grid`` is that of the light; for a point light it has no lists, and the ray uses the hierarchy of faces.
-    ``directions`` has a direction to the light and a weight per pixel. If it is empty, all pixels use the direction of
-    the light.
+    ``directions`` has a direction to the light for each ray, and as fourth component the weight of this sample, which
+    is not used here. If it is empty, all rays use the direction of the light.
     """
     place = places[light_index]
     towards = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))

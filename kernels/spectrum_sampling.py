@@ -198,7 +198,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
 
 @functools.cache
 def adder(w_basis_size: int) -> wp.Kernel:
-    """Return the kernel that multiplies rows of a colour table by factors and adds them."""
+    """Return the kernel that adds rows, multiplied by factors, to the rows of a colour table."""
     row_t = lookup(w_basis_size).row
 
     @wp.kernel(module="unique", module_options=OPTIONS)

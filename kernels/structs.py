@@ -15,7 +15,7 @@ SPECIAL = wp.constant(2)
 
 @wp.struct
 class Camera:
-    """Camera of a view, in units in which the mesh fills the unit sphere around the origin."""
+    """Camera, in units in which the mesh fills the unit sphere around the origin."""
 
     # Five vectors: origin; unit vectors to the right, up and back; half the width and height of the picture. They are
     # in an array, so that a recorded graph can be replayed for new views. With an array of structs, compilation would

@@ -6,8 +6,8 @@ HORIZON = 1e-6
 # with smaller cosines use the factors of this one. With twice the cosine, all directions beyond 86° would share a
 # factor.
 LOWEST = 0.0349
-# Floor f of relative errors: errors are relative to at least f · Y*, where Y* is the reference luminance. Choice: with
-# twice as much, dark pixels are refined less.
+# Share of the reference luminance Y* that is the floor f of relative errors: the divisor of an error is at least f.
+# Choice: with twice as much, dark pixels are refined less.
 FLOOR = 1e-3
 # Share of directions or pixels whose error must be within the tolerance. The reference luminance Y* is at least this
 # percentile of Y. Choice: with a larger share, a few outliers would determine plans.

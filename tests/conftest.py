@@ -144,7 +144,7 @@ def noise(shape: tuple[int, int], pitch=(0.1, 0.05)):
 
 
 def relative_errors(found: np.ndarray, exact: np.ndarray) -> np.ndarray:
-    """Return the errors (n,) of colours (n, 3), each divided by the norm of the exact colour or by a larger floor.
+    """Return the errors (n,) of colours (n, 3), relative to the larger of the exact norm and a floor.
 
     The floor is 0.001 of the 99th percentile of the exact luminances Y.
     """

@@ -218,7 +218,7 @@ def _one_of(make):
 
 
 def topography(**changes) -> SimpleNamespace:
-    """Return an object with the attributes of a map that SurfaceTopography reads. ``changes`` replaces some of them."""
+    """Return a stand-in for a height map of the library SurfaceTopography. ``changes`` replaces its attributes."""
     known = {"heights": lambda: np.zeros((3, 2)), "physical_sizes": (3.0, 2.0), "unit": "um", "dim": 2}
     return SimpleNamespace(**known | changes)
 
@@ -309,7 +309,8 @@ MADE_BY_THE_LIBRARY |= {"Periods", "ReflectanceSpectra", "Report", "Roughness", 
 MADE_BY_THE_LIBRARY |= {"WarpdiffWarning"}
 # Methods that only the renderer calls are not fuzzed, because their arguments are already checked.
 CALLED_BY_PICTURES = {"lobes", "parts"}
-# Objects on which methods are called, by class. ``FUZZED_OWNERS`` lists classes with fuzzed objects.
+# Objects on which methods are called, by class. Methods of the classes in ``FUZZED_OWNERS`` are also called on fuzzed
+# objects of these classes.
 OWNERS = {
     "Environment": lambda: wd.Environment(np.ones((2, 4, 3)), directions=16),
     "Material": lambda: wd.Material.metal("Au"), "Spectrum": lambda: wd.Spectrum.blackbody(3000.0),
@@ -351,7 +352,7 @@ LEGAL_OF |= {
     "plot.spectra": {"source": [500.0], "values": [0.5]},
 }  # fmt: skip
 LEGAL_BY_CALL = {"renderer": renderer, "lobes": lobes, "ax": axes, "efficiencies": efficiencies}
-# The same for single functions.
+# As ``LEGAL_BY_CALL``, for arguments of single functions: functions that make a legal value for each call.
 LEGAL_OF_BY_CALL = {
     "plot.plan": {"plan": simple_plan}, "plot.error_image": {"image": still}, "plot.reflectance_map": {"source": still},
 }  # fmt: skip

@@ -247,7 +247,9 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         table: Colours, ring: wp.int32, level: wp.int32, from_middle: wp.vec2f, inverse: wp.mat22f,
         most_blur2: wp.float32,
     ) -> row_w_t:  # fmt: skip
-        """Return the sum of a ring's rows, weighted by a Gaussian of (u, v) less the blur that the rows already have.
+        """Return the sum of a ring's rows, weighted by a Gaussian of (u, v).
+
+        The variance of the blur that the rows already have is subtracted from that of the Gaussian along the ring.
 
         The last element of the result is the sum of the weights.
         """

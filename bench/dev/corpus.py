@@ -9,8 +9,8 @@ The script uses only public names, and imports the package that is installed for
 wheel of another version, it writes the arrays of that version. ``public_names`` maps names that have changed since
 version 0.1.0.
 
-The cases cover all kinds of coherence, methods, sample counts, lights, materials, textures, views and files, with one
-thread and with two. The values of a case include the numbers of its plan. Texts are not compared, except names.
+The cases cover all kinds of coherence, methods, sample counts, lights, materials, textures, cameras and files, with one
+thread and with two. The values of a case include the numbers of its plan. Of texts, only names of objects are compared.
 Surfaces are small and synthetic. Other processors or other versions of libraries may round differently. Write and
 compare the arrays on the same machine, in environments with the same versions of all libraries.
 """
@@ -110,12 +110,12 @@ def two_geometries() -> trimesh.Scene:
 
 
 def tube_view(**size: int) -> Any:
-    """Return a perspective view of the tube."""
+    """Return a perspective camera that looks at the tube."""
     return wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, **(size or SIZE))
 
 
 def box_view(**size: int) -> Any:
-    """Return an orthographic view of the box."""
+    """Return an orthographic camera that looks at the box."""
     return wd.View.orthographic((1.2, 1.0, 1.6), (0.0, 0.0, 0.0), extent_y=2.2, **(size or SIZE))
 
 
@@ -262,12 +262,12 @@ def explicit_plan(threads: int) -> Values:
 
 
 def disc_view(**size: int) -> Any:
-    """Return a view of the disc in which diffraction orders of its grating are visible."""
+    """Return a camera that looks at the mesh of a disc, and captures diffraction orders of its grating."""
     return wd.View((0.0, -1.9, 2.3), (0.0, 0.0, 0.0), **(size or SIZE))
 
 
 def successive_pictures(threads: int) -> Values:
-    """Render two pictures with the same renderer, with other lights and another view in the second picture."""
+    """Render two pictures with the same renderer, with other lights and another camera in the second picture."""
     options = {"lights": ABOVE, "view": tube_view(), "tolerance": 3e-2, "threads": threads}
     renderer = wd.Renderer(tube(), heightfield=fingers(), **options)
     first = image_values(renderer.image())
@@ -380,7 +380,10 @@ def spectra(threads: int) -> Values:
 
 
 def orders(_: int) -> Values:
-    """Compute the orders of a metal, a coated metal and a mirror grating, by Stam's and by normalised efficiencies."""
+    """Compute the order efficiencies of a metal, a coated metal and a mirror grating.
+
+    Those of the mirror have the energy normalisation; those of the coated metal have none.
+    """
     names = ("wavelengths_nm", "orders", "to_view", "efficiencies")
     light = (0.3, 0.1, 1.0)
     calls = {
@@ -425,7 +428,10 @@ def material_colours(threads: int) -> Values:
 
 
 def surfaces(_: int) -> Values:
-    """Collect synthetic height fields, results of all cleaning methods, and summary and plan of a cleaned field."""
+    """Collect synthetic height fields and results of all cleaning methods.
+
+    For one cleaned height field, also collect the numbers of its summary and of a plan for its reflectance.
+    """
     rng = np.random.default_rng(3)
     fields = {
         "fingers": fingers(), "bumps": wd.gratings.bumps(), "blazed": wd.gratings.blazed(2.0, 0.3),
@@ -588,7 +594,7 @@ def pages(threads: int) -> Values:
 
 
 def sequences(threads: int) -> Values:
-    """Render a turntable, a light sweep and a camera path, and collect the shots and pixels of these sequences."""
+    """Render a turntable, a light sweep and a camera path, and collect cameras, lights and pixels of all frames."""
     view = tube_view(**MEDIUM)
     renderer = wd.Renderer(tube(), fingers(), [ABOVE, SIDE], view, tolerance=1e-1, refine=False, threads=threads)
     path_text = "eye_x,eye_y,eye_z,target_x,target_y,target_z,fov_y_deg\n0,1.6,3.1,0,0,0,27\n0.5,1.2,3,0.1,0,0,30\n"
@@ -676,7 +682,7 @@ CASES: dict[str, Case] = {
 }  # fmt: skip
 
 
-# Functions that write the values of all test cases and compare them.
+# Functions that write the values of all test cases to a file, or compare them with those of an earlier file.
 
 
 def compute(names: list[str]) -> tuple[dict[str, np.ndarray], list[str]]:
@@ -716,7 +722,7 @@ def digest(values: dict[str, np.ndarray]) -> str:
 
 
 def differences(old: dict[str, np.ndarray], new: dict[str, np.ndarray]) -> list[str]:
-    """Return one line per value that differs in at least one bit."""
+    """Return one line per value of the test cases whose old and new versions differ in at least one bit."""
     lines = [f"{name}: only {'new' if name in new else 'old'}" for name in sorted(set(old) ^ set(new))]
     for name in sorted(set(old) & set(new)):
         a, b = old[name], new[name]

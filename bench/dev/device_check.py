@@ -7,9 +7,9 @@
 
 Frames have 640 × 480 pixels, and the light and the camera move from frame to frame. The compared pictures cover all
 kinds of light and coherence, and both devices use the same plan. Devices round differently, and may therefore subdivide
-different pixels. To show how large such differences may be, the CPU renders each picture again with its lights rotated
-by 2e-7, about the rounding error of a direction. The difference between the devices should be about as large as the
-difference that this rotation causes.
+different pixels. To show how large such differences may be, the CPU renders each picture again with the directions or
+positions of its lights changed by a relative amount of 2e-7, about the rounding error of float32. The differences of
+colours between the devices should be about as large as those that this change causes.
 """
 
 from __future__ import annotations
@@ -95,8 +95,8 @@ def picture_differences(case: Any, device: str) -> dict[str, Any]:
     mesh, surface, lights, options = case
     view = replace(moved(mesh, 2)[1], width=320, height=240)
     on_cpu = wd.shade(mesh, surface, lights, view, device="cpu", **options)
-    # A plan does not contain material, energy, pigment and samples per pixel. These options are therefore passed in
-    # addition to the plan.
+    # A plan does not contain the options `material`, `energy`, `pigment` and `samples_per_pixel`. They are therefore
+    # passed in addition to the plan.
     unplanned = {
         name: options[name] for name in ("material", "energy", "samples_per_pixel", "pigment") if name in options
     }

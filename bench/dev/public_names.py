@@ -24,7 +24,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # Public functions that were renamed, new name to old name.
 FUNCTIONS = {"reflectance_map": "brdf_map"}
-# Keyword arguments that were renamed, new name to old name. Every function that has the new name had the same old name.
+# Keyword arguments that were renamed, new name to old name. All functions with an argument of the new name had an
+# argument of the old name.
 ARGUMENTS = {
     "heightfield": "hf",
     "lights": "light",
@@ -99,7 +100,7 @@ def _add_new_names(package: Any) -> None:
 
 
 def _with_new_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function that accepts the new keyword arguments in addition to the old ones."""
+    """Return a wrapper of a function of version 0.1.0 that accepts keyword arguments by their present names, too."""
 
     @functools.wraps(function)
     def call(*positional: Any, **keywords: Any) -> Any:

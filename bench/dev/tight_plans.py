@@ -55,7 +55,8 @@ DIRECTIONS, PLANNED = 128, 40_000
 # Smallest cosine of the angle between random directions and the normal. The angle is at most 85°.
 LOWEST = math.cos(math.radians(85.0))
 KINDS = ("averaged", "centred", "source", "replicas")
-# Tolerances of configurations. Replicated patches have no tolerance below 1e-2, because their reference is slow.
+# Tolerances of configurations. Replicated patches are not tried at tolerances below 1e-2, because the time to compute
+# their reference would be too long.
 TOLERANCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3)
 REPLICAS_TOLERANCES = (1e-1, 3e-2, 1e-2)
 PITCH_UM = 0.09  # sample spacing of the synthetic surfaces [µm]
@@ -63,14 +64,14 @@ PITCH_UM = 0.09  # sample spacing of the synthetic surfaces [µm]
 # with different numbers per direction has at least 16.
 FEWER = (8, 10, 11, 13)
 # The bandwidth of a plan has a constant part, a part that is proportional to the order rate, and a part that is
-# proportional to |w|. `CONSTANTS` are the tried shares of the constant part, in steps of a factor 2^(1/4). `SPLITS` are
-# the tried shares of the order rate in the sum of the other two parts.
+# proportional to |w|. `CONSTANTS` are the tried shares of the constant part in the bandwidth, in steps of a factor
+# 2^(1/4). `SPLITS` are the tried shares of the part for the order rate in the sum of the other two parts.
 CONSTANTS = 2.0 ** (-np.arange(25) / 4.0)
 SPLITS = (1.0, 0.95, 0.9, 0.8, 0.7, 0.5, 0.25, 0.0)
 # How many values are tried for a number of a plan, from the smallest value on that meets the tolerance: `MORE_TERMS`
-# numbers of terms, and `MORE_EXPONENTS` exponents n/2 of the least weight exp(−n/2).
+# numbers of terms, and `MORE_EXPONENTS` exponents a of the least weight exp(−a) of neighbours.
 MORE_TERMS, MORE_EXPONENTS = 3, 5
-# Step and upper limit of n in the least weight exp(−n) of neighbours.
+# Step and upper limit of the exponent a in the least weight exp(−a) of neighbours.
 EXPONENT_STEP, MOST_EXPONENT = 0.5, 24.0
 # Largest predicted cost of methods and settings that are tried, relative to the lowest predicted cost.
 HOPELESS = 1.6
@@ -150,7 +151,7 @@ def configurations(data: Path | None, count: int, seed: int) -> list[Configurati
 
 
 def _upper(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Return random unit vectors up to 85° from the normal, uniform over the sphere."""
+    """Return random unit vectors up to 85° from the normal, with a uniform density per solid angle."""
     z, phi = rng.uniform(LOWEST, 1.0, count), rng.uniform(0.0, 2.0 * math.pi, count)
     s = np.sqrt(1.0 - z * z)
     return np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
@@ -220,7 +221,7 @@ class Call:
         return evaluate
 
     def errors(self, plan: wd.Plan) -> np.ndarray:
-        """Return the relative error of each direction's colour by a plan."""
+        """Return the error of each direction's colour by a plan, relative to the reference or to the floor f."""
         self.prepared(plan)()
         xyz = self.load(1)[-1].numpy().astype(np.float64)
         return np.nan_to_num(np.linalg.norm(xyz - self.exact, axis=1) / self._scale, nan=1e9, posinf=1e9)

@@ -7,11 +7,11 @@
     python -m bench.dev.wheel_times --before before/bin/python --after after/bin/python --output times.json
 
 The printed table has one row per task. Each round starts a new process for each wheel. For every task, the two
-processes execute the same call in turns; the wheel that begins alternates. The ratio of a round is the median ratio of
-times over these pairs of calls. Tasks that start a process per call (cold start, import, help) are timed in the same
-manner. The ratio of a task is the median over rounds. Its confidence interval of at least 95 % is that of order
-statistics, which assumes no distribution. Rounds are added until the interval of each task is within
-±``--half-width``, or until ``--most-rounds``.
+processes execute the same call in turns; the wheel that begins alternates. The ratio of a round is the median over
+these pairs of calls of the time of the wheel ``--after`` divided by that of the wheel ``--before``. Tasks that start a
+process per call (cold start, import, help) are timed in the same manner. The ratio of a task is the median over rounds.
+Its confidence interval of at least 95 % is that of order statistics, which assumes no distribution. Rounds are added
+until the interval of each task is within ±``--half-width``, or until ``--most-rounds``.
 
 First, the wheel ``--before`` is compared with itself by the same procedure. The deviation of these ratios from 1 is the
 noise of the measurement. Kernels are compiled in advance, into a folder in each wheel's environment. Nothing else is
@@ -310,8 +310,8 @@ class Row:
         count = len(ratios)
         if count < FEWEST_ROUNDS:
             return float(np.median(ratios)), -math.inf, math.inf
-        # The true median lies outside of the interval from the i-th smallest to the i-th largest ratio with the
-        # probability 2 · Σ C(n, k) / 2ⁿ for k < i.
+        # There are n ratios, one per round. Their true median lies outside of the interval from the i-th smallest to
+        # the i-th largest ratio with the probability 2 · Σ C(n, k) / 2ⁿ for k < i.
         outside, i = 0.0, 0
         while 2.0 * (outside + math.comb(count, i) * 0.5**count) <= 0.05:
             outside += math.comb(count, i) * 0.5**count

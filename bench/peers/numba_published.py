@@ -47,7 +47,8 @@ LEAST_EXPONENT = -87.0
 SLICE = 16
 # Number of wavelengths between the prefetch of coefficients and their use. Limit: latency of the memory.
 AHEAD = 4
-# Settings of this peer. Settings with a single coefficient are excluded, because the kernel processes three at a time.
+# Settings of this peer. Settings without neighbours, which use one coefficient per direction and wavelength, are
+# excluded: the kernel processes coefficients in groups of three, so that two of three would be wasted.
 SETTINGS = [setting for setting in series.SETTINGS if setting["neighbour_extent"] > 0]
 
 
@@ -81,7 +82,7 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
 
 @functools.lru_cache(maxsize=4)
 def _lines(heightfield: wd.HeightField, terms: int, centred: bool) -> NDArray[np.float32]:
-    """Return the rows of coefficients, padded with zeros to whole cache lines, shape (my·mx, 2, lanes)."""
+    """Return the rows of coefficients, padded with zeros to whole cache lines, shape (n, 2, lanes)."""
     rows = series.rows_of(heightfield, terms, centred)[0]
     lines = _aligned((len(rows), 2, LANES * math.ceil(terms / LANES)))
     lines[:, :, :terms] = rows

@@ -39,7 +39,7 @@ LEAST_COSINE = 0.02
 
 
 class Rays(NamedTuple):
-    """Rays of a picture with its mesh and view. Origins (n, 3) lie near the mesh; directions have the shape (n, 3)."""
+    """Rays of a picture, with mesh and camera. Origins (n, 3) lie near the mesh; directions have the shape (n, 3)."""
 
     surface: Surface
     view: wd.View

@@ -34,9 +34,9 @@ MOST_REACH = 4
 # floor(), heights not centred.
 PUBLISHED: dict[str, Any] = {"wavelengths": 81, "terms": 37, "neighbour_extent": 1, "rounded": False, "centred": False}
 # Settings from cheap to accurate: numbers of wavelengths and terms, and neighbour extent. Heights are centred and
-# positions rounded, unlike in the published setting, because the same error then requires fewer terms and neighbours.
-# In the first setting, which suits patches that are small compared with the window, only the nearest coefficient is
-# used.
+# positions rounded, unlike in the published setting: the same error of the colours then requires fewer terms and
+# neighbours. The first setting uses only the coefficient nearest to the frequency (u, v)/λ. It suits patches that are
+# small compared with the window.
 _SHAPES = ((192, 12, 0), (41, 8, 1), (81, 12, 1), (136, 12, 1), (192, 12, 1), (272, 16, 1), (384, 16, 2))
 SETTINGS: list[dict[str, Any]] = [
     {"wavelengths": wavelengths, "terms": terms, "neighbour_extent": neighbour_extent, "rounded": True, "centred": True}
@@ -118,9 +118,9 @@ def series(
 def rows_of(
     heightfield: wd.HeightField, terms: int, centred: bool
 ) -> tuple[NDArray[np.float32], fourier_coefficients.Block, tuple[float, float], float]:
-    """Return the rows of a series, as defined in :class:`Series`, with three properties.
+    """Return the rows of a :class:`Series`, the block of stored coefficients, the lengths and the scale.
 
-    The properties are the block of coefficients, the lengths Ly and Lx [µm], and the scale 2πa of the basis [µm].
+    The lengths are Ly and Lx [µm]. The scale is 2πa [µm], where a is the scale of the heights in :class:`Series`.
     """
     grid = fourier_coefficients.patch_grid(heightfield)
     block = fourier_coefficients.Block.covering(grid, FREQUENCY, (MOST_REACH + 1,) * 2)

@@ -124,9 +124,10 @@ def order_powers(heightfield: wd.HeightField, period_um: float) -> NDArray[np.fl
 
 
 def _brightness(heightfield: wd.HeightField, coherence: wd.Coherence, run: Callable[..., None]) -> float:
-    """Return a factor for the colours of the rainbow, which makes their mean luminance equal to that of exact colours.
+    """Return a factor by which the colours of the rainbow are multiplied.
 
-    Highlights are excluded from this mean.
+    With it, their mean luminance over random directions is that of :func:`warpdiff.reflectance` for the same
+    directions. The mean of the rainbow excludes its highlight.
     """
     rng = np.random.default_rng(0)
     z, phi = rng.uniform(0.05, 1.0, (2, CALIBRATING)), rng.uniform(0.0, 2.0 * math.pi, (2, CALIBRATING))
@@ -180,8 +181,8 @@ def _kernels() -> tuple[Any, Any]:
                 rest = node - below
                 order = ORDERS + side * n
                 power = (1.0 - rest) * powers[below, order] + rest * powers[below + 1, order]
-                # This length is the integral of the window's Gaussian over λ [nm]. The unit is nm because the CIE
-                # functions are tabulated at steps of 1 nm.
+                # The variable `length` is the integral of the window's Gaussian over λ [nm]. Its unit is nm, because
+                # the CIE functions are tabulated at steps of 1 nm.
                 length = 1e3 * wavelength * wavelength / (2.0 * math.sqrt(math.pi) * sigma * abs(u))
                 power *= length * math.exp(-exponent)
                 x += power * ((1.0 - share) * products[k, 0] + share * products[k + 1, 0])

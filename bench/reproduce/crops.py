@@ -50,8 +50,8 @@ FOV_DEG, RADII = 27.0, 4.6
 # Share of the picture's pixels that are brighter than white after exposure. Pictures are exposed in this way before
 # their colour differences ΔE2000 are computed.
 CLIPPED = 1e-3
-# Distances from which crops are drawn: distance of the eye from the middle of the crop, relative to that in the view of
-# the whole body.
+# Distances of cameras that render crops: from the eye to the middle of the crop, relative to the distance of the camera
+# that shows the whole body.
 DISTANCES = (1.0, 2.0, 0.25)
 
 
@@ -235,7 +235,10 @@ def pictured(area: Crop, view: wd.View, tolerance: float, samples: int = 1) -> t
 
 
 def print_warned(names: dict[str, Any], fields: dict[str, Any], seed: int, tolerances: list[float]) -> None:
-    """Print whether whole pictures from the cameras of the crops cause a warning."""
+    """Print whether pictures of whole bodies, from the eyes of the crops' cameras, cause a warning of the library.
+
+    Warnings that scalar diffraction is inaccurate do not count.
+    """
     print("| body | surface | distance | tolerance | unconverged | at edges | warns |\n" + "| --- " * 7 + "|")
     warned: list[bool] = []
     for area in crops(names, fields, seed):

@@ -29,7 +29,7 @@ from warpdiff.heightfield.readers.length_units import factor_of
 
 TEXTS = (".txt", ".csv", ".asc", ".gz", ".hfm")
 # Suffixes of scans of heights that the package refuses. The other programs of this comparison cannot open such a file
-# and confirm that it is a scan. Its suffix is therefore sufficient.
+# and confirm that it is a scan. A file with such a suffix therefore counts as a scan without their confirmation.
 REFUSED_SCANS = (".nms", ".h5-jpk")
 # Suffixes of the files in the folder that are no files of instruments. They are skipped.
 OTHERS = (".yaml", ".npy", ".py", ".nc", ".list", ".log", ".sh")
@@ -141,7 +141,8 @@ def agree(field: wd.HeightField, reading: Reading, *, is_text: bool) -> bool:
 def judged(path: Path) -> tuple[str, str]:
     """Read a file by the library and by an independent program.
 
-    Return a verdict on the library's reading, and a text that describes the reading.
+    Return a verdict on the library's reading, and a text with the size and heights that the library read, or with its
+    error message.
     """
     is_text = path.suffix.lower() in TEXTS
     try:

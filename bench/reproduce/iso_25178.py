@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 NAMES = ("Sa", "Sq", "Sdq", "Sdr", "Sal", "Str")
-# First seed of the random fields. Seeds below 60,000 are not used: on their fields, the least size of the blocks was
-# fitted into which a field is split to estimate standard errors.
+# First seed of the random fields. To estimate standard errors, a field is split into blocks. The least size of these
+# blocks was fitted on random fields with seeds below 60,000, which are therefore not used here.
 SEED = 70_000
 # Number of samples along each axis of the random fields that are compared with surfalize.
 _SAMPLES = 300
@@ -140,7 +140,12 @@ def _kinds() -> dict[str, Callable[[int], wd.HeightField]]:
 
 
 def coverage(count: int, seed: int) -> None:
-    """Print the share of fields whose value is within two standard errors of the mean of all fields."""
+    """Print how well the standard errors of each roughness parameter describe its scatter over random fields.
+
+    A field counts if its parameter deviates from the mean over all fields by at most two of its own standard errors.
+    The share of such fields is printed, and the root mean square standard error over the standard deviation of the
+    fields.
+    """
     print("| surface | " + " | ".join(NAMES) + " | without error |\n" + "| --- " * (len(NAMES) + 2) + "|")
     for title, make in _kinds().items():
         parameters = [make(seed + k).roughness() for k in range(count)]

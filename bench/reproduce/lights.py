@@ -99,7 +99,7 @@ def random_cases(seed: int) -> Iterator[tuple[str, np.ndarray, Any, wd.HeightFie
 
 
 def distances(xyz: np.ndarray, exact: np.ndarray, bright: float = 0.0) -> np.ndarray:
-    """Return errors of colours (n, 3), defined as for ``tolerance``.
+    """Return errors of colours ``xyz`` (n, 3) compared with ``exact``, defined as for ``tolerance``.
 
     ``bright`` is the 99th percentile of Y over the whole picture, which determines the floor of the errors.
     """
@@ -115,9 +115,9 @@ def percentiles(errors: np.ndarray, between: str = " | ") -> str:
 def against_sums(kind: str, seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
     """Print errors of pictures under disc lights ("light") or environments ("sky") in random cases, relative to sums.
 
-    The sums have at least 32 ``across`` rays along each axis of a pixel. The errors of the sums themselves are in a
-    separate row. Columns have the percentiles of the errors and of ``image.error``, the time of a frame, the number of
-    pixels with errors above the tolerance, and the number of these for which ``image.error`` is above the tolerance,
+    The sums have at least 32 times ``across`` rays along each axis of a pixel. The errors of the sums themselves are in
+    a separate row. Columns have the percentiles of the errors and of ``image.error``, the time of a frame, the number
+    of pixels with errors above the tolerance, and the number of these for which ``image.error`` is above the tolerance,
     too.
     """
     rng = np.random.default_rng(seed + (2 if kind == "light" else 1))
@@ -177,7 +177,10 @@ def _judge(
 def converged_means(
     summed: Callable[..., np.ndarray], chosen: np.ndarray, across: int, seed: int, bound: float
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return means of four sums, their standard errors, and the least number of rays per pixel.
+    """Return the mean colours of pixels, their standard errors, and the least number of rays per pixel.
+
+    The function ``summed`` computes a pixel's colour as a sum over directions, four times with different seeds. The
+    mean and the standard error are those of the four results.
 
     For pixels with a standard error above ``bound``, the sums are repeated with four and sixteen times as many rays.
     """

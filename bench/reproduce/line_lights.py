@@ -29,7 +29,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "contributing" / "add_a_light.md"
 TOLERANCE, OF_REFERENCE = 0.1, 0.03
 # Numbers of lobes that are compared, and that of the reference.
 COUNTS, MOST = (4, 8, 16, 32), 256
-# Errors are relative to at least this share of the bright pixels' colours, which are at the 99th percentile.
+# The divisor of relative errors is at least this share of the 99th percentile of ‖XYZ‖ over illuminated pixels.
 DARK = 0.02
 
 
@@ -64,7 +64,7 @@ def cases() -> dict[str, tuple[Any, wd.View, tuple[Any, Any], float]]:
 
 
 def errors(image: wd.Image, reference: wd.Image) -> np.ndarray:
-    """Return the errors of illuminated pixels in units of the tolerance."""
+    """Return the errors of a picture's illuminated pixels, compared with a reference, in units of the tolerance."""
     colours = np.linalg.norm(reference.xyz, axis=2)
     floor = DARK * np.percentile(colours[reference.illuminated], 99.0)
     away = np.linalg.norm(image.xyz - reference.xyz, axis=2) / np.maximum(colours, floor)

@@ -111,7 +111,10 @@ def scene_of(case: str, tolerance: float) -> tuple[Any, wd.HeightField, list[Any
 def reference(
     sums: SkySums, light: wd.DirectionalLight | np.ndarray, pixels: int, across: int, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return random interior pixels, their reference XYZ under a disc light or sky, and a mask of converged pixels."""
+    """Return random interior pixels, their reference XYZ under a disc light or sky, and a mask.
+
+    The mask selects pixels that are not black and whose reference has a standard error below a third of the tolerance.
+    """
     places = np.random.default_rng(1).permutation(sums.interior())[:pixels]
 
     def summed(chosen: np.ndarray, across: int, seed: int) -> np.ndarray:

@@ -63,9 +63,9 @@ def correlated(
 def _phase(
     rng: np.random.Generator, shape: tuple[int, int], unit: tuple[float, float], length: float, *, walks: bool
 ) -> NDArray[np.float64]:
-    """Return a random variation of the phase with mean 0.
+    """Return a random variation of the phase [rad] with mean 0.
 
-    Its derivative along a unit vector (y, x) has a variance of 1.
+    Its derivative along ``unit``, a unit vector (y, x), has a variance of 1 per squared sample spacing.
     """
     larger = tuple(1 if n == 1 else 4 * n for n in shape)
     fy, fx = np.fft.fftfreq(larger[0])[:, None], np.fft.rfftfreq(larger[1])[None, :]

@@ -38,8 +38,9 @@ LANES = numba_published.LANES
 # numbers of terms.
 MORE_WAVELENGTHS = [round(81 * 2 ** (k / 4)) for k in range(-4, 21)]
 MORE_TERMS = (8, 16, 24, 32, 37, 48)
-# Largest neighbour extent by kind of coherence. Limit: with larger extents, the first weight of the Gaussian's
-# recurrence would be below the smallest float32; coefficients at that distance contribute less than rounding errors.
+# Largest neighbour extent by kind of coherence. Limit: the published algorithm computes the Gaussian weights of
+# neighbours by recurrence, from that of the outermost one. With larger extents, this weight would be below the smallest
+# float32. Coefficients at that distance contribute less than rounding errors.
 MOST_REACH = {"averaged": 3, "centred": 4}
 # Number of settings that are timed, those with the fewest multiply-adds.
 FINALISTS = 3
@@ -120,7 +121,11 @@ def refined(error_of: Callable[[Setting], float], most: int, target: float) -> t
 
 
 def compare(scene: Scene, coherence: wd.Coherence, pixels: int) -> None:
-    """Measure and time all settings for one kind of coherence, and print their table and the two comparisons."""
+    """Measure and time all settings for one kind of coherence, and print a table of them.
+
+    Also print two comparisons of the library with the published algorithm: of errors at equal time, and of times at
+    equal error.
+    """
     heightfield, device, threads = scene.heightfield, resolve_device(None), resolve_threads(None)
     whole, _ = scene.directions(coherence, WIDTH)
     every = np.ones(len(whole.gains), dtype=bool)

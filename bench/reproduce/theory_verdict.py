@@ -10,8 +10,9 @@ The grade of a verdict is reliable, qualitative or invalid, by the error that it
 
 The 748 gratings of ``bench/suite/rigorous.json`` are sines, square grooves and sawteeth of perfect mirrors and sines of
 glass. The error of a grating is that of its worst order for light from 0°, 30° and 60°, relative to the reflected power
-of a flat surface. Its verdict is the worst of the three calls, or the verdict of its heights alone. Every third period
-and every third depth was never used for fitting; gratings with such a period or depth are held out.
+of a flat surface. Its verdict is the worst of those that ``order_efficiencies`` returns for the three angles, or the
+verdict on its heights alone. Every third period and every third depth was never used for fitting; gratings with such a
+period or depth are held out.
 
 The energy normalisation gives an order its full weight from some elevation above the horizon on. ``--rise`` compares
 several of these elevations.
@@ -169,7 +170,7 @@ def mean_error_by_rise(cosine: float) -> float:
 
 
 def _glass_cells() -> list[tuple[float, float]]:
-    """Return the periods and depths of the glass gratings, which are the last case of the stored file."""
+    """Return the periods and depths of the glass gratings, the last kind of grating in ``rigorous.json``."""
     stored = json.loads(STORED.read_text())
     return [(period, depth) for period in stored["periods"] for depth in stored["depths"]]
 

@@ -110,7 +110,7 @@ def at_angle(degrees: ArrayLike) -> Floats:
 
 
 def view_angles(longest_nm: float, shortest_nm: float, count: int, wavelength_nm: Floats) -> Floats:
-    """Return view angles [degrees] of first orders, for ``count`` equally spaced periods between two limits [nm]."""
+    """Return view angles [degrees] of first orders at one wavelength, for ``count`` periods between two limits [nm]."""
     sines = wavelength_nm / np.linspace(longest_nm, shortest_nm, count) - math.sin(math.radians(INCIDENCE_DEG))
     return np.degrees(np.arcsin(sines))
 
@@ -250,7 +250,7 @@ def scan_periods(setup: Setup) -> Table:
 
 
 def scan_windows(setup: Setup) -> Table:
-    """Draw the period measured under one centred window, for windows at many positions. Return a table of quantiles."""
+    """Draw the periods measured under one centred window at many positions. Return a table of their quantiles."""
     from matplotlib import pyplot as plt
 
     heightfield, wavelengths = setup.scan, WAVELENGTHS[:: 100 if setup.quick else 10]
@@ -322,7 +322,7 @@ def exposure(xyz: Floats) -> float:
 
 
 def mosaic(setup: Setup, name: str, rows: list[list[tuple[str, Floats, float]]], *, inch: float) -> Table:
-    """Draw rows of pictures. Each has a label, XYZ with NaN where it is transparent, and an exposure."""
+    """Draw rows of pictures. A picture has a label, XYZ with NaN where it is transparent, and an exposure."""
     from matplotlib import pyplot as plt
 
     height, width = rows[0][0][1].shape[:2]

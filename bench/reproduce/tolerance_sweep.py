@@ -165,7 +165,7 @@ def failures(outcomes: list[Outcome]) -> list[str]:
 
 
 def shortfalls(outcomes: list[Outcome]) -> list[str]:
-    """Return one line of text for each limit that the random calls do not meet."""
+    """Return one line of text for each target of the sweep that the random calls do not meet."""
     short = []
     for name, group in strata(outcomes):
         least = SHARE if name == "all" else STRATUM_SHARE

@@ -140,7 +140,10 @@ def _reflectance(
 def _coefficients(
     heightfield: wd.HeightField, frequency: int
 ) -> tuple[NDArray[np.complex64], fourier_coefficients.Block, float]:
-    """Return coefficients up to a frequency [1/µm], their block, and the scale 2πa [µm] in the series' argument x."""
+    """Return coefficients up to a frequency [1/µm], the block that states their indices, and a scale [µm].
+
+    The series' argument x is the scale times |κ|.
+    """
     scale = 2.0 * math.pi * SERIES.offset_and_scale(heightfield)[1]
     terms = SERIES.term_count(scale * 2.0 / 0.38, ACCURACY)
     block = fourier_coefficients.Block.covering(

@@ -98,7 +98,7 @@ def _measured(mesh: Any, body: str, setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return times and errors by name. Each entry is a list: value, smallest and largest value of the rounds, unit."""
+    """Return times and errors by name. Each entry is a list: median, minimum and maximum over the rounds, and unit."""
     result: dict[str, list[Any]] = {}
     for body, by_method in results.items():
         for name, figure in by_method.items():
@@ -131,9 +131,10 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
 
 
 def _ratios(results: dict[str, Any]) -> str:
-    """Return a text with ratios of times and of P99 errors for each body.
+    """Return a text that compares frames refined to a tolerance of 0.1 with point samples, for each body.
 
-    They compare the largest number of point samples per pixel with frames that are refined to a tolerance of 0.1.
+    It states the time and the P99 error with the largest number of point samples per pixel, divided by those of the
+    refined frame.
     """
     texts = []
     for body, by_method in results.items():

@@ -109,7 +109,8 @@ def peers(coherence: wd.Coherence, setting: Setting) -> dict[str, tuple[Any, lis
         elif name == "stam_analytic":
             result |= {"Stam, rainbow": (peer, peer.SETTINGS[:1]), "Stam, CIE": (peer, peer.SETTINGS[1:])}
         else:
-            # NumPy requires a hundred times as long, so that only two of its settings are measured.
+            # The peer in NumPy requires a hundred times the time of the others, so that only two of its settings are
+            # measured.
             settings = [peer.SETTINGS[2], peer.SETTINGS[-2]] if name == "numpy_peer" else peer.SETTINGS
             result[PEERS[name]] = peer, [peer.PUBLISHED, *settings]
     return result
@@ -234,7 +235,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return times and errors by name. Each entry is a list: value, smallest and largest value of the rounds, unit."""
+    """Return times and errors by name. Each entry is a list: median, minimum and maximum over the rounds, and unit."""
     result: dict[str, list[Any]] = {}
     for chart_name, scene in results.items():
         for method, curve in scene["curves"].items():

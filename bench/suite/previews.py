@@ -64,7 +64,8 @@ def measure(setting: Setting) -> dict[str, Any]:
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
     """Return errors of the peers, relative to warpdiff, by name.
 
-    Each entry is a list: value, smallest, largest, unit.
+    The values are the median and the P99 over the pixels of a scene. Each entry is a list that has the form of the
+    other charts' entries: the value, the value twice more instead of a minimum and a maximum, and the unit.
     """
     return {
         f"previews/{name}/{by}/{quantity}": [picture[quantity]] * 3 + ["error against ours"]

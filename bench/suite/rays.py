@@ -60,7 +60,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return rates and errors by name. Each entry is a list: value, smallest and largest value of the rounds, unit."""
+    """Return rates and errors by name. Each entry is a list: median, minimum and maximum over the rounds, and unit."""
     result: dict[str, list[Any]] = {}
     for name, figure in results["casters"].items():
         for threads, rate in figure["mrays"].items():

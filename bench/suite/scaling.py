@@ -80,8 +80,8 @@ def point(parameters: dict[str, Any], device: str | None) -> dict[str, Any]:
     wd.shade(tiny, small, wd.DirectionalLight((0.0, 1.0, 1.0)), few, **options)
     before = most_memory()
     begin = time.perf_counter()
-    # The plan samples wavelengths if no table meets the tolerance, as for patches that are small compared with the
-    # window. Footprints require a table.
+    # If no table meets the tolerance, as for patches that are small compared with the window, the plan samples
+    # wavelengths. Frames then have no footprints, because these require a table.
     plan = wd.plan(heightfield, coherence=wd.Coherence(sigma_um=p["sigma_um"]), **options)
 
     def frame(k: int) -> float:
@@ -138,7 +138,7 @@ def exponent(x: list[float], y: list[float]) -> float:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return times and memory by name. Each entry is a list: value, smallest and largest value of the rounds, unit."""
+    """Return times and memory by name. Each entry is a list: median, minimum and maximum over the rounds, and unit."""
     result: dict[str, list[Any]] = {}
     for name, points in results.items():
         for point in points:

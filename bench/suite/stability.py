@@ -3,7 +3,8 @@
 A regime varies one parameter, the x axis, over the range in which methods fail. Errors are 99th percentiles over
 directions of ‖ΔXYZ‖ / max(‖XYZ‖, f), or of |Δρ| / max(ρ, f) in panels of spectra. The floor f is a thousandth of the
 99th percentile of Y or ρ. Float32 curves of a series are computed by the library's kernels, float64 curves by the same
-series in NumPy. Errors are relative to the float64 reference, the direct sum, or a closed form.
+series in NumPy. Colours and spectra are compared with those of ``bench.truth.reference``, of the direct sum, or of a
+closed form.
 """
 
 from __future__ import annotations
@@ -495,7 +496,11 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the errors of the automatic choice by name. Each entry is a list: value, smallest, largest, unit."""
+    """Return the errors of the automatic choice by name, one per value of the x axis.
+
+    Each entry is a list that has the form of the other charts' entries: the error, the error twice more instead of a
+    minimum and a maximum, and the unit.
+    """
     return {
         f"stability/{regime}/{name}/{x:.3g}": [error] * 3 + ["error"]
         for regime, panel in results.items()

@@ -174,7 +174,10 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def rule(error: np.ndarray, expected: np.ndarray) -> dict[str, float]:
-    """Return counts and errors of the gratings that the verdict grades as reliable, and as invalid."""
+    """Return counts of gratings by grade and error, and the errors of reliable and of invalid gratings.
+
+    For gratings with the grade reliable the largest error is returned, for invalid ones the median.
+    """
     reliable, invalid = expected < QUALITATIVE, expected >= INVALID
     return {
         "gratings": error.size, "right_within_a_tenth": int(np.sum(error <= LIMIT)), "reliable": int(np.sum(reliable)),
@@ -186,7 +189,7 @@ def rule(error: np.ndarray, expected: np.ndarray) -> dict[str, float]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw the maps of the error. Return the chart's name with a sentence about the error bound."""
+    """Draw the maps of the error. Return the chart's name with sentences about the gratings with the grade reliable."""
     from matplotlib.colors import LogNorm
 
     plt = figures.pyplot()
@@ -238,7 +241,11 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the counts and errors of ``rule`` by name. Each entry is a list: value, smallest, largest, unit."""
+    """Return the counts and errors of ``rule`` by name.
+
+    Each entry is a list that has the form of the other charts' entries: the value, the value twice more instead of a
+    minimum and a maximum, and the unit.
+    """
     return {
         f"validity/{case}/{name}": [value] * 3 + ["gratings" if isinstance(value, int) else "share of the light"]
         for case, counts in results["rule"].items()

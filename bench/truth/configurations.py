@@ -285,8 +285,8 @@ def some_views(rng, way, lights, spread, heightfield, coherence):
 def by_an_order(rng, lights, views, heightfield, coherence):
     """Return for each view a direction near the diffraction order that is nearest to it at a random wavelength.
 
-    Deviations from the order are normally distributed with the width of its lobe. If the result would be below the
-    horizon, its z is −1.
+    Deviations from the order are normally distributed with the standard deviation of its peak in (u, v). If no
+    direction has the resulting x and y, because x² + y² > 1, the returned vector has these x and y, and z = −1.
     """
     wavelength = rng.uniform(0.38, 0.78, (len(lights), 1))
     lengths = np.array([heightfield.size_um[1], heightfield.size_um[0]])

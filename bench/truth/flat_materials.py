@@ -40,9 +40,9 @@ def reflectance(material: Any, wavelengths_um: Any, cosines: Any, polarisations:
         load = admittances[-1]
         if len(layers) > 1:
             phase = 2.0 * np.pi * normals[0] * material.film_nm * 1e-3 / wavelengths
-            # Electric and magnetic fields at the top of the film, both divided by the electric field at its bottom. The
-            # quotient of the two is the admittance of film and substrate together, which becomes the new ``load`` of
-            # the air.
+            # Electric and magnetic fields at the top of the film, both divided by the electric field at its bottom.
+            # Their quotient, magnetic over electric field, is the admittance of film and substrate together. It becomes
+            # the new ``load``: the admittance of everything below the air.
             electric = np.cos(phase) - 1j * np.sin(phase) * load / admittances[0]
             load = (np.cos(phase) * load - 1j * np.sin(phase) * admittances[0]) / electric
         air = cosines if polarisation == "s" else 1.0 / np.maximum(cosines, 1e-300)

@@ -172,8 +172,8 @@ def truth(case: Configuration, result: Result, chosen: np.ndarray, *, closer: fl
 def figure(xyz: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None, *, white: float = math.inf) -> Figure:
     """Return the error of XYZ (n, 3) relative to the reference ``exact``, for illuminated directions.
 
-    The floor f is at least ``LEAST``. Y* is that of the sampled directions, or that of the whole call, ``white``, if it
-    is smaller: the sample may contain mirror reflections more often than the call does.
+    The floor f is at least ``LEAST``. Y* is the smaller of two values: that of the sampled directions, and that of the
+    whole call, ``white``. The sample may contain mirror reflections more often than the call does.
     """
     weights = np.ones(len(exact)) if weights is None else weights
     distances = np.linalg.norm(xyz - exact, axis=1)

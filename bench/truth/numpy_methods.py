@@ -195,9 +195,9 @@ def rows_for(heightfield, method, terms, *, kappas, dtype=np.float64):
         scale = 2.0 * math.pi * expansion.offset_and_scale(heightfield)[1]
         values = fourier_coefficients.series_coefficients(heightfield, expansion, terms, block, dtype=complex_type)
         return Rows(values, lambda kappa: expansion.basis(scale * kappa, terms).astype(dtype), block.origin)
-    # Methods other than series interpolate between samples of the coefficients at Chebyshev nodes in κ. For "power",
-    # the number of nodes is the number of terms. For "exact" and "low-rank", it is so large that interpolation errors
-    # are rounding errors.
+    # The methods "power", "low-rank" and "exact" interpolate between samples of the coefficients at Chebyshev nodes in
+    # κ. For "power", the number of nodes is the number of terms. For "exact" and "low-rank", it is so large that
+    # interpolation errors are rounding errors.
     middle, half = (kappas[0] + kappas[1]) / 2.0, max((kappas[1] - kappas[0]) / 2.0, 1e-9)
     argument = math.pi * half * heightfield.height_range_um * (1.0 if method == "exact" else 2.0)
     count = terms if method == "power" else reference.chebyshev_terms(argument) + 6

@@ -38,8 +38,9 @@ PERIODS_PER_CELL = 1.2
 FEWEST_CELLS = 8
 # Largest number of quadrature cells. Limit: memory; a reference that requires more is refused.
 MOST_CELLS = 1 << 19
-# Number of wavenumbers that are evaluated together, with all coefficients near any of them. Limit: with more, most of
-# these coefficients are far from most wavenumbers.
+# Number of wavenumbers τ that are evaluated together. Coefficients that are near the frequency τ·(u, v) for any of
+# these wavenumbers are evaluated for all of them. Limit: with more wavenumbers, most of these coefficients contribute
+# only to a few wavenumbers.
 BLOCK = 128
 # Largest number of wavenumbers that are evaluated at once for a replicated patch, and largest number of height samples
 # per partial sum. Limit: memory.
@@ -418,7 +419,10 @@ def reference_spectral(
 
 
 def reflected(material, to_light, to_view, wavelengths_um):
-    """Return the Fresnel reflectance R(θd, λ) of one pair of directions, or 1 without a material."""
+    """Return the Fresnel reflectance of one pair of directions, or 1 without a material.
+
+    The angle of incidence is half of the angle between the two directions.
+    """
     if material is None:
         return 1.0
     half = (to_light + to_view) / np.linalg.norm(to_light + to_view)
@@ -479,9 +483,10 @@ def reference_reflectance(
 
 
 class Body(NamedTuple):
-    """A mesh in world coordinates with normals, tangents, mirroring and texture coordinates at its vertices.
+    """A mesh in world coordinates with normals, tangents, handedness and texture coordinates at its vertices.
 
-    The texture is sRGB with 8 bits, and its row 0 is at v = 1.
+    The handedness is −1 where the texture mapping is mirrored, and else 1. The texture is sRGB with 8 bits, and its row
+    0 is at v = 1.
     """
 
     vertices: np.ndarray

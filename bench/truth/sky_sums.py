@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 # Number of traced rays along each axis of a pixel. Samples of the pixel filter use the nearest traced ray. Limit: a
 # smaller number distorts the filter.
 _ACROSS = 16
-# Share of the directions drawn around the mirror direction that lie within the mirror lobe. The mean of the sums does
-# not depend on it, only their noise does.
+# Share of the directions drawn around the mirror direction whose |(u, v)| is within the first value of `_mirror`, the
+# radius within which their density is uniform. The mean of the sums does not depend on it, only their noise does.
 _CORE = 0.25
 # Number of directions whose colours are computed in one call. Limit: memory.
 _DIRECTIONS = 1 << 17

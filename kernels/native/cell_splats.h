@@ -79,9 +79,10 @@ WARPDIFF_INLINE CellSums sum_cells(
 }
 
 // Sum the cells of the subdivided pixels with numbers from `begin` to `end`, and store the sums; the index −1 marks no
-// pixel. If directions to the light are random, `changes_out` receives the scatter. Otherwise, and only at the base
-// level, it receives the change from the previous colour, and `quadrants_out` receives the mean colours of the
-// quadrants.
+// pixel. If directions to the light are random, `changes_out` receives the scatter. Otherwise it is written only if
+// `is_base`: at the base level, from whose cells the final level of a pixel is selected. It then receives the change
+// from the pixel's colour before its subdivision, `colours_before`, and `quadrants_out` receives the mean colours of
+// the pixel's quadrants.
 template <class Colours, class Hits, class Numbers, class Sums, class Quadrants, class Bytes>
 WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const Hits& pixels,
     const Colours& colours_before, const Hits& ranks, const Numbers& weights, int level, bool is_base, bool is_sampled,

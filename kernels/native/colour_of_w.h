@@ -77,7 +77,8 @@ WARPDIFF_INLINE void add_zeroth_order(
     const float* const weights = numbers<const float>(table.weights);
     const float* const powers = numbers<const float>(table.zeroth_order);
     const float least = wavenumbers[0];
-    // Skip directions where the Gaussian is below exp(−24) = 4e-11 at all wavelengths.
+    // Skip directions where the Gaussian of the zeroth order around u = v = 0 is below exp(−24) = 4e-11 at all
+    // wavelengths.
     if (u * u + v * v >= 48.0f * (table.lobe2 / (least * least) + xx + yy)) return;
     // Interpolate the reflectance of the material linearly between two tabulated angles. The cosine of the angle θd is
     // |(u, v, w)|/2.

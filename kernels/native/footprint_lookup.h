@@ -23,7 +23,8 @@ constexpr int ABREAST = batch_of(8);
 // GPU does not store them.
 constexpr int SEGMENT_RINGS = ON_GPU ? 1 << 20 : 4;
 // Standard deviation of a footprint, relative to |(u, v)|, above which the footprint counts as wide, and `ring_sum.h`
-// computes its colour. This applies only to tables for a window. Fitted: 0.15 makes frames 5 to 10 % slower.
+// computes its colour. This applies only to tables for a window. Fitted: with 0.15, frames require 5 to 10 % more time
+// than with 0.25.
 constexpr float WIDE = 0.25f;
 // If the standard deviation of the polar angle of (u, v) exceeds `MOST_TURN` [rad], a footprint is split into parts;
 // within a part, the curvature of the rings is ignored. `WIDEST_ANGLE` [rad] and `WIDEST_RATIO` are upper limits for
@@ -33,8 +34,8 @@ constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
 // The weights of rings are tabulated for blurs with a variance of at most `MOST_TABULATED` [rings²], and are values of
 // a Gaussian for larger ones. Wide blurs do not require all rings. `MOST_APART` is the largest distance of the rings
 // that are added, in units of 1/√(1/σ₁² + 1/σ₂² + …): the σ are the standard deviations of the blur and of the features
-// of the colours over rings, so that the narrowest one counts most. `CURVES` is that of the narrowest colour curve, in
-// ln λ.
+// of the colours over rings, so that the narrowest one counts most. `CURVES` is the standard deviation σ of the
+// narrowest colour curve over ln λ.
 constexpr float MOST_TABULATED = 1.5f, MOST_APART = 1.5f, CURVES = 0.047f;
 
 // Gaussian for wide blurs across rings. It is truncated at `deviations` standard deviations from its centre. Truncation
@@ -137,8 +138,8 @@ WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels,
 {
     for (int from = 0; from < count; from += ABREAST)
         for (int i = from; i < from + ABREAST; ++i) {
-            // The covariance of a light source is Σs = s² (I − t tᵀ). The vector t is the projection of the direction
-            // to the light onto the surface.
+            // The covariance of (u, v) over a light source of spread s is Σs = s² (I − t tᵀ). The vector t is the
+            // projection of the direction to the light onto the surface.
             const float spread2 = SOURCE ? table.spread2 : 0.0f, t0 = pixels.light_x[i], t1 = pixels.light_y[i];
             const float row_u = pixels.row_u[i], row_v = pixels.row_v[i];
             const float column_u = pixels.column_u[i], column_v = pixels.column_v[i];

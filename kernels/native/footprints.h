@@ -84,8 +84,9 @@ WARPDIFF_INLINE FaceDifferentials differentiate_face(
         face.tangent[c] = pixels.tangent[0][c][i] + share1 * face.tangent1[c] + share2 * face.tangent2[c];
         away[c] = filter.eye[c] - pixels.position[0][c][i] - share1 * edge1[c] - share2 * edge2[c];
     }
-    // A displacement of the ray in the picture plane moves the hit point on the face along the view direction. These
-    // are the derivatives of its barycentric coordinates.
+    // If the ray is displaced in the picture plane, the hit point is displaced by a vector in the plane of the face:
+    // the displacement of the ray plus a multiple of the view direction. The following vectors and factors give the
+    // change of the barycentric coordinates.
     cross(edge1, edge2, face.across);
     cross(edge2, face.across, face.of_share1);
     cross(face.across, edge1, face.of_share2);

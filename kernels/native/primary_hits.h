@@ -101,8 +101,8 @@ WARPDIFF_INLINE void intersect_known_faces(
     KnownHits<batch_of(BATCH)> hits;
     for (int ray = begin; ray < end;) {
         const int pixel = of_tiles ? tiles[ray / of_tile] : ray, row = pixel / width, column = pixel % width;
-        // Number of consecutive rays: the rays up to the end of the picture row, or those of the remaining cells of the
-        // pixel.
+        // Number of rays, beginning with `ray`, that are processed in this round: the rays up to the end of the picture
+        // row, or those of the remaining cells of the pixel, but none beyond `end`.
         int count = of_tiles ? of_tile - ray % of_tile : width - column;
         count = count < end - ray ? count : end - ray;
         for (int k = 0; k < count; ++k) {

@@ -22,7 +22,8 @@ WARPDIFF_INLINE void rasterize_faces(const Arguments&...)
 // Number of steps per pixel to which the corners of faces are rounded after projection into the picture. Derived: with
 // 2^14, products of positions are exact in float64, and no ray passes between two adjacent faces.
 constexpr double PER_PIXEL = 1 << 14;
-// Distance of the near plane from the eye [radii of the mesh]. Parts of faces in front of it are cut off.
+// Distance of the near plane from the eye [radii of the mesh]. The camera shows only parts of faces beyond this plane;
+// the other parts are cut off.
 constexpr double NEAR_PLANE = 1.0e-9;
 // Number of faces and number of cells per batch. Limits: lanes of SIMD vectors, number of registers.
 constexpr int FACES = 16, CELLS = 8;
@@ -88,8 +89,8 @@ struct Raster {
 // A batch of triangles: faces, or parts of them behind the near plane. Arrays of three have one entry per corner, or
 // per edge; an edge has the index of the opposite corner.
 struct Triangles {
-    // Positions of corners in the picture, and depths along the view. `rises` states whether an edge runs from the
-    // vertex with the smaller index to the one with the larger index.
+    // Positions of corners in the picture, and depths: distances from the eye along the optical axis. `rises` states
+    // whether an edge runs from the vertex with the smaller index to the one with the larger index.
     double column[3][FACES], row[3][FACES], depth[3][FACES];
     bool rises[3][FACES];
     int face[FACES], count = 0;

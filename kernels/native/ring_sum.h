@@ -23,9 +23,10 @@ constexpr float OUTWARDS = 3.2f, INWARDS = 4.5f;
 // `WITHIN` times the smaller standard deviation. If it was doubled everywhere, sums over narrow Gaussians would be
 // inaccurate.
 constexpr float RINGS_APART = 0.1f, RINGS_PER_DEVIATION = 1.2f, WITHIN = 0.5f;
-// Smallest radius of the rings that are added: `INNERMOST` times the smaller standard deviation of the Gaussian, or
-// `INNERMOST_OF_LOBE` times that of the lobe of an order, if this is smaller. `NARROWEST` is the least standard
-// deviation of the Gaussian, relative to that lobe. Limits: smaller values add more rings.
+// Smallest radius of the rings that are added: the smaller of two products, `INNERMOST` times the smaller standard
+// deviation of the Gaussian, and `INNERMOST_OF_LOBE` times the standard deviation of an order's peak in (u, v).
+// `NARROWEST` is the least standard deviation of the Gaussian, relative to that of the peak. Limits: smaller values add
+// more rings.
 constexpr float INNERMOST = 0.1f, INNERMOST_OF_LOBE = 0.3f, NARROWEST = 0.3f;
 // Rule for the mip level whose rows are added: `MOST_BLUR2` is the maximum variance of its blur, relative to the
 // variance of the Gaussian along the ring. `AZIMUTHS_APART` is the maximum distance of its azimuths, in standard
@@ -72,8 +73,8 @@ WARPDIFF_INLINE RingLevel ring_level(const Table& table, int level, int octave)
 }
 
 // Replace `widest` by the most blurred mip level in `octave` that the variance of the Gaussian along the ring permits.
-// Rings are processed inwards. In a new octave the blur of a level may be twice as large; the search then starts one
-// level below the present one.
+// Rings are processed inwards. In a new octave the blur of a level [rad] may be twice that in the previous octave. The
+// search therefore starts with the level that is one step less blurred than the present one.
 template <class Table>
 inline void widen(const Table& table, RingLevel& widest, int octave, float variance)
 {
@@ -172,8 +173,8 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
         }
         const bool is_coarse = radius < WITHIN * narrow, is_streak = to - from < around;
         const float size = (is_coarse ? 2.0f : 1.0f) * radius * radius * level.spacing, all = (float)level.azimuths;
-        // The position of the arcs is rounded. Two arcs that touch then include each azimuth exactly once, in spite of
-        // rounding errors.
+        // The positions of arcs are rounded to 1/64 of the distance of azimuths. If two arcs touch, each azimuth is
+        // therefore in exactly one of them, in spite of the rounding errors of float32.
         const float place = wp::rint(64.0f * all * (is_streak ? across : turns)) * (1.0f / 64.0f);
         for (int side = 0; side < (is_streak ? 2 : 1); ++side) {
             const float first = !is_streak ? -around : side == 0 ? from : -to;

@@ -67,7 +67,8 @@ WARPDIFF_INLINE float project_tangent(
     return left2;
 }
 
-// Compute the shading frames of a batch of pixels. `handedness` is +1 or −1 for each pixel's face.
+// Compute the shading frames of a batch of pixels. `handedness` is −1 for pixels whose face has mirrored texture
+// coordinates, and +1 for others.
 template <int N>
 WARPDIFF_INLINE void find_frames(
     const PixelBatch<N>& pixels, const Batch<N>& handedness, bool smooth, FrameLimits limits, ShadingFrames<N>& frames)

@@ -158,9 +158,9 @@ WARPDIFF_INLINE void put_ring(float* rows, int ring, int count, const Row<WIDTH>
 }
 
 // Compute the integrals of the spectrum along one azimuth at `rings` rings, and store them from the row `begin` on. A
-// sample at the frequency t is at the position (`sine` t, `cosine` t) among the coefficients. There are `divisions`
-// samples from ring to ring. The first sample is at t, and each has `ratio` times the frequency of the previous one, up
-// to `highest`.
+// sample at the frequency t [1/µm] is at the position (`sine` · t, `cosine` · t), in units of the distance of
+// neighbouring coefficients. There are `divisions` samples from ring to ring. The argument `t` is the frequency of the
+// first sample. Each sample has `ratio` times the frequency of the previous one, up to `highest`.
 //
 // Rows consist of TERMS powers (PARTS = 1) or of amplitudes (PARTS = 2). Amplitudes are converted to powers at WIDTH
 // values of κ before integration.

@@ -119,7 +119,7 @@ def test_a_scene_is_charted_on_the_pixels_of_its_picture(fingers):
 
 
 def test_a_method_of_the_user_is_a_peer():
-    """A method that the user supplies is called under its own name and without settings."""
+    """Charts show a method that the user supplies under its own name, and call it without settings."""
     from bench.peers import numpy_peer
     from bench.suite import pareto
 

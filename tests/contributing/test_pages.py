@@ -165,7 +165,7 @@ def test_the_page_of_lights_for_users_has_every_public_light():
 
 
 def test_the_reader_of_the_page_about_readers_works(module_of, tmp_path, monkeypatch):
-    """A reader inside of the library must not import its package, which imports the reader."""
+    """A reader inside of the library must not import the package of the readers, because that package imports it."""
     monkeypatch.setattr(reader_registry, "_readers", dict(reader_registry._readers))
     module = module_of("add_a_reader")
     assert "from warpdiff.heightfield.readers import FileContent" not in Path(module.__file__).read_text("utf-8")

@@ -25,7 +25,7 @@ Spelling = Literal["normalised", "normalized", "plain"]
 
 @dataclass(frozen=True, kw_only=True)
 class Base(Checked):
-    """Test class whose options the class ``Group`` inherits.
+    """Test class whose options the class ``Group`` inherits. Tests compare the parsed descriptions below.
 
     Attributes:
         tolerance: Error that is accepted.
@@ -38,7 +38,7 @@ class Base(Checked):
 
 @dataclass(frozen=True, kw_only=True)
 class Group(Base):
-    """Test class with one option of each type.
+    """Test class with one option of each type. Tests compare the parsed descriptions below.
 
     Attributes:
         length_um: Length of the window
@@ -67,7 +67,7 @@ class Group(Base):
 
 
 def function(self, first, second: Annotated[int, Unit("pixels")] = 2, *rest, third: bool | None = None, **more):
-    """Do something.
+    """Have arguments of several kinds. Tests compare their descriptions, which are parsed from this text.
 
     Args:
         first: One.

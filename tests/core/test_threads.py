@@ -1,4 +1,4 @@
-"""Parallel loops process every item once and raise errors. Linear algebra uses one thread within its context."""
+"""Parallel loops process every item once and raise errors; ``single_threaded_blas`` limits linear algebra."""
 
 import threading
 import time

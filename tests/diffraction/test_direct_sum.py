@@ -98,7 +98,11 @@ def exact_spectra(heightfield, coherence, count, *, in_plane=False):
 
 
 def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
-    """Return the largest error of the kernel over random directions and wavelengths, divided by the allowed error."""
+    """Return the largest error of spectra by ``method`` for random directions, divided by the allowed error.
+
+    Errors are differences from the direct sum. The allowed error is 1e-4 of the largest value of the spectrum, which
+    counts as at least 1e-4 of the largest value of all spectra.
+    """
     lights, views, exact = exact_spectra(heightfield, coherence, count, in_plane=in_plane)
     # The plan is made for the three directions with the largest |(u, v)|, the least |w| and the largest |w|. For so few
     # directions it is an upper-bound plan, whose terms suffice for all directions of this test.

@@ -52,7 +52,7 @@ def surfaces():
 
 
 def in_float32(method, height_range_um, terms=None):
-    """Return the largest error of a series in float32, over κ and all heights, and its number of terms."""
+    """Return the largest error of a series of exp(2πiκh) in float32, over κ and h, and its number of terms."""
     series = EXPANSIONS[method]
     h = np.linspace(0.0, height_range_um, 2001)
     g = h / height_range_um

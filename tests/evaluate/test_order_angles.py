@@ -19,7 +19,7 @@ def period(length_um=PERIOD, error_um=0.01, azimuth_deg=0.0):
 @pytest.mark.parametrize("incidence", [0.0, 25.0, -40.0])
 @pytest.mark.parametrize("azimuth", [0.0, 90.0, 30.0])
 def test_orders_in_the_plane_of_incidence_obey_the_grating_equation(incidence, azimuth):
-    """Light in the plane of the normal and the wave vector has orders with sin θr = mλ/P − sin θi, at any azimuth."""
+    """Light in the plane of the normal and the wave vector has orders with sin θr = mλ/d − sin θi; d is the period."""
     table = wd.order_angles(period(azimuth_deg=azimuth), wd.direction(incidence, azimuth), WAVELENGTHS, most_order=9)
     expected = []
     for wavelength in WAVELENGTHS:
@@ -52,7 +52,7 @@ def test_standard_errors_are_the_change_of_the_angle_with_the_period(light):
 
 
 def test_an_order_along_the_normal_has_the_error_of_its_direction():
-    """Light at sin θi = λ/P sends order 1 along the normal, where its polar angle is 0.
+    """Light at sin θi = λ/d, where d is the period, sends order 1 along the normal: its polar angle is 0.
 
     The polar angle cannot be negative, so that any error of the period increases it.
     """

@@ -70,7 +70,7 @@ def test_direct_colours_that_have_not_converged_cause_a_warning(line, monkeypatc
 def test_the_brdf_of_a_mirror_in_the_mirror_direction_is_4_pi_sigma_squared_over_lambda_squared():
     """The BRDF has the factor R (1 + ωi·ωr)² / (cos θi cos θr w²).
 
-    For R = 1 this factor is 1 in the mirror direction, and it is 0 below the horizon.
+    For R = 1 this factor is 1 in the mirror direction. If a direction is below the horizon, the BRDF is 0.
     """
     mirror, wavelengths = wd.HeightField(np.zeros((8, 8)), 0.1), np.array([450.0, 600.0])
     options = {"coherence": SHORT, "ior": math.inf, "energy": "stam"}
@@ -103,8 +103,8 @@ def test_pixels_of_a_map_are_means_of_directions_within_the_unit_disc(line):
     np.testing.assert_allclose(image.coverage, share)
     np.testing.assert_array_equal(image.mask, share > 0.0)
     assert set(np.unique(share)) > {0.0, 1.0}
-    # The largest error of the pixels equals the error of the plan. Errors are relative to a pixel's colour, or to the
-    # floor f if that is larger.
+    # The largest estimated error of the pixels equals the error that the plan predicts for all directions. Errors are
+    # relative to a pixel's colour, or to the floor f if that is larger.
     np.testing.assert_allclose(image.error[image.mask].max(), plan.error, rtol=1e-3)
     assert not image.error[~image.mask].any()
 

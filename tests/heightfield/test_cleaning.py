@@ -164,8 +164,8 @@ def test_a_background_finer_than_the_pitch_is_refused(pitch, size) -> None:
     field = HeightField.of_known_scale(np.random.default_rng(1).normal(size=(30, 40)), pitch)
     with pytest.raises(ValueError, match=r"size_um must be at least the pitch of \S+ µm, got .*give size_um="):
         field.despiked(size_um=size)
-    # The pitch along an axis with only one sample, here 1000 µm, is not a lower limit for ``size_um``, whose default is
-    # smaller.
+    # ``size_um`` must be at least the pitch only along axes with more than one sample. Along the other axis the pitch
+    # is 1000 µm here, which is more than the default of ``size_um``.
     HeightField.of_known_scale(field.heights_um[:1], (1e3, 0.1)).despiked()
 
 

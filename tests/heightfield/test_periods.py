@@ -64,8 +64,8 @@ def test_standard_errors_cover_the_true_ones_in_strong_noise_too(noise, least):
     scores = []
     for phase in rng.uniform(0.0, 2.0 * np.pi, 30):
         heights = 0.01 * (np.cos(2.0 * np.pi * x / 1.37 + phase) + noise * rng.normal(size=(1, 300)))
-        # No period is returned for a wave that may be noise. ``scores`` are the errors of the returned periods in
-        # standard errors, so that such a field adds none.
+        # No period is returned for a wave that may be noise. ``scores`` are the errors of the returned periods in units
+        # of their standard errors. A field without a returned period therefore adds no score.
         scores += [
             abs(result.period_um - 1.37) / result.standard_error_um
             for result in wd.HeightField(heights, PITCH).periods(1)
@@ -158,8 +158,8 @@ def test_whole_periods_match_at_the_edges(degrees, shape):
     np.testing.assert_array_equal(cut.heights_um, field.heights_um[: shape[0], : shape[1]])
     axis = int(degrees == 0.0)
 
-    # The cropped field ends before line 173 of the original field. Whole periods were cut, so that this line nearly
-    # equals line 0. The last line of the original field does not.
+    # The cropped field ends before line 173 of the original field, and contains a whole number of periods. Line 173
+    # therefore nearly equals line 0. The last line of the original field does not.
     lines = np.moveaxis(field.heights_um, axis, 0)
     assert np.abs(lines[173] - lines[0]).max() < 0.01
     assert np.abs(lines[199] - lines[0]).max() > 0.1

@@ -120,8 +120,8 @@ def test_a_profile_has_no_aspect_and_the_length_of_its_line():
 
 
 def test_fields_that_are_averaged_to_find_the_decay_have_the_same_lengths():
-    # For the first estimate of the decay, fields of more than 1,024 samples are averaged: the field of 1,200 samples in
-    # pairs, and the field of 600 samples not at all.
+    # The decay of the autocorrelation is first estimated with at most 1,024 samples along an axis. For this, the field
+    # of 1,200 samples is averaged over pairs of samples, and the field of 600 samples is not averaged.
     field = random_field(6, (0.5, 1.0), (0.05, 0.05), (100, 1200))
     fine, coarse = field.roughness(), wd.HeightField.of_known_scale(field.heights_um[:, ::2], (0.05, 0.1)).roughness()
     assert fine["Sal"].value == pytest.approx(coarse["Sal"].value, rel=3e-3)
@@ -129,8 +129,9 @@ def test_fields_that_are_averaged_to_find_the_decay_have_the_same_lengths():
 
 
 def test_two_standard_errors_contain_the_value_of_the_surface():
-    # The value of the surface is expected within two standard errors in 95 % of the fields. The probability that it is
-    # in fewer than 15 of 20 fields is then 0.03 %, so that correct standard errors nearly always pass the limit of 15.
+    # Fields are random samples of a surface. In 95 % of the fields, a parameter of the field is expected to differ by
+    # at most two standard errors from that of the surface. The probability of fewer than 15 such fields of 20 is then
+    # 0.03 %, so that correct standard errors nearly always pass the limit of 15.
     fields = [random_field(900 + seed, (0.3, 0.3), (0.1, 0.1), (60, 60)).roughness() for seed in range(20)]
     for name in ("Sa", "Sq", "Sdq", "Sal"):
         values = [field[name].value for field in fields]

@@ -114,7 +114,8 @@ def test_surfaces_that_are_meant_are_not_warned_of() -> None:
         # missing data.
         wd.HeightField(np.where(np.arange(100) % 10 < 3, 1.0, 0.0)[None], 0.05)
         wd.HeightField(np.clip(SCAN.heights_um, -0.05, 0.05), 0.05)
-        # Echelles with facets of 63 and 76 degrees: of six periods, and of a single period.
+        # Echelles: six periods with facets of 63 degrees, six with facets of 76 degrees, and one with a facet of 63
+        # degrees.
         for period, depth, count in ((31.6, 63.2, 6), (13.3, 53.2, 6), (31.6, 63.2, 1)):
             x = np.arange(round(count * period / 0.02)) * 0.02
             wd.HeightField((depth / period * (x % period))[None], 0.02)

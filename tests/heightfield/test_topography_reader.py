@@ -23,7 +23,7 @@ PICTURE_NM = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 60.0]])
 
 
 def topography(**values: Any) -> SimpleNamespace:
-    """Return an object with the attributes of a map that SurfaceTopography reads. ``values`` replaces some of them."""
+    """Return a stand-in for a height map of the library SurfaceTopography. ``values`` replaces its attributes."""
     known: dict[str, Any] = {
         "heights": lambda: PICTURE_NM.T, "physical_sizes": (600.0, 800.0), "unit": "nm", "dim": 2,
         "info": {"instrument": {"name": "Probe", "serial": None}, "raw_metadata": {"long": "text"}},
@@ -48,9 +48,9 @@ class Channel:
 
 @pytest.fixture
 def library(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
-    """Return a function that replaces SurfaceTopography by one that finds the given channels in any file.
+    """Return a function that replaces the library SurfaceTopography by a stand-in.
 
-    The function returns the path of such a file.
+    The stand-in finds the given channels in the file whose path the function returns.
     """
 
     def of(*channels: Channel, default: int = 0, error: Exception | None = None) -> Path:

@@ -51,14 +51,15 @@ def displayed(encoded):
 
 
 def hue_errors(encoded, bands):
-    """Return hue changes by a display transform, and the largest difference of neighbouring bands, in degrees."""
+    """Return hue changes by a display transform, and the largest hue step between displayed bands, in degrees."""
     hues = hues_deg(displayed(encoded))
     return apart_deg(hues, hues_deg(bands)), float(apart_deg(hues[..., 1:], hues[..., :-1]).max())
 
 
 def test_colours_in_gamut_equal_those_of_colour_science(rng):
     for gamut, name in (("srgb", "sRGB"), ("display-p3", "Display P3")):
-        # The matrices of colour-science are rounded to four digits, so colours on the border of the gamut could differ.
+        # The matrices of colour-science are rounded to four digits. With them, colours on the border of the gamut could
+        # be outside of the gamut.
         rgb = rng.uniform(0.002, 0.998, (500, 3))
         space = colour.RGB_COLOURSPACES[name]
         xyz = colour.RGB_to_XYZ(rgb, space)
@@ -106,7 +107,7 @@ def test_compression_changes_only_vivid_colours_and_preserves_lightness_and_hue(
     before, after = transform.oklab(flat), transform.oklab(transform.compress_chroma(flat))
     np.testing.assert_allclose(after[:, 0], before[:, 0], rtol=1e-9)
     assert apart_deg(hues_deg(flat), hues_deg(transform.compress_chroma(flat))).max() < 1e-6
-    # If two colours differ only in chroma, the one with more chroma still has more after the compression.
+    # If two colours differ only in chroma, the one with more chroma still has more after ``compress_chroma``.
     share = np.linspace(0.0, 1.0, 50)[:, None, None]
     scaled = before * np.concatenate([np.ones_like(share), share, share], axis=2)
     lab = transform.oklab(transform.compress_chroma(transform.of_oklab(scaled).reshape(-1, 3))).reshape(scaled.shape)
@@ -148,7 +149,7 @@ def test_another_configuration_of_the_environment_is_not_read(tmp_path):
 
 
 def test_colours_within_the_gamut_are_those_of_the_standard(rng):
-    """The standard IEC 61966-2-1 by its own formula, for XYZ of random linear sRGB."""
+    """For XYZ of random linear sRGB, results equal the formula of the standard IEC 61966-2-1."""
     linear = rng.uniform(0.0, 1.0, (3, 5, 3))
     xyz = linear @ np.linalg.inv([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]]).T
     expected = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)

@@ -24,8 +24,8 @@ from warpdiff.kernels import (
 )
 
 SM = 90
-# Compute capabilities for which kernels are compiled. For the Ampere architecture (80), the test is slow, and covers
-# only the kernels that every picture launches.
+# Compute capabilities for which kernels are compiled. For the Ampere architecture (80), the test is marked as slow, and
+# compiles only the kernels that every picture launches.
 SMS = (80, 90)
 ARCHITECTURES = [slow(80), SM]
 # Modules of the package ``kernels`` without a kernel. Their functions are compiled with the kernels that call them.

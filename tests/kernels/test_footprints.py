@@ -50,7 +50,7 @@ def pictures(tube, fingers):
 
 
 def errors(image, exact):
-    """Return relative errors of the pixels that are completely inside the illuminated surface."""
+    """Return errors of a picture relative to ``exact``, for pixels completely inside the illuminated surface."""
     inside = (exact.coverage == 1.0) & image.illuminated
     return relative_errors(image.xyz[inside], exact.xyz[inside])
 

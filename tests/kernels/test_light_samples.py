@@ -26,9 +26,9 @@ def array(values, dtype):
 
 
 def test_factors_are_linear_between_angles(rng):
-    """Interpolation of tables: energy factors are linear in √(1 − cos θ), transmittances in cos θ.
+    """In tables, energy factors are linear in √(1 − cos θ), and transmittances in cos θ; θ is the angle to the normal.
 
-    Around the normal, energy factors are linear in y / (|x| + |y|) within each quadrant.
+    Over the azimuth of a direction (x, y, z), energy factors are linear in y / (|x| + |y|) within each quadrant.
     """
     directions = hemisphere(rng, COUNT, thresholds.LOWEST)
     directions[0] = (1e-5, 1e-5, 1.0)
@@ -78,7 +78,10 @@ def test_the_extent_of_a_light_adds_its_covariance_to_footprints(rng):
 
 @pytest.mark.parametrize("orthographic", [False, True])
 def test_the_rotation_of_a_near_light_equals_differences_between_neighbouring_rays(orthographic, rng):
-    """The direction to a near light changes from ray to ray. Compare its change with rays 0.0005 pixels apart."""
+    """The direction to a near light changes from ray to ray.
+
+    The change that the kernel adds to footprints is compared with the difference between two rays 0.0005 pixels apart.
+    """
     corners = np.array([[-1.0, -0.9, 0.1], [0.9, -1.0, -0.2], [0.1, 1.0, 0.3]])
     plane = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     place, eye = np.array([0.4, -0.3, 0.7]), np.array([1.5, 1.0, 2.0])

@@ -188,7 +188,8 @@ def test_a_distant_eye_loses_no_precision(covers):
 
 
 def test_rasterized_faces_leave_no_gap_at_common_edges():
-    # A vertex and four edges of the mesh coincide with pixel centres, viewed once frontally and twice obliquely.
+    # The camera looks at the mesh once frontally and twice obliquely. A vertex is at a pixel centre in all pictures. In
+    # the frontal picture, the four edges from this vertex pass through pixel centres.
     vertices = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [0, 0, 0.0]])
     mesh = trimesh.Trimesh(vertices, [[4, 0, 1], [4, 1, 2], [4, 2, 3], [4, 3, 0]], process=False)
     surface = prepare_surface(mesh, tangents=[[1.0, 0.0, 0.0]] * 5)
@@ -215,8 +216,8 @@ def test_faces_are_clipped_behind_the_eye(mesh, view, samples):
     options = {"scene": scene, "sample": samples // 2, "samples": samples}
     result, by_rays = (cast(surface, view, covers=covers, **options) for covers in (True, False))
     assert by_rays["hit"].mean() > 0.2
-    # If a ray passes through the common edge of two faces, rounding decides which of them it hits. It must hit one, and
-    # only a few pixels may show different faces.
+    # If a ray passes through the common edge of two faces, rounding decides which of them it hits. It must hit one of
+    # them. Rasterization and traced rays may find different faces only in a few pixels.
     np.testing.assert_array_equal(result["hit"], by_rays["hit"])
     same = result["face"] == by_rays["face"]
     assert same.mean() > 0.998
@@ -236,8 +237,9 @@ def test_an_eye_close_to_a_face_sees_no_gap():
         assert np.all(cast(surface, camera_view, scene=scene, covers=True)["hit"] == 1)
 
 
-# Meshes and views for tests of refined pixels. At the border of the upper plate, some subpixel cells show the upper and
-# others the lower plate. In the mesh named "far away", faces are smaller than a pixel.
+# Meshes and views for tests of refined pixels. The mesh named "plates" is a small plate above a large one. In pixels at
+# the border of the upper plate, some subpixel cells show the upper and others the lower plate. In the mesh named "far
+# away", faces are smaller than a pixel.
 CELLS = {
     "plates": (trimesh.Scene([wall(size=2.0), wall(size=1.0).apply_translation([0.0, 0.0, 0.3])]),
                View((0.4, -2.0, 2.5), (0, 0, 0), fov_y_deg=22, width=70, height=44)),
@@ -280,7 +282,8 @@ def test_rasterized_cells_equal_traced_cells(mesh, view, level, slices):
         result.append([getattr(pixels, name).numpy() for name in ("face", "hit", "place", "to_view")])
     (face, hit, place, to_view), (face_by_rays, _, place_by_rays, view_by_rays) = result
     np.testing.assert_array_equal(hit, face >= 0)
-    # If a ray passes through an edge, rounding decides which face it hits. A few cells may therefore have another face.
+    # If a ray passes through an edge, rounding decides which face it hits. A few cells may therefore have another face
+    # than traced rays find.
     assert np.mean(face != face_by_rays) < 2e-3
     same = (face == face_by_rays) & (face >= 0)
     assert np.count_nonzero(same) > 200
@@ -413,7 +416,8 @@ def test_textures_are_bilinear_and_periodic_with_row_0_at_the_top():
     np.testing.assert_allclose(got, pixels / 255.0, atol=1e-5)
 
 
-# The kernel of this test has the package's compile options. Other options would let Warp recompile its headers.
+# The kernel of this test has the package's compile options. With other options, Warp would precompile its own C++
+# headers once more.
 wp.set_module_options(compile_options.options())
 
 

@@ -234,8 +234,8 @@ def test_pictures_with_occluder_grids_equal_pictures_with_the_hierarchy(samples,
 
 @pytest.mark.filterwarnings("ignore:none of the lights illuminates")
 def test_pixels_that_face_away_from_the_light_may_contain_shadowed_cells_that_face_it():
-    # A snake is viewed from below and illuminated from behind. None of its pixels faces the light. The smaller subpixel
-    # cells of the next level partly face the light, but they are in shadow.
+    # A snake is viewed from below and illuminated from behind. None of its pixels faces the light. Some of the subpixel
+    # cells into which the pixels are subdivided face the light, but these cells are in shadow.
     heightfield, light = wd.gratings.fingers(size_um=6.4, seed=1), wd.DirectionalLight((0.5, 0.75, -0.8))
     eye, along = np.array([0.0, 3.4, 4.0]), unit((0.08311891, -0.69686178, -0.71237273))
     view = wd.View(tuple(eye), tuple(eye + along), fov_y_deg=0.148, width=4, height=4)

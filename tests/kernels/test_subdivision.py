@@ -16,7 +16,8 @@ def array(values, dtype):
 def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
     """Filtered sums over the cells of a subdivided pixel equal explicit sums.
 
-    Pixel 5 of 9 pixels is subdivided. One of its cells after another is illuminated, misses the mesh, or is dark.
+    Pixel 5 of 9 pixels is subdivided. In each round of the loop, one of its cells is illuminated, misses the mesh, or
+    is dark; all other cells are illuminated.
     """
     across = 2**level
     weights = rng.uniform(size=(3, across))
@@ -123,8 +124,8 @@ def test_the_level_of_a_tile_rises_if_its_scatter_causes_an_error_above_the_tole
 def levels_by_hand(quadrants, marks, colours, lighting, floor, tolerance, most):
     """Return the levels that the kernel ``select_levels`` must compute, and the changes on which they depend.
 
-    The change of a pixel is half the root mean square second difference of the colours of its quadrants, times a
-    factor at edges. All pixels have cells.
+    The change of a pixel is half the root mean square second difference of the colours of its quadrants, times a factor
+    at edges. All pixels are subdivided.
     """
     height, width = marks.shape
     cells = quadrants.reshape(height, width, 2, 2, 3).transpose(0, 2, 1, 3, 4).reshape(2 * height, 2 * width, 3)

@@ -84,7 +84,8 @@ def test_thousands_of_periods_equal_a_geometric_series(small, count):
         exact = scattering_vector[0] / 0.5 * small.size_um[1]
         series = abs(np.mean(np.exp(2j * np.pi * ((k * (exact - round(exact))) % 1.0)))) ** 2
         assert value == pytest.approx(patch * series, rel=1e-7, abs=1e-9 * patch / count**2)
-    # Far from a resonance the periods cancel: the power is at most 2/count² of the power of one period.
+    # If the phase difference of neighbouring periods is far from whole turns, their waves cancel: the power of `count`
+    # periods is at most 2/count² of the power of one period.
     far = scattering_vector_at(small, 0.25, 0.3, 0.5)
     assert one(small, coherence, far, 0.5) <= 2.0 * one(small, alone, far, 0.5) / count**2 * (1.0 + 1e-9)
 
@@ -219,8 +220,8 @@ def test_the_solid_angle_is_the_integral_of_a_mirrors_lobe(coherence):
     solid_angle = reflectance_factors.light_solid_angle(np.array([wavelength]), coherence, area)[0]
     projected = to_light[2] if coherence.kind == "source" else 1.0
     assert gathered == pytest.approx(solid_angle * projected, rel=1e-6)
-    # The scaled integral is 1/cos θi for most models, where ρ = C⟨|P|²⟩. For a source, where ρ = C/cos θi · ⟨|P|²⟩, the
-    # remaining factor is 1.
+    # ``scale * gathered`` is the integral of the BRDF without the factor of ⟨|P|²⟩ in ρ. For windows and periods this
+    # factor is C, and the integral is 1/cos θi. For a source the factor is C/cos θi, and the integral is 1.
     scale = reflectance_factors.brdf_scale(to_light[None, 2], np.array([wavelength]), coherence, area)[0, 0]
     assert scale * gathered == pytest.approx(projected / to_light[2], rel=1e-6)
     pigment = reflectance_factors.pigment_solid_angle(np.array([wavelength]), coherence, area)[0]

@@ -16,7 +16,7 @@ from warpdiff.request.settings import PlanSettings, SpectralSettings
 
 
 def ratio(heightfield, lights, views, tolerance, **options):
-    """Return the error of a call divided by its tolerance."""
+    """Return the error of a call's colours, compared with the float64 reference, divided by the call's tolerance."""
     with warnings.catch_warnings():
         # Ignore the warning that scalar diffraction is invalid for a deep surface.
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
@@ -104,8 +104,8 @@ def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
     np.testing.assert_allclose(
         bounds.bandwidth_um(fingers, wd.Coherence(sigma_um=5.0), 1e-4), (finer * rate, finer * height, colour)
     )
-    # For replicas, the part for order rates is the number of samples per order of the patch. It is proportional to
-    # tolerance^(−1/4).
+    # For replicas, the part of the bandwidth for order rates is the number of wavelengths per order of the patch that
+    # passes a direction while λ changes. It is proportional to tolerance^(−1/4).
     replicas = wd.Coherence("replicas", periods=(2, 2))
     order, height, _ = bounds.bandwidth_um(fingers, replicas, 1e-2)
     assert height == pytest.approx(order * fingers.height_range_um)
@@ -154,9 +154,9 @@ def test_bounds_are_valid_for_the_range_of_a_call_and_predict_no_quadrature_erro
 
 
 def test_periods_have_two_samples_per_lobe_in_the_steepest_direction(fingers):
-    """The interference of N periods has N lobes from one order of the patch to the next.
+    """Over (u, v), the interference of N periods has N maxima from one order of the patch to the next.
 
-    Along the diagonal of (u, v) the lobes are closer by a factor of √2.
+    Along the diagonal of (u, v), the maxima are closer by a factor of √2.
     """
     rate, band = 1.9 * max(fingers.size_um), 1.0 / 0.38 - 1.0 / 0.78
     plan = upper_bound(

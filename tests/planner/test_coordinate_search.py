@@ -156,7 +156,10 @@ class Steps:
     ids=["enough", "the cheaper one", "the other one", "1 and 2 steps", "both", "neither", "1, 2 and 4 steps"],
 )
 def test_repairs_use_the_cheapest_sufficient_step_or_the_one_with_the_least_error(fingers, start, error, finer):
-    """The two possible steps add one term or one of 100 wavelengths. The step that adds a term is cheaper."""
+    """The plan has 9 terms and 100 wavelengths. One possible step adds a term, the other one a wavelength.
+
+    The step that adds a term is cheaper.
+    """
     plan = dataclasses.replace(start, terms=9, wavelengths=100, adaptive=False)
     replace = dataclasses.replace
     coordinates = [
@@ -231,10 +234,10 @@ def test_a_bandwidth_is_not_doubled_where_that_does_not_halve_the_error(fingers,
 
 
 def test_a_smaller_bandwidth_allows_larger_order_rates_or_fewer_wavelengths(fingers):
-    """Halve the bandwidth of a plan for a source whose number of wavelengths is limited.
+    """Halve the bandwidth of a plan that has only the wavelengths that its bandwidth requires.
 
-    If the call has order rates beyond the plan, the same wavelengths then serve larger order rates. Otherwise fewer
-    wavelengths suffice.
+    If the call has larger order rates than the plan covers, the same wavelengths then serve larger order rates.
+    Otherwise fewer wavelengths suffice.
     """
     source = wd.Coherence("source", angular_diameter_deg=3.0)
     plan = wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], coherence=source, method="low-rank")
@@ -285,8 +288,9 @@ def test_searches_of_all_tolerances_try_the_same_bandwidths_and_weights(fingers,
 def test_budgets_grow_evenly_from_the_error_of_the_start_to_the_target(fingers, start):
     """Budgets are limits of the error while a search reduces one number of the plan after another.
 
-    They increase in equal steps. A few bright directions do not represent all bright directions of a call well. In this
-    case the step of the terms is a tenth of an equal step, and the neighbourhood is not reduced.
+    They increase in equal steps. If only a few of the sampled directions are bright, these do not represent all bright
+    directions of a call well. The budgets of the first two numbers, terms and neighbourhood, then increase by only a
+    tenth of an equal step, and the neighbourhood is not reduced.
     """
     trial, error = ClosedForm(fingers, start), 0.4 * TARGET
     coordinates = coordinate_search._coordinates(start, trial, error, TARGET)

@@ -1,4 +1,4 @@
-"""Automatic plans in ranges where other methods fail: each result meets the tolerance or is refused with a reason."""
+"""Automatic plans where fixed methods or settings fail: results meet the tolerance or are refused with a reason."""
 
 import math
 
@@ -29,7 +29,7 @@ class Case:
 
     @property
     def automatic(self):
-        """Return the error of the automatic plan. A warning or a refusal fails the test."""
+        """Return the error of the automatic plan's colours against ``exact``. A warning or a refusal fails the test."""
         xyz = wd.reflectance(self.heightfield, self.lights, self.views, coherence=self.coherence, tolerance=TOLERANCE)
         return self.error_of(xyz)
 

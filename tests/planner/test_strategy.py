@@ -51,8 +51,8 @@ def test_the_whole_hemisphere_is_assumed_on_the_other_side(side, light, view, re
     views = -sample.scattering_vectors - sample.to_lights
     fixed, other = (sample.to_lights, views) if side == "light" else (views, sample.to_lights)
     np.testing.assert_allclose(fixed, np.broadcast_to(at_angle(30.0), fixed.shape), atol=1e-12)
-    # The call states the directions of one side only. Those of the other side are drawn uniformly in z over the
-    # hemisphere, with a mean z of 0.5.
+    # The call states only the direction to the light, or only that to the viewer. The other directions are drawn
+    # uniformly in z over the hemisphere, with a mean z of 0.5.
     assert other[:, 2].mean() == pytest.approx(0.5, abs=0.02)
 
 

@@ -28,7 +28,7 @@ class Tables:
     """Stand-in for a trial of tables. The error is a closed form, by default of second order in the ring spacing.
 
     Tables meet the target from ``sufficient`` rings per octave on. For plans without a table, the function ``sampled``
-    gives the error of a number of terms.
+    returns the error; its argument is the plan's number of terms.
     """
 
     validation_set = range(5)

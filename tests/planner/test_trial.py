@@ -1,4 +1,4 @@
-"""Trials evaluate plans on sampled directions: their values equal those of the public functions."""
+"""Trials evaluate plans on sampled directions: their colours and errors are those of the public functions."""
 
 import dataclasses
 import math
@@ -29,7 +29,7 @@ def trial_of(request, lights, views):
 
 @pytest.fixture(scope="module")
 def colours(fingers):
-    """Return a trial of plans on 60 directions under two illuminants, the plan, and the directions."""
+    """Return a trial on 60 directions under two illuminants, an upper-bound plan for them, and the directions."""
     rng = np.random.default_rng(7)
     lights, views = hemisphere(rng, 60, 0.3), hemisphere(rng, 60, 0.3)
     request = Evaluation.of(fingers, PlanSettings(coherence=SHORT, tolerance=1e-1), illuminants=ILLUMINANTS)
@@ -47,7 +47,7 @@ def test_the_reference_has_twice_the_wavelengths_and_the_values_of_the_public_fu
 
 
 def test_errors_of_few_directions_are_the_largest_error_relative_to_the_colour_or_the_floor(fingers, colours):
-    """Each of the 60 directions has more than 0.5 % of the weight, so the percentile of errors is their maximum."""
+    """Each of the 60 directions has over 0.5 % of the weight, so the 99.5th percentile of errors is their maximum."""
     measured, plan, lights, views = colours
     coarse = dataclasses.replace(plan, wavelengths=16, adaptive=False)
     largest, of_half = [], []

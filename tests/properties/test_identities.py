@@ -77,7 +77,7 @@ def power_width(coherence):
 @pytest.mark.parametrize("masking", [True, False])
 @pytest.mark.parametrize("ior", [1.5, math.inf])
 def test_gain_of_the_kernel_equals_the_formula(masking, ior, rng, device):
-    """The kernel's gain C·M equals the formula written with angles, up to 89.9° and at the horizon."""
+    """The kernel's gain C·M equals ``reflectance_factors.gain``, up to 89.9° from the normal and at the horizon."""
     lights, views = hemisphere(rng, 400, 0.0017), hemisphere(rng, 400, 0.0017)
     views[:50] = lights[:50] * [-1.0, -1.0, 1.0]  # views in the mirror direction of the light
     views[50:100] = lights[50:100]  # views in the direction of the light (retro-reflection)

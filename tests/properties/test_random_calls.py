@@ -156,7 +156,8 @@ def test_the_brdf_is_reciprocal(data):
 def test_a_constant_height_changes_nothing(data):
     heightfield, coherence, nanometres = data.draw(height_fields()), data.draw(coherences), data.draw(wavelengths)
     lights, views = data.draw(vectors(3)), data.draw(vectors(3))
-    # Heights are first rounded to a grid, so that adding the constant is exact.
+    # Heights are first rounded to multiples of 2⁻²⁰ µm. The addition of the constant to them then has no rounding
+    # error.
     heights = np.round((heightfield.heights_um - heightfield.heights_um.min()) * 2.0**20) / 2.0**20
     raised = heights + data.draw(st.sampled_from([1.0, -3.5, 100.0]))
     here, there = (

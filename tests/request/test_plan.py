@@ -119,7 +119,8 @@ def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
     assert not few.is_measured
     samples = dataclasses.replace(few, max_uv=plan.max_uv, max_order_rate=plan.max_order_rate)
     assert plan.multiply_adds < samples.multiply_adds
-    # The exact sum over replicated periods requires 0.1 s per direction, so fewer directions are compared.
+    # The reference for replicated periods requires 0.1 s per direction. Fewer directions are therefore compared with it
+    # than for other kinds of coherence.
     apart = 650 if coherence.kind == "replicas" else 240
     for part in (slice(0, 39_000 // apart), slice(1000, 40_000, apart)):
         exact = reference.reference_reflectance(rough, lights[part], views[part], coherence, tolerance=1e-3)
@@ -300,10 +301,10 @@ def test_a_height_range_beyond_float32_is_refused_and_computed_with_strict_false
 
 
 def test_a_remainder_of_amplitudes_is_refused_where_the_series_ends():
-    """At a height range of 6.9 µm, the series of amplitudes has an error of 3e-3 with the largest number of terms.
+    """At a height range of 6.9 µm, amplitudes have an error of 3e-3 with the largest number of terms of the series.
 
-    Relative to weak orders this error is 1000 times larger. The height range is refused, while one of 6.2 µm is
-    accepted.
+    This error is relative to the amplitude of a flat surface. Relative to the amplitudes of weak orders it is 1000
+    times as large. The height range is refused, while one of 6.2 µm is accepted.
     """
     with pytest.raises(wd.ToleranceError, match=r"terms are too few for a height range of 6\.9 µm"):
         wd.plan(deep(6.9), UP, UP)

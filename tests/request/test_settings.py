@@ -50,7 +50,7 @@ print(json.dumps({
     "viewer": [each for each in schema if each["name"] == "sparkle"], "options": shown.getvalue(),
 }))
 """
-# Each call must pass the option to the display transform.
+# Script that calls public functions with an option of display transforms; each must pass it to the transform.
 DISPLAY_PROBE = """
 import inspect, json, types, warpdiff as wd
 from warpdiff.apps.cli import main
@@ -258,7 +258,8 @@ def test_settings_accept_the_values_that_their_descriptions_allow(values):
     try:
         made = settings.PictureSettings(**values)
     except ValueError as error:
-        # Only combinations with ``method`` may be refused, and the message must name this option.
+        # Legal values may be refused only because they do not fit to that of ``method``. The message must then name
+        # ``method``.
         assert "method" in str(error)  # noqa: PT017
     else:
         for name, value in values.items():

@@ -1,4 +1,4 @@
-"""Randomly damaged height-field and mesh files are read or refused by path, and no other files are opened."""
+"""Damaged height-field and mesh files are read, or refused with their path; no other files are opened."""
 
 import json
 import os

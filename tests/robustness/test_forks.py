@@ -115,7 +115,8 @@ def test_a_child_may_be_the_first_to_render():
     subprocess.run([sys.executable, "-c", code], cwd=HERE, check=True, timeout=_MOST_S)
 
 
-# For start methods that begin with a fresh interpreter, a pool of one process suffices.
+# With "spawn" and "forkserver", processes of a pool begin with a fresh interpreter and do not inherit the state of the
+# parent. A pool of one process suffices to test this.
 @pytest.mark.parametrize(
     ("method", "processes"), [("fork", 2), pytest.param("spawn", 1, marks=pytest.mark.slow), ("forkserver", 1)]
 )

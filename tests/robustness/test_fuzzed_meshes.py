@@ -55,7 +55,8 @@ def test_malformed_meshes_are_rendered_or_refused(suffix, tries, tmp_path):
             tries.number -= 1
             continue
         render(path)
-    # The test must have rendered more than half of the meshes. A short soak test may end before, and is not checked.
+    # More than half of the meshes must have been written and tried. A short soak test may end before it has tried so
+    # many, and is not checked.
     assert endurance.IS_SOAK or tries.number > len(MESHES) // 2
 
 

@@ -36,7 +36,7 @@ from warpdiff.request.settings import SinglePictureSettings
 
 
 class Row(NamedTuple):
-    """An invalid request: front end, request, the user's name of the argument, expected rule, and message."""
+    """An invalid request: front end, request, name of the argument there, pattern of the rule, and message."""
 
     front: str
     request: str
@@ -158,7 +158,7 @@ def described_flags(name: str) -> Iterator[tuple[str, str, Option]]:
 
 
 def command_line_rows() -> Iterator[Row]:
-    """Yield invalid requests for all flags of every command that are generated from option descriptions."""
+    """Yield invalid command lines of every command, for each flag that is made from an option description."""
     for name, arguments in COMMANDS.items():
         for key, flag, option in described_flags(name):
             more = ["--environment", "sky.exr"] if key.startswith("environment_") else []

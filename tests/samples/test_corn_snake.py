@@ -71,7 +71,7 @@ def test_the_default_snake_has_few_faces_and_none_too_narrow_for_float32():
 def test_normals_of_vertices_are_near_those_of_their_faces(snake, surface):
     assert len(surface.faces) == len(snake.faces)
     np.testing.assert_allclose(np.linalg.norm(surface.normals, axis=1), 1.0, atol=1e-6)
-    # Faces at the free edges of scales are included, where surfaces with different directions meet.
+    # The compared faces include those at the free edges of scales, where surfaces with different directions meet.
     cosine = np.einsum("ij,ikj->ik", face_normals(surface.vertices[surface.faces]), surface.normals[surface.faces])
     assert np.percentile(degrees(cosine), 99.0) < 30.0
     np.testing.assert_allclose(surface.normals, snake.vertex_normals, atol=1e-6)
@@ -119,7 +119,8 @@ def test_tangents_run_around_the_body_or_along_it(tangent):
     surface = prepare_surface(mesh)
     np.testing.assert_array_equal(surface.handedness, 1.0)
     np.testing.assert_allclose(np.linalg.norm(surface.tangents, axis=1), 1.0, atol=1e-6)
-    # The back of a straight snake is along x. Faces directed to the rear belong to free edges and are excluded.
+    # The back of a straight snake is along x. Vertices with normals directed to the rear belong to free edges of scales
+    # and are not compared.
     back = (surface.normals[:, 1] > 0.3) & (surface.normals[:, 0] < 0.1) & (np.abs(surface.vertices[:, 0]) < 0.6)
     along = np.array([1.0, 0.0, 0.0])
     around = np.cross(along, surface.normals[back])

@@ -95,7 +95,7 @@ def test_a_view_of_a_turning_mesh_contains_its_sphere(direction, size, tmp_path)
     view = View.fit(ball, direction, **size, turning=True)
     np.testing.assert_allclose(view.target, (5, 6, 7), atol=1e-12)
     # The mesh is a ball. The view contains the sphere around its bounding box, which has √3 times the ball's radius and
-    # touches the narrower pair of edges of the picture.
+    # touches the two edges of the picture that are nearer to its centre.
     largest = shares(view, math.sqrt(3.0) * (ball.vertices - (5, 6, 7)) + (5, 6, 7)).max(axis=1)
     assert 0.99 < largest.max() < 1.0
     expected = View((0, 0.6, 1) if direction is None else direction, (0, 0, 0)).frame().back

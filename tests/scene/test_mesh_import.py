@@ -365,7 +365,7 @@ def test_the_surface_of_a_moved_mesh_is_the_surface_moved(mesh):
     after = prepare_surface(moved)
     world, world_after = (each.vertices * each.radius + each.centre for each in (before, after))
     np.testing.assert_allclose(world_after, 4.0 * world @ turn[:3, :3].T + [3, -2, 1], atol=2e-6)
-    # Positions rounded to float32 change the directions of faces by about 5e-5.
+    # Positions rounded to float32 change the directions of faces by about 5e-5 rad.
     for name in ("normals", "tangents"):
         np.testing.assert_allclose(getattr(after, name), getattr(before, name) @ turn[:3, :3].T, atol=5e-5)
     for name in ("faces", "handedness", "uvs", "is_convex"):

@@ -144,8 +144,8 @@ def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_si
     """Colour rows computed by the kernel equal float64 sums over spline coefficients of the spectrum.
 
     Beyond the last octave the spectrum is 0. The filter that computes spline coefficients begins ``reach`` samples
-    beyond the spectrum, where the error of its first value decays. With ``reach`` = 0, this first value itself must be
-    correct.
+    beyond the spectrum. The error of its first value decays over these samples. With ``reach`` = 0, the first value
+    itself must be correct.
     """
     lanes, terms, coarse = 8, 5, 16
     rays = [coarse, 2 * coarse, 4 * coarse]

@@ -95,7 +95,7 @@ def sine_plan(sine):
      *(slow(*case) for case in ((0.0, 35.0), (0.0, 55.0), (60.0, 0.0), (60.0, 55.0), (75.0, 0.0), (75.0, 35.0)))],
 )  # fmt: skip
 def test_a_single_order_has_the_sources_shape(sine, sine_plan, angle_deg, incidence_deg):
-    """The profile of the first order of a sine along v is that of the source, for several planes of incidence.
+    """Along v, the first order of a sine grating has the profile of the source, for several planes of incidence.
 
     The sine disperses light only along x, so v does not mix wavelengths.
     """
@@ -150,7 +150,10 @@ def test_directions_that_the_table_does_not_support_are_sampled(fingers, plan, r
 
 
 def test_directions_beyond_the_range_of_the_reference_do_not_count():
-    """Under a source at the horizon, the reference has too few wavelengths, so its errors must not count."""
+    """Errors in directions that the reference plan does not resolve are excluded from the percentile.
+
+    Under a source at the horizon, the reference plan has too few wavelengths for some directions.
+    """
     directions = DirectionSample(np.zeros((10, 3)), np.zeros((10, 3)), np.ones(10), np.ones(10))
     group = trial.Group(directions, wp.get_device("cpu"), 1)
     group.weigh(np.ones((1, 10, 3)), np.array([[1e-3]]))

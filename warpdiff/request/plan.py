@@ -420,7 +420,8 @@ def _is_legal(method: str, integration: str, coherence: Coherence) -> bool:
 def has_table(expansion: str, coherence: Coherence) -> bool:
     """Whether colour tables can be computed from an expansion.
 
-    Its rows must be powers if the powers of orders add under this coherence, and amplitudes if their amplitudes add.
+    The rows of a coefficient table must be powers if the powers of orders add under ``coherence``, and amplitudes if
+    the amplitudes of orders add.
     """
     return (
         coherence.kind != "replicas"

@@ -52,8 +52,8 @@ class CommonSettings(Checked):
 
     Attributes:
         tolerance: Accepted relative error of XYZ (or ρ for spectra) at the 99th percentile of all directions or
-            illuminated pixels, and separately of the bright ones. The error is relative to the larger of the value and
-            1e-3 of the brightest value.
+            illuminated pixels, and separately of the bright ones. The error is relative to the value itself, or to 1e-3
+            of the reference luminance of all directions if that is larger (see the glossary of the documentation).
         method: Expansion of exp(2πiκh). ``"auto"`` selects the cheapest one that meets the tolerance; ``"direct"`` is
             the float64 sum without an expansion, which is slow.
         integration: Integration over the wavelength: by sampled wavelengths, or by a precomputed table of colours.
@@ -88,7 +88,7 @@ class CommonSettings(Checked):
 
     @property
     def effective_coherence(self) -> Coherence:
-        """Coherence of the settings, or the default coherence."""
+        """Coherence of the settings, or the default coherence if it is None."""
         return self.coherence or Coherence()
 
 
@@ -125,7 +125,7 @@ class PlannedSettings(CommonSettings):
 
     @property
     def effective_coherence(self) -> Coherence:
-        """Coherence of the explicit plan, or that of the settings, or the default coherence."""
+        """Coherence of the explicit plan if there is one, else that of the settings, or the default if it is None."""
         return self.plan.coherence if isinstance(self.plan, Plan) else super().effective_coherence
 
 
@@ -134,9 +134,10 @@ class EnergySettings(CommonSettings):
     """Options of functions that can normalise the energy.
 
     Attributes:
-        energy: ``"stam"``, or ``"normalised"``: the orders of a perfect mirror sum to 1 for every direction. Colours
-            are then multiplied by a(ωi) a(ωr), the factors of :func:`warpdiff.order_efficiencies` averaged over the
-            wavelengths, instead of masking. The factors require about two seconds, once per height field.
+        energy: With ``"stam"``, the order efficiencies of a perfect mirror may sum to more or less than 1. With
+            ``"normalised"``, they sum to 1 for every direction: instead of masking, colours are multiplied by a(ωi)
+            a(ωr), the factors of :func:`warpdiff.order_efficiencies` averaged over the wavelengths. The factors require
+            about two seconds, once per height field.
     """
 
     energy: Energy = "stam"
@@ -172,8 +173,9 @@ class PictureSettings(EvaluationSettings):
             ``method="direct"``.
         samples_per_pixel: Number of camera rays per pixel. With 1, the ray passes through the pixel centre. With
             footprints it is the least number of subpixel cells: 1, 4, 16, … 4,096.
-        refine: Whether pixels are subdivided until they meet the tolerance, into 4,096 cells at most, or 1,024 from
-            ``tolerance=0.05`` on. Without it the tolerance is not guaranteed; ``image.error`` estimates the error.
+        refine: Whether pixels are subdivided until they meet the tolerance, into 4,096 cells at most, or 1,024 if
+            ``tolerance`` is 0.05 or larger. Without it the tolerance is not guaranteed; ``image.error`` estimates the
+            error.
     """
 
     pigment: Annotated[float, Ge(0.0)] = 1.0

@@ -154,13 +154,15 @@ def snake(
     validation.count(ventrals, "ventrals", least=8)
     validation.count(segments, "segments", least=2)
     validation.count(seed, "seed", least=0)
-    # Required memory in bytes, from the measured peak. The belly counts as two more rows of scales.
+    # Peak memory in bytes while the snake is constructed, fitted to measurements. The belly counts as two more rows of
+    # scales.
     memory.require_memory(
         (900.0 * segments**2 + 25_000.0) * (scale_rows + 2) * ventrals,
         f"a snake of {scale_rows} × {ventrals} scales of {segments} segments",
         f"take {{share}} of {ref('scale_rows')} or {ref('ventrals')}, or {{side}} of {ref('segments')}",
     )
-    # Shorter snakes are refused: a single spline interpolates the cross sections of head and body, and requires both.
+    # Snakes shorter than 16 radii are refused: a single spline interpolates the cross sections of head and body, and
+    # requires both.
     if not 16.0 * radius <= length <= _LONGEST * radius:
         raise ArgumentValueError(
             f"{ref('length')} must be 16 to {_LONGEST:g} radii ({16.0 * radius:g} to {_LONGEST * radius:g}), "
@@ -291,7 +293,10 @@ def _integral(s: Floats, values: Floats) -> Floats:
 
 
 def _hermite(s: Floats, stations: Floats, values: Floats) -> Floats:
-    """Interpolate the rows of ``values`` over their stations by cubic polynomials, with slopes from the neighbours."""
+    """Interpolate rows given at ``stations`` along an axis, at positions ``s``, by cubic Hermite polynomials.
+
+    The slope at a station is computed from the rows at the stations before and after it.
+    """
     slopes = np.gradient(values, stations, axis=0)
     i = np.clip(np.searchsorted(stations, s) - 1, 0, len(stations) - 2)
     step = (stations[i + 1] - stations[i])[:, None]
@@ -359,7 +364,9 @@ def _joined(patches: list[_Patch]) -> _Patch:
 
 
 def grid_faces(columns: int, rows: int, *, rising: bool = False) -> NDArray[np.int64]:
-    """Return two triangles per quadrilateral of a grid of vertices. The axes (column, row) are right-handed.
+    """Return two triangles per quadrilateral of a grid of vertices.
+
+    Their normals are along c × r; c and r are the directions in which the column and the row index increase.
 
     With ``rising``, the diagonal connects the corner of least row and column to the opposite one.
     """

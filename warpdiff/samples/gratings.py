@@ -31,7 +31,7 @@ __all__ = ["blazed", "bumps", "disc", "fingers", "lamellar", "sinusoidal"]
 # from aliasing.
 _COARSEST_PITCH_UM = 0.04
 # Distance from a ridge beyond which its contribution to the heights is neglected [distances of ridges]. Derived: the
-# contribution is below 1e-40 there.
+# contribution is below 1e-40 of the ridge's height there.
 _RIDGE_REACH = 4.0
 
 

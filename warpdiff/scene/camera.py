@@ -61,8 +61,8 @@ class ViewFrame(NamedTuple):
 class View(Checked):
     """Camera: right-handed, it looks along its −z axis from ``eye`` to ``target``, with its +y axis up.
 
-    Pixels are square, their centres are at +0.5, and row 0 is at the top. The camera is perspective;
-    :meth:`orthographic` makes an orthographic one, and :meth:`fit` frames a mesh.
+    Pixels are square. The centre of the pixel (row, column) is at (row + 0.5, column + 0.5), and row 0 is at the top.
+    The camera is perspective; :meth:`orthographic` makes an orthographic one, and :meth:`fit` frames a mesh.
 
     Attributes:
         eye: Position of the camera, world frame.
@@ -145,7 +145,8 @@ class View(Checked):
             width: Width of the image in pixels.
             height: Height of the image in pixels.
             turning: Whether the mesh or the camera turns about the target, as in :func:`warpdiff.turntable`. If so, the
-                whole mesh is visible at all angles, and the mesh is smaller in each picture.
+                camera is so far away that the whole mesh is in the image at all angles; the mesh then does not fill the
+                image.
 
         Raises:
             FileNotFoundError: The mesh file does not exist.

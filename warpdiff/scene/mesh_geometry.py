@@ -207,7 +207,7 @@ def join_seams(
 ) -> NDArray[np.float64]:
     """Add to a vertex's tangent those tangents of other vertices at its position that have a similar direction.
 
-    Only vertices with equal handedness are added.
+    Tangents of two vertices are added only if the vertices have the same handedness.
     """
     count = len(order)
     ends = np.cumsum(np.bincount(welded))

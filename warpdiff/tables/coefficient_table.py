@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 LANES = 8
 # Smallest number of wavelengths in a quadrature, the numerical integral over the wavelength.
 _FEWEST_WAVELENGTHS = 16
-# Gaussian weight down to which a coefficient table contains all neighbours, even if the plan excludes neighbours with
-# larger weights. All these plans can therefore share a table.
+# A coefficient table contains all neighbours whose Gaussian weight is at least this number, even if the plan excludes
+# some of them. Plans that differ only in the least weight of neighbours can therefore share a table.
 _LEAST_EXTENT_WEIGHT = 1e-14
 # Smallest number of intervals between wavelengths for replicas. Limit: the power of one patch is interpolated by cubics
 # through four neighbouring wavelengths.
@@ -47,8 +47,9 @@ _FEWEST_INTERVALS = 4
 SETS_PER_OCTAVE = 4
 # Measured peak memory while a quadrature is computed [bytes per wavelength].
 _BYTES_PER_WAVELENGTH = 370.0
-# Number of values of cos θd at which the reflectance of a material is tabulated. The error of linear interpolation is
-# at most 1e-4; it is largest near the horizon.
+# Number of values of cos θd at which the reflectance of a material is tabulated; θd is half of the angle between the
+# directions to the light and to the viewer. The error of linear interpolation is at most 1e-4; it is largest near the
+# horizon.
 _ANGLES = 513
 # Measured peak memory while coefficients are computed [bytes]. First two numbers, per coefficient and term: for a
 # series, and for the fit of a basis to the series. Last two numbers, per frequency of the Fourier transform: in total,
@@ -156,7 +157,9 @@ def coefficients_for(
     heightfield: HeightField, method: str, coherence: Coherence, direction_range: DirectionRange,
     neighbour_extent: tuple[int, int], *, terms: int, threads: int, to_fit: bool = False,
 ) -> tuple[Coefficients, Block, Grid]:  # fmt: skip
-    """Return the coefficients for a range of directions, from the cache if possible, with their block and grid.
+    """Return the coefficients for a range of directions, from the cache if possible, with their frequencies.
+
+    The frequencies are those of a ``Grid``; a ``Block`` states which of them are stored.
 
     The size and the position of a window have no effect on the coefficients.
 

@@ -41,13 +41,14 @@ _SAMPLES_PER_NODE = 64
 # Errors in the fit of splines are relative to the values of a colour curve, which vanish at both ends of the spectrum.
 # The divisor is at least this share of the largest value of the curve.
 _LEAST_SCALE = 0.005
-# Colour curves include the reflectance of the material at one angle; the first number is its cos θd. The ratio of the
-# reflectance at other angles to this one is approximated by a sum of products: a function of |(u, v)| times a function
-# of λ and w. The second number is the largest error of this sum, as a share of the tolerance.
+# Colour curves include the reflectance of the material at one value of cos θd, which is the first number. θd is half of
+# the angle between the directions to the light and to the viewer. The ratio of the reflectance at other angles to this
+# one is approximated by a sum of products: a function of |(u, v)| times a function of λ and w. The second number is the
+# largest error of this sum, as a share of the tolerance.
 _MIDDLE_COSINE, _PRODUCTS_SHARE = 0.8, 0.02
-# The reflectance is approximated by polynomials in cos θd through Chebyshev nodes. First number: largest error. Others:
-# smallest and largest number of nodes. Metals need the fewest nodes; thin films with resonances near the horizon need
-# the most.
+# The ratio of a material's reflectance to that in the colour curves is approximated by polynomials in cos θd through
+# Chebyshev nodes. First number: largest absolute error of this ratio. Others: smallest and largest number of nodes.
+# Metals need the fewest nodes; thin films with resonances near the horizon need the most.
 _POLYNOMIALS_ERR, _FEWEST_ROOTS, _MOST_ROOTS = 1e-6, 32, 512
 # Smallest reflectance in colour curves, as a share of the largest one; smaller ones are replaced by it. Thin films
 # reflect nothing at some wavelengths, and ratios to a reflectance of 0 would be infinite.
@@ -137,8 +138,8 @@ def make_projection(
     )
     norms = np.linalg.norm(matrix, axis=1)
     relative = 1.0 / np.maximum(norms, _LEAST_SCALE_OVER_W * norms.max())[:, None]
-    # The singular value decomposition of the matrix is computed by the eigenvectors of its small Gram matrix. NumPy's
-    # decomposition of the large matrix uses several threads, and is slow if other processes occupy the cores.
+    # The left singular vectors of `matrix` are computed as the eigenvectors of its small Gram matrix. NumPy's singular
+    # value decomposition of the large matrix uses several threads, and is slow if other processes occupy the cores.
     matrix *= relative
     values, vectors = np.linalg.eigh(matrix @ matrix.T)
     squares, left = np.maximum(values, 0.0), vectors[:, ::-1]
@@ -156,15 +157,15 @@ def make_projection(
 
 
 def _on_curve(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the reflectance of a material that colour curves include: at cos θd = 0.8, and limited from below."""
+    """Return the reflectance of a material that colour curves include: at one cos θd, and limited from below."""
     # If the largest reflectance is 0, as for air, it is replaced by 1, because it is a divisor later.
     most = reflectance_at(material, VISIBLE_NM, np.array(_MIDDLE_COSINE)).max() or 1.0
     reflectances = reflectance_at(material, wavelengths_nm, np.array(_MIDDLE_COSINE))
     return np.asarray(np.maximum(reflectances, _LEAST_SHARE * most))
 
 
-# Only the last result is cached. It does not depend on the illuminant or on the number of functions of w, so that
-# consecutive tables of one material share it.
+# Only the approximation of the last call is cached. It does not depend on the illuminant or on the number of functions
+# of w, so that tables of one material that are computed one after the other share it.
 @functools.lru_cache(maxsize=1)
 def _material_products(
     material: Material | None, rings_per_octave: int, share: float, layout: MipLayout, low: float, high: float
@@ -250,7 +251,7 @@ def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool 
 
     Args:
         rings: Number of rings per octave of the table.
-        illuminated: Illuminant, and the material whose reflectance at cos θd = 0.8 the curves include.
+        illuminated: Illuminant, and the material whose reflectance at cos θd = `_MIDDLE_COSINE` the curves include.
         lines: Whether rows are powers per unit area of frequency, as ``holds_lines`` of :class:`SpectrumBasis`.
 
     Returns:
@@ -266,7 +267,10 @@ def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool 
 
 
 def colour_products(illuminated: IlluminatedMaterial) -> NDArray[np.float64]:
-    """Return the colour curves S·x̄ȳz̄·R at steps of 1 nm, shape (401, 3); R is the reflectance at cos θd = 0.8."""
+    """Return the products S·x̄·R, S·ȳ·R and S·z̄·R at steps of 1 nm, shape (401, 3).
+
+    S is the spectrum of the illuminant, and R is the reflectance that :func:`_on_curve` returns.
+    """
     products = colorimetry.colour_products(illuminated.illuminant)
     return products if illuminated.material is None else products * _on_curve(illuminated.material, VISIBLE_NM)[:, None]
 

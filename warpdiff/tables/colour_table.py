@@ -40,8 +40,9 @@ if TYPE_CHECKING:
 # standard deviations of the Fourier transform of the look-up's Gaussian. Third number: value of the field
 # `decimation_scale` that disables decimation.
 _MOST_AT_ALIAS, _SAFE_DEVIATIONS, _NO_DECIMATION = 0.05, 4.2, 1e6
-# First number: wavelengths at which look-ups integrate the zeroth order. Second number: values of cos θd at which the
-# reflectance of the material is tabulated for this integral.
+# First number: number of wavelengths at which look-ups integrate the zeroth order. Second number: number of values of
+# cos θd at which the reflectance of the material is tabulated for this integral; θd is half of the angle between the
+# directions to the light and to the viewer.
 _ZEROTH_WAVELENGTHS, _ZEROTH_ANGLES = 40, 512
 # Number of azimuth samples that a CPU thread processes in one launch while a table is computed.
 _AZIMUTHS_OF_SLICE = 32
@@ -197,8 +198,8 @@ def _fields(
     """Return the values of the fields of the struct ``Colours``, except its layout; the rows are not filled yet."""
     grid, zeroth, coherence = source.layout.levels[0], source.zeroth, source.key.coherence
     per_log = grid.rings / math.log(2.0)
-    # ``lobe2`` is the variance of an order's lobe in frequency. For a source it is 0: its lobes have the same width in
-    # (u, v) at all wavelengths, and are described by ``spread2``.
+    # ``lobe2`` is the variance of an order's peak over the frequency. For a source it is 0: the peaks of orders then
+    # have the same width in (u, v) at all wavelengths, which ``spread2`` describes.
     lobe2 = 0.0 if source.has_lines else zeroth.lobe_variance(1.0)
     wavenumbers, weights = colorimetry.uniform_quadrature(_ZEROTH_WAVELENGTHS, illuminated.illuminant)
     reflectances = np.zeros((len(weights), 0))

@@ -84,10 +84,10 @@ class ColourLookup:
         Args:
             scattering_vectors: Scattering vectors (u, v, w), shape (n,).
             to_lights: Directions to the light in the local frame, shape (n,).
-            gains: Geometry factors of the reflectances, shape (n,).
+            gains: Gain of each scattering vector, by which its XYZ is multiplied, shape (n,).
             illuminated: Illuminant, and the material of the surface.
             xyz: Array to which the XYZ are added, shape (n,).
-            footprints: Footprint of each pixel in (u, v), for a plan with footprints.
+            footprints: Footprint of each scattering vector, shape (n,), for a plan with footprints.
             among: Range of the indices of the directions to evaluate; its start is a multiple of the batch size. None
                 is all directions.
             options: Options ``slice_size`` and ``progress`` of ``launch_pipeline``.

@@ -151,7 +151,7 @@ class MipLayout:
         """Return the finer mip level from which one octave of ``level`` is computed, by a further blur.
 
         It is the most blurred level for which the standard deviation of the further blur is at least the distance of
-        azimuth samples.
+        that level's azimuth samples.
         """
         width = self.level_blurs[level][octave]
         spacings = [2.0 * math.pi / grid.azimuths[octave] for grid in self.levels[:level]]

@@ -105,7 +105,11 @@ class PolarGrid:
 
 
 def azimuth_counts(radii: NDArray[np.floating[Any]], width: float, per_width: float) -> NDArray[np.float64]:
-    """Return the number of azimuth samples on rings of given radii, a multiple of 4, for lobes of a given width."""
+    """Return the number of azimuth samples on rings of given radii, a multiple of 4.
+
+    Neighbouring samples are at most ``width / per_width`` apart; ``width`` is that of the finest feature on the rings,
+    in the unit of ``radii``.
+    """
     return np.asarray(np.maximum(4.0 * np.ceil(2.0 * math.pi * radii / width * per_width / 4.0), FEWEST_AZIMUTHS))
 
 

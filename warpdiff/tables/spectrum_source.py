@@ -173,8 +173,8 @@ class WindowedSpectrum(SpectrumSource):
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
         """Return a function that projects samples of the spectrum, in one octave and the next one, to colours."""
         azimuths, terms, rings = self.layout.levels[0].azimuths, len(self.basis.sizes), self.layout.spectrum.rings
-        # Working memory in which each azimuth sample has room for its rings of both octaves. On the CPU, the threads
-        # use only the beginning of it, and the rest occupies no memory.
+        # Working memory in which each azimuth sample has room for its rings of one octave and the next one. On the CPU,
+        # the threads use only the beginning of it, and the rest occupies no memory.
         length = rings + len(curves) - 1 + FILTER_REACH
         sequence = wp.empty(azimuths[-1] * length, dtype=samples[0].dtype, device=options["device"])
 
@@ -318,8 +318,8 @@ def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) 
         power = np.maximum(basis_at(np.linspace(*kappas, _ZEROTH_ENTRIES)) @ own, 0.0).astype(np.float32)
         at_kappas = np.zeros((lanes, lanes), dtype=np.float32)
     else:
-        # Where amplitudes add, the zeroth order interferes with other orders and has no power of its own, so that the
-        # array is empty.
+        # Where amplitudes add, the zeroth order interferes with other orders and has no power of its own. The array of
+        # its powers is therefore empty.
         power = np.zeros(0, dtype=np.float32)
         # The number of Chebyshev nodes over κ follows from how fast a power oscillates over κ.
         argument = math.pi * (kappas[1] - kappas[0]) * heightfield.height_range_um

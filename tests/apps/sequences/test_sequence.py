@@ -80,7 +80,7 @@ def test_point_lights_sweep_about_the_target_and_skies_about_the_vertical():
     half = math.sqrt(2.0)
     positions = [each.lights[0].position for each in shots]
     np.testing.assert_allclose(positions, [(0.1, 2, 0), (0.1, half, half), (0.1, 0, 2)], atol=1e-12)
-    # In the same sweep, the direction to the disc light rotates about +x by a quarter turn.
+    # While the point light moves, the direction to the disc light rotates about +x by a quarter turn.
     x, y, z = disc.to_light
     np.testing.assert_allclose(shots[-1].lights[1].to_light, (x, -z, y), atol=1e-12)
     assert {(each.lights[0].power, each.lights[1].angular_diameter_deg) for each in shots} == {(3.0, 3.0)}
@@ -168,8 +168,8 @@ def test_frames_under_every_kind_of_light_equal_those_of_shade(tmp_path):
     pickled = pickle.dumps((renderer, sweeping))
     assert len(pickled) < 1.5 * len(pickle.dumps((renderer, sweeping[:1])))
     assert frames.draw_in_worker(job, pickled, 1)[".exr"] == path.read_bytes()
-    # A sequence with another sky image is another sequence, and so is one whose sky is rotated by the neighbouring
-    # floating-point number. Frames of different sequences must not be mixed in one folder.
+    # A sequence with another sky image is another sequence, and so is one whose sky has the next smaller floating-point
+    # number as its angle of rotation. Frames of different sequences must not be mixed in one folder.
     brighter = wd.Environment.clear_sky((1.0, 1.0, 0.5), directions=16, ground_albedo=0.3)
     rotated = with_settings(sky, math.nextafter(sky.rotation_deg, 0.0), 1.0, 16)
     for other in (brighter, rotated):

@@ -182,7 +182,8 @@ def changed(pixels, before):
 
 
 def test_the_picture_follows_the_settings_and_is_restored_with_them(page):
-    # Automatic exposure would give all mirrors the same picture, so the exposure is locked.
+    # With automatic exposure, materials that differ only in brightness would have the same picture. The exposure is
+    # therefore locked.
     page.set("lock_exposure", True)
     first = page.rest()
     assert first.shape == (240, 320, 3)

@@ -140,7 +140,10 @@ def test_the_final_picture_equals_that_of_shade(shown, skin, body, index):
 
 
 def test_a_point_light_equals_that_of_shade(shown, skin, body):
-    """The page renders only a few frames, so pixels are noisy, and medians and sums are compared."""
+    """The page renders only a few frames, so its pixels are noisy.
+
+    The test limits the median colour difference from ``shade``, and compares the sums of Y over the pixels.
+    """
     view, place = VIEWS[1], (-0.2, 1.2, 1.2)
     options = {"coherence": WINDOW, "pigment": PIGMENT, "tolerance": 3e-2}
     exact = wd.shade(body, skin, wd.PointLight(place, power=2.0), view, **options)
@@ -235,7 +238,8 @@ def test_without_webgl_2_a_message_is_shown(page, chromium):
     browser.close()
 
 
-# At the edges of facets, pixels have large errors, so the test limits only the median error and the sum.
+# At the edges of facets, pixels have large errors. The test therefore limits only the median error of the pixels and
+# the error of the sum of XYZ over the pixels.
 @pytest.mark.filterwarnings("ignore:.*of the pixels see more than")
 @pytest.mark.parametrize(
     ("reflection", "material"), [({"ior": 2.0}, None), ({}, wd.Material.metal("Au"))], ids=["glass", "gold"]
