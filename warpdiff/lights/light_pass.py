@@ -108,7 +108,9 @@ class PassContext:
         """
         self._device = rays.options["device"]
         self.rays, self.surfaces, self.refines = rays, tuple(surfaces), refines
-        self.finishes = [Finish(index, each) for index, optics in enumerate(surfaces) for each in optics.materials]
+        self.finishes = [
+            Finish(index, material) for index, optics in enumerate(surfaces) for material in optics.materials
+        ]
         self.is_pigmented = rays.surface.has_base_colour and any(optics.pigment > 0.0 for optics in surfaces)
         by_face = np.zeros(0, dtype=np.int32) if finish_of_faces is None else finish_of_faces
         self.finish_of_faces = self._array(by_face, wp.int32)
@@ -125,27 +127,27 @@ class PassContext:
         reflection = light_samples.Reflection()
         reflection.finishes = self.finish_of_faces
         reflection.surfaces = self._array([finish.surface for finish in self.finishes], wp.int32)
-        reflection.normal_reflectances = self._array([each.normal_reflectance for each in optics], wp.float64)
-        reflection.units = self._array([each.unit for each in optics], wp.float64)
+        reflection.normal_reflectances = self._array([surface.normal_reflectance for surface in optics], wp.float64)
+        reflection.units = self._array([surface.unit for surface in optics], wp.float64)
         # A picture of one surface is relative to R(0), and so is the light of its pigment.
-        units = [each.normal_reflectance if len(self.surfaces) == 1 else each.unit for each in optics]
-        pigments = [each.pigment / unit for each, unit in zip(optics, units, strict=True)]
+        units = [surface.normal_reflectance if len(self.surfaces) == 1 else surface.unit for surface in optics]
+        pigments = [surface.pigment / unit for surface, unit in zip(optics, units, strict=True)]
         reflection.pigments = self._array(pigments if self.is_pigmented else [], wp.float64)
-        reflection.per_light_cosine = self._array([each.coherence.kind == "source" for each in optics], wp.bool)
+        reflection.per_light_cosine = self._array([surface.coherence.kind == "source" for surface in optics], wp.bool)
         reflection.masking = self.surfaces[0].masking
         through = np.zeros((0, 0, 3), dtype=np.float32)
         if self.is_pigmented:
             tables = [
-                np.ones_like(table) if each.is_plain else table
-                for each, finish in zip(optics, self.finishes, strict=True)
-                for table in [transmittances(each.normal_reflectance, finish.material)]
+                np.ones_like(table) if surface.is_plain else table
+                for surface, finish in zip(optics, self.finishes, strict=True)
+                for table in [transmittances(surface.normal_reflectance, finish.material)]
             ]
             through = np.asarray(tables, dtype=np.float32)
         reflection.transmittances = wp.empty(through.shape[:2], dtype=wp.vec3f, device=self._device)
         reflection.transmittances.assign(through)
         energy = np.zeros((0, 0, 0), dtype=np.float32)
         if self.surfaces[0].energy is not None:
-            energy = np.stack([np.asarray(each.energy) for each in self.surfaces])
+            energy = np.stack([np.asarray(surface.energy) for surface in self.surfaces])
         reflection.energy = self._array(energy, wp.float32)
         return reflection
 

@@ -22,11 +22,15 @@ if TYPE_CHECKING:
     from warpdiff.apps.report.report_data import ReportData
 
 
-def numbers_of(data: ReportData, title: str) -> dict[str, Any]:
+# Object of JSON: its values are numbers, texts, lists and objects.
+JsonObject = dict[str, Any]
+
+
+def numbers_of(data: ReportData, title: str) -> JsonObject:
     """Return the content of the JSON file of a report; a number that does not exist is None."""
     request = data.request
     field = request.heightfield
-    result: dict[str, Any] = {
+    result: JsonObject = {
         "title": title,
         "warpdiff": metadata.version("warpdiff"),
         "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
@@ -60,7 +64,7 @@ def numbers_of(data: ReportData, title: str) -> dict[str, Any]:
     return {**result, "not_found": dict(data.reasons), "warnings": list(data.warnings)}
 
 
-def _source(data: ReportData) -> dict[str, Any] | None:
+def _source(data: ReportData) -> JsonObject | None:
     """Return the file, channel, orientation and metadata of a height field; None for a field from an array."""
     source = data.request.heightfield.source
     if source is None:
@@ -81,7 +85,7 @@ def _sha256(file: Path) -> str | None:
         return None
 
 
-def _settings(data: ReportData) -> dict[str, Any]:
+def _settings(data: ReportData) -> JsonObject:
     """Return the arguments of the report, and the settings of its evaluations with their defaults, by name."""
     request = data.request
     settings = EvaluationSettings(**request.settings)
@@ -135,7 +139,7 @@ def tables_of(data: ReportData) -> dict[str, Table]:
     return tables
 
 
-def _rows(table: Table) -> list[dict[str, Any]]:
+def _rows(table: Table) -> list[JsonObject]:
     """Return the rows of a table as dictionaries."""
     names = list(table.columns)
     return [{name: _number(value) for name, value in zip(names, row, strict=True)} for row in table.rows]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from warpdiff.apps.report.report_data import ReportData
     from warpdiff.apps.report.report_figures import Figure
+    from warpdiff.apps.report.report_numbers import JsonObject
     from warpdiff.core.table import Table
     from warpdiff.heightfield.roughness import RoughnessParameter
 
@@ -64,7 +65,7 @@ _ABSENT = {
 }
 
 
-def page_of(data: ReportData, numbers: dict[str, Any], figures: list[Figure], names: list[str]) -> str:
+def page_of(data: ReportData, numbers: JsonObject, figures: list[Figure], names: list[str]) -> str:
     """Return the HTML text of the page.
 
     Args:
@@ -107,7 +108,7 @@ def page_of(data: ReportData, numbers: dict[str, Any], figures: list[Figure], na
     return re.sub("@([A-Z]+)@", lambda match: filling[match[1]], template)
 
 
-def summary_text(numbers: dict[str, Any], warnings: Sequence[str]) -> str:
+def summary_text(numbers: JsonObject, warnings: Sequence[str]) -> str:
     """Return the main results of a report as lines of plain text."""
     lines = [numbers["title"]]
     lines += [
@@ -153,7 +154,7 @@ def _grade(grade: str) -> str:
     return f'<span class="grade {grade}">{grade}</span>'
 
 
-def _summary(data: ReportData, numbers: dict[str, Any]) -> list[tuple[str, str]]:
+def _summary(data: ReportData, numbers: JsonObject) -> list[tuple[str, str]]:
     field = data.request.heightfield
     (ny, nx), (ly, lx), (dy, dx) = field.shape, field.size_um, field.pitch_um
     facts = [(
@@ -189,7 +190,7 @@ def _light(data: ReportData) -> str:
     )
 
 
-def _material(numbers: dict[str, Any]) -> str:
+def _material(numbers: JsonObject) -> str:
     settings = numbers["settings"]
     if settings["material"] is not None:
         return f"{settings['material']}, unpolarised light"
@@ -218,7 +219,7 @@ def _shown(parameter: RoughnessParameter) -> str:
     return f"{_value(factor * parameter.value, error)} {unit}".rstrip()
 
 
-def _surface(data: ReportData, numbers: dict[str, Any]) -> str:
+def _surface(data: ReportData, numbers: JsonObject) -> str:
     field = data.request.heightfield
     missing = int(np.count_nonzero(field.missing))
     share = 100.0 * missing / field.missing.size
@@ -437,7 +438,7 @@ def _order_rows(table: Table, *, is_plane: bool) -> tuple[list[list[str]], int]:
     return [[cell.replace("-", "−") for cell in row] for row in rows], left
 
 
-def _order_name(row: dict[str, Any], columns: dict[str, Any]) -> str:
+def _order_name(row: JsonObject, columns: JsonObject) -> str:
     """Return the number of a diffraction order as text, or both numbers if the field varies along x and y."""
     numbers = [row["order"]] if "order" in row else [row[name] for name in ("m_x", "m_y") if np.any(columns[name])]
     texts = [f"{int(number):+d}" if number else "0" for number in numbers]
@@ -466,7 +467,7 @@ def _colours(data: ReportData) -> str:
     )
 
 
-def _map(numbers: dict[str, Any]) -> str:
+def _map(numbers: JsonObject) -> str:
     if "map_error" not in numbers:
         return ""
     return paragraph(

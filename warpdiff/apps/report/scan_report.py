@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from warpdiff.apps.report.report_numbers import JsonObject
     from warpdiff.core.table import Table
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.request.keywords import EvaluationKeywords
@@ -62,7 +63,7 @@ class ScanReport:
 
     page: Path
     paths: tuple[Path, ...]
-    numbers: dict[str, Any]
+    numbers: JsonObject
     reasons: dict[str, str]
     warnings: tuple[str, ...]
 
@@ -184,7 +185,7 @@ def _title(heightfield: HeightField) -> str:
     return f"{name}, {source.channel}" if source.channel else name
 
 
-def _write(target: Path, page: str, numbers: dict[str, Any], tables: dict[str, Table]) -> tuple[Path, ...]:
+def _write(target: Path, page: str, numbers: JsonObject, tables: dict[str, Table]) -> tuple[Path, ...]:
     """Write all files, the page last. Each file replaces an earlier one only when it is complete."""
     paths = [target / "report.json"]
     with files.atomic_write(paths[0]) as temporary:
