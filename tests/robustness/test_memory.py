@@ -71,7 +71,7 @@ for message, call in calls.items():
 shade(40)
 """
 JUST = """
-from warpdiff.render import shade as render
+from warpdiff.render import picture_inputs as render
 
 shade(64)
 used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
