@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+from conftest import slow
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import warpdiff as wd
@@ -198,7 +199,7 @@ def taken_by_others(work):
 
 @pytest.mark.usefixtures("two_threads")
 @pytest.mark.filterwarnings("ignore:orders up to")
-@pytest.mark.parametrize("what", ["direct sums", "orders", "colours", "meshes"])
+@pytest.mark.parametrize("what", [slow("direct sums"), slow("orders"), "colours", "meshes"])
 def test_large_matrices_are_processed_by_one_thread(what, rng):
     """Work on large arrays uses only the calling thread, because linear algebra is limited to one thread.
 

@@ -174,6 +174,7 @@ def test_the_luminance_in_a_penumbra_is_the_visible_share_of_the_disc():
     np.testing.assert_allclose(result, visible[rows], atol=0.04)
 
 
+@pytest.mark.slow
 def test_the_best_table_is_used_if_none_meets_the_tolerance_for_single_directions():
     """For this blazed grating, no table meets the tolerance for single directions. The best is used, with a warning."""
     blazed, light = wd.gratings.blazed(1.5, 0.3), wd.DirectionalLight((0.5, 0.3, 1.0), angular_diameter_deg=10.0)

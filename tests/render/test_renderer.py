@@ -184,8 +184,15 @@ SAMPLED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", SAMPLED)
-@pytest.mark.parametrize("together", [True, False])
+@pytest.mark.parametrize(
+    ("name", "together"),
+    [
+        ("disc", True),
+        ("sky", False),
+        ("clear sky", True),
+        *map(slow, ("disc", "sky", "clear sky"), (False, True, False)),
+    ],
+)
 def test_a_sampled_light_after_another_light_equals_that_of_shade(name, together, tube, fingers, plans, monkeypatch):
     """Launches are first recorded for a light without samples. A light with samples then needs additional arrays."""
     monkeypatch.setattr(renderer, "records", lambda _: True)
@@ -319,7 +326,14 @@ def test_footprints_stay_on_without_a_table_for_means(tube):
     np.testing.assert_allclose(by_itself.xyz, drawn.image().xyz, rtol=0.5, atol=2e-3 * by_itself.xyz.max())
 
 
-@pytest.mark.parametrize(("name", "count", "options"), CASES.values(), ids=CASES)
+# Replaying concerns the sequence of launches, which is the same in the slow cases as in one of the others.
+SLOW_TO_REPLAY = {"footprints", "points", "sampled", "no shadows"}
+REPLAYED = [
+    pytest.param(*case, id=key, marks=[pytest.mark.slow] * (key in SLOW_TO_REPLAY)) for key, case in CASES.items()
+]
+
+
+@pytest.mark.parametrize(("name", "count", "options"), REPLAYED)
 def test_replayed_pictures_equal_those_of_shade(painted, fingers, plans, name, count, options, recorded):
     # The picture is twice as wide as in other tests, so that shares of differing pixels are meaningful.
     size = 2 * WIDTH, 2 * HEIGHT
