@@ -139,7 +139,11 @@ def flat_reflectance(index: float | None, angle: float) -> tuple[float, float]:
 
 
 def error(shape: str, index: float | None, period: float, depth: float, angle: float, row: list[int]) -> float:
-    """Return the largest error of any order of a grating, as a share of the power that a flat surface reflects."""
+    """Return the error of scalar diffraction for a grating, compared with a rigorous solution.
+
+    The error is that of the order with the largest difference in power, divided by the power that a flat surface
+    reflects.
+    """
     flat, ours = flat_reflectance(index, angle)
     rigorous = np.array(row[1:]) * UNIT / flat
     heightfield = GRATINGS[shape](period, depth, samples=SAMPLES)

@@ -27,6 +27,8 @@ def test_the_command_of_a_picture_exists(name, monkeypatch):
         monkeypatch.setattr(demo, "cleaned_scan", lambda _path: wd.HeightField(np.zeros((4, 4)), 0.1))
         monkeypatch.setattr(demo.Path, "is_file", lambda _path: True)
         assert Path(name).stem in {picture.name for picture in demo.pictures(ROOT)}
+    elif command[1].endswith(".py"):
+        assert f'"{name}"' in (ROOT / command[1]).read_text(encoding="utf-8")
     elif command[2] == "bench":
         assert command[4] in runner.PARTS
     else:

@@ -121,7 +121,8 @@ def test_a_view_of_a_mesh_fills_the_image(direction, size, target, tmp_path):
     places = np.stack([rays @ frame.right / depth / frame.half_width, rays @ frame.up / depth / frame.half_height])
     assert np.abs(places).max() == pytest.approx(0.92, abs=1e-6)
     if target is None:
-        # Without a target, the mesh has the same margin to both edges of the pair that limits the distance.
+        # Without a target, the mesh is centred between two opposite edges of the picture: left and right, or top and
+        # bottom. They are the two edges that the mesh is closest to.
         limits = np.stack([-places.min(axis=1), places.max(axis=1)])
         assert limits.min(axis=0).max() == pytest.approx(0.92, abs=1e-6)
     else:

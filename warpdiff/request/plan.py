@@ -418,10 +418,10 @@ def _is_legal(method: str, integration: str, coherence: Coherence) -> bool:
 
 
 def has_table(expansion: str, coherence: Coherence) -> bool:
-    """Whether colour tables can be computed from an expansion.
+    """Whether colour tables can be computed from an expansion under a coherence.
 
-    The rows of a coefficient table must be powers if the powers of orders add under ``coherence``, and amplitudes if
-    the amplitudes of orders add.
+    This is so if the coefficients that the expansion provides are added in the way that the coherence requires: powers
+    for averaged windows and sources, amplitudes for centred windows. Replicated periods have no table.
     """
     return (
         coherence.kind != "replicas"

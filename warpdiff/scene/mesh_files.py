@@ -97,7 +97,10 @@ def _load_by_trimesh(file: Path) -> list[ScenePart]:
 
 
 def _rewritten(data: bytes, suffix: str) -> tuple[bytes, list[obj_text.PartName]]:
-    """Return a file in UTF-8 whose concave polygons are triangles, and the names of parts of an .obj file."""
+    """Return the contents of a mesh file for trimesh, and for .obj files also the names of the parts.
+
+    Texts are encoded in UTF-8. Concave polygons are divided into triangles.
+    """
     if suffix == ".obj":
         text = decoded(data).replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", " ")
         text, names = obj_text.numbered_obj(obj_text.triangulated_obj(obj_text.absolute_obj(text)))

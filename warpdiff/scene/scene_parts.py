@@ -149,7 +149,8 @@ def unique_names(names: Iterable[str | None], kind: str) -> list[str]:
     """
     result: list[str] = []
     used: set[str] = set()
-    # The numbers that follow each name are counted on, so that many equal names need no search from the start.
+    # Equal names get a number in brackets. The last number that each name has got is stored here. The search for a free
+    # number then begins after it, and is fast for many equal names.
     last: dict[str, int] = {}
     for index, name in enumerate(names):
         base = name or f"{kind} {index}"

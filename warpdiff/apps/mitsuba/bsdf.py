@@ -154,7 +154,7 @@ class _Table:
         return self.grid.eval(mi.Point2f(x * scale + 0.5, y * scale + 0.5))
 
     def functions_at(self, value: Variant) -> Variant:
-        """Return the values of all functions at a value of κ or w."""
+        """Return the values of all basis functions of the baked lobes at a value of κ or w."""
         import mitsuba as mi
 
         return self.functions.eval(mi.Float(self.at(value, self.entries)))
