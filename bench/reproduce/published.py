@@ -81,10 +81,11 @@ class Setting(NamedTuple):
 def refined(error_of: Callable[[Setting], float], most: int, target: float) -> tuple[list[Setting], float]:
     """Return settings that reach a target error with the fewest multiply-adds, and the least error of all tried.
 
-    The cheapest setting with the published series is included. The search assumes that the error decreases with each of
-    the numbers if the others are constant. For centred and for uncentred heights, it tries the two smallest sufficient
-    numbers of terms, and the published number. Each is combined with each sufficient number of neighbours. Bisection
-    then finds the smallest sufficient number of wavelengths.
+    A setting has three numbers: terms of the series, neighbours and wavelengths. The search assumes that the error
+    decreases if one number grows and the others are constant. For centred and for uncentred heights, it tries the
+    published number of terms, and the two smallest numbers that can reach the target with the most neighbours and
+    wavelengths. For each of them it tries all numbers of neighbours that can reach the target. Bisection then finds the
+    smallest number of wavelengths. The returned settings include the cheapest one with the published number of terms.
     """
     successes: list[Setting] = []
     found: list[float] = []

@@ -101,10 +101,12 @@ class PixelSampler:
     def scatter(
         self, sample: int, index: LobeIndex, sums: Accumulators, *, samples_per_pixel: int | None = None
     ) -> None:
-        """Sample a lobe at the hits of one ray per pixel, and add the light of the pigment to the sums.
+        """Compute the light samples of a lobe in ``samples``, at the hits of one ray per pixel.
 
-        ``sample`` is the index of the ray among the rays of a pixel. If the hits belong to another ray, the ray is
-        traced first. If the previous call had the same ray and lobe, the method does nothing.
+        The light that the pigment reflects is added to the colours in ``sums``. The light that the height field
+        diffracts is looked up later. ``sample`` is the index of the ray among the rays of a pixel. This ray is traced
+        first, unless the last traced one has the same index. If the previous call had the same ray and lobe, the method
+        does nothing.
         """
         if (self._sample, self._lobe) == (sample, index):
             return

@@ -120,7 +120,8 @@ class ReportData:
         colours: CIE XYZ at the view angles `ANGLES_DEG`, shape (n, 3), by the standard deviation of the coherence
             window [µm].
         map: Colours of the reflectance over all view directions, as an image.
-        comparison: Comparison of the measured curve with a computed one.
+        comparison: Comparison of the user's file ``compare``, a measured spectrum or goniometer curve, with the
+            computed one; None without such a file.
         reasons: Reason why a result is absent, by the name of its attribute.
         warnings: Texts of all warnings during the computations, each once.
     """

@@ -33,7 +33,7 @@ class Accessors:
     """Accessors of a file."""
 
     def __init__(self, container: Container) -> None:
-        """Use the accessors and buffer views of a file."""
+        """Keep the contents of a glTF file, whose arrays are read later."""
         self._container = container
         self._elements = container.root.elements("accessors")
 
