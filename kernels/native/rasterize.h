@@ -94,9 +94,8 @@ struct Triangles {
     double column[3][FACES], row[3][FACES], depth[3][FACES];
     bool rises[3][FACES];
     int face[FACES], count = 0;
-    // Range of pixels that each triangle may cover, and its edges: start, vector to the end, sign that makes
-    // points inside of the triangle positive, and slope in columns
-    // per row.
+    // Range of pixels that each triangle may cover, and its edges: start, vector to the end, sign that makes points
+    // inside of the triangle positive, and slope in columns per row.
     double low_column[FACES], high_column[FACES], low_row[FACES], high_row[FACES];
     double from_x[3][FACES], from_y[3][FACES], right[3][FACES], down[3][FACES], sign[3][FACES], slope[3][FACES];
 

@@ -157,7 +157,8 @@ class _Means:
             linear = _solved(columns, self.values, root)
             residual = float(np.sum((root * (self.values - np.stack(columns, axis=1) @ linear)) ** 2))
             slope = 2.0 * np.pi * ((cosines * linear[count : 2 * count] - sines * linear[:count]) @ self.orders)
-            # Derivatives of the fitted wave with respect to its frequency along each axis [height per (cycle per field)].
+            # Derivatives of the fitted wave with respect to its frequency along each axis, which is in cycles over the
+            # field.
             columns += [slope * place for place in relative]
             if residual < least:
                 normal = np.stack(columns, axis=1)
