@@ -138,6 +138,26 @@ def test_a_renderer_draws_the_pictures_of_shade_and_can_be_pickled():
     assert small.image().xyz.shape == (4, 12, 3)
 
 
+def test_one_key_for_all_parts_gives_the_same_colours_as_several_keys():
+    surface = wd.Surface(WAVE, coherence=SHORT, ior=2.0, pigment=0.7)
+    one = wd.Renderer(BODY, {"*": surface}, LIGHT, VIEW, **OPTIONS)
+    several = wd.shade(BODY, {"left": surface, "*": surface}, LIGHT, VIEW, **OPTIONS)
+    np.testing.assert_allclose(one.image().xyz, several.xyz, rtol=0.1, atol=1e-3 * several.xyz.max())
+    copy = pickle.loads(pickle.dumps(one))  # noqa: S301 (own bytes)
+    np.testing.assert_array_equal(copy.image().xyz, one.image().xyz)
+
+
+def test_plans_state_the_coherence_of_the_unit():
+    surfaces = {"left": wd.Surface(WAVE, coherence=SHORT, ior=2.0), "middle": None, "*": BLAZED}
+    first = wd.shade(BODY, surfaces, LIGHT, VIEW, **OPTIONS)
+    unstated = {name: value for name, value in OPTIONS.items() if name != "coherence"}
+    again = wd.shade(BODY, surfaces, LIGHT, VIEW, **unstated, plan=first.plan)
+    np.testing.assert_array_equal(again.xyz, first.xyz)
+    plans = {"left": first.plan["left"], "*": first.plan["*"]}
+    with pytest.raises(ValueError, match=r"coherence must be given, because the plans .* differ: averaged window"):
+        wd.shade(BODY, {"left": WAVE, "*": BLAZED}, LIGHT, VIEW, **unstated, plan=plans)
+
+
 @pytest.mark.parametrize(
     ("surfaces", "message"),
     [

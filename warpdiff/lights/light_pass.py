@@ -49,7 +49,8 @@ class SurfaceOptics:
         pigment: Linear factor of the light that the pigment reflects; 0 is no pigment.
         shadows: Whether the mesh may occlude the lights.
         is_plain: Whether the surface has no height field: it is matte, and only its base colour reflects light.
-        unit: Factor from the colours of this surface to the unit of the picture; 1 if the picture has one surface.
+        unit: Factor from the colours of this surface to the unit of the picture. None if the colours of the picture are
+            relative to this surface's own R(0) and coherence.
     """
 
     coherence: Coherence
@@ -61,7 +62,7 @@ class SurfaceOptics:
     pigment: float = 0.0
     shadows: bool = True
     is_plain: bool = False
-    unit: float = 1.0
+    unit: float | None = None
 
 
 class PictureUnit(NamedTuple):
@@ -128,9 +129,9 @@ class PassContext:
         reflection.finishes = self.finish_of_faces
         reflection.surfaces = self._array([finish.surface for finish in self.finishes], wp.int32)
         reflection.normal_reflectances = self._array([surface.normal_reflectance for surface in optics], wp.float64)
-        reflection.units = self._array([surface.unit for surface in optics], wp.float64)
-        # A picture of one surface is relative to R(0), and so is the light of its pigment.
-        units = [surface.normal_reflectance if len(self.surfaces) == 1 else surface.unit for surface in optics]
+        reflection.units = self._array([surface.unit or 1.0 for surface in optics], wp.float64)
+        # A picture in the unit of its surface is relative to R(0), and so is the light of its pigment.
+        units = [surface.unit or surface.normal_reflectance for surface in optics]
         pigments = [surface.pigment / unit for surface, unit in zip(optics, units, strict=True)]
         reflection.pigments = self._array(pigments if self.is_pigmented else [], wp.float64)
         reflection.per_light_cosine = self._array([surface.coherence.kind == "source" for surface in optics], wp.bool)

@@ -60,14 +60,14 @@ class SurfaceInputs:
         settings: Options of the call, with those of the surface.
         parts: Parts that the lights consist of: lobes, discs and skies. Plans are chosen for their spectra.
         is_plain: Whether the surface has no height field, and only its base colour reflects light.
-        unit: Factor from the colours of the surface to the unit of the picture.
+        unit: Factor from the colours of the surface to the unit of the picture; None if the surface defines the unit.
     """
 
     evaluation: Evaluation
     settings: PictureSettings
     parts: list[LightPart]
     is_plain: bool = False
-    unit: float = 1.0
+    unit: float | None = None
 
     @classmethod
     def of(cls, heightfield: HeightField | None, lights: Sequence[Light], settings: PictureSettings) -> SurfaceInputs:
@@ -293,7 +293,21 @@ def _in_unit(inputs: PictureInputs) -> Evaluation:
     evaluation = inputs.evaluation
     if not isinstance(inputs.heightfield, Mapping):
         return evaluation
-    return replace(evaluation, coherence=inputs.settings.coherence or Coherence())
+    return replace(evaluation, coherence=_unit_coherence(inputs.heightfield, inputs.settings))
+
+
+def _unit_coherence(surfaces: Mapping[str, HeightField | Surface | None], settings: PictureSettings) -> Coherence:
+    """Return the coherence to which colours of a picture are relative: that of surfaces without one of their own."""
+    if settings.coherence is not None or not isinstance(settings.plan, Mapping):
+        return settings.coherence or Coherence()
+    own = {key for key, value in surfaces.items() if isinstance(value, Surface) and value.coherence is not None}
+    planned = {plan.coherence for key, plan in settings.plan.items() if key not in own}
+    if len(planned) > 1:
+        raise ArgumentValueError(
+            f"{ref('coherence')} must be given, because the plans of surfaces without a coherence of their own differ: "
+            f"{', '.join(sorted(map(str, planned)))}; it is the unit of the picture"
+        )
+    return planned.pop() if planned else Coherence()
 
 
 def _inputs_by_key(
@@ -318,12 +332,12 @@ def _inputs_by_key(
             f"{', '.join(map(repr, gratings))}: give {ref('plan')} by their keys, or another {ref('method')}"
         )
     of_plain = replace(settings, material=None, ior=None, plan=None)
-    reference = settings.coherence or Coherence()
+    reference = _unit_coherence(surfaces, settings)
     first = next(iter(gratings.values())).heightfield
     inputs = {}
     for key, surface in checked.items():
         if surface is None:
-            inputs[key] = SurfaceInputs.of(None, lights, replace(of_plain, pigment=1.0))
+            inputs[key] = replace(SurfaceInputs.of(None, lights, replace(of_plain, pigment=1.0)), unit=1.0)
             continue
         with renaming({"heightfield": f"heightfield[{key!r}]"}):
             own = SurfaceInputs.of(surface.heightfield, lights, _settings_of(surface, key, settings))

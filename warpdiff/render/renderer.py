@@ -178,7 +178,7 @@ class Renderer:
         threads = None if evaluation.threads == resolve_threads(None) else evaluation.threads
         settings = replace(
             self._inputs.settings, plan=self.plan, tangents=None, footprint=evaluation.footprint,
-            coherence=self._inputs.settings.coherence if len(self._inputs.surfaces) > 1 else None,
+            coherence=self._inputs.settings.coherence if isinstance(self._inputs.heightfield, Mapping) else None,
             device=evaluation.device.alias, threads=threads,
         )  # fmt: skip
         return {

@@ -94,7 +94,8 @@ def shade(
     with picture_memory(view):
         surface = prepare_surface(mesh, tangents=checked.tangents)
         if spectral is not None:
-            check_pigment(checked.pigment, has_base_colour=surface.has_base_colour)
+            (own,) = inputs.surfaces.values()
+            check_pigment(own.settings.pigment, has_base_colour=surface.has_base_colour)
         colours = progress if spectral is None else subprogress(progress, 0.0, _PROGRESS_OF_COLOURS)
         image = request.added_to(_render(inputs, surface, view, colours, request), inputs, surface, view)
         if spectral is not None:
