@@ -29,3 +29,13 @@ def test_the_mean_slope_does_not_depend_on_the_samples():
     y = np.arange(40)[:, None] * 0.1
     sloped = wd.HeightField(0.3 * np.cos(2.0 * np.pi * y / 4.0) * np.ones((1, 3)), 0.1)
     assert sloped.mean_slope == pytest.approx(4.0 * 0.3 / 4.0, rel=1e-2)
+
+
+def test_a_summary_lists_a_wavering_period(rng):
+    """Real ridges waver, so that the standard error of their period is a few per cent."""
+    drift = np.cumsum(rng.normal(0.0, 0.025, 800))
+    ridges = 0.1 * np.cos(2.0 * np.pi * (np.arange(800) * 0.05 + drift - drift.mean())) + np.zeros((40, 1))
+    field = wd.HeightField(ridges + rng.normal(0.0, 0.01, ridges.shape), 0.05)
+    (period,) = field.periods()
+    assert period.standard_error_um > 0.01 * period.period_um
+    assert str(period) in str(field.summary())

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 # A summary lists periods with at most this relative standard error, and at least this share of the variance of the
 # heights. If the first number is doubled, less certain periods are listed; if the second is doubled, fewer periods are.
-_MOST_STANDARD_ERROR, _LEAST_SHARE = 0.01, 0.01
+_MOST_STANDARD_ERROR, _LEAST_SHARE = 0.1, 0.01
 
 # Value of |κ| for which aliasing is estimated [1/µm]: directions to light and view along the normal, at 380 nm.
 _KAPPA = 2.0 / 0.38
@@ -48,7 +48,7 @@ class HeightFieldSummary:
         rms_um: Standard deviation of the heights [µm].
         rms_slope: Root mean square of the slope (a ratio).
         mean_slope: Mean absolute slope (a ratio). It does not depend on the sampling of vertical walls.
-        periods: Periods that repeat at least three times, have a standard error of at most 1 %, and explain at least
+        periods: Periods that repeat at least three times, have a standard error of at most 10 %, and explain at least
             1 % of the variance, see `HeightField.periods`. A field of a single period has none.
         max_uv: Largest component of the scattering vector (u, v) = −ωi − ωr that the pitch supports at 380 nm:
             λ / (2 · pitch). If it is at least 2, no pair of directions to light and view suffers from aliasing.
