@@ -103,8 +103,8 @@ def test_the_reference_luminance_is_a_percentile_or_the_median_of_the_light():
     weights = np.ones(1005)
     assert trial.reference_luminance(luminance, weights) == 1000.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 1.0
-    # Of 1,005 directions, 20 are bright, so that the 99th percentile of the luminance is theirs. With small weights
-    # they change neither this percentile nor the luminance-weighted median.
+    # There are 1,005 directions, of which 20 are bright, so that the 99th percentile of the luminance is theirs. With
+    # small weights they change neither this percentile nor the luminance-weighted median.
     luminance[-20:] = 50.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 50.0
     weights[-20:] = 0.25

@@ -337,7 +337,7 @@ class Picture:
         return np.ascontiguousarray(values.reshape(self.rays.height, self.rays.width, *values.shape[1:])[self._inner])
 
     @np.errstate(under="ignore")
-    def image(self, plans: Sequence[Plan], tolerance: float) -> Image:
+    def image(self, plans: Sequence[Plan]) -> Image:
         """Return the finished picture, with the estimated errors of the least accurate plan. Its plan is the first."""
         sums = self._sums
         xyz, coverage, illuminated = map(self._cropped, (sums.xyz, sums.coverage, sums.illuminated))
@@ -361,7 +361,7 @@ class Picture:
         covered = int(np.count_nonzero(sums.coverage.numpy()))
         edges = self._cropped(sums.edges) if self._means and self._refine else None
         report = report_of(
-            error, illuminated, edges, tolerance=tolerance,
+            error, illuminated, edges, tolerance=min(plan.tolerance for plan in plans),
             light_sample_count=sum(light.sample_count for light in self._parts),
             refined_share=min(subdivided / max(covered, 1), 1.0),
         )  # fmt: skip

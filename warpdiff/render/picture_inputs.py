@@ -26,11 +26,11 @@ from warpdiff.request.surface import Surface
 from warpdiff.scene.camera import View
 from warpdiff.scene.part_names import key_of_faces
 from warpdiff.tables import polar_grid
-from warpdiff.tables.lookup import ColourLookup
+from warpdiff.tables.lookup import ColourLookup, Lookups
 
 if TYPE_CHECKING:
     import contextlib
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     import warp as wp
     from numpy.typing import NDArray
@@ -187,7 +187,9 @@ class PictureInputs:
                 f"{ref('samples_per_pixel')} must be at most {most} with footprints, got {settings.samples_per_pixel}; "
                 f"{ref('footprint', False)} accepts more"
             )
-        inputs = cls(heightfield, settings, lights, surfaces, [])
+        inputs = cls(heightfield, settings, lights, surfaces, first.parts)
+        if not isinstance(heightfield, Mapping):
+            return inputs
         return replace(inputs, parts=inputs.parts_of(lights, means=first.evaluation.footprint))
 
     @property
@@ -204,9 +206,29 @@ class PictureInputs:
     def parts_of(self, lights: Sequence[Light], *, means: bool) -> list[LightPart]:
         """Check lights for each surface, and return their parts in the unit of the picture."""
         refine = self.settings.refine
-        for own in self.surfaces.values():
-            parts_of(lights, own.evaluation, refine=refine, means=means)
+        if isinstance(self.heightfield, Mapping):
+            for own in self.surfaces.values():
+                parts_of(lights, own.evaluation, refine=refine, means=means)
         return parts_of(lights, _in_unit(self), refine=refine, means=means)
+
+    def planned(
+        self, directions: Callable[[int, SurfaceInputs], tuple[DirectionRange, DirectionSample, float]]
+    ) -> tuple[list[Plan], Lookups]:
+        """Return the plans of the surfaces that have a height field, and the look-ups of all surfaces.
+
+        ``directions(index, surface)`` returns the directions for which the plan of a surface is required: their range,
+        a sample of them, and their number.
+        """
+        plans: list[Plan] = []
+        lookups: list[ColourLookup | None] = []
+        for index, own in enumerate(self.surfaces.values()):
+            if own.is_plain:
+                lookups.append(None)
+                continue
+            direction_range, sample, count = directions(index, own)
+            plans.append(own.planned(direction_range, sample, count))
+            lookups.append(own.lookup(plans[-1], direction_range))
+        return plans, Lookups(lookups)
 
     def parts_of_light(self, index: int) -> list[LightPart]:
         """Return the parts of one light, which are not combined with those of other lights."""
@@ -253,14 +275,9 @@ class PictureInputs:
             device=self.evaluation.device, threads=self.evaluation.threads, **options,
         )  # fmt: skip
 
-    def image(self, picture: Picture, plans: Sequence[Plan], tolerance: float | None = None) -> Image:
-        """Return a finished picture with its plan or plans, and the steps that made its height fields.
-
-        ``tolerance`` is the tolerance that the picture meets; None is that of the plans.
-        """
-        if tolerance is None:
-            tolerance = min(plan.tolerance for plan in plans)
-        image = replace(picture.image(plans, tolerance), plan=self.by_key(plans))
+    def image(self, picture: Picture, plans: Sequence[Plan]) -> Image:
+        """Return a finished picture with its plan or plans, and the steps that made its height fields."""
+        image = replace(picture.image(plans), plan=self.by_key(plans))
         histories = {key: own.evaluation.heightfield.history for key, own in self.surfaces.items()}
         history = tuple(f"{key}: {step}" if key else step for key, steps in histories.items() for step in steps)
         if image.report is None or not history:

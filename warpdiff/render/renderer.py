@@ -25,7 +25,6 @@ from warpdiff.request.settings import PictureSettings
 from warpdiff.request.signatures import accepts
 from warpdiff.scene.camera import View
 from warpdiff.scene.mesh_import import prepare_surface
-from warpdiff.tables.lookup import ColourLookup, Lookups
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
@@ -36,6 +35,7 @@ if TYPE_CHECKING:
     from warpdiff.render.picture_inputs import SurfacesOfMesh
     from warpdiff.request.keywords import PictureKeywords
     from warpdiff.scene.mesh_import import Surface
+    from warpdiff.tables.lookup import Lookups
 
 
 class Renderer:
@@ -115,17 +115,9 @@ class Renderer:
         """Choose the plans, and make the tables and the picture. Tables that exist already are in ``lookups``."""
         device = inputs.evaluation.device
         self._inputs, self._surface = inputs, surface
-        self._plans: list[Plan] = []
-        made: list[ColourLookup | None] = []
         with picture_memory(view):
-            for own in inputs.surfaces.values():
-                if own.is_plain:
-                    made.append(None)
-                    continue
-                direction_range, sample, count = directions_of(own.evaluation)
-                self._plans.append(own.planned(direction_range, sample, count))
-                made.append(own.lookup(self._plans[-1], direction_range))
-            self._lookups = lookups or Lookups(made)
+            self._plans, made = inputs.planned(lambda _, own: directions_of(own.evaluation))
+            self._lookups = lookups or made
             self.plan = inputs.by_key(self._plans)
             self._recorded = records(device)
             self._mine = _ThreadPicture(

@@ -19,7 +19,6 @@ from warpdiff.render.spectral_pictures import check_pigment, check_spectral, spe
 from warpdiff.request.settings import SinglePictureSettings
 from warpdiff.request.signatures import accepts
 from warpdiff.scene.mesh_import import prepare_surface
-from warpdiff.tables.lookup import ColourLookup, Lookups
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
@@ -28,9 +27,9 @@ if TYPE_CHECKING:
 
     from warpdiff.image.image import Image
     from warpdiff.lights.base import Light, LightPart
-    from warpdiff.render.picture_inputs import SurfacesOfMesh
+    from warpdiff.render.picture_inputs import SurfaceInputs, SurfacesOfMesh
+    from warpdiff.request.directions import DirectionRange, DirectionSample
     from warpdiff.request.keywords import SinglePictureKeywords
-    from warpdiff.request.plan import Plan
     from warpdiff.scene.camera import View
     from warpdiff.scene.mesh_import import Surface
 
@@ -175,26 +174,20 @@ def _render(
         inputs = replace(inputs, parts=parts)
     picture = inputs.picture(surface, view)
     picture.set_lights(inputs.parts)
-    plans: list[Plan] = []
-    lookups: list[ColourLookup | None] = []
-    for index, own in enumerate(inputs.surfaces.values()):
-        if own.is_plain:
-            lookups.append(None)
-            continue
-        count: float
+
+    def directions(index: int, own: SurfaceInputs) -> tuple[DirectionRange, DirectionSample, float]:
         if all(part.has_lobes for part in inputs.parts):
-            direction_range, sample, count = picture.measure_directions(own.evaluation.heightfield, index)
-        else:
-            # Light from a sky comes from the whole hemisphere, so that the plan must cover all directions.
-            direction_range, sample, count = directions_of(own.evaluation)
-        plans.append(own.planned(direction_range, sample, count))
-        lookups.append(own.lookup(plans[-1], direction_range))
+            return picture.measure_directions(own.evaluation.heightfield, index)
+        # Light from a sky comes from the whole hemisphere, so that the plan must cover all directions.
+        return directions_of(own.evaluation)
+
+    plans, lookups = inputs.planned(directions)
     collected = xyz_by_part if parts else None
     if plans[0].method == "direct":
         picture.render_directly(inputs.evaluation.heightfield, plans[0], progress=progress, xyz_by_part=collected)
     else:
         tolerance = min(plan.tolerance for plan in plans)
-        picture.render(Lookups(lookups), tolerance=tolerance, progress=progress, xyz_by_part=collected)
+        picture.render(lookups, tolerance=tolerance, progress=progress, xyz_by_part=collected)
     return inputs.image(picture, plans), xyz_by_part
 
 
