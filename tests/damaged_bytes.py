@@ -162,7 +162,7 @@ def damaged_gltf(content, rng):
                 container[name] = copy.deepcopy(places[rng.integers(len(places))])
             case _:
                 container[name] = copy.deepcopy(EXTREME_VALUES[rng.integers(len(EXTREME_VALUES))])
-        if not any(True for _ in containers(tree)):
+        if not tree:
             break
     text = json.dumps(tree).encode()
     if not is_binary:
@@ -198,9 +198,11 @@ def read_mesh(path):
 
 
 def read_gltf(path):
-    """Load the scene that a file belongs to. Files without texture coordinates have a tangent."""
-    surface = prepare_surface(path.with_suffix(".gltf") if path.suffix == ".bin" else path, tangents=(1.0, 0.2, 0.1))
-    assert np.isfinite(surface.vertices).all()
+    """Load the scene that a file belongs to, with a given tangent and with the tangents of the file."""
+    for tangents in ((1.0, 0.2, 0.1), None):
+        surface = prepare_surface(path.with_suffix(".gltf") if path.suffix == ".bin" else path, tangents=tangents)
+        assert np.isfinite(surface.vertices).all()
+        assert np.isfinite(surface.tangents).all()
 
 
 def mutant(content, rng):

@@ -10,6 +10,7 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
 import pytest
 from conftest import slow, write_image
+from small_pictures import rough
 
 import warpdiff as wd
 from warpdiff import gratings
@@ -134,7 +135,9 @@ def test_sequences_accept_every_kind_of_light(words, expected, monkeypatch, caps
     [["--port", "70000"], ["no.obj"], ["--heightfield", "no.png"], ["--host", "256.1.1.1"], ["--threads", "0"],
      ["--environment", "no.exr"], ["--environment", __file__]],
 )  # fmt: skip
-def test_a_viewer_that_cannot_start_reports_the_reason(arguments, capsys):
+def test_a_viewer_that_cannot_start_reports_the_reason(arguments, monkeypatch, capsys):
+    # The drawing thread outlives the command. Without this replacement, it would draw during later tests.
+    monkeypatch.setattr("warpdiff.apps.viewer.session.Studio._prepare", lambda _: None)
     assert cli.main(["view", "--no-browser", *arguments]) in (1, 2)
     error = capsys.readouterr().err.splitlines()[-1]
     assert error.startswith("warpdiff view:")
@@ -451,9 +454,10 @@ def small_fingers(fingers, *, size_um, pitch_um):
     return fingers(size_um=size_um / 6.0, pitch_um=pitch_um)
 
 
-def rough(compute, *scene, **options):
-    """Compute a picture or map with a tolerance of 0.3 and a window of 2 µm, to make the demonstration fast."""
-    return compute(*scene, **options | {"tolerance": 0.3, "coherence": wd.Coherence(sigma_um=2.0)})
+def draw_roughly(monkeypatch, *names):
+    """Compute pictures and maps with a tolerance of 0.3 and a window of 2 µm, to make the demonstration fast."""
+    for name in names:
+        monkeypatch.setattr(demo, name, rough(getattr(demo, name), tolerance=0.3, coherence=wd.Coherence(sigma_um=2.0)))
 
 
 @TINY
@@ -462,8 +466,7 @@ def test_without_the_data_the_demonstration_draws_synthetic_gratings(tmp_path, m
     empty.mkdir()
     # A smaller grating, a shorter window and a larger tolerance make the demonstration several seconds faster.
     monkeypatch.setattr(gratings, "fingers", functools.partial(small_fingers, gratings.fingers))
-    for name in ("shade", "reflectance_map"):
-        monkeypatch.setattr(demo, name, functools.partial(rough, getattr(demo, name)))
+    draw_roughly(monkeypatch, "shade", "reflectance_map")
     lines: list[str] = []
     written = demo.run(tmp_path / "pictures", data=empty, scale=0.03, say=lines.append)
     assert len(written) == 4
@@ -483,7 +486,7 @@ def test_without_the_data_the_demonstration_draws_synthetic_gratings(tmp_path, m
 def test_with_the_data_the_demonstration_draws_the_scan(name, crop_um, fuze_path, scan_path, monkeypatch):
     assert scan_path.is_file()
     cleaned = demo.cleaned_scan
-    monkeypatch.setattr(demo, "shade", functools.partial(rough, demo.shade))
+    draw_roughly(monkeypatch, "shade")
     monkeypatch.setattr(demo, "cleaned_scan", lambda path: cleaned(path).cropped(crop_um))
     (made,) = (each for each in demo.pictures(fuze_path.parent, scale=0.03) if each.name == name)
     assert made.make(None).mask.any()

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from height_texts import table
 
 from warpdiff.core.wording import WarpdiffWarning
 from warpdiff.heightfield.field import HeightField
@@ -18,15 +19,6 @@ NAN = float("nan")
 GRID = np.array([[1.5, -2.0, 3.25, 0.5], [4.0, 5.5, -6.0, 7.0], [8.0, 9.25, 10.0, 11.5]])
 TWICE = np.vstack([GRID, GRID])
 GAP = np.where(GRID == 5.5, NAN, GRID)
-
-
-def table(values: np.ndarray, separator: str = " ", decimal: str = ".", gap: str = "NaN", form: str = "{:.4g}") -> str:
-    """Return the text of a matrix of heights: one line per row. ``gap`` is the text of missing samples."""
-    lines = [
-        separator.join(gap if np.isnan(value) else form.format(value).replace(".", decimal) for value in row)
-        for row in values
-    ]
-    return "\n".join(lines) + "\n"
 
 
 def points(values: np.ndarray, dx: float, dy: float, separator: str = " ", decimal: str = ".", gap: str = "NaN") -> str:

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import height_texts
 import numpy as np
 import pytest
 
@@ -11,22 +12,21 @@ from warpdiff.heightfield.field import HeightField
 RNG = np.random.default_rng(3)
 HEIGHTS = np.round(RNG.normal(0.0, 20.0, (9, 12)), 3)
 LARGE = np.round(RNG.normal(0.0, 900.0, (9, 12)), 2)
+GAP = HEIGHTS.copy()
+GAP[2, 3] = np.nan
 GROUPED = RNG.integers(1000, 9999, (9, 12)) / 1000
 SIZE, UNIT = "Width: 6 µm\nHeight: 3.6 µm\n", "Z unit: nm\n"
 PITCH = (0.4, 0.5)
 
 
-def table(values: np.ndarray = HEIGHTS, separator: str = "\t", decimal: str = ".", form: str = "{:.3f}") -> str:
-    """Return the text of a matrix of heights: one line per row."""
-    lines = (separator.join(form.format(value).replace(".", decimal) for value in row) for row in values)
-    return "\n".join(lines) + "\n"
+def table(values: np.ndarray = HEIGHTS, separator: str = "\t", form: str = "{:.3f}", **options: str) -> str:
+    """Return the text of a matrix of heights, with tabs and three decimals."""
+    return height_texts.table(values, separator, form=form, **options)
 
 
 def with_code(code: str) -> str:
     """Return the text of the matrix of heights with a code instead of one sample."""
-    cells = [line.split("\t") for line in table().splitlines()]
-    cells[2][3] = code
-    return "\n".join("\t".join(row) for row in cells) + "\n"
+    return table(GAP, gap=code)
 
 
 def points(form: str = "{x:.1f}\t{y:.1f}\t{z}", noise: float = 0.0) -> str:
@@ -38,8 +38,6 @@ def points(form: str = "{x:.1f}\t{y:.1f}\t{z}", noise: float = 0.0) -> str:
     )  # fmt: skip
 
 
-GAP = HEIGHTS.copy()
-GAP[2, 3] = np.nan
 EMPTY_FIRST = np.hstack([np.full((9, 1), np.nan), HEIGHTS])
 # Texts that are read: the text, the expected heights in µm from the top of the picture, and the options of ``load``.
 READ: dict[str, tuple[str, np.ndarray, dict[str, Any]]] = {

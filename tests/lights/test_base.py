@@ -102,12 +102,12 @@ class Beam(wd.DirectionalLight):
 
 
 def test_shadows_of_distant_lights_with_a_profile_equal_those_without(fingers):
-    body = meshes.tube(segments_along=48, segments_around=24)
+    body, direction = meshes.snake(scale_rows=9, ventrals=20, segments=2), (1.0, 0.3, 0.2)
     view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=48, height=36)
     options = {"coherence": wd.Coherence(sigma_um=4.0), "tolerance": 0.3, "pigment": 0.0, "strict": False}
-    plain, beam = (
-        wd.shade(body, fingers, kind((0.3, 0.4, 1.0)), view, **options) for kind in (wd.DirectionalLight, Beam)
-    )
+    plain, beam = (wd.shade(body, fingers, kind(direction), view, **options) for kind in (wd.DirectionalLight, Beam))
+    bright = wd.shade(body, fingers, wd.DirectionalLight(direction), view, shadows=False, **options)
+    assert np.count_nonzero(bright.illuminated & ~plain.illuminated) > 30
     np.testing.assert_array_equal(beam.illuminated, plain.illuminated)
     np.testing.assert_allclose(beam.xyz, plain.xyz, rtol=1e-3, atol=1e-4 * plain.xyz.max())
 

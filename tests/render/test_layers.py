@@ -197,7 +197,7 @@ def two_boxes():
 
 def test_local_directions_give_the_colours_of_the_picture():
     options = {"tolerance": 0.1, "footprint": False, "coherence": wd.Coherence(sigma_um=4.0)}
-    image = wd.shade(two_boxes(), HF, LIGHTS, VIEW, layers=("to_light", "to_view", "scattering"), **options)
+    image = wd.shade(two_boxes(), HF, LIGHTS, VIEW, layers=("position", "to_light", "to_view", "scattering"), **options)
     expected = np.zeros_like(image.xyz)
     reached = np.zeros_like(image.mask)
     for index, light in enumerate(LIGHTS):
@@ -211,8 +211,7 @@ def test_local_directions_give_the_colours_of_the_picture():
         np.testing.assert_allclose(image.layers[f"scattering.{index}"][lit], -(to_light + to_view)[lit], atol=1e-6)
         distance = 1.0
         if isinstance(light, wd.PointLight):
-            position = shade(two_boxes(), layers=["position"]).layers["position"]
-            distance = np.linalg.norm(position[lit] - light.position, axis=1)[:, None]
+            distance = np.linalg.norm(image.layers["position"][lit] - light.position, axis=1)[:, None]
         colours = wd.reflectance(HF, to_light[lit], to_view[lit], illuminant=light.illuminant, plan=image.plan)
         expected[lit] += light.power * colours / distance**2
         reached |= lit

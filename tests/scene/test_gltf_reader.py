@@ -285,10 +285,10 @@ def test_names_are_kept_and_made_unique(tmp_path):
     assert (without.material_names, without.materials.tolist()) == ((), [-1, -1])
 
 
-def one_warning(path, **options):
+def one_warning(path):
     """Prepare a mesh and return the texts of its warnings."""
     with pytest.warns(WarpdiffWarning) as caught:
-        prepare_surface(path, **options)
+        prepare_surface(path)
     return [str(warning.message) for warning in caught]
 
 
@@ -402,10 +402,25 @@ def with_value(place, value):
     return change
 
 
+def with_values(*values):
+    """Return a function that changes several values of the square's JSON, each with its path."""
+
+    def change(tree):
+        for place, value in values:
+            with_value(place, value)(tree)
+
+    return change
+
+
 PRIMITIVE = ("meshes", 0, "primitives", 0)
 REFUSED = {
     "cycle": (with_value(("nodes", 0, "children"), [0]), r"nodes\[0\] must have one parent"),
-    "two parents": (with_value(("nodes",), [{"children": [2]}, {"children": [2]}, {"mesh": 0}]), None),
+    "two parents": (
+        with_values(
+            (("nodes",), [{"children": [2]}, {"children": [2]}, {"mesh": 0}]), (("scenes", 0, "nodes"), [0, 1])
+        ),
+        r"nodes\[2\] must have one parent, got two",
+    ),
     "listed twice": (with_value(("scenes", 0, "nodes"), [0, 0]), r"nodes\[0\] must have one parent"),
     "buffer view too long": (with_value(("bufferViews", 0, "byteLength"), 10**6), "ends at byte 1000000, but buffers"),
     "stride too large": (with_value(("bufferViews", 0, "byteStride"), 400), "ends at byte 1212 of bufferViews"),
@@ -429,7 +444,10 @@ REFUSED = {
     "outside": (with_value(("buffers",), [{"byteLength": 4, "uri": "../a.bin"}]), "it lies outside the mesh's folder"),
     "address": (with_value(("buffers",), [{"byteLength": 4, "uri": "http://a.b/c"}]), "it lies outside the mesh"),
     "data URI": (with_value(("buffers",), [{"byteLength": 4, "uri": "data:;base64,a"}]), "data URI is damaged"),
-    "alpha mode": (with_value(("materials",), [{"alphaMode": "X"}]), None),
+    "alpha mode": (
+        with_values((("materials",), [{"alphaMode": "X"}]), ((*PRIMITIVE, "material"), 0)),
+        r"materials\[0\]\.alphaMode must be OPAQUE, MASK or BLEND, got 'X'",
+    ),
     "no triangles": (with_value(("scenes", 0, "nodes"), []), "must have triangles"),
 }  # fmt: skip
 
@@ -438,10 +456,6 @@ REFUSED = {
 def test_wrong_values_are_refused_by_their_place(change, message, tmp_path):
     file = square_file()
     change(file.tree)
-    if "nodes" in file.tree and len(file.tree["nodes"]) == 3:
-        file.tree["scenes"][0]["nodes"] = [0, 1]
-    if "materials" in file.tree:
-        file.tree["meshes"][0]["primitives"][0]["material"] = 0
     path = file.write(tmp_path / "a.gltf")
     with pytest.raises(ValueError, match=message) as refused:
         prepare_surface(path)

@@ -39,9 +39,9 @@ def area_of(polygon):
     return 0.5 * abs(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
-def rows(numbers, separator=" "):
+def rows(numbers):
     """Return rows of numbers as lines."""
-    return "".join(f"{separator.join(map(str, row))}\n" for row in np.asarray(numbers).tolist())
+    return "".join(f"{' '.join(map(str, row))}\n" for row in np.asarray(numbers).tolist())
 
 
 def obj(vertices, faces):
