@@ -13,10 +13,12 @@ import re
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 _E = TypeVar("_E", bound=Exception)
 
+# Largest number of names that a message lists. Limit: a longer message is unreadable.
+_MOST_NAMES = 12
 _BEGIN, _VALUE, _END = "\ue000", "\ue001", "\ue002"
 _MARKED = re.compile(f"{_BEGIN}([^{_VALUE}{_END}]*)(?:{_VALUE}([^{_END}]*))?{_END}")
 
@@ -111,6 +113,12 @@ def renaming(words: Mapping[str, str]) -> Iterator[None]:
         if not hasattr(error, "marked"):
             raise
         raise marked(type(error), _MARKED.sub(renamed, error.marked)) from None
+
+
+def listed(names: Sequence[str], separator: str = ", ", rest: str = " and {} more") -> str:
+    """Return the first names as text for a message. ``rest`` is the text that counts the names after the twelfth."""
+    more = len(names) - _MOST_NAMES
+    return separator.join(names[:_MOST_NAMES]) + (rest.format(more) if more > 0 else "")
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:

@@ -42,7 +42,7 @@ def triangulated_obj(text: str) -> str:
         corners = _vertex_indices(found_polygons)
     except ValueError:
         return text  # trimesh refuses numbers that cannot be read
-    concave = _concave(corners, positions)
+    concave = polygons.concave(corners, positions)
     pieces, end = [], 0
     for number in concave:
         match = found_polygons[number]
@@ -122,7 +122,7 @@ def triangulated_off(text: str) -> str:
     except (ValueError, IndexError):
         return text  # trimesh refuses such a file
     rows: list[str] = [" ".join(face) for face in faces]
-    concave = set(_concave(corners, positions))
+    concave = set(polygons.concave(corners, positions))
     for number, index in corners.items():
         if len(index) <= 4 and number not in concave:
             continue
@@ -157,16 +157,3 @@ def _vertex_indices(matches: list[re.Match[str]]) -> dict[int, NDArray[np.int64]
         index = np.array(_AFTER_SLASH.sub("", joined).split(), dtype=np.int64).reshape(-1, count)
         result.update(zip(numbers, index - 1, strict=True))
     return result
-
-
-def _concave(corners: dict[int, NDArray[np.int64]], positions: NDArray[np.float64]) -> list[int]:
-    """Return the sorted numbers of concave polygons. Polygons with indices beyond the vertices do not count."""
-    by_count: dict[int, list[int]] = {}
-    for number, index in corners.items():
-        by_count.setdefault(len(index), []).append(number)
-    concave = []
-    for numbers in by_count.values():
-        index = np.stack([corners[number] for number in numbers])
-        is_valid = np.all((index >= 0) & (index < len(positions)), axis=1)
-        concave += np.array(numbers)[is_valid][polygons.are_concave(positions[index[is_valid]])].tolist()
-    return sorted(concave)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from warpdiff.core.wording import ArgumentValueError, did_you_mean, ref
+from warpdiff.core.wording import ArgumentValueError, did_you_mean, listed, ref
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from warpdiff.scene.mesh_import import Surface
 
 REST = "*"
-# Largest number of names in a message; further names are counted.
-_MOST_NAMES = 12
 
 
 class _Part(NamedTuple):
@@ -101,6 +99,4 @@ def _key_of(part: _Part, keys: Sequence[str], argument: str) -> int | None:
 
 def _listed(parts: Iterable[_Part]) -> str:
     """Return the names of parts for a message."""
-    names = [f"'{part}'" for part in parts]
-    more = len(names) - _MOST_NAMES
-    return ", ".join(names[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
+    return listed([f"'{part}'" for part in parts])

@@ -87,7 +87,7 @@ def _triangulated(data: bytes) -> bytes:
         if index.shape[1] <= 3 or not polygons.are_concave(positions[index.astype(np.int64)]).any():
             return data
     rows, end = _binary_rows(data, start, face, order)
-    triangles = [triangle for row in rows for triangle in _triangles_of(row, face, positions)]
+    triangles = _triangles(rows, face, positions, _concave(rows, face, positions))
     body = b"".join(_packed(row, face, order) for row in triangles)
     return _header(lines, face, len(triangles)) + data[begin:start] + body + data[end:]
 
@@ -103,14 +103,10 @@ def _triangulated_text(data: bytes, begin: int, lines: list[str], vertex: _Eleme
     values = [line.split() for line in body[: vertex.count]]
     positions = np.array([[row[column] for column in xyz] for row in values], dtype=np.float64)
     rows = [_row_of_text(row.split(), face) for row in rows_of_text]
-    triangles: list[list[list[Any]]] = []
-    any_concave = False
-    for row in rows:
-        parts = _triangles_of(row, face, positions)
-        triangles += parts
-        any_concave = any_concave or _is_concave(row, face, positions)
-    if not any_concave:
+    concave = _concave(rows, face, positions)
+    if not concave:
         return data
+    triangles = _triangles(rows, face, positions, concave)
     texts = (" ".join(map(str, _flattened(row, face))) for row in triangles)
     rest = body[vertex.count + face.count :]
     text = "\n".join([*body[: vertex.count], *texts, *rest, ""])
@@ -198,21 +194,39 @@ def _row_of_text(words: list[str], face: _Element) -> list[list[Any]]:
     return row
 
 
-def _is_concave(row: list[list[Any]], face: _Element, positions: NDArray[np.float64]) -> bool:
-    """Whether a face has a concave corner."""
-    index = next(values for values, entry in zip(row, face.properties, strict=True) if entry.name in _INDEX_NAMES)
-    return len(index) > 3 and bool(polygons.are_concave(positions[np.array(index)][None])[0])
+def _index_of(row: list[list[Any]], face: _Element) -> list[Any]:
+    """Return the vertex indices of the corners of a face."""
+    return next(values for values, entry in zip(row, face.properties, strict=True) if entry.name in _INDEX_NAMES)
 
 
-def _triangles_of(row: list[list[Any]], face: _Element, positions: NDArray[np.float64]) -> list[list[list[Any]]]:
+def _concave(rows: list[list[list[Any]]], face: _Element, positions: NDArray[np.float64]) -> set[int]:
+    """Return the numbers of the concave faces."""
+    indices = (_index_of(row, face) for row in rows)
+    corners = {number: np.array(index) for number, index in enumerate(indices) if len(index) > 3}
+    return set(polygons.concave(corners, positions))
+
+
+def _triangles(
+    rows: list[list[list[Any]]], face: _Element, positions: NDArray[np.float64], concave: set[int]
+) -> list[list[list[Any]]]:
+    """Return the rows of the triangles of all polygons; ``concave`` has the numbers of the concave polygons."""
+    return [
+        triangle
+        for number, row in enumerate(rows)
+        for triangle in _triangles_of(row, face, positions, is_concave=number in concave)
+    ]
+
+
+def _triangles_of(
+    row: list[list[Any]], face: _Element, positions: NDArray[np.float64], *, is_concave: bool
+) -> list[list[list[Any]]]:
     """Return the rows of the triangles of a polygon, with the texture coordinates of their corners."""
-    index = next(values for values, entry in zip(row, face.properties, strict=True) if entry.name in _INDEX_NAMES)
+    index = _index_of(row, face)
     count = len(index)
     if count < 3:
         return []
     if min(index) < 0 or max(index) >= len(positions):
         raise _UnknownLayoutError
-    is_concave = _is_concave(row, face, positions)
     triangles = polygons.triangulated(positions[np.array(index)]) if is_concave else polygons.fan(count)
     result = []
     for triangle in triangles.tolist():

@@ -30,6 +30,24 @@ def are_concave(polygons: NDArray[np.float64]) -> NDArray[np.bool_]:
         return np.asarray(lowest < _CONCAVE * longest_squared)
 
 
+def concave(corners: dict[int, NDArray[np.int64]], positions: NDArray[np.float64]) -> list[int]:
+    """Return the sorted numbers of concave polygons. Polygons with indices beyond the vertices do not count.
+
+    Args:
+        corners: Vertex indices of the corners of each polygon, by the polygon's number.
+        positions: Positions of the vertices, shape (n, 3).
+    """
+    by_count: dict[int, list[int]] = {}
+    for number, index in corners.items():
+        by_count.setdefault(len(index), []).append(number)
+    found = []
+    for numbers in by_count.values():
+        index = np.stack([corners[number] for number in numbers])
+        is_valid = np.all((index >= 0) & (index < len(positions)), axis=1)
+        found += np.array(numbers)[is_valid][are_concave(positions[index[is_valid]])].tolist()
+    return sorted(found)
+
+
 def triangulated(polygon: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return triangles that cover a polygon, as indices of its corners, shape (m, 3).
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from warpdiff.core import validation
 from warpdiff.core.warnings import warn
-from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.core.wording import ArgumentValueError, listed, ref
 from warpdiff.scene import mesh_files, mesh_images, trimesh_parts
 from warpdiff.scene.mesh_geometry import unit
 
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 # First words of the label by which messages name a geometry of a scene; the name of the geometry follows.
 _GEOMETRY = f"{ref('mesh')}'s geometry "
-# Largest number of materials that a warning names. Choice: a line that can be read.
-_MOST_MATERIALS = 12
 
 
 @dataclass
@@ -189,9 +187,9 @@ def warn_of_features(parts: list[ScenePart]) -> None:
         if names:
             features.setdefault(part.appearance.name, {}).update(names)
     if features:
-        listed = [f"{', '.join(names)} of {name!r}" for name, names in list(features.items())[:_MOST_MATERIALS]]
-        more = f"; and of {len(features) - len(listed)} more" if len(features) > len(listed) else ""
-        warn(f"{ref('mesh')} has materials with features that are not rendered: {'; '.join(listed)}{more}")
+        texts = [f"{', '.join(names)} of {name!r}" for name, names in features.items()]
+        listing = listed(texts, "; ", "; and of {} more")
+        warn(f"{ref('mesh')} has materials with features that are not rendered: {listing}")
 
 
 def joined(parts: list[SceneArrays]) -> SceneArrays:
@@ -223,8 +221,12 @@ def joined(parts: list[SceneArrays]) -> SceneArrays:
         arrays = [getattr(part, name) for part in parts]
         if all(array is None for array in arrays):
             return None
-        missing = [np.full((len(part.vertices), columns), np.nan) for part in parts]
-        return np.concatenate([gap if array is None else array for array, gap in zip(arrays, missing, strict=True)])
+        return np.concatenate(
+            [
+                np.full((len(part.vertices), columns), np.nan) if array is None else array
+                for array, part in zip(arrays, parts, strict=True)
+            ]
+        )
 
     colours = gather("colours", 3)
     if colours is not None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from warpdiff.core import files, memory, validation
-from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, did_you_mean, marked, ref
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, did_you_mean, listed, marked, ref
 from warpdiff.heightfield.readers import length_units
 
 if TYPE_CHECKING:
@@ -29,8 +29,6 @@ _MOST_EXTENT_UM = 1e6
 # differences are accepted, because headers are rounded. If doubled, arguments that contradict a file slightly more are
 # ignored.
 _MOST_DIFFERENCE = 1e-3
-# Largest number of channels that an error message lists. Limit: a longer message is unreadable.
-_MOST_NAMES = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,8 +209,8 @@ def read(file: Path, channel: str | None) -> tuple[FileContent, str]:
         name = next(iter(content)) if channel is None else channel
         if name not in content:
             raise ArgumentValueError(
-                f"{ref('channel')} must be one of {_listed(tuple(content))}, which {str(file)!r} has, got {name!r}"
-                f"{did_you_mean(name, content)}"
+                f"{ref('channel')} must be one of {listed([*map(repr, content)])}, which {str(file)!r} has, got "
+                f"{name!r}{did_you_mean(name, content)}"
             )
         with _naming(file):
             content = content[name]()
@@ -224,12 +222,6 @@ def read(file: Path, channel: str | None) -> tuple[FileContent, str]:
     if len(shape) != 2 or 0 in shape:
         raise refusal(file, f"has shape {shape}; save one array of shape (ny, nx)")
     return content, name
-
-
-def _listed(names: tuple[str, ...]) -> str:
-    """Return a list of names as text for an error message, with at most ``_MOST_NAMES`` of them."""
-    more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
-    return ", ".join(map(repr, names[:_MOST_NAMES])) + more
 
 
 def check_texts(channel: object, unit: object) -> None:

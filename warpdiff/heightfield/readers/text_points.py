@@ -24,6 +24,9 @@ _ZYGO_LINES = 8
 # Share of the positions of a grid up to which points x, y, z are no grid. Hexagonal grids fill one half.
 _MOST_EMPTY = 0.5
 
+# Positions [in the unit of the text] and step of an even grid along x, and along y.
+_Grid = tuple[tuple[np.ndarray, float], tuple[np.ndarray, float]]
+
 
 def zygo_pitch(lines: Sequence[str]) -> float | None:
     """Return the size of a pixel [µm] in a Zygo XYZ file, 0 if the file does not state it; None for other files.
@@ -105,22 +108,21 @@ def _unit_z(heading: float | None, facts: Facts) -> tuple[float | None, str]:
     return (None, f"{others[0]} contradicts the heading of the heights") if others else (heading, "")
 
 
-def _grid(
-    file: Path, x: np.ndarray, y: np.ndarray, *, is_named: bool
-) -> tuple[tuple[np.ndarray, float], tuple[np.ndarray, float]] | None:
-    """Return the positions and the step of an even grid of points, along x and along y; None if there is no grid.
+def _grid(file: Path, x: np.ndarray, y: np.ndarray, *, is_named: bool) -> _Grid | None:
+    """Return the even grid of points, or None if there is none.
 
     If headings name the columns (``is_named``), points on no grid raise an error instead.
     """
-    reason = _why_no_grid(x, y)
-    if reason and is_named:
-        raise refusal(file, f"has points x, y, z {reason}; interpolate them to an even grid first")
-    along_x, along_y = (None, None) if reason else (text_table.even_steps(x), text_table.even_steps(y))
-    return None if along_x is None or along_y is None else (along_x, along_y)
+    found = _grid_or_reason(x, y)
+    if not isinstance(found, str):
+        return found
+    if is_named:
+        raise refusal(file, f"has points x, y, z {found}; interpolate them to an even grid first")
+    return None
 
 
-def _why_no_grid(x: np.ndarray, y: np.ndarray) -> str:
-    """Return the reason why points are not on an even grid, for an error message; an empty string if they are."""
+def _grid_or_reason(x: np.ndarray, y: np.ndarray) -> _Grid | str:
+    """Return the even grid of points, or the reason why there is none, for an error message."""
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         return "without a position"
     along_x, along_y = text_table.even_steps(x), text_table.even_steps(y)
@@ -132,4 +134,4 @@ def _why_no_grid(x: np.ndarray, y: np.ndarray) -> str:
     if len(x) < 4 or len(x) <= max(nx, ny) or len(x) <= _MOST_EMPTY * nx * ny:
         return f"at {len(x)} of the {nx} × {ny} positions of a grid"
     nodes = np.rint((y - along_y[0][0]) / along_y[1]) * nx + np.rint((x - along_x[0][0]) / along_x[1])
-    return "at equal positions" if len(np.unique(nodes)) < len(nodes) else ""
+    return "at equal positions" if len(np.unique(nodes)) < len(nodes) else (along_x, along_y)

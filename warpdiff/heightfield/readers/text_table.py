@@ -346,8 +346,13 @@ def _without_last_separators(lines: Sequence[str], form: Form) -> tuple[Sequence
     separator = form.separator
     if separator is None:
         return lines, 0, False
-    rows = [line.strip(" ") for line in lines if len(form.row(line) or ()) > 1]
-    if not rows or not all(line.endswith(separator) for line in rows):
+    rows = []
+    for line in lines:
+        if len(form.row(line) or ()) > 1:
+            rows.append(line.strip(" "))
+            if not rows[-1].endswith(separator):
+                return lines, 0, False
+    if not rows:
         return lines, 0, False
     inner = [line[:-1].replace(" ", "") for line in rows]
     has_gaps = any(2 * separator in line or line.startswith(separator) or line.endswith(separator) for line in inner)

@@ -157,9 +157,7 @@ class Materials:
                 else:
                     data = bytes(self._container.view(image.integer("bufferView", most=len(self._container.views) - 1)))
                 result = opened(data)
-            except UnreadableUriError as error:
-                self.ignored[label] = str(error)
-            except OSError as error:
+            except (UnreadableUriError, OSError) as error:
                 self.ignored[label] = str(error)
             if result is not None:
                 # The name is stored for warnings about pixels that cannot be decoded.

@@ -52,7 +52,7 @@ def placements(root: Element, mesh_count: int, accessors: Accessors) -> Iterator
         if mesh is None:
             continue
         name = node.text("name") or node.place
-        weights = [float(value) for value in _weights(node)] if "weights" in node else None
+        weights = node.numbers("weights") if "weights" in node else None
         yield Placement(name, mesh, _instances(node, world, accessors), weights, "skin" in node)
 
 
@@ -75,14 +75,6 @@ def _below(index: int, children: list[list[int]]) -> set[int]:
             below.add(child)
             stack += children[child]
     return below
-
-
-def _weights(node: Element) -> list[float]:
-    """Return the weights of morph targets of a node."""
-    values = node.values["weights"]
-    if not isinstance(values, list):
-        node.refuse("weights", "must be a list")
-    return node.numbers("weights", [0.0] * len(values))
 
 
 def _local(node: Element) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from warpdiff.core import memory
 from warpdiff.core.warnings import warn
-from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.core.wording import ArgumentValueError, listed, ref
 from warpdiff.scene.gltf import gltf_nodes
 from warpdiff.scene.gltf.gltf_accessors import Accessors
 from warpdiff.scene.gltf.gltf_buffers import Container
@@ -28,8 +28,6 @@ _ACCEPTED = {
     "KHR_node_visibility", "KHR_texture_basisu", "KHR_texture_transform", "KHR_xmp", "KHR_xmp_json_ld",
     "MSFT_texture_dds",
 }  # fmt: skip
-# Largest number of parts that a warning names. Choice: a line that can be read.
-_MOST_NAMES = 12
 
 
 def load(file: Path) -> list[ScenePart]:
@@ -76,5 +74,5 @@ def _check_version(root: Element) -> None:
 def _warn_of_parts_not_read(file: Path, names: list[str]) -> None:
     """Warn once of all parts of a file that are not read."""
     if names:
-        more = f"; and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
-        warn(f"{ref('mesh')}: {str(file)!r} has parts that are not read: {'; '.join(names[:_MOST_NAMES])}{more}")
+        listing = listed(names, "; ", "; and {} more")
+        warn(f"{ref('mesh')}: {str(file)!r} has parts that are not read: {listing}")

@@ -83,12 +83,12 @@ class Element:
             self.refuse(name, f"must be from {least:g} to {most:g}, got {value:g}")
         return value
 
-    def numbers(self, name: str, default: Sequence[float]) -> list[float]:
-        """Return a list of as many finite numbers as ``default`` has."""
-        if name not in self.values:
+    def numbers(self, name: str, default: Sequence[float] | None = None) -> list[float]:
+        """Return a list of finite numbers: as many as ``default`` has, or any number of them without a default."""
+        if default is not None and name not in self.values:
             return list(default)
         values = self._list(name)
-        if len(values) != len(default):
+        if default is not None and len(values) != len(default):
             self.refuse(name, f"must have {len(default)} numbers, got {len(values)}")
         return [self._number(value, f"{self.where(name)}[{number}]") for number, value in enumerate(values)]
 
