@@ -49,7 +49,7 @@ _MARGIN = 1.3
 _ALONG_AXIS_DEG = 22.5
 # Standard error, relative to its value, above which a parameter has a reason for its large error. Choice: two standard
 # errors are then as large as the value.
-LARGE_ERROR = 0.5
+_LARGE_ERROR = 0.5
 # Least standard error that is printed as a number, relative to its value; smaller ones are printed as an upper bound.
 # Limit: printed values have at most seven digits.
 _LEAST_SHOWN = 1e-6
@@ -62,8 +62,8 @@ _MEANINGS = {
     "Sal": "autocorrelation length",
     "Str": "texture aspect ratio",
 }
-# Reasons for a standard error above `LARGE_ERROR`. Near its minimum, the autocorrelation changes slowly with distance.
-_LARGE_ERRORS = {
+# Reasons for a standard error above `_LARGE_ERROR`. Near its minimum, the autocorrelation changes slowly with distance.
+_REASONS_OF_LARGE_ERRORS = {
     "Sal": f"the autocorrelation falls only just below {autocorrelation.THRESHOLD} there, or not at all in some parts",
     "Str": f"the autocorrelation falls only just below {autocorrelation.THRESHOLD}, or not at all in some parts",
 }
@@ -215,9 +215,14 @@ def measure(heightfield: HeightField, order: int) -> Roughness:
             parameters.append(_parameter(name, value, None, _no_error(len(blocks))))
         else:
             error = standard_error(without[name])
-            reason = _LARGE_ERRORS.get(name, "") if error > LARGE_ERROR * abs(value) else ""
+            reason = _REASONS_OF_LARGE_ERRORS.get(name, "") if has_large_error(value, error) else ""
             parameters.append(_parameter(name, value, error, reason))
     return Roughness(tuple(parameters), order, counts, None if is_profile else decay.slowest_deg)
+
+
+def has_large_error(value: float, error: float | None) -> bool:
+    """Whether a standard error is more than half as large as its value."""
+    return error is not None and error > _LARGE_ERROR * abs(value)
 
 
 def _parameter(name: str, value: float | None, error: float | None, reason: str = "") -> RoughnessParameter:

@@ -211,6 +211,16 @@ def test_a_picture_that_cannot_be_drawn_has_a_reason(monkeypatch):
     assert "The picture cannot be drawn:</b> the aspect is extreme" in text
 
 
+def test_the_coherence_of_a_plan_is_stated(monkeypatch):
+    monkeypatch.setattr("warpdiff.apps.report.report_data._MAP_PIXELS", 8)
+    field = wd.gratings.sinusoidal(2.0, 0.1)
+    plan = wd.plan(field, coherence=wd.Coherence(sigma_um=3.0), tolerance=0.2)
+    data = collect(request(field, settings={"plan": plan}), lambda _: None)
+    assert numbers_of(data, "title")["settings"]["coherence"] == str(plan.coherence)
+    (figure,) = (figure for figure in figures_of(data) if figure.name == "map")
+    assert f"({plan.coherence}, exposure" in figure.caption
+
+
 def test_warnings_are_collected_on_the_page(rng, monkeypatch):
     monkeypatch.setattr("warpdiff.apps.report.report_data._MAP_PIXELS", 8)
     x = 0.1 * np.arange(60) + np.zeros((40, 1))

@@ -145,6 +145,13 @@ class ReportData:
     warnings: list[str] = field(default_factory=list)
 
     @property
+    def efficiency_errors(self) -> NDArray[np.float64] | None:
+        """Error of an order's efficiency at each wavelength, relative to the incident power; None if it is unknown."""
+        if self.flat_powers is None or not self.verdicts:
+            return None
+        return np.array([min(verdict.error, 1.0) for verdict in self.verdicts]) * self.flat_powers
+
+    @property
     def light_deg(self) -> float:
         """Angle of the light from the normal [degrees], positive towards +x, or towards +y if its x component is 0."""
         return float(signed_angles_deg(self.to_light))

@@ -13,8 +13,8 @@ from warpdiff.apps.report.report_data import ANGLES_DEG
 from warpdiff.heightfield.field import HeightField
 from warpdiff.heightfield.periods import LEAST_SAMPLES
 from warpdiff.image.display_transform import auto_exposure
-from warpdiff.optics.coherence import Coherence
 from warpdiff.plot.axes import clean_grid, line_style
+from warpdiff.request.settings import EvaluationSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -176,9 +176,7 @@ def _spectrum(data: ReportData) -> Figure:
 
 
 def _orders(data: ReportData, efficiencies: OrderEfficiencies) -> Figure:
-    errors = None
-    if data.flat_powers is not None and data.verdicts:
-        errors = data.flat_powers * [min(verdict.error, 1.0) for verdict in data.verdicts]
+    errors = data.efficiency_errors
     uri = _drawn(
         "svg", _WIDE, 3.4, lambda ax: plot.orders(efficiencies, ax=ax, against="angle", errors=errors, title="")
     )
@@ -222,7 +220,7 @@ def _colours(data: ReportData) -> Figure:
 
 def _map(data: ReportData, image: Image) -> Figure:
     exposure = _exposure(image.xyz[..., 1])
-    coherence = data.request.settings.get("coherence") or Coherence()
+    coherence = EvaluationSettings(**data.request.settings).effective_coherence
     uri = _drawn(
         "png", _SQUARE, _SQUARE,
         lambda ax: plot.reflectance_map(image, data.to_light, ax=ax, exposure=exposure, title=""),

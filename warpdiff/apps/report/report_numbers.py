@@ -14,7 +14,6 @@ import numpy as np
 
 from warpdiff.apps.report.report_data import ANGLES_DEG
 from warpdiff.core.table import Table
-from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import DEFAULT_IOR
 from warpdiff.request.settings import EvaluationSettings
 
@@ -92,7 +91,7 @@ def _settings(data: ReportData) -> JsonObject:
     values = {option.name: getattr(settings, option.name) for option in dataclasses.fields(settings)}
     if values["ior"] is None and values["material"] is None:
         values["ior"] = DEFAULT_IOR
-    values["coherence"] = values["coherence"] or Coherence()
+    values["coherence"] = settings.effective_coherence
     return {
         "wavelengths_nm": request.wavelengths_nm.tolist(), "sigmas_um": list(request.sigmas_um),
         "illuminant": str(request.illuminant),
@@ -109,11 +108,12 @@ def tables_of(data: ReportData) -> dict[str, Table]:
         tables["periods"] = data.periods.table()
     if data.verdicts:
         errors = np.array([verdict.error for verdict in data.verdicts])
-        powers = np.full(len(errors), np.nan) if data.flat_powers is None else data.flat_powers
+        unknown = np.full(len(errors), np.nan)
         tables["theory"] = Table({
             "wavelength_nm": [verdict.wavelength_nm for verdict in data.verdicts],
-            "expected_error": errors, "flat_surface_efficiency": powers,
-            "efficiency_error": np.minimum(errors, 1.0) * powers,
+            "expected_error": errors,
+            "flat_surface_efficiency": unknown if data.flat_powers is None else data.flat_powers,
+            "efficiency_error": unknown if data.efficiency_errors is None else data.efficiency_errors,
             "grade": [verdict.grade for verdict in data.verdicts],
             "reason": [verdict.reason for verdict in data.verdicts],
         })  # fmt: skip

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.apps.report.html_parts import RIGHT, Html, facts_table, listed, paragraph, table_of, text_of
-from warpdiff.heightfield.roughness import LARGE_ERROR, with_error
+from warpdiff.heightfield.roughness import has_large_error, with_error
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -116,7 +116,7 @@ def summary_text(numbers: JsonObject, warnings: Sequence[str]) -> str:
         for row in numbers.get("roughness", ())
         if row["parameter"] in ("Sq", "Sal")
         and row["value"] is not None
-        and (row["standard_error"] or 0.0) <= LARGE_ERROR * row["value"]
+        and not has_large_error(row["value"], row["standard_error"])
     ]
     periods = numbers.get("periods")
     period = _value(periods[0]["period_um"], periods[0]["standard_error_um"]) + " µm" if periods else "none found"
@@ -167,8 +167,8 @@ def _summary(data: ReportData, numbers: JsonObject) -> list[tuple[str, str]]:
     if data.verdicts:
         worst = max(data.verdicts, key=lambda verdict: verdict.error)
         of_incident = ""
-        if data.flat_powers is not None:
-            error = min(worst.error, 1.0) * data.flat_powers[data.verdicts.index(worst)]
+        if data.efficiency_errors is not None:
+            error = data.efficiency_errors[data.verdicts.index(worst)]
             of_incident = f" ({100.0 * error:.2g} % of the incident light)"
         facts.append(("Scalar theory", f"{_grade(worst.grade)} {text_of(str(worst).partition(' ')[2] + of_incident)}"))
     facts += [("Material", text_of(_material(numbers))), ("Light", text_of(_light(data)))]
@@ -199,9 +199,7 @@ def _material(numbers: JsonObject) -> str:
 
 def _has_large_error(parameter: RoughnessParameter) -> bool:
     """Whether the standard error of a parameter exceeds half of its value, or the parameter has no value."""
-    if parameter.value is None:
-        return True
-    return parameter.standard_error is not None and parameter.standard_error > LARGE_ERROR * abs(parameter.value)
+    return parameter.value is None or has_large_error(parameter.value, parameter.standard_error)
 
 
 def _axis(data: ReportData) -> str:
@@ -330,13 +328,15 @@ def _periods(data: ReportData) -> str:
 def _theory(data: ReportData) -> str:
     if not data.verdicts:
         return _absent(data, "verdicts")
-    powers = data.flat_powers
+    powers, errors = data.flat_powers, data.efficiency_errors
     rows, names = [], ["Wavelength" + RIGHT, "Grade", "Error, share of reflected light" + RIGHT]
     for k, verdict in enumerate(data.verdicts):
-        share = min(verdict.error, 1.0)
-        of_incident = [] if powers is None else [f"{100.0 * powers[k]:.2g} %", f"{100.0 * share * powers[k]:.2g} %"]
+        of_incident: list[str] = []
+        if powers is not None and errors is not None:
+            of_incident = [f"{100.0 * powers[k]:.2g} %", f"{100.0 * errors[k]:.2g} %"]
         rows.append([
-            f"{verdict.wavelength_nm:g} nm", Html(_grade(verdict.grade)), f"{100.0 * share:.2g} %", *of_incident,
+            f"{verdict.wavelength_nm:g} nm", Html(_grade(verdict.grade)), f"{100.0 * min(verdict.error, 1.0):.2g} %",
+            *of_incident,
             verdict.explanation if verdict.error > 0.0 else "none",
         ])  # fmt: skip
     names += (
