@@ -87,7 +87,7 @@ def directions(
     optics = SurfaceOptics(coherence, 1.0, reflectance_factors.normal_reflectance(IOR))
     picture = Picture(prepare_surface(mesh), view, [optics], device=resolve_device(None), threads=resolve_threads(None))
     picture.set_lights(light.parts(coherence, single_lobe=True, name="light"))
-    picture.measure_directions(heightfield)
+    picture.measure_directions([heightfield])
     scattering_vectors, to_lights, gains = picture.sampler.directions()
     illuminated = np.flatnonzero(gains > 0.0)
     return Directions(

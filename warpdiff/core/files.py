@@ -83,34 +83,32 @@ def check_output(path: Any, suffixes: tuple[str, ...], name: str = "path") -> Pa
     return target
 
 
-def made_folder(folder: Any, name: str = "folder") -> Path:
+def made_folder(folder: Any) -> Path:
     """Create a folder for files unless it exists; return its path after a check that it is writable.
 
     Args:
         folder: Path that the user gave.
-        name: Name of the argument for error messages.
     """
-    target = validation.path(folder, name)
+    target = validation.path(folder, "folder")
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise marked(type(error), f"{ref(name)}: {target} cannot be created: {error.strerror}") from None
-    check_folder(target, name)
+        raise marked(type(error), f"{ref('folder')}: {target} cannot be created: {error.strerror}") from None
+    check_folder(target, "folder")
     return target
 
 
-def check_new_folder(folder: Any, name: str = "folder") -> None:
+def check_new_folder(folder: Any) -> None:
     """Raise an error if :func:`made_folder` could not create a folder, without creating it.
 
     Args:
         folder: Path that the user gave.
-        name: Name of the argument for error messages.
     """
-    target = validation.path(folder, name)
+    target = validation.path(folder, "folder")
     existing = next(parent for parent in (target, *target.absolute().parents) if parent.exists())
     if not existing.is_dir():
-        raise marked(NotADirectoryError, f"{ref(name)}: {str(existing)!r} is a file; name a folder")
-    check_folder(existing, name)
+        raise marked(NotADirectoryError, f"{ref('folder')}: {str(existing)!r} is a file; name a folder")
+    check_folder(existing, "folder")
 
 
 def check_folder(folder: Path, name: str) -> None:

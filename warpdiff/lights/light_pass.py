@@ -115,7 +115,6 @@ class PassContext:
         self.is_pigmented = rays.surface.has_base_colour and any(optics.pigment > 0.0 for optics in surfaces)
         by_face = np.zeros(0, dtype=np.int32) if finish_of_faces is None else finish_of_faces
         self.finish_of_faces = self._array(by_face, wp.int32)
-        self._surface_of_faces = np.array([finish.surface for finish in self.finishes], dtype=np.int32)[by_face]
         self._unit = unit or PictureUnit(surfaces[0].coherence, surfaces[0].area_um2)
         self.reflection = self._reflection()
 
@@ -167,12 +166,20 @@ class PassContext:
         """Whether shadow rays are required: the mesh may occlude a light from a point that is visible in this view."""
         return self.surfaces[0].shadows and self.rays.may_be_occluded
 
-    def hits_surface(self, surface: int) -> NDArray[np.bool_]:
-        """Return for each ray whether a hit has a surface; the result is arbitrary for rays without a hit."""
-        if len(self.surfaces) == 1:
-            return np.ones(self.rays.size, dtype=np.bool_)
+    def finishes_of_hits(self) -> NDArray[np.int32] | None:
+        """Return the index of the finish at the hit of each ray, any index for other rays; None for one finish."""
+        if not self.has_finishes:
+            return None
         faces = self.rays.gbuffer.pixels.face.numpy()
-        return np.asarray(self._surface_of_faces[np.clip(faces, 0, len(self._surface_of_faces) - 1)] == surface)
+        return np.asarray(self.finish_of_faces.numpy()[np.maximum(faces, 0)])
+
+    def gains_on(self, surface: int, gains: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the geometry factors of all rays, with 0 at hits of other surfaces."""
+        finishes = self.finishes_of_hits()
+        if finishes is None or len(self.surfaces) == 1:
+            return gains
+        surfaces = np.array([finish.surface for finish in self.finishes])
+        return np.where(surfaces[finishes] == surface, gains, np.float32(0.0))
 
     def pigment_white(self, illuminant: str | Spectrum, *, is_of_sky: bool) -> NDArray[np.float64]:
         """Return the colour of a white pigment in the unit of the picture, linear sRGB.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -100,15 +101,21 @@ def surface_distribution(
     """
     result = sky_samples.SkyDistribution()
     if lookup is None:
-        ones = wp.full(1, 1.0, dtype=wp.float32, device=device)
-        result.ring_cdf, result.starts, result.spoke_cdf = ones, wp.array([0, 1], dtype=wp.int32, device=device), ones
-        result.densities = wp.full(1, 1.0 / (math.pi * _FARTHEST**2), dtype=wp.float32, device=device)
-        result.least_log, result.per_log = math.log(_FARTHEST), 1.0
-        return result
-    key = tuple(map(tuple, illuminated))
-    of_surface = lookup.derived.get_or_make(key, lambda: _of_surface(lookup, illuminated))
+        of_surface = _of_plain_surface(device.alias)
+    else:
+        of_surface = lookup.derived.get_or_make(
+            tuple(map(tuple, illuminated)), lambda: _of_surface(lookup, illuminated)
+        )
     result.ring_cdf, result.starts, result.spoke_cdf, result.densities, result.least_log, result.per_log = of_surface
     return result
+
+
+@functools.cache
+def _of_plain_surface(device: str) -> tuple[wp.array | float, ...]:
+    """Return the part of the distribution for a plain surface: one disc, in which (u, v) is drawn evenly."""
+    ones = wp.full(1, 1.0, dtype=wp.float32, device=device)
+    densities = wp.full(1, 1.0 / (math.pi * _FARTHEST**2), dtype=wp.float32, device=device)
+    return ones, wp.array([0, 1], dtype=wp.int32, device=device), ones, densities, math.log(_FARTHEST), 1.0
 
 
 def _of_surface(

@@ -156,10 +156,14 @@ class Picture:
         return *passes, self.view.extent_y is None, self.context.casts_shadows
 
     def measure_directions(
-        self, heightfield: HeightField, surface: int = 0
-    ) -> tuple[DirectionRange, DirectionSample, int]:
-        """Return the directions for which the plan of a surface is required: range, sample and number."""
-        return self.sampler.measure_directions(heightfield, surface, self._light_sums)
+        self, heightfields: Sequence[HeightField | None]
+    ) -> list[tuple[DirectionRange, DirectionSample, int]]:
+        """Return the directions for which plans are required: range, sample and number, by height field.
+
+        ``heightfields`` has the height field of each surface; None for a plain surface, which has no
+        entry in the result.
+        """
+        return self.sampler.measure_directions(heightfields, self._light_sums)
 
     def sampled(
         self, progress: Progress, xyz_by_part: list[NDArray[np.float32]] | None = None
@@ -192,13 +196,6 @@ class Picture:
     def illuminated(self, index: LobeIndex) -> Sequence[Sequence[IlluminatedMaterial]]:
         """Return the illuminated materials of a lobe, by finish and spectrum."""
         return self._passes[index.light].illuminated[index.lobe]
-
-    def finishes_of_hits(self) -> NDArray[np.int32] | None:
-        """Return the index of the finish at the hit of each ray, any index for other rays; None for one finish."""
-        if not self.context.has_finishes:
-            return None
-        faces = self.rays.gbuffer.pixels.face.numpy()
-        return np.asarray(self.context.finish_of_faces.numpy()[np.maximum(faces, 0)])
 
     def directions_to(self, light: int) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
         """Return scattering vectors, directions to a light and geometry factors where rays through centres hit.
@@ -306,7 +303,7 @@ class Picture:
         for index, share in self.sampled(progress, xyz_by_part):
             scattering_vectors, to_lights, gains = (values.astype(np.float64) for values in self.sampler.directions())
             by_finish = self.illuminated(index)
-            finishes = self.finishes_of_hits()
+            finishes = self.context.finishes_of_hits()
             if finishes is None:
                 finishes = np.zeros(self.rays.size, dtype=np.int32)
             for finish, (illuminated,) in enumerate(by_finish):

@@ -18,7 +18,7 @@ from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.planner.refusals import warn_outside
-from warpdiff.planner.strategy import plan_for
+from warpdiff.planner.strategy import directions_of, plan_for
 from warpdiff.render.picture import Picture
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.plan import AUTOMATIC, Plan, has_table
@@ -30,7 +30,7 @@ from warpdiff.tables.lookup import ColourLookup, Lookups
 
 if TYPE_CHECKING:
     import contextlib
-    from collections.abc import Callable, Sequence
+    from collections.abc import Iterable, Sequence
 
     import warp as wp
     from numpy.typing import NDArray
@@ -190,13 +190,19 @@ class PictureInputs:
         inputs = cls(heightfield, settings, lights, surfaces, first.parts)
         if not isinstance(heightfield, Mapping):
             return inputs
-        return replace(inputs, parts=inputs.parts_of(lights, means=first.evaluation.footprint))
+        parts = parts_of(lights, _in_unit(inputs), refine=settings.refine, means=first.evaluation.footprint)
+        return replace(inputs, parts=parts)
 
     @property
     def _reference_area_um2(self) -> float:
         """Area of the first height field [µm²], on which the unit of a picture with periods depends."""
-        fields = [own.evaluation.heightfield for own in self.surfaces.values() if not own.is_plain]
-        return fields[0].size_um[0] * fields[0].size_um[1]
+        first = next(heightfield for heightfield in self.heightfields if heightfield is not None)
+        return first.size_um[0] * first.size_um[1]
+
+    @property
+    def heightfields(self) -> list[HeightField | None]:
+        """Height field of each surface; None for a plain surface."""
+        return [None if own.is_plain else own.evaluation.heightfield for own in self.surfaces.values()]
 
     @property
     def evaluation(self) -> Evaluation:
@@ -212,20 +218,22 @@ class PictureInputs:
         return parts_of(lights, _in_unit(self), refine=refine, means=means)
 
     def planned(
-        self, directions: Callable[[int, SurfaceInputs], tuple[DirectionRange, DirectionSample, float]]
+        self, directions: Iterable[tuple[DirectionRange, DirectionSample, float]] | None
     ) -> tuple[list[Plan], Lookups]:
-        """Return the plans of the surfaces that have a height field, and the look-ups of all surfaces.
+        """Return the plans of the surfaces that have a height field, and the objects that look up surfaces' colours.
 
-        ``directions(index, surface)`` returns the directions for which the plan of a surface is required: their range,
-        a sample of them, and their number.
+        Args:
+            directions: Directions for which each of these plans is required: their range, a sample of them, and the
+                number of all of them, which may be infinite. None means all directions of the hemisphere.
         """
+        measured = None if directions is None else iter(directions)
         plans: list[Plan] = []
         lookups: list[ColourLookup | None] = []
-        for index, own in enumerate(self.surfaces.values()):
+        for own in self.surfaces.values():
             if own.is_plain:
                 lookups.append(None)
                 continue
-            direction_range, sample, count = directions(index, own)
+            direction_range, sample, count = directions_of(own.evaluation) if measured is None else next(measured)
             plans.append(own.planned(direction_range, sample, count))
             lookups.append(own.lookup(plans[-1], direction_range))
         return plans, Lookups(lookups)
@@ -349,8 +357,7 @@ def _inputs_by_key(
             f"{', '.join(map(repr, gratings))}: give {ref('plan')} by their keys, or another {ref('method')}"
         )
     of_plain = replace(settings, material=None, ior=None, plan=None)
-    reference = _unit_coherence(surfaces, settings)
-    first = next(iter(gratings.values())).heightfield
+    in_unit = _mean_solid_angle(_unit_coherence(surfaces, settings), next(iter(gratings.values())).heightfield)
     inputs = {}
     for key, surface in checked.items():
         if surface is None:
@@ -358,11 +365,11 @@ def _inputs_by_key(
             continue
         with renaming({"heightfield": f"heightfield[{key!r}]"}):
             own = SurfaceInputs.of(surface.heightfield, lights, _settings_of(surface, key, settings))
-        solid_angles = [
-            _mean_solid_angle(coherence, of.size_um[0] * of.size_um[1])
-            for coherence, of in ((reference, first), (own.evaluation.coherence, surface.heightfield))
-        ]
-        unit = own.evaluation.normal_reflectance * solid_angles[0] / solid_angles[1]
+        unit = (
+            own.evaluation.normal_reflectance
+            * in_unit
+            / _mean_solid_angle(own.evaluation.coherence, surface.heightfield)
+        )
         inputs[key] = replace(own, unit=unit)
     if len({own.evaluation.footprint for own in inputs.values()}) > 1:
         raise ArgumentValueError(
@@ -399,8 +406,9 @@ def _settings_of(surface: Surface, key: str, settings: PictureSettings) -> Pictu
     )  # fmt: skip
 
 
-def _mean_solid_angle(coherence: Coherence, area_um2: float) -> float:
+def _mean_solid_angle(coherence: Coherence, heightfield: HeightField) -> float:
     """Return Ω(λ) of a coherence [sr], averaged over the wavelengths with the luminous efficiency under D65."""
+    area_um2 = heightfield.size_um[0] * heightfield.size_um[1]
     wavelengths_um = 1e-3 * colorimetry.VISIBLE_NM
     solid_angle = reflectance_factors.light_solid_angle(wavelengths_um, coherence, area_um2)
     return float(solid_angle @ colorimetry.colour_products("D65")[:, 1])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -137,16 +137,23 @@ class PixelSampler:
         return scattering_vectors, to_lights, gains
 
     def measure_directions(
-        self, heightfield: HeightField, surface: int, sums: Accumulators
-    ) -> tuple[DirectionRange, DirectionSample, int]:
-        """Return the illuminated directions for which the plan of a surface is made: range, sample and number.
+        self, heightfields: Sequence[HeightField | None], sums: Accumulators
+    ) -> list[tuple[DirectionRange, DirectionSample, int]]:
+        """Return the illuminated directions for which plans are made: range, sample and number, by height field.
 
         Additional rays are traced for this purpose. They require about 1 % of the time in which the picture's colours
         are computed.
+
+        Args:
+            heightfields: Height field of each surface; None for a plain surface, which has no entry in the result.
+            sums: Sums of the picture's pixels.
         """
-        within, count = DirectionRange(0.0, 0.0, 0.0, 0.0), 0
-        coherence = self._context.surfaces[surface].coherence
-        sampled, lobes = [], list(self.lobes())
+        surfaces = [
+            _Measured(heightfield, surface)
+            for surface, heightfield in enumerate(heightfields)
+            if heightfield is not None
+        ]
+        lobes = list(self.lobes())
         # If pixels show points, only some of their rays are used. If pixels show means, several rays per pixel
         # represent the directions of subpixel cells.
         per_pixel, measured = self._samples_per_pixel, min(self._samples_per_pixel, _SAMPLES_MEASURED)
@@ -154,20 +161,59 @@ class PixelSampler:
             self.trace(0)
             pixels = max(self._context.rays.gbuffer.hit_count, 1)
             per_pixel = measured = min(-(-_CELLS_MEASURED // pixels), _MOST_SAMPLES_MEASURED)
+        parts = len(lobes) * (measured if self._means else 1)
         for sample in range(measured):
             for index in lobes:
                 # If pixels show means, the first measured ray passes through the pixel centre, like the ray of level 0
                 # in the picture.
                 self.scatter(sample, index, sums, samples_per_pixel=1 if self._means and sample == 0 else per_pixel)
-                scattering_vectors, to_lights, gains = self.directions()
-                gains = np.where(self._context.hits_surface(surface), gains, np.float32(0.0))
-                within = within.joined(
-                    DirectionRange.of(heightfield, coherence, scattering_vectors, to_lights, gains > 0.0)
-                )
-                count += int(np.count_nonzero(gains > 0.0))
-                if self._means or sample == 0:
-                    parts = len(lobes) * (measured if self._means else 1)
-                    sampled.append(DirectionSample.among(scattering_vectors, to_lights, gains, parts))
+                directions = self.directions()
+                for of_surface in surfaces:
+                    of_surface.add(self._context, directions, parts if self._means or sample == 0 else 0)
         if measured > self._samples_per_pixel:
             self.invalidate()
-        return within, DirectionSample.joined(sampled), count * self._samples_per_pixel // measured
+        return [
+            (
+                of_surface.within,
+                DirectionSample.joined(of_surface.sampled),
+                of_surface.count * self._samples_per_pixel // measured,
+            )
+            for of_surface in surfaces
+        ]
+
+
+@dataclass
+class _Measured:
+    """Directions to and from one surface, collected ray by ray and lobe by lobe.
+
+    Attributes:
+        heightfield: Height field of the surface.
+        surface: Index of the surface.
+        within: Range of the directions.
+        count: Number of the directions.
+        sampled: Samples of the directions.
+    """
+
+    heightfield: HeightField
+    surface: int
+    within: DirectionRange = field(default_factory=lambda: DirectionRange(0.0, 0.0, 0.0, 0.0))
+    count: int = 0
+    sampled: list[DirectionSample] = field(default_factory=list)
+
+    def add(
+        self,
+        context: PassContext,
+        directions: tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]],
+        parts: int,
+    ) -> None:
+        """Add the directions of one lobe. ``parts`` is the number of samples that will be joined; 0 takes no sample."""
+        scattering_vectors, to_lights, gains = directions
+        gains = context.gains_on(self.surface, gains)
+        is_lit = gains > 0.0
+        coherence = context.surfaces[self.surface].coherence
+        self.within = self.within.joined(
+            DirectionRange.of(self.heightfield, coherence, scattering_vectors, to_lights, is_lit)
+        )
+        self.count += int(np.count_nonzero(is_lit))
+        if parts:
+            self.sampled.append(DirectionSample.among(scattering_vectors, to_lights, gains, parts))

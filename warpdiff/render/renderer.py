@@ -16,7 +16,6 @@ from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.device.devices import resolve_threads
 from warpdiff.lights.base import listed
-from warpdiff.planner.strategy import directions_of
 from warpdiff.render.picture import load_kernels
 from warpdiff.render.picture_inputs import PictureInputs, picture_memory, require_picture_memory
 from warpdiff.render.shade import warn_unconverged
@@ -116,7 +115,7 @@ class Renderer:
         device = inputs.evaluation.device
         self._inputs, self._surface = inputs, surface
         with picture_memory(view):
-            self._plans, made = inputs.planned(lambda _, own: directions_of(own.evaluation))
+            self._plans, made = inputs.planned(None)
             self._lookups = lookups or made
             self.plan = inputs.by_key(self._plans)
             self._recorded = records(device)

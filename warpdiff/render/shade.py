@@ -11,7 +11,6 @@ from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.threads import subprogress
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
-from warpdiff.planner.strategy import directions_of
 from warpdiff.render.layers import LIGHT, directed, expanded, layers_of, lights_of, names_of
 from warpdiff.render.picture import load_kernels
 from warpdiff.render.picture_inputs import PictureInputs, picture_memory
@@ -27,8 +26,7 @@ if TYPE_CHECKING:
 
     from warpdiff.image.image import Image
     from warpdiff.lights.base import Light, LightPart
-    from warpdiff.render.picture_inputs import SurfaceInputs, SurfacesOfMesh
-    from warpdiff.request.directions import DirectionRange, DirectionSample
+    from warpdiff.render.picture_inputs import SurfacesOfMesh
     from warpdiff.request.keywords import SinglePictureKeywords
     from warpdiff.scene.camera import View
     from warpdiff.scene.mesh_import import Surface
@@ -174,14 +172,9 @@ def _render(
         inputs = replace(inputs, parts=parts)
     picture = inputs.picture(surface, view)
     picture.set_lights(inputs.parts)
-
-    def directions(index: int, own: SurfaceInputs) -> tuple[DirectionRange, DirectionSample, float]:
-        if all(part.has_lobes for part in inputs.parts):
-            return picture.measure_directions(own.evaluation.heightfield, index)
-        # Light from a sky comes from the whole hemisphere, so that the plan must cover all directions.
-        return directions_of(own.evaluation)
-
-    plans, lookups = inputs.planned(directions)
+    # Light from a sky comes from the whole hemisphere, so that plans must cover all directions.
+    has_sky = not all(part.has_lobes for part in inputs.parts)
+    plans, lookups = inputs.planned(None if has_sky else picture.measure_directions(inputs.heightfields))
     collected = xyz_by_part if parts else None
     if plans[0].method == "direct":
         picture.render_directly(inputs.evaluation.heightfield, plans[0], progress=progress, xyz_by_part=collected)

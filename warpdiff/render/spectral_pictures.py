@@ -67,7 +67,7 @@ def spectra_of(
         progress: Callable that gets the share that is done; None reports nothing.
     """
     wavelengths, heightfield = np.asarray(evaluation.wavelengths_nm), evaluation.heightfield
-    direction_range, sample, count = picture.measure_directions(heightfield)
+    ((direction_range, sample, count),) = picture.measure_directions([heightfield])
     band = {"lambda_min_nm": float(wavelengths.min()), "lambda_max_nm": float(wavelengths.max())}
     direction_range = replace(direction_range, **band)
     if evaluation.plan is None:
@@ -81,7 +81,7 @@ def spectra_of(
     spectra = np.zeros((picture.rays.size, len(wavelengths)), dtype=np.float32)
     for index, share in picture.sampled(progress):
         scattering_vectors, to_lights, gains = picture.sampler.directions()
-        finishes = picture.finishes_of_hits()
+        finishes = picture.context.finishes_of_hits()
         for finish, (illuminated,) in enumerate(picture.illuminated(index)):
             of_finish = gains if finishes is None else np.where(finishes == finish, gains, np.float32(0.0))
             terms.add_to(

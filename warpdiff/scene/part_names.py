@@ -51,8 +51,8 @@ def key_of_faces(surface: Surface, keys: Sequence[str], argument: str) -> NDArra
         Shape (m,) for m faces.
 
     Raises:
-        ValueError: A key selects no part, or is the name of a geometry and of another material; a part has no key, or
-            two keys of the same precedence.
+        ValueError: A key selects no part, or is the name of a geometry and also of a material that other faces have; a
+            part has no key, or two keys of the same precedence.
     """
     pairs = np.stack([surface.geometries, surface.materials])
     numbers, part_of_faces = np.unique(pairs, axis=1, return_inverse=True)

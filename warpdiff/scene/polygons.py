@@ -9,8 +9,9 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# A corner is concave if the sine of its turn, times its two edges, is below this negative share of the square of the
-# polygon's longest edge. Choice: above float32 rounding, so that corners on a straight line do not count.
+# A corner is concave if the sine of its turn, times the lengths of its two edges, is below this negative share of the
+# square of the polygon's longest edge. The turn is positive at the corners of a convex polygon. Choice: the magnitude
+# is larger than rounding errors of float32, so that corners on a straight line do not count as concave.
 _CONCAVE = -1e-6
 
 
@@ -40,12 +41,12 @@ def concave(corners: dict[int, NDArray[np.int64]], positions: NDArray[np.float64
     by_count: dict[int, list[int]] = {}
     for number, index in corners.items():
         by_count.setdefault(len(index), []).append(number)
-    found = []
+    result: list[int] = []
     for numbers in by_count.values():
         index = np.stack([corners[number] for number in numbers])
         is_valid = np.all((index >= 0) & (index < len(positions)), axis=1)
-        found += np.array(numbers)[is_valid][are_concave(positions[index[is_valid]])].tolist()
-    return sorted(found)
+        result += np.array(numbers)[is_valid][are_concave(positions[index[is_valid]])].tolist()
+    return sorted(result)
 
 
 def triangulated(polygon: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -24,7 +24,7 @@ _ZYGO_LINES = 8
 # Share of the positions of a grid up to which points x, y, z are no grid. Hexagonal grids fill one half.
 _MOST_EMPTY = 0.5
 
-# Positions [in the unit of the text] and step of an even grid along x, and along y.
+# Even grid: for x and then for y, the position of each column or row, and their distance, in the unit of the text.
 _Grid = tuple[tuple[np.ndarray, float], tuple[np.ndarray, float]]
 
 
@@ -113,11 +113,11 @@ def _grid(file: Path, x: np.ndarray, y: np.ndarray, *, is_named: bool) -> _Grid 
 
     If headings name the columns (``is_named``), points on no grid raise an error instead.
     """
-    found = _grid_or_reason(x, y)
-    if not isinstance(found, str):
-        return found
+    grid = _grid_or_reason(x, y)
+    if not isinstance(grid, str):
+        return grid
     if is_named:
-        raise refusal(file, f"has points x, y, z {found}; interpolate them to an even grid first")
+        raise refusal(file, f"has points x, y, z {grid}; interpolate them to an even grid first")
     return None
 
 
