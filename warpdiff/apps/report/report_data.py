@@ -24,7 +24,7 @@ from warpdiff.optics.coherence import Coherence
 from warpdiff.request.settings import SpectralSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -149,7 +149,7 @@ class ReportData:
         """Error of an order's efficiency at each wavelength, relative to the incident power; None if it is unknown."""
         if self.flat_powers is None or not self.verdicts:
             return None
-        return np.array([min(verdict.error, 1.0) for verdict in self.verdicts]) * self.flat_powers
+        return _efficiency_errors(self.verdicts, self.flat_powers)
 
     @property
     def light_deg(self) -> float:
@@ -330,6 +330,14 @@ def wave_azimuth_deg(heightfield: HeightField) -> float:
     return 90.0 if azimuth == -90.0 else azimuth
 
 
+def _efficiency_errors(verdicts: Sequence[TheoryVerdict], flat_powers: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the error of an order's efficiency at each wavelength, relative to the incident power.
+
+    A verdict states the expected error of scalar diffraction as a share of the power that a flat surface reflects.
+    """
+    return np.array([min(verdict.error, 1.0) for verdict in verdicts]) * flat_powers
+
+
 def _add_orders(data: ReportData, optical: HeightField) -> None:
     """Compute the table of the orders, and the efficiencies for the picture of the orders."""
     request = data.request
@@ -338,10 +346,7 @@ def _add_orders(data: ReportData, optical: HeightField) -> None:
     flat = HeightField.of_known_scale([[0.0]], 1.0)
     data.flat_powers = order_efficiencies(flat, light, wavelengths, **material).efficiencies[:, 0]
     result = order_efficiencies(optical, light, wavelengths, **material)
-    # A verdict states the expected error of scalar diffraction as a share of the power that a flat surface reflects.
-    # The share times this power is the error of an order's efficiency.
-    errors = [min(verdict_on(optical, nm).error, 1.0) for nm in wavelengths.tolist()]
-    model = np.array(errors) * data.flat_powers
+    model = _efficiency_errors([verdict_on(optical, nm) for nm in wavelengths.tolist()], data.flat_powers)
     if data.periods:
         table, data.efficiencies = _of_periods(data, data.periods, result, model)
         data.orders = _judged(table)
