@@ -346,8 +346,8 @@ def _add_picture(flags: Flags, settings: type) -> None:
     _add_height_field(flags)
     flags.parser.add_argument(
         "--surface", action="append", metavar="PART=HEIGHTFIELD",
-        help="height field of the parts with this geometry or material, or 'plain' for a matte surface in the base "
-        "colour of the mesh; other parts have --heightfield; may be repeated",
+        help="height field of the parts with this geometry or material, or 'plain' for a surface with the "
+        "material of the mesh; other parts have --heightfield; may be repeated",
     )  # fmt: skip
     _add_evaluation(flags, settings)
     _add_scene(flags)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from warpdiff.device.kernel_calls import KernelCall
-from warpdiff.kernels import light_choice, sky_samples
+from warpdiff.kernels import light_choice, plain_samples, sky_samples
 from warpdiff.lights import sky_distribution
 from warpdiff.lights.light_pass import Counting
 from warpdiff.lights.lobe_pass import LobePass
@@ -72,5 +72,12 @@ class ChoicePass(LobePass):
                 context.rays.width, 1 << batch.level, lobe - self.lobe_count, count,
             ]  # fmt: skip
             choices.append(KernelCall(light_choice.choose_lights, inputs, [samples.towards], in_runs=True))
+        plain = context.plain
+        if plain is not None and plain.has_glossy_faces:
+            inputs = [
+                self._lights, plain.struct, batch.gbuffer.pixels, samples.footprints, batch.tiles,
+                context.rays.width, 1 << batch.level, lobe - self.lobe_count, count,
+            ]  # fmt: skip
+            choices.append(KernelCall(plain_samples.choose_plain_lights, inputs, [samples.towards], in_runs=True))
         scatter = self.scatter_towards(samples.towards, 0, 1.0 / count, batch, Counting())
         return [self.filter_footprints(batch), *choices, *scatter, *super().colour(0, batch, lookups)]

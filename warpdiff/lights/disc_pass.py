@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from warpdiff.device.kernel_calls import KernelCall
-from warpdiff.kernels import disc_samples, light_samples
+from warpdiff.kernels import disc_samples, light_samples, plain_samples
 from warpdiff.kernels.refinement_levels import FILTER_SIGMA, rays_at
 from warpdiff.lights.lobe_pass import LobePass
 from warpdiff.scene.occluder_grid import no_grid
@@ -80,14 +80,17 @@ class DiscPass(LobePass):
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
         """Return kernel calls that draw a direction for each ray, trace shadow rays and compute scattering vectors."""
         if lobe == self.lobe_count:
-            return super().scatter(0, batch, counting)
+            return self.scatter_towards(self._no_directions, 0, 1.0, batch, counting, lobe)
         samples = self._samples(batch)
-        inputs = [
-            self._lights, 0, self._extent(batch), self._lobe, batch.gbuffer.pixels, batch.tiles,
-            self.context.rays.width, 1 << batch.level, lobe, samples,
-        ]  # fmt: skip
-        draw = KernelCall(disc_samples.draw_disc, inputs, [batch.samples.towards], in_runs=True)
-        return [draw, *self.scatter_towards(batch.samples.towards, 0, 1.0 / samples, batch, counting)]
+        light, pixels = [self._lights, 0, self._extent(batch)], batch.gbuffer.pixels
+        rays = [batch.tiles, self.context.rays.width, 1 << batch.level, lobe, samples]
+        inputs = [*light, self._lobe, pixels, *rays]
+        draws = [KernelCall(disc_samples.draw_disc, inputs, [batch.samples.towards], in_runs=True)]
+        plain = self.context.plain
+        if plain is not None and plain.has_glossy_faces:
+            inputs = [*light, plain.struct, pixels, *rays]
+            draws.append(KernelCall(plain_samples.draw_plain_disc, inputs, [batch.samples.towards], in_runs=True))
+        return [*draws, *self.scatter_towards(batch.samples.towards, 0, 1.0 / samples, batch, counting, lobe)]
 
     def footprint_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:
         """Return kernel calls that compute footprints: those of the pixel filter, widened by the extent of a sample."""

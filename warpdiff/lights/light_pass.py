@@ -7,7 +7,7 @@ the sums to which their colours are added (:class:`RayBatch`).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from warpdiff.device.kernel_calls import KernelCall
 from warpdiff.kernels import light_samples
 from warpdiff.kernels.refinement_levels import rays_at
 from warpdiff.kernels.structs import Footprint
+from warpdiff.lights.plain_materials import plain_faces
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial, transmittances
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from warpdiff.lights.plain_materials import PlainFaces
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.materials import Material
     from warpdiff.optics.spectra import Spectrum
@@ -48,7 +50,7 @@ class SurfaceOptics:
             perfect mirror do not sum to 1.
         pigment: Linear factor of the light that the pigment reflects; 0 is no pigment.
         shadows: Whether the mesh may occlude the lights.
-        is_plain: Whether the surface has no height field: it is matte, and only its base colour reflects light.
+        is_plain: Whether the surface has no height field: it reflects light by its base colour and its material.
         unit: Factor from the colours of this surface to the unit of the picture. None if the colours of the picture are
             relative to this surface's own R(0) and coherence.
     """
@@ -89,7 +91,9 @@ class PassContext:
 
     Attributes:
         rays: Camera rays, on whose hits the light is sampled.
-        surfaces: Optics of the surfaces, without the diffraction of their height fields.
+        surfaces: Optics of the surfaces, without the diffraction of their height fields. The last one may be that of
+            all glossy faces: plain faces with a roughness, whose light ``kernels.plain_reflection`` computes.
+        plain: Materials of plain surfaces; None if all are matte and dark.
         finishes: All surfaces with all of their materials.
         is_pigmented: Whether the mesh has base colours and the pigment is visible.
         finish_of_faces: Index of each face's finish on the device; empty for a single finish.
@@ -109,17 +113,32 @@ class PassContext:
         """
         self._device = rays.options["device"]
         self.rays, self.surfaces, self.refines = rays, tuple(surfaces), refines
+        self._unit = unit or PictureUnit(surfaces[0].coherence, surfaces[0].area_um2)
         self.finishes = [
             Finish(index, material) for index, optics in enumerate(surfaces) for material in optics.materials
         ]
+        self.plain = self._plain_faces(finish_of_faces)
+        if finish_of_faces is not None and self.plain is not None and self.plain.has_glossy_faces:
+            # Glossy faces form a surface and a finish of their own, without a pigment and without a look-up.
+            plain = next(optics for optics in surfaces if optics.is_plain)
+            self.surfaces += (replace(plain, pigment=0.0),)
+            self.finishes.append(Finish(len(surfaces), None))
+            finish_of_faces = np.where(self.plain.is_glossy, len(self.finishes) - 1, finish_of_faces).astype(np.int32)
         self.is_pigmented = rays.surface.has_base_colour and any(optics.pigment > 0.0 for optics in surfaces)
         by_face = np.zeros(0, dtype=np.int32) if finish_of_faces is None else finish_of_faces
         self.finish_of_faces = self._array(by_face, wp.int32)
-        self._unit = unit or PictureUnit(surfaces[0].coherence, surfaces[0].area_um2)
         self.reflection = self._reflection()
 
     def _array(self, values: Any, dtype: Any) -> wp.array:
         return wp.array(np.asarray(values), dtype=dtype, device=self._device)
+
+    def _plain_faces(self, finish_of_faces: NDArray[np.int32] | None) -> PlainFaces | None:
+        """Return the materials of plain surfaces; None if all are matte and dark."""
+        is_plain = np.array([self.surfaces[finish.surface].is_plain for finish in self.finishes])
+        if finish_of_faces is None or not is_plain.any():
+            return None
+        white = float(self.white_xyz("D65", is_of_sky=False)[1])
+        return plain_faces(self.rays.surface, is_plain[finish_of_faces], white, self._device)
 
     def _reflection(self) -> light_samples.Reflection:
         """Return the struct of the kernels, with arrays by finish."""
@@ -186,8 +205,11 @@ class PassContext:
 
         ``is_of_sky`` states whether ``illuminant`` is the radiance of a sky divided by λ².
         """
-        white = reflectance_factors.pigment_white(illuminant, *self._unit, is_of_sky=is_of_sky)
-        return colorimetry.xyz_to_rgb(white)
+        return colorimetry.xyz_to_rgb(self.white_xyz(illuminant, is_of_sky=is_of_sky))
+
+    def white_xyz(self, illuminant: str | Spectrum, *, is_of_sky: bool) -> NDArray[np.float64]:
+        """Return the colour of a white pigment in the unit of the picture, XYZ; see :meth:`pigment_white`."""
+        return reflectance_factors.pigment_white(illuminant, *self._unit, is_of_sky=is_of_sky)
 
 
 @dataclass(frozen=True)
@@ -380,6 +402,11 @@ class LightPass(ABC):
         called only where grids are possible.
         """
 
+    @property
+    def white_luminance(self) -> float:
+        """Luminance of a white matte surface that faces the brightest lobe."""
+        return 0.0
+
     @abstractmethod
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
         """Return the kernel calls that sample a lobe at the hits of a batch, and add the light of the pigment."""
@@ -404,7 +431,7 @@ class LightPass(ABC):
         """
         samples, context, calls = batch.samples, self.context, []
         for index, (finish, spectra) in enumerate(zip(context.finishes, self.illuminated[lobe], strict=True)):
-            lookup = lookups[finish.surface]
+            lookup = lookups[finish.surface] if finish.surface < len(lookups) else None
             if lookup is None or surface not in (None, finish.surface):
                 continue
             for gain, illuminated in zip(gains, spectra, strict=True):

@@ -9,7 +9,7 @@ import warp as wp
 
 from warpdiff.core.wording import ArgumentValueError
 from warpdiff.device.kernel_calls import KernelCall
-from warpdiff.kernels import light_samples
+from warpdiff.kernels import light_samples, plain_reflection
 from warpdiff.kernels.shadow_rays import trace_shadow_rays
 from warpdiff.lights.light_pass import LightPass
 
@@ -86,6 +86,18 @@ class LobePass(LightPass):
         return (*((np.asarray(lobe.position) - centre) / radius), 1.0), deviations / radius, power
 
     @property
+    def white_luminance(self) -> float:
+        """Luminance of a white matte surface that faces the brightest lobe.
+
+        A light at a position counts with its distance from the centre of the mesh.
+        """
+        return max(
+            power * float(self.context.white_xyz(lobe.illuminant, is_of_sky=lobe.is_of_sky)[1])
+            / (float(np.dot(place[:3], place[:3])) + 1e-8 if place[3] else 1.0)
+            for (place, _, power), lobe in zip(self._sources, self.part.lobes, strict=True)
+        )  # fmt: skip
+
+    @property
     def graph_key(self) -> tuple[Hashable, ...]:
         """Values on which the launches depend: illuminants, profiles, and which lobes have an extent or a position.
 
@@ -122,28 +134,44 @@ class LobePass(LightPass):
         return [emit, *self.scatter_towards(batch.samples.towards, lobe, 1.0, batch, counting)]
 
     def scatter_towards(
-        self, towards: wp.array, lobe: int, share: float, batch: RayBatch, counting: Counting
+        self, towards: wp.array, light: int, share: float, batch: RayBatch, counting: Counting, lobe: int | None = None
     ) -> list[KernelCall]:
         """Return the kernel calls that compute occlusion, scattering vectors and geometry factors of a lobe.
 
-        ``share`` is the weight of the lobe's colours. ``towards`` has a direction to the light for each ray; if it is
-        empty, all rays use the direction of the lobe.
+        They also add the light that plain surfaces reflect.
+
+        Args:
+            towards: Direction to the light for each ray; if it is empty, all rays use the direction of the light.
+            light: Index of the light in the struct ``Lights``.
+            share: Weight of the lobe's colours.
+            batch: The rays.
+            counting: Rule by which samples are added.
+            lobe: Index of the lobe whose footprints the rays have; None is that of the light.
         """
         samples, pixels = batch.samples, batch.gbuffer.pixels
         occluded = self.occlusion(samples)
         inputs = [
-            pixels, self._lights, lobe, towards, self.context.reflection, share * counting.weight, counting.counted,
+            pixels, self._lights, light, towards, self.context.reflection, share * counting.weight, counting.counted,
             counting.begins, counting.resets, occluded,
         ]  # fmt: skip
         outputs = [*samples.directions, *batch.sums]
         calls = []
         if len(occluded):
-            shadow_inputs = [self._grids[lobe], self._lights.places, lobe, towards, pixels]
+            shadow_inputs = [self._grids[light], self._lights.places, light, towards, pixels]
             calls.append(KernelCall(trace_shadow_rays, shadow_inputs, [occluded], in_runs=True))
         calls.append(KernelCall(light_samples.scattering_vectors, inputs, outputs, in_runs=True))
         if len(self.context.reflection.energy):
             inputs = [pixels, samples.scattering_vectors, samples.to_lights, self.context.reflection]
             calls.append(KernelCall(light_samples.balance_energy, inputs, [samples.gains], in_runs=True))
+        plain = self.context.plain
+        if plain is not None and plain.has_glossy_faces:
+            if len(samples.footprints):
+                calls += self.footprint_calls(light if lobe is None else lobe, batch)
+            inputs = [
+                pixels, self._lights, light, towards, share * counting.weight, plain.struct, samples.footprints,
+                *samples.directions,
+            ]  # fmt: skip
+            calls.append(KernelCall(plain_reflection.add_plain_reflection, inputs, [batch.xyz], in_runs=True))
         return calls
 
     def footprint_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:

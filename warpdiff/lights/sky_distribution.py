@@ -92,6 +92,13 @@ def distribution_for(
     return result
 
 
+def distribution_of_blocks(blocks: Sequence[wp.array]) -> sky_samples.SkyDistribution:
+    """Return the struct of :func:`distribution_for` for the sky alone; the fields for a surface are empty."""
+    result = sky_samples.SkyDistribution()
+    result.row_cdf, result.column_cdf, result.block_densities = blocks
+    return result
+
+
 def surface_distribution(
     lookup: ColourLookup | None, illuminated: Sequence[Sequence[IlluminatedMaterial]], device: wp.Device
 ) -> sky_samples.SkyDistribution:

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from warpdiff.device.kernel_calls import KernelCall
-from warpdiff.kernels import sky_samples
+from warpdiff.kernels import plain_samples, sky_samples
 from warpdiff.lights import sky_distribution
 from warpdiff.lights.light_pass import LightPass
 from warpdiff.tables.lookup import Lookups
@@ -71,6 +71,16 @@ class SkyPass(LightPass):
         whites = [context.pigment_white(spectrum, is_of_sky=True) for spectrum in self.grid.spectra]
         self._sky.whites = wp.mat33f(*np.ravel(whites))
 
+    @property
+    def white_luminance(self) -> float:
+        """Luminance of a white matte surface under the mean radiance of the sky over all directions."""
+        rows = len(self.grid.powers)
+        solid = -np.diff(np.cos(np.arange(rows + 1) / rows * math.pi)) * 0.5 / self.grid.powers.shape[1]
+        # The light of a white surface under an even sky is π times the power per solid angle.
+        mean = np.einsum("rcs,r->s", self.grid.powers.astype(np.float64), solid)
+        whites = [self.context.white_xyz(spectrum, is_of_sky=True)[1] for spectrum in self.grid.spectra]
+        return float(math.pi * mean @ np.array(whites))
+
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:  # noqa: ARG002 (of lobes)
         """Return the kernel call that computes scattering vectors as if all light came from the mirror direction.
 
@@ -98,4 +108,12 @@ class SkyPass(LightPass):
             ]  # fmt: skip
             calls.append(KernelCall(sky_samples.sample_sky, inputs, outputs, in_runs=True))
             calls += self.look_up(0, [gains[spectrum] for spectrum in range(3)], None, batch, lookups, surface)
+        plain = context.plain
+        if plain is not None and plain.has_glossy_faces:
+            inputs = [
+                self._sky, sky_distribution.distribution_of_blocks(self._blocks), pixels, plain.struct,
+                samples.footprints, self._lights.rgb_to_xyz, mesh_id, context.casts_shadows, batch.tiles,
+                context.rays.width, 1 << batch.level, lobe, count,
+            ]  # fmt: skip
+            calls.append(KernelCall(plain_samples.sample_plain_sky, inputs, outputs[-2:], in_runs=True))
         return calls

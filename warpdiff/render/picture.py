@@ -17,6 +17,7 @@ from warpdiff.image.image import Image
 from warpdiff.image.report import report_of
 from warpdiff.kernels import light_samples, primary_hits, subdivision
 from warpdiff.kernels.shadow_rays import trace_shadow_rays
+from warpdiff.lights.emission_pass import EmissionPass
 from warpdiff.lights.light_pass import PassContext
 from warpdiff.render import pixel_filter
 from warpdiff.render.accumulators import Accumulators
@@ -136,15 +137,19 @@ class Picture:
         The passes of the new lights reuse the arrays of the previous passes, because a recorded CUDA graph reads these
         arrays.
         """
-        before: list[LightPass | None] = [*self._passes, *[None] * len(parts)]
+        before: list[LightPass | None] = [*self._passes, *[None] * (len(parts) + 1)]
         # If a light is not accepted, making its pass raises an error here, and the previous passes stay in use.
         passes = [part.make_pass(self.context) for part in parts]
+        plain = self.context.plain
+        if plain is not None and plain.emits:
+            brightness = max(light_pass.white_luminance for light_pass in passes)
+            passes.append(EmissionPass(self.context, plain, brightness))
         for light_pass, previous in zip(passes, before, strict=False):
             light_pass.begin(previous)
         self._parts, self._passes = list(parts), passes
         self.sampler.set_lights(self._passes)
         self._light_sums = self._sums
-        if self._means and len(parts) > 1:
+        if self._means and len(passes) > 1:
             # The arrays for a single light stay the same when lights change, because a recorded CUDA graph refers to
             # them.
             self._own_sums = self._light_sums = self._sums.of_one_light(self._own_sums)

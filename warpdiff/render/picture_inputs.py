@@ -24,6 +24,7 @@ from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.plan import AUTOMATIC, Plan, has_table
 from warpdiff.request.surface import Surface
 from warpdiff.scene.camera import View
+from warpdiff.scene.material_factors import warn_of_hidden_emission
 from warpdiff.scene.part_names import key_of_faces
 from warpdiff.tables import polar_grid
 from warpdiff.tables.lookup import ColourLookup, Lookups
@@ -59,7 +60,7 @@ class SurfaceInputs:
         evaluation: Inputs of the colours: height field, coherence, materials, method, tolerance and device.
         settings: Options of the call, with those of the surface.
         parts: Parts that the lights consist of: lobes, discs and skies. Plans are chosen for their spectra.
-        is_plain: Whether the surface has no height field, and only its base colour reflects light.
+        is_plain: Whether the surface has no height field, and reflects light by its base colour and material.
         unit: Factor from the colours of the surface to the unit of the picture; None if the surface defines the unit.
     """
 
@@ -261,6 +262,15 @@ class PictureInputs:
             return plans[0]
         keys = [key for key, surface in self.surfaces.items() if not surface.is_plain]
         return dict(zip(keys, plans, strict=True))
+
+    def warn_of_mesh(self, mesh: Mesh) -> None:
+        """Warn of features of a mesh's materials that its surfaces hide."""
+        if mesh.material_factors is None:
+            return
+        materials, is_plain = mesh.materials, np.array([own.is_plain for own in self.surfaces.values()])
+        if is_plain.any():
+            materials = materials[~is_plain[key_of_faces(mesh, list(self.surfaces), "heightfield")]]
+        warn_of_hidden_emission(mesh.material_factors, materials, mesh.material_names)
 
     def picture(self, mesh: Mesh, view: View, **options: Any) -> Picture:
         """Return a picture of a mesh, whose arrays are allocated but not yet computed."""

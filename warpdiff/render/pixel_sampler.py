@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from warpdiff.lights.light_pass import Counting, LightSamples, RayBatch
+from warpdiff.render import pixel_filter
 from warpdiff.request.directions import DirectionRange, DirectionSample
 
 if TYPE_CHECKING:
@@ -128,7 +129,8 @@ class PixelSampler:
             1.0 / count, 1.0 / count if is_first else 0.0, begins=begins,
             resets=begins or (self._means and is_first_lobe),
         )  # fmt: skip
-        rays.launch([*calls, *light_pass.scatter(index.lobe, self.batch(sums), counting)])
+        batch = self.batch(sums, deviation=pixel_filter.deviation_at(0, means=True) if self._means else 0.0)
+        rays.launch([*calls, *light_pass.scatter(index.lobe, batch, counting)])
         self._sample, self._lobe = sample, index
 
     def directions(self) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:

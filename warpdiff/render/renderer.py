@@ -96,6 +96,7 @@ class Renderer:
         load_kernels(inputs.evaluation.device)
         with picture_memory(view):
             surface = prepare_surface(mesh, tangents=checked.tangents)
+            inputs.warn_of_mesh(surface)
         self._begin(inputs, surface, view)
         self.draw()
 

@@ -47,9 +47,9 @@ def shade(
             independent of µm. ``copy()`` of trimesh drops the normals of a mesh; ``copy(include_cache=True)`` keeps
             them.
         heightfield: The height field; its x axis lies along the tangent field. For several surfaces, a mapping from
-            parts of the mesh to height fields, to :class:`warpdiff.Surface`, or to None for a plain, matte surface with
-            the mesh's base colour. A part is the name of a geometry or of a material, both as ``"geometry/material"``,
-            or ``"*"`` for the rest.
+            parts of the mesh to height fields, to :class:`warpdiff.Surface`, or to None for a plain surface with the
+            mesh's base colour, metallic, roughness and emission. A part is the name of a geometry or of a material,
+            both as ``"geometry/material"``, or ``"*"`` for the rest.
         lights: One light, or several.
         view: Camera and size of the picture.
         progress: Callable that gets the share that is done, 0 to 1, from any thread, one call at a time; True shows a
@@ -90,6 +90,7 @@ def shade(
     load_kernels(inputs.evaluation.device)
     with picture_memory(view):
         surface = prepare_surface(mesh, tangents=checked.tangents)
+        inputs.warn_of_mesh(surface)
         if spectral is not None:
             (own,) = inputs.surfaces.values()
             check_pigment(own.settings.pigment, has_base_colour=surface.has_base_colour)

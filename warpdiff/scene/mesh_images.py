@@ -39,8 +39,7 @@ def opened(data: bytes) -> Image.Image:
 def linear_rgb(image: Image.Image) -> NDArray[np.float32] | None:
     """Return an image in linear RGB, shape (h, w, 3), or None with a warning if it is damaged."""
     if damage := _damage(image):
-        texture = image.info.get("file_path") or "an image"
-        warn(f"{ref('mesh')}: texture {texture!r} is damaged and ignored: {damage}")
+        _warn_of_damage(image, damage)
         return None
     if image.mode.startswith("I"):
         # Pillow's image modes that begin with the letter I have 16-bit grey values. Pillow's own conversion to RGB
@@ -53,6 +52,22 @@ def linear_rgb(image: Image.Image) -> NDArray[np.float32] | None:
     # For speed, the sRGB transfer function is computed once for each of the 256 possible values, not for every pixel.
     table = srgb_decode(np.arange(256) / 255.0).astype(np.float32)
     return np.ascontiguousarray(table[np.asarray(image.convert("RGB"), dtype=np.uint8)])
+
+
+def mean_values(image: Image.Image) -> tuple[float, float, float] | None:
+    """Return the means of red, green and blue, 0 to 1, without decoding from sRGB; None with a warning if damaged."""
+    if damage := _damage(image):
+        _warn_of_damage(image, damage)
+        return None
+    if image.mode == "P":
+        image = image.convert("RGBA")
+    red, green, blue = np.asarray(image.convert("RGB"), dtype=np.float64).reshape(-1, 3).mean(axis=0) / 255.0
+    return float(red), float(green), float(blue)
+
+
+def _warn_of_damage(image: Image.Image, damage: str) -> None:
+    texture = image.info.get("file_path") or "an image"
+    warn(f"{ref('mesh')}: texture {texture!r} is damaged and ignored: {damage}")
 
 
 def _damage(image: Image.Image) -> str:

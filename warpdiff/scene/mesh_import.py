@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from warpdiff.core import forks, validation
 from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.scene.material_factors import factors_of
 from warpdiff.scene.mesh_files import UNNAMED
 from warpdiff.scene.mesh_geometry import (
     FaceGeometry,
@@ -46,6 +47,9 @@ if TYPE_CHECKING:
 
     import trimesh
     from numpy.typing import ArrayLike, NDArray
+
+    from warpdiff.scene.material_factors import MaterialFactors
+
 HOW_TO_GET_TANGENTS = (
     f"give {ref('tangents')} (directions of the height field's x axis, world frame: (n, 3), one per vertex, or (3,), "
     "one for all), or a mesh with texture coordinates, whose u axis is then the direction"
@@ -75,6 +79,7 @@ class Surface:
         geometry_names: Names of the geometries, which all differ; "mesh 0" for a single mesh without a name.
         materials: For each face, the index of its material in ``material_names``, shape (m,), int32; −1 without one.
         material_names: Names of the materials, which all differ.
+        material_factors: Metallic, roughness and emission of the materials; None if all are matte and dark.
         is_convex: Whether the mesh bounds a convex body or is in a plane, so that no point on its outside is in shadow.
         centre: Origin of ``vertices``, world frame, shape (3,), float64.
         radius: Unit of ``vertices``, in mesh units.
@@ -96,6 +101,7 @@ class Surface:
     radius: float
     geometry_names: tuple[str, ...] = (UNNAMED,)
     material_names: tuple[str, ...] = ()
+    material_factors: MaterialFactors | None = None
 
     @forks.cached_property
     def is_closed(self) -> bool:
@@ -143,8 +149,9 @@ def prepare_surface(
                 field = np.broadcast_to(field, (part.count, 3))
             _check_tangents(part, field)
             surface = _build(part, field, in_memory=not isinstance(mesh, (str, os.PathLike)))
-        warn_of_features([entry for entry, _ in scene])
-        return surface
+        entries = [entry for entry, _ in scene]
+        warn_of_features(entries)
+        return replace(surface, material_factors=factors_of(entries, surface.material_names))
 
 
 def normalised_positions(

@@ -49,7 +49,8 @@ class Appearance:
         base_texture: Base-colour texture, or None.
         fallback_colour: Linear RGBA that replaces ``base_colour`` if the texture cannot be used, or None.
         metallic: Share of metal, 0 to 1.
-        roughness: Perceptual roughness, 0 to 1.
+        roughness: Perceptual roughness, 0 to 1. None is a matte material without specular reflection, for which
+            ``metallic`` has no effect.
         metallic_roughness_texture: Texture with roughness in green and metallic in blue, which multiply the two
             numbers above, or None.
         emission: Emitted linear RGB.
@@ -66,7 +67,7 @@ class Appearance:
     base_texture: TextureMap | None = None
     fallback_colour: tuple[float, float, float, float] | None = None
     metallic: float = 0.0
-    roughness: float = 1.0
+    roughness: float | None = None
     metallic_roughness_texture: TextureMap | None = None
     emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
     emission_texture: TextureMap | None = None

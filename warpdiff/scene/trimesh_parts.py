@@ -14,6 +14,8 @@ from warpdiff.scene.scene_parts import Appearance, ScenePart, TextureMap, unique
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+    from PIL import Image
+    from trimesh.visual.material import PBRMaterial
 
 _WHITE = (1.0, 1.0, 1.0, 1.0)
 
@@ -121,21 +123,67 @@ def _appearance(material: Any, name: str) -> Appearance:
         return Appearance(
             name, base_colour=colour, base_texture=None if image is None else TextureMap(image),
             metallic=1.0 if material.metallicFactor is None else float(material.metallicFactor),
-            roughness=1.0 if material.roughnessFactor is None else float(material.roughnessFactor),
+            roughness=_stated_roughness(material), emission=_rgb(material.emissiveFactor),
+            metallic_roughness_texture=_map(material.metallicRoughnessTexture),
+            emission_texture=_map(material.emissiveTexture),
         )  # fmt: skip
+    metallic, roughness, emission = _mtl_factors(getattr(material, "kwargs", None) or {})
     image, diffuse = getattr(material, "image", None), getattr(material, "diffuse", None)
     # trimesh gives a mesh without a material a texture of 2 × 2 grey pixels, which is ignored here.
     if image is not None and image.size == (2, 2) and np.array_equal(np.asarray(image), np.asarray(color_image())):
-        return Appearance(name)
+        return Appearance(name, metallic=metallic, roughness=roughness, emission=emission)
     if diffuse is None or np.array_equal(diffuse, DEFAULT_COLOR):
         plain = None
     else:
         shares = np.asarray(diffuse, dtype=np.float64) / 255.0
         plain = (*srgb_decode(shares[:3]).tolist(), float(shares[3]) if len(shares) > 3 else 1.0)
-    if image is None:
-        return Appearance(name, base_colour=plain)
     # The plain colour of an .obj file does not multiply the texture; it replaces a texture that cannot be read.
-    return Appearance(name, base_colour=_WHITE, base_texture=TextureMap(image), fallback_colour=plain)
+    return Appearance(
+        name, base_colour=plain if image is None else _WHITE, base_texture=_map(image),
+        fallback_colour=None if image is None else plain, metallic=metallic, roughness=roughness, emission=emission,
+    )  # fmt: skip
+
+
+def _map(image: Image.Image | None) -> TextureMap | None:
+    """Return a texture with the default addressing; None without an image."""
+    return None if image is None else TextureMap(image)
+
+
+def _stated_roughness(material: PBRMaterial) -> float | None:
+    """Return the roughness of a material of trimesh; None if it states neither metallic nor roughness."""
+    stated = material.metallicFactor, material.roughnessFactor, material.metallicRoughnessTexture
+    if all(value is None for value in stated):
+        return None
+    return 1.0 if material.roughnessFactor is None else float(material.roughnessFactor)
+
+
+def _rgb(values: Any) -> tuple[float, float, float]:
+    """Return three finite numbers of at least 0; zeros for anything else."""
+    try:
+        red, green, blue = (float(value) for value in values)
+    except (TypeError, ValueError):
+        return (0.0, 0.0, 0.0)
+    return (red, green, blue) if all(0.0 <= value < np.inf for value in (red, green, blue)) else (0.0, 0.0, 0.0)
+
+
+def _mtl_factors(keys: dict[str, Any]) -> tuple[float, float | None, tuple[float, float, float]]:
+    """Return metallic, roughness and emission of an .mtl material.
+
+    ``Pm`` and ``Pr`` are the metallic and the roughness of the metallic-roughness model, and ``Ke`` is the emission.
+    ``Ks`` and ``Ns`` belong to the Phong model, whose normalisation the format does not define: materials with these
+    alone are matte.
+
+    Args:
+        keys: Values of the material by lower-case keys.
+    """
+    numbers: dict[str, float] = {}
+    for key in ("pm", "pr"):
+        try:
+            (value,) = keys[key]
+            numbers[key] = min(max(float(value), 0.0), 1.0)
+        except (KeyError, TypeError, ValueError):
+            continue
+    return numbers.get("pm", 0.0), numbers.get("pr", 1.0) if numbers else None, _rgb(keys.get("ke"))
 
 
 def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64] | None:

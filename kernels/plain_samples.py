@@ -1,0 +1,380 @@
+"""Samples of lights for plain surfaces with a roughness: of skies, of disc lights, and of many directional lights.
+
+Normals of microfacets are drawn from the distribution of visible normals (Heitz 2018), by spherical caps (Dupuy and
+Benyoub 2023). The weight of a sample is one over the sum of the densities of all kinds of samples (balance heuristic,
+Veach 1997). Random numbers are those of ``sample_sequence``.
+"""
+
+import math
+
+import warp as wp
+
+from warpdiff.kernels import compile_options, thresholds
+from warpdiff.kernels.bvh import FAR
+from warpdiff.kernels.disc_samples import on_disc
+from warpdiff.kernels.light_samples import Lights, covariance_of
+from warpdiff.kernels.plain_reflection import (
+    Gloss,
+    PlainMaterials,
+    blurred,
+    facet_density,
+    gloss_at,
+    reflected,
+    stretched,
+)
+from warpdiff.kernels.sample_sequence import filter_point, light_point, sample_index
+from warpdiff.kernels.shading_frames import LEAST_COSINE
+from warpdiff.kernels.sky_samples import (
+    Sky,
+    SkyDistribution,
+    density_of_direction,
+    draw_direction,
+    place_in_sky,
+    power_at,
+)
+from warpdiff.kernels.structs import Footprint, Pixels
+
+wp.set_module_options(compile_options.options())
+
+HORIZON = wp.constant(wp.float32(thresholds.HORIZON))
+# Least share of the samples that are drawn from microfacets, among those of the surface. Shares of the samples that are
+# drawn by the brightness of the sky: for a diffuse or rough surface, and for a mirror. Share of the samples of a disc
+# light that are drawn from microfacets, if their lobe is narrower than the disc and near it; ``REACH`` is the largest
+# distance from the disc that counts as near [α]. Choices: they change the noise, not the mean.
+LEAST_OF_FACETS, SKY_SHARE, SKY_SHARE_OF_MIRROR = (wp.constant(wp.float32(share)) for share in (0.2, 0.5, 0.1))
+DISC_SHARE, REACH = wp.constant(wp.float32(0.5)), wp.constant(wp.float32(8.0))
+# Least cosine of the view direction by which the expected brightness under many lights is divided. Choice: it changes
+# the noise, not the mean.
+LEAST_VIEW = wp.constant(wp.float32(0.1))
+
+
+@wp.struct
+class Frame:
+    """Shading frame of a ray, and the view direction in it."""
+
+    tangent: wp.vec3f
+    bitangent: wp.vec3f
+    normal: wp.vec3f
+    view: wp.vec3f
+
+
+@wp.func
+def frame_at(pixels: Pixels, ray: wp.int32) -> Frame:
+    """Return the shading frame at the hit of a ray."""
+    result = Frame()
+    result.tangent = pixels.tangent[ray]
+    result.bitangent = pixels.bitangent[ray]
+    result.normal = pixels.normal[ray]
+    result.view = wp.normalize(in_frame(result, pixels.to_view[ray]))
+    return result
+
+
+@wp.func
+def filtered_frame(pixels: Pixels, ray: wp.int32, footprint: Footprint, random: wp.vec2f) -> Frame:
+    """Return the shading frame at a random point of a ray's filter (Box and Muller).
+
+    The normal is rotated so that (u, v) of light from the mirror direction changes as the footprint states, as in
+    ``sky_samples.sample_sky``.
+    """
+    size = wp.sqrt(-2.0 * wp.log(1.0 - random[0]))
+    angle = wp.static(2.0 * math.pi) * random[1]
+    right = size * wp.cos(angle)
+    down = size * wp.sin(angle)
+    tangent = pixels.tangent[ray]
+    bitangent = pixels.bitangent[ray]
+    view = pixels.to_view[ray]
+    per_move = 0.5 / wp.max(wp.dot(pixels.normal[ray], view), LEAST_COSINE)
+    normal = pixels.normal[ray] + per_move * (right * footprint[0] + down * footprint[2]) * tangent
+    normal += per_move * (right * footprint[1] + down * footprint[3]) * bitangent
+    result = Frame()
+    result.normal = wp.normalize(normal)
+    result.tangent = wp.normalize(tangent - wp.dot(tangent, result.normal) * result.normal)
+    result.bitangent = wp.cross(result.normal, result.tangent)
+    if wp.dot(result.bitangent, bitangent) < 0.0:
+        result.bitangent = -result.bitangent
+    local = in_frame(result, view)
+    local[2] = wp.max(local[2], LEAST_COSINE)
+    result.view = wp.normalize(local)
+    return result
+
+
+@wp.func
+def in_frame(frame: Frame, along: wp.vec3f) -> wp.vec3f:
+    """Return a direction of the world in a shading frame."""
+    return wp.vec3f(wp.dot(frame.tangent, along), wp.dot(frame.bitangent, along), wp.dot(frame.normal, along))
+
+
+@wp.func
+def in_world(frame: Frame, direction: wp.vec3f) -> wp.vec3f:
+    """Return a direction of a shading frame in the world."""
+    return wp.normalize(direction[0] * frame.tangent + direction[1] * frame.bitangent + direction[2] * frame.normal)
+
+
+@wp.func
+def draw_facet(gloss: Gloss, point: wp.vec2f) -> wp.vec3f:
+    """Draw a direction to the light by reflection at a visible microfacet; it may be below the horizon."""
+    alpha = wp.sqrt(gloss.spread)
+    view = gloss.view
+    onto = wp.normalize(wp.vec3f(alpha * view[0], alpha * view[1], view[2]))
+    height = (1.0 - point[1]) * (1.0 + onto[2]) - onto[2]
+    level = wp.sqrt(wp.max(1.0 - height * height, 0.0))
+    angle = wp.static(2.0 * math.pi) * point[0]
+    x = level * wp.cos(angle) + onto[0]
+    y = level * wp.sin(angle) + onto[1]
+    half = wp.normalize(wp.vec3f(alpha * x, alpha * y, height + onto[2]))
+    return 2.0 * wp.dot(half, view) * half - view
+
+
+@wp.func
+def density_of_facet(gloss: Gloss, light: wp.vec3f) -> wp.float32:
+    """Return the probability density of :func:`draw_facet` at a direction above the horizon, per solid angle."""
+    view = gloss.view
+    per_w = 1.0 / (light[2] + view[2])
+    density = facet_density(gloss.spread, per_w * (light[0] + view[0]), per_w * (light[1] + view[1]))
+    return density / (2.0 * (view[2] + stretched(gloss.spread, view[2])))
+
+
+@wp.func
+def scattering_vector_of(gloss: Gloss, light: wp.vec3f) -> wp.vec3d:
+    """Return (u, v, w) for light from a direction."""
+    return -(wp.vec3d(light) + wp.vec3d(gloss.view))
+
+
+@wp.func
+def mean_of(values: wp.vec3f) -> wp.float32:
+    """Return the mean of three numbers."""
+    return (values[0] + values[1] + values[2]) / 3.0
+
+
+@wp.func
+def specular_reflectance(gloss: Gloss) -> wp.float32:
+    """Return Schlick's reflectance of a flat surface for the view direction, as a mean of RGB."""
+    rest = 1.0 - gloss.view[2]
+    normal = mean_of(gloss.normal_reflectance)
+    return normal + (1.0 - normal) * rest * rest * rest * rest * rest
+
+
+@wp.func
+def share_of_facets(gloss: Gloss) -> wp.float32:
+    """Return the share of the samples of the surface that are drawn from microfacets; the others follow a cosine."""
+    specular = specular_reflectance(gloss)
+    diffuse = (1.0 - specular) * mean_of(gloss.diffuse)
+    if diffuse <= 0.0:
+        return 1.0
+    return wp.max(specular / (specular + diffuse), LEAST_OF_FACETS)
+
+
+@wp.kernel
+def sample_plain_sky(
+    sky: Sky, table: SkyDistribution, pixels: Pixels, materials: PlainMaterials, footprints: wp.array(dtype=Footprint),
+    rgb_to_xyz: wp.mat33d, mesh_id: wp.uint64, shadows: wp.bool, tiles: wp.array(dtype=wp.int32), width: wp.int32,
+    across: wp.int32, sample: wp.int32, samples: wp.int32, first: wp.int32, run: wp.int32,
+    xyz_out: wp.array(dtype=wp.vec3f), illuminated_out: wp.array(dtype=wp.bool),
+):  # fmt: skip
+    """Draw one direction of the sky for each ray on a plain surface with a roughness, and add the reflected light.
+
+    Args:
+        sky: Powers of the sky by direction.
+        table: Distribution of bright directions of the sky.
+        pixels: Hits of the rays.
+        materials: Materials of the plain surfaces.
+        footprints: Footprints of the rays' filters for light from the mirror direction.
+        rgb_to_xyz: Matrix from linear sRGB to XYZ.
+        mesh_id: Id of the mesh with the hierarchy for shadow rays.
+        shadows: Whether shadow rays are traced.
+        tiles: Pixels whose cells are the rays; −1 is no pixel. If empty, the rays are one per pixel of the picture.
+        width: Number of pixels per row.
+        across: Number of cells along a side of a pixel.
+        sample: Index of the sample among the ``samples`` of each ray.
+        samples: Number of samples per ray.
+        first: Index of the first thread's first ray.
+        run: Number of rays per thread.
+        xyz_out: Sums of colours.
+        illuminated_out: True is written where light arrives; an empty array is not written.
+    """
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        if pixels.hit[i] == 0:
+            continue
+        index = sample_index(tiles, width, across, i, sample, samples)
+        frame = filtered_frame(pixels, i, footprints[i], filter_point(index))
+        gloss = gloss_at(materials, pixels, i, frame.view)
+        if gloss.alpha2 == 0.0:
+            continue
+        of_facets = share_of_facets(gloss)
+        of_rough = (1.0 - of_facets) + of_facets * wp.sqrt(gloss.alpha2)
+        of_sky = SKY_SHARE_OF_MIRROR + of_rough * (SKY_SHARE - SKY_SHARE_OF_MIRROR)
+        point = light_point(index)
+        light = wp.vec3f()
+        along = wp.vec3f()
+        if point[0] < of_sky:
+            along = draw_direction(table, sky, wp.vec2f(point[0] / of_sky, point[1]))
+            light = in_frame(frame, along)
+        else:
+            rest = (point[0] - of_sky) / (1.0 - of_sky)
+            if rest < of_facets:
+                light = draw_facet(gloss, wp.vec2f(rest / of_facets, point[1]))
+            else:
+                on = on_disc(wp.vec2f((rest - of_facets) / (1.0 - of_facets), point[1]))
+                light = wp.vec3f(on[0], on[1], wp.sqrt(wp.max(1.0 - wp.length_sq(on), 0.0)))
+            along = in_world(frame, light)
+        if light[2] < HORIZON:
+            continue
+        place = place_in_sky(sky, along)
+        of_surface = of_facets * density_of_facet(gloss, light)
+        of_surface += (1.0 - of_facets) * wp.static(1.0 / math.pi) * light[2]
+        density = of_sky * density_of_direction(table, place) + (1.0 - of_sky) * of_surface
+        if density <= 0.0:
+            continue
+        if shadows:
+            if wp.mesh_query_ray_anyhit(mesh_id, pixels.shadow_origin[i], along, FAR):
+                continue
+        power = power_at(sky, place)
+        white = wp.transpose(sky.whites) * power
+        rgb = wp.cw_mul(reflected(gloss, light, scattering_vector_of(gloss, light)), white)
+        rgb *= light[2] / (density * wp.float32(samples))
+        xyz_out[i] = xyz_out[i] + wp.vec3f(rgb_to_xyz * wp.vec3d(rgb))
+        if illuminated_out.shape[0] > 0 and power[0] + power[1] + power[2] > 0.0:
+            illuminated_out[i] = True
+
+
+@wp.kernel
+def draw_plain_disc(
+    lights: Lights, light_index: wp.int32, extent: wp.float32, materials: PlainMaterials, pixels: Pixels,
+    tiles: wp.array(dtype=wp.int32), width: wp.int32, across: wp.int32, sample: wp.int32, samples: wp.int32,
+    first: wp.int32, run: wp.int32,
+    towards_out: wp.array(dtype=wp.vec4f),
+):  # fmt: skip
+    """Draw a direction to a disc light for each ray on a plain surface with a roughness.
+
+    A share of the directions is drawn from microfacets if their lobe is narrower than the disc. The arguments are those
+    of ``disc_samples.draw_disc``, whose directions this kernel replaces.
+    """
+    place = lights.places[light_index]
+    axis = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))
+    tangent = wp.normalize(lights.deviations[light_index, 0])
+    bitangent = wp.normalize(lights.deviations[light_index, 1])
+    radius = 2.0 * wp.length(lights.deviations[light_index, 0])
+    edge = 2.0 * wp.sin(0.5 * radius * wp.sqrt(wp.max(1.0 - 4.0 * extent * extent, 0.0)))
+    of_disc = 1.0 / (wp.static(math.pi) * wp.max(edge * edge, 1.0e-12))
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        if pixels.hit[i] == 0:
+            continue
+        frame = frame_at(pixels, i)
+        gloss = gloss_at(materials, pixels, i, frame.view)
+        if gloss.alpha2 == 0.0:
+            continue
+        # The Gaussian source of a sample widens the lobe, as in ``light_samples.add_light_extent``.
+        own = extent * extent * radius * radius
+        gloss = blurred(gloss, wp.vec3f(own, 0.0, own), 2.0 * gloss.view[2])
+        reach = 2.0 * wp.sqrt(gloss.spread)
+        view = pixels.to_view[i]
+        mirrored = 2.0 * wp.dot(pixels.normal[i], view) * pixels.normal[i] - view
+        share = wp.float32(0.0)
+        if reach < edge and wp.length(mirrored - axis) < edge + REACH * reach:
+            share = DISC_SHARE * share_of_facets(gloss)
+        point = light_point(sample_index(tiles, width, across, i, sample, samples))
+        towards = wp.vec3f()
+        light = wp.vec3f()
+        if point[0] < share:
+            light = draw_facet(gloss, wp.vec2f(point[0] / share, point[1]))
+            towards = in_world(frame, light)
+        else:
+            on = edge * on_disc(wp.vec2f((point[0] - share) / (1.0 - share), point[1]))
+            square = wp.length_sq(on)
+            towards = (1.0 - 0.5 * square) * axis
+            towards += wp.sqrt(1.0 - 0.25 * square) * (on[0] * tangent + on[1] * bitangent)
+            towards = wp.normalize(towards)
+            light = in_frame(frame, towards)
+        weight = wp.float32(0.0)
+        if light[2] > HORIZON and wp.length(towards - axis) <= edge:
+            weight = of_disc / ((1.0 - share) * of_disc + share * density_of_facet(gloss, light))
+        towards_out[i] = wp.vec4f(towards[0], towards[1], towards[2], weight)
+
+
+@wp.struct
+class ChoicePoint:
+    """Values at a hit from which the brightness under many lights is estimated: frame, view and lobe."""
+
+    tangent: wp.vec3f
+    bitangent: wp.vec3f
+    normal: wp.vec3f
+    view: wp.vec3f
+    spread: wp.float32  # α² with the footprint
+    specular: wp.float32  # factor of the specular reflection, which includes cos θi
+    diffuse: wp.float32  # diffuse reflection
+
+
+@wp.func
+def choice_point(gloss: Gloss, pixels: Pixels, ray: wp.int32) -> ChoicePoint:
+    """Return the values at a hit from which the brightness under many lights is estimated.
+
+    The Fresnel term is that of the view direction. Masking is omitted.
+    """
+    result = ChoicePoint()
+    result.tangent = pixels.tangent[ray]
+    result.bitangent = pixels.bitangent[ray]
+    result.normal = pixels.normal[ray]
+    result.view = pixels.to_view[ray]
+    result.spread = gloss.spread
+    specular = specular_reflectance(gloss)
+    result.specular = 0.25 * specular * gloss.spread / wp.max(gloss.view[2], LEAST_VIEW)
+    result.diffuse = (1.0 - specular) * mean_of(gloss.diffuse)
+    return result
+
+
+@wp.func
+def expected_brightness(lights: Lights, index: wp.int32, at: ChoicePoint) -> wp.float32:
+    """Return the light that a hit is expected to reflect from one of many directional lights; 0 below the horizon."""
+    place = lights.places[index]
+    towards = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))
+    cosine = wp.dot(towards, at.normal)
+    if cosine < HORIZON:
+        return 0.0
+    between = towards + at.view
+    per_w = 1.0 / wp.dot(between, at.normal)
+    x = per_w * wp.dot(between, at.tangent)
+    y = per_w * wp.dot(between, at.bitangent)
+    square = x * x + y * y
+    ratio = (1.0 + square) / (at.spread + square)
+    return wp.float32(lights.strengths[index]) * (cosine * at.diffuse + at.specular * ratio * ratio)
+
+
+@wp.kernel
+def choose_plain_lights(
+    lights: Lights, materials: PlainMaterials, pixels: Pixels, footprints: wp.array(dtype=Footprint),
+    tiles: wp.array(dtype=wp.int32), width: wp.int32, across: wp.int32, sample: wp.int32, samples: wp.int32,
+    first: wp.int32, run: wp.int32,
+    towards_out: wp.array(dtype=wp.vec4f),
+):  # fmt: skip
+    """Choose one of many directional lights for each ray on a plain surface with a roughness.
+
+    The probability is proportional to the light that the surface is expected to reflect without shadows. The arguments
+    are those of ``light_choice.choose_lights``.
+    """
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        if pixels.hit[i] == 0:
+            continue
+        frame = frame_at(pixels, i)
+        gloss = gloss_at(materials, pixels, i, frame.view)
+        if gloss.alpha2 == 0.0:
+            continue
+        gloss = blurred(gloss, covariance_of(footprints[i]), 2.0 * gloss.view[2])
+        at = choice_point(gloss, pixels, i)
+        total = wp.float32(0.0)
+        for index in range(lights.places.shape[0]):
+            total += expected_brightness(lights, index, at)
+        towards_out[i] = wp.vec4f(0.0, 1.0, 0.0, 0.0)
+        rest = total * light_point(sample_index(tiles, width, across, i, sample, samples))[0]
+        for index in range(lights.places.shape[0]):
+            brightness = expected_brightness(lights, index, at)
+            if brightness > 0.0 and rest >= 0.0:
+                # If rounding makes the sum too small, the last light above the horizon is chosen.
+                place = lights.places[index]
+                weight = wp.float32(lights.strengths[index] / lights.strengths[0]) * total / brightness
+                towards_out[i] = wp.vec4f(
+                    wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]), weight
+                )  # fmt: skip
+                rest -= brightness

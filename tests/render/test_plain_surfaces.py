@@ -1,0 +1,267 @@
+"""Plain surfaces by the metallic-roughness model, against NumPy after the specification of glTF 2.0, appendix B."""
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
+
+import warpdiff as wd
+from warpdiff.optics import colorimetry
+
+SIGMA_UM = 5.0
+COHERENCE = wd.Coherence(sigma_um=SIGMA_UM)
+WAVE = wd.gratings.sinusoidal(1.5, 0.1)
+OPTIONS = {"coherence": COHERENCE, "tolerance": 0.1, "strict": False}
+POINTS = OPTIONS | {"footprint": False, "refine": False}
+# Metallic, roughness and linear base colour of the parts of the test scene. The last roughness is below the least one.
+MATERIALS = [
+    (0.0, 0.3, (0.8, 0.5, 0.2)), (0.0, 1.0, (0.2, 0.6, 0.9)), (1.0, 0.25, (0.9, 0.7, 0.3)), (1.0, 0.7, (0.5, 0.5, 0.5)),
+    (0.4, 0.5, (0.3, 0.8, 0.4)), (1.0, 0.0, (1.0, 1.0, 1.0)),
+]  # fmt: skip
+VIEW = wd.View.orthographic((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), extent_y=2.2, width=96, height=16)
+
+
+def white_luminance():
+    """Return the luminance of a white matte surface facing a light of power 1: the mean of λ²/(4π²σ²) with S ȳ."""
+    um = 1e-3 * colorimetry.VISIBLE_NM
+    return float(um**2 @ colorimetry.colour_products("D65")[:, 1]) / (4.0 * math.pi**2 * SIGMA_UM**2)
+
+
+LEAST_ALPHA = 0.5 * math.sqrt(white_luminance())
+
+
+def material(name, metallic, roughness, colour, emission=None):
+    # The factors of trimesh have 8 bits, so that colours are multiples of 1/255.
+    return PBRMaterial(
+        name=name, baseColorFactor=[*(round(255 * value) for value in colour), 255], metallicFactor=metallic,
+        roughnessFactor=roughness, emissiveFactor=emission,
+    )  # fmt: skip
+
+
+def quad(x, own, bend=0.25, y=0.0):
+    """Return a quad with the width and height 2, whose normals are bent by ``bend``."""
+    corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    return trimesh.Trimesh(
+        corners + np.array([x, y, 0.0]), [[0, 1, 2], [0, 2, 3]],
+        vertex_normals=corners * (bend, bend, 0.0) + np.array([0.0, 0.0, 1.0]), process=False,
+        visual=TextureVisuals(uv=corners[:, :2], material=own),
+    )  # fmt: skip
+
+
+def scene(materials=MATERIALS, bend=0.25, size=2.1):
+    """Return quads side by side with some materials, and a far one with a grating, which is outside of pictures."""
+    result = trimesh.Scene()
+    for index, own in enumerate(materials):
+        x = size * (index - 0.5 * (len(materials) - 1))
+        result.add_geometry(quad(x, material(f"m{index}", *own), bend), geom_name=f"q{index}")
+    result.add_geometry(quad(0.0, None, y=-4.0), geom_name="grating")
+    return result
+
+
+SURFACES = {"grating": WAVE, "*": None}
+
+
+def brdf(to_light, to_view, metallic, roughness, colour):
+    """Return f of glTF 2.0 in 1/sr, shape (n, 3), with the height-correlated masking of Heitz 2014."""
+    alpha2 = max(roughness**2, LEAST_ALPHA) ** 2
+    half = to_light + to_view
+    half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    n_h, v_h = half[:, 2], np.sum(to_view * half, axis=-1)
+    n_l, n_v = to_light[:, 2], to_view[:, 2]
+    distribution = alpha2 / (math.pi * (n_h**2 * (alpha2 - 1.0) + 1.0) ** 2)
+    lambdas = [0.5 * (np.sqrt(1.0 + alpha2 * (1.0 - c**2) / c**2) - 1.0) for c in (n_l, n_v)]
+    shadowing = 1.0 / (1.0 + lambdas[0] + lambdas[1])
+    base = np.array([round(255 * value) / 255 for value in colour])
+    f0 = 0.04 * (1.0 - metallic) + base * metallic
+    fresnel = f0 + (1.0 - f0) * ((1.0 - np.abs(v_h)) ** 5)[:, None]
+    diffuse = (1.0 - fresnel) * base * (1.0 - metallic) / math.pi
+    return diffuse + fresnel * (distribution * shadowing / (4.0 * n_l * n_v))[:, None]
+
+
+def parts_of(image):
+    """Return the columns of the inner pixels of each part."""
+    geometry = image.layers["geometry"]
+    return [np.nonzero((geometry == number) & image.mask) for number in range(len(MATERIALS))]
+
+
+@pytest.mark.parametrize(
+    "light", [wd.DirectionalLight((0.2, 0.1, 1.0), power=3.0), wd.PointLight((0.5, 0.7, 3.0), power=20.0)],
+    ids=["directional", "point"],
+)  # fmt: skip
+def test_pixels_have_the_brdf_of_the_specification(light):
+    layers = ["geometry", "to_light", "to_view", "position"]
+    # Bent normals move the origins of shadow rays, from which the directions to a point light are computed.
+    body = scene(bend=0.0 if isinstance(light, wd.PointLight) else 0.25)
+    image = wd.shade(body, SURFACES, light, VIEW, **POINTS, layers=layers)
+    for own, pixels in zip(MATERIALS, parts_of(image), strict=True):
+        to_light, to_view = (image.layers[name][pixels].astype(float) for name in ("to_light.0", "to_view"))
+        power = np.full(len(to_light), 3.0)
+        if isinstance(light, wd.PointLight):
+            power = 20.0 / np.sum((np.array(light.position) - image.layers["position"][pixels]) ** 2, axis=1)
+        reflected = math.pi * brdf(to_light, to_view, *own) * to_light[:, 2:] * power[:, None]
+        expected = white_luminance() * reflected @ colorimetry.RGB_TO_XYZ.T
+        assert len(expected) > 100
+        error = np.linalg.norm(image.xyz[pixels] - expected, axis=1) / np.linalg.norm(expected, axis=1)
+        # Layers have directions in float32, so that slopes near the mirror direction of a smooth metal are rounded.
+        assert np.max(error) <= 1e-3
+
+
+def test_a_smooth_metal_has_the_peak_luminance_of_a_mirror_of_the_unit():
+    body, view = (
+        scene([(1.0, 0.0, (1, 1, 1))], bend=0.0),
+        wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=2.0, width=4, height=4),
+    )
+    image = wd.shade(body, SURFACES, wd.DirectionalLight((0.0, 0.0, 1.0)), view, **POINTS)
+    np.testing.assert_allclose(image.xyz[..., 1], 1.0, rtol=1e-3)
+
+
+def mean_colour(image, number):
+    """Return the mean colour of a part over the middle rows, without the pixels at its edges."""
+    rows = slice(round(0.35 * len(image.xyz)), round(0.65 * len(image.xyz)))
+    columns = np.flatnonzero((image.layers["geometry"][rows] == number).all(axis=0))[2:-2]
+    return image.xyz[rows, columns].mean(axis=(0, 1))
+
+
+def hemisphere(count=400):
+    """Return directions above the surface and their solid angles times cos θ, by midpoints in (sin²θ, azimuth)."""
+    square = (np.arange(count) + 0.5) / count
+    azimuth = 2.0 * math.pi * (np.arange(2 * count) + 0.5) / (2 * count)
+    radius = np.sqrt(square)[:, None]
+    directions = np.stack(
+        [radius * np.cos(azimuth), radius * np.sin(azimuth), np.sqrt(1.0 - radius**2) + 0.0 * azimuth], axis=-1
+    )
+    return directions.reshape(-1, 3), math.pi / (2 * count * count)
+
+
+@pytest.mark.parametrize("slant_deg", [0.0, 60.0])
+def test_under_an_even_sky_the_reflected_light_is_the_albedo_of_the_specification_and_at_most_1(slant_deg):
+    materials = [(m, r, (1.0, 1.0, 1.0)) for m, r in ((0.0, 0.4), (0.0, 1.0), (1.0, 0.3), (1.0, 0.6), (1.0, 1.0))]
+    slant = math.radians(slant_deg)
+    eye = np.array([0.0, -5.0 * math.sin(slant), 5.0 * math.cos(slant)])
+    view = wd.View.orthographic(eye, (0.0, 0.0, 0.0), extent_y=1.5, width=160, height=20)
+    sky = wd.Environment(np.ones((4, 8, 3)))
+    image = wd.shade(
+        scene(materials, bend=0.0), SURFACES, sky, view, **OPTIONS | {"shadows": False, "refine": False},
+        samples_per_pixel=64, layers=["geometry"],
+    )  # fmt: skip
+    directions, weight = hemisphere(800)
+    for number, own in enumerate(materials):
+        mean = mean_colour(image, number)[1]
+        expected = weight * brdf(directions, np.array([[0.0, math.sin(slant), math.cos(slant)]]), *own)[:, 1].sum()
+        assert mean == pytest.approx(expected, rel=0.01)
+        # The model conserves energy for metals. The diffuse part of a white dielectric adds up to 1.02 at 60°.
+        assert mean <= (1.005 if own[0] == 1.0 else 1.03)
+
+
+def test_under_a_sky_with_bright_and_dark_sides_the_light_is_that_of_a_sum_over_the_hemisphere():
+    rows, columns = np.meshgrid(np.arange(32), np.arange(64), indexing="ij")
+    radiance = 0.2 + np.exp(-0.5 * (((rows - 12) / 5.0) ** 2 + ((columns - 48) / 7.0) ** 2))
+    sky = wd.Environment(np.stack([radiance, 0.5 * radiance + 0.2, 0.3 + 0.0 * radiance], axis=-1))
+    view = wd.View.orthographic((0, -3, 5), (0, 0, 0), extent_y=1.5, width=160, height=20)
+    image = wd.shade(
+        scene(bend=0.0), SURFACES, sky, view, **OPTIONS | {"shadows": False, "refine": False}, samples_per_pixel=64,
+        layers=["geometry"],
+    )  # fmt: skip
+    directions, weight = hemisphere(800)
+    polar, azimuth = np.arccos(directions[:, 1]), np.arctan2(directions[:, 0], -directions[:, 2])
+    at = polar / math.pi * 32 - 0.5, ((azimuth / (2.0 * math.pi) + 0.5) * 64 - 0.5)
+    row, column = np.clip(np.floor(at[0]).astype(int), 0, 30), np.floor(at[1]).astype(int)
+    s, t = np.clip(at[0] - row, 0.0, 1.0)[:, None], (at[1] - column)[:, None]
+    texels = sky.radiance_rgb
+    seen = sum(
+        a * b * texels[row + i, (column + j) % 64] for i, a in ((0, 1 - s), (1, s)) for j, b in ((0, 1 - t), (1, t))
+    )
+    to_view = np.array([[0.0, -3.0, 5.0]]) / math.sqrt(34.0)
+    for number, own in enumerate(MATERIALS[:-1]):
+        mean = mean_colour(image, number)
+        reflected = weight * (brdf(directions, to_view, *own) * seen).sum(axis=0)
+        np.testing.assert_allclose(mean, reflected @ colorimetry.RGB_TO_XYZ.T, rtol=0.02)
+
+
+@pytest.mark.parametrize("diameter_deg", [1.2, 20.0])
+def test_under_a_disc_the_light_is_that_of_a_sum_over_the_disc(diameter_deg):
+    towards = np.array([0.1, 0.0, 1.0]) / math.sqrt(1.01)
+    light = wd.DirectionalLight(tuple(towards), angular_diameter_deg=diameter_deg)
+    view = wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=1.5, width=160, height=20)
+    image = wd.shade(scene(bend=0.0), SURFACES, light, view, **OPTIONS | {"shadows": False}, layers=["geometry"])
+    radius, count = math.radians(0.5 * diameter_deg), 200
+    x, y = np.meshgrid(*2 * [(np.arange(count) + 0.5) / count * 2.0 - 1.0])
+    edge = 2.0 * math.sin(0.5 * radius)
+    square = edge**2 * (x**2 + y**2)
+    axes = np.array([[1.0, 0.0, -0.1], [0.0, math.sqrt(1.01), 0.0]]) / math.sqrt(1.01)
+    directions = (1.0 - 0.5 * square)[..., None] * towards
+    directions = directions + np.sqrt(np.maximum(1.0 - 0.25 * square, 0.0))[..., None] * edge * (
+        x[..., None] * axes[0] + y[..., None] * axes[1]
+    )
+    directions = directions[x**2 + y**2 < 1.0]
+    for number, own in enumerate(MATERIALS[:-1]):
+        mean = mean_colour(image, number)
+        f = brdf(directions, np.array([[0.0, 0.0, 1.0]]), *own) * directions[:, 2:]
+        expected = math.pi * white_luminance() * f.mean(axis=0) @ colorimetry.RGB_TO_XYZ.T
+        np.testing.assert_allclose(mean, expected, rtol=0.02)
+
+
+def test_many_lights_from_which_cells_choose_add_up_to_all_lights():
+    rng = np.random.default_rng(5)
+    lights = [wd.DirectionalLight((x, y, 1.0), power=0.1) for x, y in rng.normal(scale=0.7, size=(70, 2))]
+    body = scene(MATERIALS[:5], bend=0.0)
+    view = wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=1.5, width=80, height=10)
+    options = OPTIONS | {"shadows": False, "layers": ["geometry"]}
+    chosen = wd.shade(body, SURFACES, lights, view, **options)
+    summed = wd.shade(body, SURFACES, lights, view, **options | {"refine": False})
+    for number in range(5):
+        np.testing.assert_allclose(mean_colour(chosen, number), mean_colour(summed, number), rtol=0.02)
+
+
+def ball(own):
+    """Return a ball with exact normals, and a far grating."""
+    sphere = trimesh.creation.icosphere(5, 1.0)
+    sphere = trimesh.Trimesh(
+        sphere.vertices, sphere.faces, vertex_normals=sphere.vertices, process=False,
+        visual=TextureVisuals(uv=sphere.vertices[:, :2], material=material("ball", *own)),
+    )  # fmt: skip
+    grating = quad(0.0, None, y=-4.0)
+    return trimesh.Scene({"ball": sphere, "grating": grating})
+
+
+@pytest.mark.filterwarnings("ignore:mesh's texture coordinates")
+@pytest.mark.parametrize("roughness", [0.15, 0.4])
+def test_small_highlights_meet_the_tolerance(roughness):
+    body, light = ball((1.0, roughness, (1.0, 1.0, 1.0))), wd.DirectionalLight((0.3, 0.5, 1.0))
+    view = wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=2.4, width=24, height=24)
+    image = wd.shade(body, SURFACES, light, view, **OPTIONS | {"shadows": False})
+    truth = wd.shade(body, SURFACES, light, view, **POINTS | {"shadows": False}, samples_per_pixel=1024)
+    inside = truth.coverage > 0.999
+    floor = 1e-3 * np.percentile(truth.xyz[inside, 1], 99.0)
+    change = np.linalg.norm(image.xyz - truth.xyz, axis=-1)[inside]
+    error = change / np.maximum(np.linalg.norm(truth.xyz, axis=-1)[inside], floor)
+    assert truth.xyz[..., 1].max() > 20.0 * np.median(truth.xyz[inside, 1])
+    assert np.percentile(error, 99.0) <= 0.1
+    assert np.mean(error <= image.error[inside] + 0.01) >= 0.9
+
+
+def test_emission_of_1_is_the_luminance_of_a_white_surface_that_faces_the_brightest_light():
+    body = trimesh.Scene()
+    body.add_geometry(quad(-1.1, material("lamp", 0.0, 1.0, (0, 0, 0), [1.0, 0.5, 0.25]), 0.0), geom_name="lamp")
+    body.add_geometry(
+        quad(1.1, PBRMaterial(name="matte", baseColorFactor=[255] * 4, emissiveFactor=[0.0, 2.0, 0.0]), 0.0),
+        geom_name="matte",
+    )
+    body.add_geometry(quad(0.0, None, y=-4.0), geom_name="grating")
+    view = wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=2.0, width=32, height=8)
+    below = wd.DirectionalLight((0.0, 0.0, -1.0), power=4.0)
+    weak = wd.PointLight((0.0, 0.0, -1e4), power=2.0)
+    for options in (POINTS, OPTIONS):
+        for lights in (below, [weak, below]):
+            image = wd.shade(body, SURFACES, lights, view, **options)
+            for columns, emission in ((slice(9, 14), (1.0, 0.5, 0.25)), (slice(18, 23), (0.0, 2.0, 0.0))):
+                expected = 4.0 * white_luminance() * colorimetry.RGB_TO_XYZ @ np.array(emission)
+                np.testing.assert_allclose(
+                    image.xyz[2:-2, columns].reshape(-1, 3), np.tile(expected, (20, 1)), rtol=1e-4
+                )
+    sky = wd.shade(body, SURFACES, wd.Environment(np.ones((4, 8, 3))), view, **OPTIONS | {"shadows": False})
+    colour = sky.xyz[2:-2, 18:23].reshape(-1, 3).mean(axis=0)
+    np.testing.assert_allclose(colour, colorimetry.RGB_TO_XYZ @ np.array([1.0, 3.0, 1.0]), rtol=0.03)

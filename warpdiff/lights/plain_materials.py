@@ -1,0 +1,74 @@
+"""Materials of plain surfaces on a device: which faces reflect by a roughness, and which emit light."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warpdiff.kernels.plain_reflection import PlainMaterials
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from warpdiff.scene.mesh_import import Surface
+
+# Least α of a plain surface. Limit: smaller ones cannot be computed with directions in float32. It corresponds to a
+# roughness of 0.045, the least of common renderers of glTF.
+_LEAST_ALPHA = 0.002
+
+
+@dataclass(frozen=True)
+class PlainFaces:
+    """Materials of the plain faces of a mesh.
+
+    Attributes:
+        struct: The struct of the kernels.
+        is_glossy: Whether each face is plain and has a roughness, shape (m,).
+        emits: Whether any plain face emits light.
+    """
+
+    struct: PlainMaterials
+    is_glossy: NDArray[np.bool_]
+    emits: bool
+
+    @property
+    def has_glossy_faces(self) -> bool:
+        """Whether any face is plain and has a roughness."""
+        return bool(self.is_glossy.any())
+
+
+def plain_faces(
+    mesh: Surface, is_plain: NDArray[np.bool_], white_luminance: float, device: wp.Device
+) -> PlainFaces | None:
+    """Return the materials of plain faces; None if all are matte and dark.
+
+    Args:
+        mesh: The prepared mesh.
+        is_plain: Whether each face is plain, shape (m,).
+        white_luminance: Luminance of a white matte surface that faces a light under which a mirror has 1. A smooth
+            surface gets the α with which its highlight has a luminance of at most 1, too.
+        device: The Warp device.
+    """
+    factors = mesh.material_factors
+    if factors is None:
+        return None
+    count = len(factors.roughness)
+    # The index −1 of a face without a material selects the last row, which is matte and dark.
+    rows = np.where(is_plain & (mesh.materials >= 0), mesh.materials, count)
+    roughness, emission = np.append(factors.roughness, -1.0), np.append(factors.emission, [[0.0] * 3], axis=0)
+    is_glossy, emits = roughness[rows] >= 0.0, bool(np.any(emission[np.unique(rows)] > 0.0))
+    if not (is_glossy.any() or emits):
+        return None
+    struct = PlainMaterials()
+    struct.rows = wp.array(rows, dtype=wp.int32, device=device)
+    pairs = np.stack([np.append(factors.metallic, 0.0), roughness], axis=1)
+    struct.metallic_roughness = wp.array(pairs, dtype=wp.vec2f, device=device)
+    struct.is_white = wp.array(np.append(factors.is_white, False), dtype=wp.bool, device=device)
+    struct.emission = wp.array(emission, dtype=wp.vec3f, device=device)
+    # The peak of a mirror-like highlight is π D V = 1/(4 α²) times the luminance of a white surface.
+    struct.least_alpha = max(_LEAST_ALPHA, 0.5 * math.sqrt(white_luminance))
+    return PlainFaces(struct, is_glossy, emits)

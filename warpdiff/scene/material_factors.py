@@ -1,0 +1,100 @@
+"""Factors of the materials of a mesh: metallic, roughness and emission, for surfaces without a height field."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.core.warnings import warn
+from warpdiff.core.wording import listed, ref
+from warpdiff.scene.mesh_images import mean_values
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from warpdiff.scene.scene_parts import Appearance, ScenePart
+
+
+@dataclass(frozen=True, eq=False)
+class MaterialFactors:
+    """Factors of the k materials of a mesh.
+
+    Attributes:
+        metallic: Share of metal, 0 to 1, shape (k,), float32.
+        roughness: Perceptual roughness, 0 to 1, shape (k,), float32; −1 for a matte material.
+        emission: Emitted linear RGB, shape (k, 3), float32.
+        is_white: Whether the base colour is white because the file states none, shape (k,).
+    """
+
+    metallic: NDArray[np.float32]
+    roughness: NDArray[np.float32]
+    emission: NDArray[np.float32]
+    is_white: NDArray[np.bool_]
+
+
+def factors_of(parts: Iterable[ScenePart], names: Sequence[str]) -> MaterialFactors | None:
+    """Return the factors of the materials of a scene; None if all are matte and dark.
+
+    Args:
+        parts: Parts of the scene.
+        names: Names of the materials, in the order of the result.
+    """
+    appearances: dict[str, Appearance] = {}
+    coloured: set[str] = set()
+    for part in parts:
+        if part.appearance is None:
+            continue
+        appearances[part.appearance.name] = part.appearance
+        if part.colours is not None or _states_colour(part.appearance):
+            coloured.add(part.appearance.name)
+    materials = [appearances[name] for name in names]
+    if not any(_emission(material).any() or material.roughness is not None for material in materials):
+        return None
+    metallic, roughness = np.array([_metallic_roughness(material) for material in materials], dtype=np.float32).T
+    return MaterialFactors(
+        metallic, roughness, np.array([_emission(material) for material in materials], dtype=np.float32),
+        np.array([name not in coloured for name in names]),
+    )  # fmt: skip
+
+
+def warn_of_hidden_emission(factors: MaterialFactors, materials: NDArray[np.int32], names: Sequence[str]) -> None:
+    """Warn of materials that emit light, but whose faces have a height field, and are therefore dark.
+
+    Args:
+        factors: Factors of the materials.
+        materials: Index of the material of each face that has a height field; −1 without one.
+        names: Names of the materials.
+    """
+    used = np.unique(materials[materials >= 0])
+    hidden = [repr(names[number]) for number in used[factors.emission[used].any(axis=1)]]
+    if hidden:
+        warn(
+            f"{ref('mesh')} has materials whose emission is not rendered where faces have a height field: {listed(hidden)}"
+        )
+
+
+def _states_colour(appearance: Appearance) -> bool:
+    """Return whether the file states a base colour of a material, as a number or as an image that can be read."""
+    texture = appearance.base_texture
+    return appearance.base_colour is not None or (texture is not None and texture.image is not None)
+
+
+def _metallic_roughness(appearance: Appearance) -> tuple[float, float]:
+    """Return metallic and roughness of a material, with the mean of its texture; the roughness is −1 if it is matte."""
+    if appearance.roughness is None:
+        return 0.0, -1.0
+    texture = appearance.metallic_roughness_texture
+    means = None if texture is None or texture.image is None else mean_values(texture.image)
+    _, of_roughness, of_metallic = (1.0, 1.0, 1.0) if means is None else means
+    metallic, roughness = np.clip([appearance.metallic * of_metallic, appearance.roughness * of_roughness], 0.0, 1.0)
+    return float(metallic), float(roughness)
+
+
+def _emission(appearance: Appearance) -> NDArray[np.float64]:
+    """Return the emission of a material. Materials with an emission texture count as dark."""
+    is_textured = appearance.emission_texture is not None
+    return np.zeros(3) if is_textured else np.maximum(np.array(appearance.emission), 0.0)
