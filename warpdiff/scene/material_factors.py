@@ -72,9 +72,8 @@ def warn_of_hidden_emission(factors: MaterialFactors, materials: NDArray[np.int3
     used = np.unique(materials[materials >= 0])
     hidden = [repr(names[number]) for number in used[factors.emission[used].any(axis=1)]]
     if hidden:
-        warn(
-            f"{ref('mesh')} has materials whose emission is not rendered where faces have a height field: {listed(hidden)}"
-        )
+        listing = listed(hidden)
+        warn(f"{ref('mesh')} has materials whose emission is not rendered where faces have a height field: {listing}")
 
 
 def _states_colour(appearance: Appearance) -> bool:

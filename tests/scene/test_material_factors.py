@@ -1,0 +1,147 @@
+"""Metallic, roughness and emission of materials: which files state them, and how plain surfaces use them."""
+
+import numpy as np
+import pytest
+import trimesh
+from gltf_files import SQUARE, SQUARE_UVS, UP, square_file
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
+
+import warpdiff as wd
+from warpdiff.core.wording import WarpdiffWarning
+from warpdiff.scene.mesh_files import load
+from warpdiff.scene.mesh_import import prepare_surface
+
+OBJ = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl a\nf 1/1 2/2 3/3\n"
+
+
+def factors(path):
+    return prepare_surface(path).material_factors
+
+
+def test_the_defaults_of_gltf_materials_are_those_of_the_specification(tmp_path):
+    file = square_file(material=0)
+    file.material(pbrMetallicRoughness={"baseColorFactor": [0.5, 0.5, 0.5, 1.0]})
+    for number, values in enumerate(({"metallicFactor": 0.25}, {"roughnessFactor": 0.5, "metallicFactor": 0.0}), 1):
+        file.primitive({"POSITION": SQUARE + number, "NORMAL": UP, "TEXCOORD_0": SQUARE_UVS}, material=number)
+        strength = {"KHR_materials_emissive_strength": {"emissiveStrength": 4.0}}
+        file.material(pbrMetallicRoughness=values, emissiveFactor=[0.5, 0.0, 0.25], extensions=strength)
+    read = factors(file.write(tmp_path / "a.gltf"))
+    np.testing.assert_allclose(read.metallic, [1.0, 0.25, 0.0])
+    np.testing.assert_allclose(read.roughness, [1.0, 1.0, 0.5])
+    np.testing.assert_allclose(read.emission, [[0, 0, 0], [2, 0, 1], [2, 0, 1]])
+    assert read.is_white.tolist() == [False, True, True]
+
+
+def test_a_texture_of_metallic_and_roughness_counts_with_its_mean(tmp_path):
+    file = square_file(material=0)
+    file.material(texture={}, name="body")
+    metal = {"metallicFactor": 0.5, "roughnessFactor": 1.0, "metallicRoughnessTexture": {"index": 0}}
+    file.tree["materials"][0] |= {
+        "pbrMetallicRoughness": metal,
+        "emissiveFactor": [1, 1, 1],
+        "emissiveTexture": {"index": 0},
+    }
+    path = file.write(tmp_path / "a.gltf")
+    names = "metallic-roughness texture except for its mean, emission with a texture of 'body'"
+    with pytest.warns(WarpdiffWarning, match=names):
+        read = factors(path)
+    (image,) = (part.appearance.metallic_roughness_texture.image for part in load(path))
+    _, green, blue = np.asarray(image.convert("RGB"), dtype=float).reshape(-1, 3).mean(axis=0) / 255.0
+    np.testing.assert_allclose([read.metallic[0], read.roughness[0]], [0.5 * blue, green], rtol=1e-6)
+    assert not read.emission.any()
+
+
+@pytest.mark.parametrize(
+    ("lines", "expected"),
+    [
+        ("Kd 0.5 0.5 0.5\nKs 1 1 1\nNs 200\n", None),
+        ("Pm 1\nPr 0.25\n", (1.0, 0.25, (0, 0, 0))),
+        ("Kd 1 0 0\nPr 0.5\nKe 1 2 3\n", (0.0, 0.5, (1, 2, 3))),
+        ("Pm 7\n", (1.0, 1.0, (0, 0, 0))),
+        ("Pm one\nPr\nKe 1 2\n", None),
+        ("Ke 0 1 inf\nKd 1 1 1\n", None),
+        ("Ke 0 1 0\n", (0.0, -1.0, (0, 1, 0))),
+    ],
+)
+def test_keys_of_mtl_files(tmp_path, lines, expected):
+    (tmp_path / "a.obj").write_text(OBJ)
+    (tmp_path / "a.mtl").write_text("newmtl a\n" + lines)
+    read = factors(tmp_path / "a.obj")
+    if expected is None:
+        assert read is None
+        return
+    assert (read.metallic[0], read.roughness[0]) == expected[:2]
+    np.testing.assert_allclose(read.emission[0], expected[2])
+
+
+def quad(x, material):
+    corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    return trimesh.Trimesh(
+        corners + np.array([x, 0.0, 0.0]), [[0, 1, 2], [0, 2, 3]], process=False,
+        visual=TextureVisuals(uv=corners[:, :2], material=material),
+    )  # fmt: skip
+
+
+def metal(name, **values):
+    """Return a rough metal of trimesh."""
+    return PBRMaterial(name=name, metallicFactor=1.0, roughnessFactor=0.4, **values)
+
+
+WAVE = wd.gratings.sinusoidal(1.5, 0.1)
+LIGHT = wd.DirectionalLight((0.3, 0.0, 1.0))
+VIEW = wd.View.orthographic((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), extent_y=2.0, width=24, height=8)
+OPTIONS = {"coherence": wd.Coherence(sigma_um=5.0), "tolerance": 0.1, "refine": False}
+
+
+def test_materials_without_metallic_and_roughness_are_matte_beside_glossy_ones():
+    parts = {"matte": PBRMaterial(name="matte", baseColorFactor=[255, 100, 50, 255]), "grating": None}
+    bodies = {name: quad(2.1 * index, material) for index, (name, material) in enumerate(parts.items())}
+    gold = quad(
+        -2.1, PBRMaterial(name="gold", baseColorFactor=[255, 200, 90, 255], metallicFactor=1.0, roughnessFactor=0.3)
+    )
+    surfaces = {"grating": WAVE, "*": None}
+    alone = wd.shade(trimesh.Scene(bodies), surfaces, LIGHT, VIEW, **OPTIONS, footprint=False)
+    together = wd.shade(trimesh.Scene(bodies | {"gold": gold}), surfaces, LIGHT, VIEW, **OPTIONS, footprint=False)
+    # The ball around all parts is larger, so that positions and normals are rounded differently.
+    np.testing.assert_allclose(together.xyz[:, 9:], alone.xyz[:, 9:], rtol=1e-5, atol=1e-9)
+    assert np.all(alone.xyz[:, :7] == 0.0)
+    assert np.all(together.xyz[1:-1, 1:7, 1] > 0.0)
+
+
+def test_a_material_without_a_colour_is_white_beside_coloured_ones():
+    bodies = {
+        "bare": quad(-1.1, metal("bare")),
+        "white": quad(1.1, metal("white", baseColorFactor=[255] * 4)),
+        "grating": quad(5.0, None),
+    }
+    image = wd.shade(trimesh.Scene(bodies), {"grating": WAVE, "*": None}, LIGHT, VIEW, **OPTIONS, footprint=False)
+    assert image.xyz[4, 8, 1] > 1e-5
+    np.testing.assert_allclose(image.xyz[4, 8], image.xyz[4, 15], rtol=1e-5)
+
+
+def test_emission_on_a_height_field_is_named_in_a_warning():
+    lamp = PBRMaterial(name="lamp", baseColorFactor=[255] * 4, emissiveFactor=[1.0, 0.0, 0.0])
+    match = r"emission is not rendered where faces have a height field: 'lamp'"
+    with pytest.warns(WarpdiffWarning, match=match):
+        wd.shade(quad(0.0, lamp), WAVE, LIGHT, VIEW, **OPTIONS)
+    body = trimesh.Scene({"lamp": quad(-1.1, lamp), "other": quad(1.1, None)})
+    with pytest.warns(WarpdiffWarning, match=match):
+        wd.Renderer(body, {"lamp": WAVE, "*": None}, LIGHT, VIEW, **OPTIONS)
+    wd.shade(body, {"other": WAVE, "*": None}, LIGHT, VIEW, **OPTIONS)
+
+
+def test_a_renderer_draws_the_plain_surfaces_of_shade():
+    gold = metal("gold", baseColorFactor=[255, 200, 90, 255], emissiveFactor=[0.1, 0.0, 0.0])
+    body = trimesh.Scene({"gold": quad(-1.1, gold), "other": quad(1.1, None)})
+    surfaces = {"other": WAVE, "*": None}
+    renderer = wd.Renderer(body, surfaces, LIGHT, VIEW, **OPTIONS)
+    for lights in (
+        wd.PointLight((0.0, 1.0, 3.0), power=5.0),
+        [LIGHT, wd.Environment.clear_sky((0.3, 1.0, 0.8))],
+        LIGHT,
+    ):
+        renderer.draw(lights)
+        expected = wd.shade(body, surfaces, lights, VIEW, **OPTIONS, plan=renderer.plan)
+        np.testing.assert_array_equal(renderer.image().xyz[:, 2:11], expected.xyz[:, 2:11])
+        assert expected.xyz[4, 6, 0] > 0.0
