@@ -38,6 +38,8 @@ KERNELS = {
     "shadow_rays": {"count", "fill", "trace_shadow_rays", "project"},
     "light_samples": {"balance_energy", "pixel_footprints", "scattering_vectors", "select_finish",
                       "add_light_rotation", "add_light_extent", "add_source_extent"},
+    "plain_reflection": {"add_plain_reflection", "add_emission"},
+    "plain_samples": {"sample_plain_sky", "draw_plain_disc", "choose_plain_lights"},
     "disc_samples": {"draw_disc"},
     "light_choice": {"choose_lights"},
     "sky_samples": {"mirror_deflections", "sample_sky"},

@@ -10,6 +10,7 @@ from trimesh.visual.material import PBRMaterial
 
 import warpdiff as wd
 from warpdiff.optics import colorimetry
+from warpdiff.render import device_tiles, renderer
 
 SIGMA_UM = 5.0
 COHERENCE = wd.Coherence(sigma_um=SIGMA_UM)
@@ -265,3 +266,39 @@ def test_emission_of_1_is_the_luminance_of_a_white_surface_that_faces_the_bright
     sky = wd.shade(body, SURFACES, wd.Environment(np.ones((4, 8, 3))), view, **OPTIONS | {"shadows": False})
     colour = sky.xyz[2:-2, 18:23].reshape(-1, 3).mean(axis=0)
     np.testing.assert_allclose(colour, colorimetry.RGB_TO_XYZ @ np.array([1.0, 3.0, 1.0]), rtol=0.03)
+
+
+def lamps():
+    """Return two quads that emit light, a metal and a matte one, and a grating that no view shows."""
+    body = trimesh.Scene()
+    body.add_geometry(quad(-1.1, material("lamp", 1.0, 0.4, (1, 0.5, 0), [0.1, 0.05, 0.0])), geom_name="lamp")
+    body.add_geometry(quad(1.1, material("table", 0.0, 0.6, (0.2, 0.4, 0.6))), geom_name="table")
+    body.add_geometry(quad(0.0, None, y=-4.0), geom_name="grating")
+    return body
+
+
+SMALL = wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=2.0, width=24, height=8)
+LIGHTS = [wd.DirectionalLight((0.2, 0.1, 1.0)), wd.PointLight((0.5, 0.5, 3.0), power=4.0)]
+
+
+@pytest.mark.parametrize("options", [POINTS, OPTIONS | {"refine": False}], ids=["points", "means"])
+def test_a_picture_is_the_sum_of_its_lights_and_the_emission(options):
+    image = wd.shade(lamps(), SURFACES, LIGHTS, SMALL, **options, layers=["light"])
+    dark = wd.shade(lamps(), SURFACES, wd.DirectionalLight((0.0, 0.0, -1.0)), SMALL, **options)
+    # The light at a distance of about 3 with a power of 4 is weaker than the directional light with a power of 1.
+    expected = image.layers["light.0"] + image.layers["light.1"] + dark.xyz
+    assert dark.xyz[4, 8, 1] > 0.0
+    np.testing.assert_allclose(image.xyz, expected, rtol=1e-5, atol=1e-9)
+
+
+def test_recorded_pictures_equal_those_of_shade(monkeypatch):
+    monkeypatch.setattr(renderer, "records", lambda _: True)
+    monkeypatch.setattr(device_tiles, "_MOST_RAYS", 1 << 15)
+    sky = wd.Environment.clear_sky((0.3, 0.8, 1.0))
+    drawn = wd.Renderer(lamps(), SURFACES, LIGHTS[:1], SMALL, **OPTIONS, threads=1)
+    for lights in (LIGHTS[1:], [wd.DirectionalLight((0.4, 0.0, 1.0), power=2.0)], LIGHTS, [sky]):
+        drawn.draw(lights)
+        result, expected = drawn.image(), wd.shade(lamps(), SURFACES, lights, SMALL, **OPTIONS, plan=drawn.plan)
+        assert expected.illuminated.sum() > 100
+        change = np.linalg.norm(result.xyz - expected.xyz, axis=-1) / np.linalg.norm(expected.xyz, axis=-1).max()
+        assert np.percentile(change, 90.0) <= (1e-2 if lights == [sky] else 1e-6)

@@ -209,6 +209,21 @@ def test_a_sampled_light_after_another_light_equals_that_of_shade(name, together
     assert np.percentile(differ, 90.0) < 0.1 * plan.tolerance
 
 
+@pytest.mark.parametrize(
+    "second",
+    [wd.DirectionalLight((0.0, 0.0, 1.0), angular_diameter_deg=8.0), wd.PointLight((0.3, 1.0, 2.0))],
+    ids=["disc", "point"],
+)
+def test_another_kind_of_light_in_the_same_direction_does_not_use_the_occluder_grids_of_the_first(
+    second, tube, fingers, plans
+):
+    """The direction of a point light's lobe is (0, 0, 1), although it is not used."""
+    first, plan = wd.DirectionalLight((0.0, 0.0, 1.0)), plans["footprints"]
+    drawn = wd.Renderer(tube, fingers, first, view(), plan=plan)
+    drawn.draw(second)
+    same(drawn.image(), wd.shade(tube, fingers, second, view(), plan=plan))
+
+
 def test_a_preview_callback_that_fails_leaves_a_complete_picture(tube, fingers, plans):
     drawn = wd.Renderer(tube, fingers, LIGHTS[:1], view(), plan=plans["footprints"])
     before = drawn.image()

@@ -51,8 +51,7 @@ class LobePass(LightPass):
         lobes, context = self.part.lobes, self.context
         reused = previous if isinstance(previous, LobePass) and len(previous.part.lobes) == len(lobes) else None
         if reused is not None and not any(grid.mesh_id for grid in reused._grids):
-            before = [lobe.to_light for lobe in reused.part.lobes]
-            self._grids = reused._grids if before == [lobe.to_light for lobe in lobes] else []
+            self._grids = reused._grids if self._grid_key == reused._grid_key else []
         self._lights = self._lights if reused is None else reused._lights
         places, deviations, powers = zip(*self._sources, strict=True)
         whites = [context.pigment_white(lobe.illuminant, is_of_sky=lobe.is_of_sky) for lobe in lobes]
@@ -66,6 +65,15 @@ class LobePass(LightPass):
                 setattr(self._lights, name, wp.array(np.array(value), dtype=dtype, device=context.device))
             else:
                 getattr(self._lights, name).assign(np.array(value))
+
+    @property
+    def _grid_key(self) -> tuple[Hashable, ...]:
+        """Values on which the occluder grids depend.
+
+        A disc has no grid, and a position or a profile has an empty one, also if its direction is that of another lobe.
+        """
+        lobes = self.part.lobes
+        return type(self), *((lobe.to_light, lobe.position is None, lobe.profile is None) for lobe in lobes)
 
     def _source(self, lobe: Lobe) -> tuple[tuple[float, ...], NDArray[np.float64], float]:
         """Return the place, the deviations and the power of a lobe in mesh coordinates.

@@ -141,7 +141,7 @@ class Picture:
         # If a light is not accepted, making its pass raises an error here, and the previous passes stay in use.
         passes = [part.make_pass(self.context) for part in parts]
         plain = self.context.plain
-        if plain is not None and plain.emits:
+        if plain is not None and plain.emits and passes:
             brightness = max(light_pass.white_luminance for light_pass in passes)
             passes.append(EmissionPass(self.context, plain, brightness))
         for light_pass, previous in zip(passes, before, strict=False):
