@@ -1,9 +1,9 @@
 """
-Metals and glossy surfaces beside a grating
-===========================================
+Metals and glossy surfaces next to a grating
+============================================
 
-A compact disc, two metal balls and a lamp on a glossy table. The disc has a height field. All other parts are plain:
-they have the metallic-roughness model of glTF, and the lamp emits light.
+A compact disc, two metal balls and a glowing ball on a glossy table. The disc has a height field. All other parts are
+plain: they have the metallic-roughness model of glTF, and the small ball emits light.
 """
 
 import trimesh
@@ -39,7 +39,7 @@ scene = trimesh.Scene(
         "steel": part(
             ball(0.45), 1.35, 0.45, 0.5, baseColorFactor=[150, 145, 135, 255], metallicFactor=1.0, roughnessFactor=0.5
         ),
-        "lamp": part(ball(0.2), 0.5, 0.2, 1.2, baseColorFactor=[0, 0, 0, 255], emissiveFactor=[1.0, 0.5, 0.15]),
+        "glowing": part(ball(0.2), 0.5, 0.2, 1.2, baseColorFactor=[0, 0, 0, 255], emissiveFactor=[1.0, 0.5, 0.15]),
     }
 )
 track = wd.Surface(wd.gratings.disc("CD", tracks=40, length_um=25.6), material=wd.Material.metal("Al"), pigment=0.0)
