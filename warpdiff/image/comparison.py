@@ -63,8 +63,9 @@ class Comparison:
 
     def __repr__(self) -> str:
         return (
-            f"Comparison({int(self.pixels.sum()):,} pixels, error {self.p50:.2g} / {self.p90:.2g} / {self.p99:.2g} at "
-            f"the percentiles 50 / 90 / 99, {100.0 * self.share_beyond_tolerance:.2g} % beyond {self.tolerance:g})"
+            f"Comparison({int(self.pixels.sum()):,} pixels, P50 / P90 / P99 of errors {self.p50:.2g} / "
+            f"{self.p90:.2g} / {self.p99:.2g}, {100.0 * self.share_beyond_tolerance:.2g} % beyond {self.tolerance:g}, "
+            f"luminance × {self.luminance_ratio:.3g})"
         )
 
 
@@ -92,7 +93,7 @@ def compare(
         >>> import warpdiff as wd
         >>> reference = np.full((4, 4, 3), 0.5)
         >>> wd.compare(1.02 * reference, reference, tolerance=0.1)
-        Comparison(16 pixels, error 0.02 / 0.02 / 0.02 at the percentiles 50 / 90 / 99, 0 % beyond 0.1)
+        Comparison(16 pixels, P50 / P90 / P99 of errors 0.02 / 0.02 / 0.02, 0 % beyond 0.1, luminance × 1.02)
     """
     xyz, exact = _xyz(image, "image"), _xyz(reference, "reference")
     if xyz.shape != exact.shape:
