@@ -18,7 +18,11 @@ _MOST_WAIT_S = 1.0
 
 
 class _Library:
-    """Access to OpenImageIO; it counts the active contexts and stores the thread counts that apply outside of them."""
+    """Access to OpenImageIO.
+
+    An object counts the active contexts of :meth:`in_use`, and stores the numbers of threads that OpenImageIO uses
+    outside of these contexts.
+    """
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -33,7 +37,7 @@ class _Library:
 
         A child process would wait forever for OpenEXR's threads, which exist only in the parent. It would also wait for
         locks that another thread had acquired, such as those of OpenColorIO. A fork therefore waits up to a second for
-        the end of all contexts.
+        the end of all contexts of this method.
 
         Raises:
             RuntimeError: This process was forked while another thread used the library.

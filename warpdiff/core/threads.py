@@ -48,7 +48,7 @@ class _Work(Generic[_T]):
         self._futures: list[Future[None]] = []
 
     def finish(self, threads: int) -> None:
-        """Run the loop on this thread and on at most ``threads`` − 1 others. The first error ends the loop."""
+        """Run the loop on this thread and on at most ``threads`` − 1 other threads. The first error ends the loop."""
         others = min(threads, self._count) - 1
         # If the loop uses more threads than the shared pool has, it makes a pool of its own, which ends with the loop.
         own = ThreadPoolExecutor(others) if others > cores() else None
@@ -183,7 +183,7 @@ def single_threaded_blas() -> Iterator[None]:
 
 
 def _has_count_per_thread(library: LibController) -> bool:
-    """Whether a library stores the number of its threads separately for each calling thread, as with OpenMP."""
+    """Whether a library stores the number of its threads separately for each calling thread, as OpenMP does."""
     return bool(library.threading_layer == "openmp")
 
 

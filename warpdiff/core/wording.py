@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _E = TypeVar("_E", bound=Exception)
 
-# Largest number of names that a message lists. Limit: a longer message is unreadable.
+# Largest number of names that a message lists. It was chosen because longer lists are hard to read.
 _MOST_NAMES = 12
 _BEGIN, _VALUE, _END = "\ue000", "\ue001", "\ue002"
 _MARKED = re.compile(f"{_BEGIN}([^{_VALUE}{_END}]*)(?:{_VALUE}([^{_END}]*))?{_END}")
@@ -72,7 +72,7 @@ def marked(kind: type[_E], message: str) -> _E:
 
 
 class ToleranceError(ArgumentValueError):
-    """Error that is raised if a tolerance cannot be met. The message names the cause and the remedy.
+    """Error that is raised if the requested tolerance cannot be met. The message names the cause and the remedy.
 
     Examples:
         >>> import warpdiff as wd
@@ -116,7 +116,10 @@ def renaming(words: Mapping[str, str]) -> Iterator[None]:
 
 
 def listed(names: Sequence[str], separator: str = ", ", rest: str = " and {} more") -> str:
-    """Return the first names as text for a message. ``rest`` is the text that counts the names after the twelfth."""
+    """Return at most twelve names as text for a message.
+
+    If there are more names, the text ends in ``rest``, in which their number replaces ``{}``.
+    """
     more = len(names) - _MOST_NAMES
     return separator.join(names[:_MOST_NAMES]) + (rest.format(more) if more > 0 else "")
 
