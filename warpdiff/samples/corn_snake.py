@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 Tangent = Literal["around", "along"]
 
-# Length of the head, and largest length of the snake [radii of the body]. Limit: longer snakes are bent inaccurately,
-# because the centre line is sampled at 4,097 points.
+# Length of the head, and largest length of the snake [radii of the body]. The length is limited because the centre line
+# is sampled at 4,097 points, with which longer snakes are bent inaccurately.
 _HEAD_LENGTH, _LONGEST = 2.5, 1e3
 # Cross sections of the head and of the body behind it, chosen by eye. Columns: position as a fraction of the length of
 # the head or of the body; half width, height above the centre line and depth below it [radii of the body]; exponent of
@@ -75,15 +75,15 @@ _GROUND, _FLANK, _SADDLE = (0.74, 0.42, 0.19), (0.70, 0.53, 0.36), (0.54, 0.14, 
 _BLACK, _CREAM, _IRIS = (0.05, 0.04, 0.035), (0.90, 0.85, 0.74), (0.62, 0.24, 0.08)
 # Lengths of the head and of the tip of the tail in the texture [lengths of a scale of the body].
 _HEAD_SCALES, _TIP_SCALES = 16.0, 1.0
-# Number of texels per scale along the body, and per row around it; the size of the texture is proportional to its
-# square.
+# Number of texels per scale along the body, and per row of scales around the body. If doubled, the texture is four
+# times as large.
 _TEXELS = 8
 
 
 class _Patch(NamedTuple):
     """Part of the mesh on the unrolled skin.
 
-    Texture coordinates are stored in addition to positions, because they differ from them where scales overlap.
+    Texture coordinates are stored in addition to positions on the skin, because both differ where scales overlap.
 
     Attributes:
         x: Position around the body [rows], shape (k,).
@@ -117,8 +117,8 @@ def snake(
     next ones towards the tail, and the surface and its normals step at its free edge. The surface is closed. The
     texture is the pattern of *Pantherophis guttatus* and follows the scales. Its seam runs along the belly.
 
-    With ``tangent="around"`` t runs around the body, across the nano-fingers; (t, head to tail, outwards) is
-    right-handed. With ``"along"`` t runs from head to tail. Both are the same as for ``tube``.
+    With ``tangent="around"`` the tangent t runs around the body, across the nano-fingers; (t, head to tail, outwards)
+    is right-handed. With ``"along"`` t runs from head to tail. The tangents of ``tube`` have the same directions.
 
     Args:
         radius: Half of the largest width of the body [mesh units], more than 0, default 0.12.
@@ -154,15 +154,15 @@ def snake(
     validation.count(ventrals, "ventrals", least=8)
     validation.count(segments, "segments", least=2)
     validation.count(seed, "seed", least=0)
-    # Peak memory in bytes while the snake is constructed, fitted to measurements. The belly counts as two more rows of
+    # Peak memory while the snake is constructed [bytes], fitted to measurements. The belly counts as two more rows of
     # scales.
     memory.require_memory(
         (900.0 * segments**2 + 25_000.0) * (scale_rows + 2) * ventrals,
         f"a snake of {scale_rows} × {ventrals} scales of {segments} segments",
         f"take {{share}} of {ref('scale_rows')} or {ref('ventrals')}, or {{side}} of {ref('segments')}",
     )
-    # Snakes shorter than 16 radii are refused: a single spline interpolates the cross sections of head and body, and
-    # requires both.
+    # Snakes shorter than 16 radii are refused. A single spline interpolates the cross sections of head and body, so
+    # that neither can be missing.
     if not 16.0 * radius <= length <= _LONGEST * radius:
         raise ArgumentValueError(
             f"{ref('length')} must be 16 to {_LONGEST:g} radii ({16.0 * radius:g} to {_LONGEST * radius:g}), "
@@ -215,8 +215,8 @@ class _Skin:
         self._s = s = np.linspace(0.0, length, 4097)
         width = self.outline(s)[:, 0]
 
-        # The centre line is straight in the head and bends behind it. Its height is such that the whole belly touches
-        # the ground.
+        # The centre line is straight in the head and bends behind it. The height of the centre line is such that the
+        # whole belly touches the ground.
         frequency = 2.0 * math.pi * waves / (length - head)
         if bend * frequency * radius > 0.8:
             raise ArgumentValueError(
@@ -445,7 +445,7 @@ def _scutes(skin: _Skin, n: int) -> list[_Patch]:
 
 
 def _ring(skin: _Skin, n: int) -> Floats:
-    """Return the positions x of the vertices on a ring around the body, at which scales end: at head and tail."""
+    """Return the positions x of the vertices on a ring around the body, as at the neck, where the scales begin."""
     left, right = _belly_columns(skin, n)
     back = np.arange(skin.breadth * n // 2 + 1) * (2.0 / n)
     return np.concatenate([left[:-1], back, right[1:]])
@@ -492,7 +492,7 @@ def _head(skin: _Skin, n: int) -> _Patch:
 
 
 def _head_marks(f: Floats, across: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return distances on the head: from borders of shields [radii], from eyes [eye radii], from the mouth [radii].
+    """Return distances on the head: from borders of shields and mouth [body radii], and from eyes [eye radii].
 
     Args:
         f: Position from the snout to the neck, 0 to 1.

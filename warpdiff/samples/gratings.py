@@ -30,8 +30,8 @@ __all__ = ["blazed", "bumps", "disc", "fingers", "lamellar", "sinusoidal"]
 # Largest default pitch [µm], a tenth of the shortest visible wavelength. If doubled, directions near the horizon suffer
 # from aliasing.
 _COARSEST_PITCH_UM = 0.04
-# Distance from a ridge beyond which its contribution to the heights is neglected [distances of ridges]. Derived: the
-# contribution is below 1e-40 of the ridge's height there.
+# Distance from a ridge beyond which its contribution to the heights is neglected [distances of neighbouring ridges]. It
+# was derived from the profile of a ridge, whose height there is below 1e-40 of the height of the crest.
 _RIDGE_REACH = 4.0
 
 
@@ -257,7 +257,7 @@ def bumps(
     *, height_um: float = 0.15, width_um: float = 0.5, length_um: float = 1.0,
     spacing_um: float | tuple[float, float] = (2.0, 1.0), pitch_um: float = _COARSEST_PITCH_UM,
 ) -> HeightField:  # fmt: skip
-    """Make one cell of a lattice of bumps; the defaults are those of a disc in Stam (1999, *Diffraction Shaders*).
+    """Make one cell of a lattice of bumps; by default, those of the disc in Stam (1999, *Diffraction Shaders*).
 
     A bump is a paraboloid cap, height · (1 − (2x/width)² − (2y/length)²) where this is positive.
 
@@ -303,7 +303,7 @@ def fingers(
     *, size_um: float | tuple[float, float] = 25.6, pitch_um: float | tuple[float, float] = 0.05,
     period_um: float = 1.1, length_um: float = 3.0, height_um: float = 0.3, seed: int = 0,
 ) -> HeightField:  # fmt: skip
-    """Make quasi-periodic nano-fingers like those on the shed skin of a snake.
+    """Make quasi-periodic ridges of elongated bumps (nano-fingers), like those on the shed skin of a snake.
 
     The surface has parallel ridges along y. A ridge is a chain of fingers, which widen along +y from a narrow tip to
     the tip of the next finger, while the grooves between the ridges become narrower and deeper. The tips of

@@ -40,7 +40,7 @@ def tube(
     The heading of the centre line is ``bend_deg`` · cos(2π ``waves`` s / ``length``). The seam of the texture runs
     along the belly.
 
-    With ``tangent="around"`` t runs around the body. This is the orientation of the nano-fingers on a snake: the
+    With ``tangent="around"`` the tangent t runs around the body. Nano-fingers on a snake are oriented in this way: the
     colours form bands along the body, and (t, head to tail, outwards) is right-handed. With ``"along"`` t runs from
     head to tail, and the bands run across the body.
 
@@ -143,8 +143,8 @@ def disc(
 ) -> trimesh.Trimesh:
     """Make an optical disc: a flat ring in the xy plane, centred at the origin, that faces +z.
 
-    t runs radially outwards, across the tracks. The texture coordinate u increases from the inner to the outer rim, and
-    v increases counter-clockwise as viewed from +z. The seam is on the +x axis.
+    The tangent t runs radially outwards, across the tracks. The texture coordinate u increases from the inner to the
+    outer rim, and v increases counter-clockwise as viewed from +z. The seam is on the +x axis.
 
     Args:
         inner_radius: Radius of the hole [mesh units], at least 0 (no hole), less than ``outer_radius``, default 0.4.
