@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-# Largest number of a port, by the protocol TCP.
+# Largest port number of the protocol TCP.
 _MOST_PORT = 65_535
 
 

@@ -106,7 +106,11 @@ def height_field_of(options: argparse.Namespace) -> wd.HeightField:
 
 
 def surfaces_of(options: argparse.Namespace) -> wd.HeightField | dict[str, wd.HeightField | None]:
-    """Return the height field, or the surfaces of the parts that ``--surface`` names and of all other parts."""
+    """Return the height field of the whole mesh; with ``--surface``, return a dictionary of height fields by part.
+
+    The dictionary has an entry for all parts that ``--surface`` does not name. The value None is a surface without a
+    height field.
+    """
     heightfield = height_field_of(options)
     # Pages show one surface, so that the command ``export-html`` has no flag ``--surface``.
     texts = getattr(options, "surface", None)

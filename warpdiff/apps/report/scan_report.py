@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.request.keywords import EvaluationKeywords
 
-# Largest number of coherence windows, and of wavelengths, of a report. Limit: their tables and pictures fit on one
-# page.
+# Largest number of coherence windows, and of wavelengths, of a report. Both were chosen so that the tables and pictures
+# of all windows and wavelengths fit on one page.
 _MOST_SIGMAS, _MOST_WAVELENGTHS = 6, 12
 
 
@@ -104,7 +104,8 @@ def report(
         sigmas_um: Standard deviations of the coherence windows whose colours are shown [µm], one to six.
         compare: Text file of a measured spectrum or goniometer curve, which is drawn over the computed one. It has a
             column ``wavelength_nm`` or ``angle_deg``, one column of values, and optionally one with ``error`` in its
-            name. View angles are from the normal in the plane of the light, positive towards +x, or +y where x is 0.
+            name. View angles are from the normal in the plane of the light. They are positive towards +x, or towards +y
+            if this plane contains the y axis.
         illuminant: Name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
         title: Title of the page; None is the name of the file of the height field.
         progress: Function that is called with the finished share of the work, 0 to 1; True shows a progress bar.

@@ -40,8 +40,9 @@ FORMATS: tuple[Format, ...] = get_args(Format)
 # arguments; frames of the old release are then not reused.
 _VERSION = 2
 _MANIFEST = "sequence.json"
-# Number of small frames from which automatic exposure is measured, and length of their longer side in pixels. Limits:
-# the measurement must be much faster than one frame. If the length is doubled, it requires four times the time.
+# Number of small frames from which automatic exposure is measured, and length of their longer side in pixels. Both are
+# limited because the measurement must be much faster than one frame. If the length is doubled, the measurement requires
+# four times the time.
 _METERED, _METERED_WIDTH = 16, 160
 
 

@@ -41,7 +41,8 @@ MATERIALS = {"dielectric": "dielectric", "mirror": "perfect mirror"} | METALS
 AXES = {"x": "world x", "y": "world y", "z": "world z"}
 # Options of pictures and of their display that have no control of the same name on the page.
 EXCLUDED = (
-    # Options that several other controls set together: controls of coherence, material, and the height field's x axis.
+    # Options of which each is set by several controls: the controls of coherence, of material, and of the height
+    # field's x axis.
     *("coherence", "material", "tangents"),
     # Options that the command line of ``warpdiff view`` sets.
     *("device", "threads"),
@@ -268,9 +269,9 @@ def _files(names: Sequence[str]) -> dict[str, str]:
 
 
 def _own(name: str, group: str, label: str, text: str, default: Any = None, unit: str = "", **more: Any) -> Control:
-    """Return a control for a value that is no option of the library: a choice, a flag or a number.
+    """Return a control for a value that is not an option of the library: a choice, a flag or a number.
 
-    It is a choice if ``labels`` are given, and the first of them is the default.
+    With the argument ``labels``, the control is a choice, and the first label is its default.
     """
     labels = more.get("labels")
     kind: Kind = "choice" if labels else "flag" if isinstance(default, bool) else "number"
@@ -285,7 +286,7 @@ def _of_gratings(argument: str, label: str, slider: Slider, *kinds: str, **more:
 
 
 def _further(settings: type, call: str, known: set[str]) -> list[Control]:
-    """Return controls for those flags, choices and bounded numbers of a class whose names are not in ``known``.
+    """Return controls for the options of a class that are flags, choices or bounded numbers, unless ``known`` has them.
 
     Args:
         settings: Class of settings.

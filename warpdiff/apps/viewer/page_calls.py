@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
     from warpdiff.apps.viewer.controls import Control
 
-# Number of directions in which an environment light is sampled per pixel of a preview, while the user drags with a
-# mouse button or a finger down. Limit: with 16, the viewer shows about 14 pictures per second; with more, fewer.
+# Number of directions in which an environment light is sampled per pixel of an unrefined preview. With 16, the viewer
+# shows about 14 pictures per second while the user drags; with more, it shows fewer.
 _MOVING_DIRECTIONS = 16
-# Decimal places of coordinates in printed code. Limit: further decimals do not change a picture.
+# Decimal places of coordinates in printed code. Further decimals would not change a picture.
 _DIGITS = 7
 _DISC_PITCHES_UM = {"CD": 0.08, "DVD": 0.06, "Blu-ray": 0.04}
 
@@ -208,11 +208,11 @@ class Scene:
         return check_reflection(shading.get("ior"), shading.get("material"))[0]
 
     def at(self, tolerance: float | None) -> Scene:
-        """Return the scene for a preview or an intermediate picture, which is simpler if it has an environment light.
+        """Return the scene for a preview or an intermediate picture. With an environment light, that scene is simpler.
 
-        The larger the tolerance, the fewer directions of an environment are sampled. For an unrefined preview,
-        ``tolerance`` is None: it samples 16 directions and has no shadows, because 320 × 240 pixels require 1.9 s with
-        shadows and 0.1 s without.
+        The larger the tolerance, the fewer directions of an environment are sampled. An unrefined preview has the
+        ``tolerance`` None. It samples 16 directions per pixel and has no shadows, because 320 × 240 pixels require 1.9
+        s with shadows and 0.1 s without shadows.
         """
         if self.sky is None:
             return self

@@ -47,20 +47,21 @@ if TYPE_CHECKING:
     from warpdiff.apps.viewer.page_calls import NamedFiles
     from warpdiff.apps.viewer.session import Studio
 
-# Largest number of pages that are open at once. Limit: one thread renders for all pages, so that each page becomes
-# slower.
+# Largest number of pages that are open at once. The number is limited because one thread renders for all pages, so that
+# each additional page makes all pages slower.
 MOST_PAGES = 8
 # Largest accepted size of a message from a page [bytes]. The requests of a page have about 2 kB.
 _MOST_MESSAGE_BYTES = 16 * 1024
-# Largest number of messages that wait to be sent to a page. Limit: messages to a page that does not read them require
-# memory.
+# Largest number of messages that wait to be sent to a page. The number is limited because messages to a page that does
+# not read them require memory.
 _MOST_QUEUED = 12
-# Longest time within which a new connection must send its first request [s]. Limit: idle connections use resources.
+# Longest time within which a new connection must send its first request [s]. The time is limited because idle
+# connections use resources.
 _OPENING_S = 5.0
 _LOOPBACK = {"127.0.0.1", "localhost", "::1"}
 _FOLDER = Path(__file__).with_name("page")
 _ASPECTS = (0.2, 5.0)
-# Largest generation of a request. Limit: JavaScript represents integers exactly only up to this number.
+# Largest generation (number of a request of a page). JavaScript represents integers exactly only up to this number.
 _MOST_GENERATION = 2**53 - 1
 
 
@@ -292,7 +293,7 @@ class _Page:
             await self._connection.send(await self._queue.get())
 
     async def _take(self, message: str | bytes) -> None:
-        """Execute a message of the page: request a picture, save the last one, or note that one was shown."""
+        """Execute a message of the page: request a picture, save the last one, or note that the page has shown one."""
         try:
             content = json.loads(message) if isinstance(message, str) else None
         except (ValueError, RecursionError):

@@ -5,15 +5,17 @@
 
 const header = JSON.parse(document.getElementById("header").textContent);
 const canvas = document.getElementById("canvas");
-// First number: frames that a picture at rest averages. Second number: standard deviation of the blur of one frame,
-// relative to that of the pixel filter. The jittered positions of the frames add the rest of the filter.
+// FRAMES_AT_REST is the number of frames that a picture at rest averages. OWN_SHARE is the standard deviation of the
+// blur of one frame, relative to that of the pixel filter. The jittered positions of the frames add the rest of the
+// filter.
 const FRAMES_AT_REST = header.frames, OWN_SHARE = 0.2;
 // Rendering time between two updates of the display while the picture is at rest [ms].
 const PICTURE_MS = 14;
 // Pixel filter [pixels]: parameter σ of the Gaussian, distance at which it is truncated, and standard deviation of the
 // truncated Gaussian.
 const FILTER = 0.5, CUT = 1.5, DEVIATION = 0.4933;
-// First number: texels per side of a shadow map. Second number: frames that share a shadow map if there is one light.
+// SHADOW_SIZE is the number of texels per side of a shadow map. FRAMES_OF_SHADOW is the number of frames that share a
+// shadow map if there is one light.
 const SHADOW_SIZE = 4096, FRAMES_OF_SHADOW = 8;
 
 function fail(sentence) {
@@ -74,7 +76,7 @@ function turned(v, axis, angle) {
     const c = Math.cos(angle), s = Math.sin(angle), across = cross(axis, v), along = dot(axis, v) * (1 - c);
     return v.map((x, i) => c * x + s * across[i] + along * axis[i]);
 }
-// Returns the columns of a matrix, given its rows. WebGL expects matrices column by column.
+// Returns the columns of a matrix from its rows, because WebGL expects matrices column by column.
 const columns = (rows) => new Float32Array([0, 1, 2, 3].flatMap((c) => rows.map((row) => row[c])));
 const columns3 = (rows) => new Float32Array([0, 1, 2].flatMap((c) => rows.map((row) => row[c])));
 
@@ -298,8 +300,8 @@ const start = () => structuredClone({ view: header.view, lights: header.lights }
 let { view, lights } = start();
 let exposure = header.exposure, stops = 0;
 const radius = header.radius, centre = header.centre;
-// Returns a point in mesh coordinates, given its world coordinates. In mesh coordinates, the mesh lies in the unit
-// sphere.
+// Returns the coordinates of a point relative to the mesh from its world coordinates. In mesh coordinates, the mesh
+// lies in the unit sphere.
 const local = (point) => sub(point, centre).map((x) => x / radius);
 
 function camera(width, height, shift) {
@@ -318,9 +320,9 @@ function camera(width, height, shift) {
 // Returns the position of a point light, or the direction to a directional light, in mesh coordinates.
 const placed = (light) => (light.position ? local(light.position) : unit(light.to_light));
 
-// Returns the projection of a light's shadow map. The map covers the part of the mesh that the camera sees. The
+// Returns the projection of a light's shadow map. The map covers the part of the mesh that is in the picture. The
 // projection is orthographic for a directional light, and perspective from the light's position for a point light.
-// `texel` is the width of a texel; for a point light, that at the distance 1.
+// `texel` is the width of a texel; for a point light, it is the width at the distance 1 from the light.
 function lightCamera(light, matrix, positions) {
     const place = placed(light), away = light.position ? Math.hypot(...place) : 0;
     const back = unit(place), right = unit(cross(Math.abs(back[1]) < 0.9 ? [0, 1, 0] : [1, 0, 0], back));
