@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-# Synthetic height fields by their name on the command line. Each has the name of a function of ``wd.gratings`` and
-# default arguments for it.
+# Synthetic height fields by their name on the command line. An entry consists of the name of a function of
+# ``wd.gratings`` and of default arguments for this function.
 GRATINGS: dict[str, tuple[str, dict[str, Any]]] = {
     "sinusoidal": ("sinusoidal", {"period_um": 2.0, "depth_um": 0.25}),
     "lamellar": ("lamellar", {"period_um": 2.0, "depth_um": 0.25}),
@@ -297,7 +297,7 @@ def scene_of(options: argparse.Namespace, *, turning: bool = False) -> tuple[Any
     """Return mesh, surfaces and camera (`View`) that the command line names.
 
     Unless the user gives the position of the camera, the camera is placed so that the whole mesh fits into the picture.
-    With ``turning``, the mesh fits into all pictures while it rotates.
+    With ``turning``, the mesh fits into all pictures of a rotation.
     """
     heightfield = surfaces_of(options)
     mesh = _named(options.mesh, BODIES, wd.meshes, "mesh")

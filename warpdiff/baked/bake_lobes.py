@@ -142,7 +142,7 @@ def bake(
 
 
 class _Bakery:
-    """Computation of baked tables of one height field; it measures their errors on a validation set of directions."""
+    """Computation of baked tables of one height field, and of the tables' errors on a validation set of directions."""
 
     def __init__(self, evaluation: Evaluation, illuminant: str | Spectrum, tolerance: float) -> None:
         self._evaluation, self._illuminant, self._tolerance = evaluation, illuminant, tolerance
@@ -279,7 +279,7 @@ class _Bakery:
     def _error(self, colours: NDArray[Any]) -> float:
         """Return the 99th percentile of ΔE2000 over uniform or over bright directions, whichever is larger.
 
-        The zeroth order is excluded, because table and reference have the same closed form for it.
+        The zeroth order is excluded, because table and reference compute the zeroth order by the same formula.
         """
         if self._bright <= 0.0:
             return 0.0

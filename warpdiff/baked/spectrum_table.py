@@ -15,7 +15,7 @@ from warpdiff.optics.coherence import Coherence
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Largest number of cells per side. The number is limited because memory is proportional to its square.
+# Largest number of cells per side. The number is limited because memory is proportional to the square of this number.
 _MOST_SIZE = 8192
 
 

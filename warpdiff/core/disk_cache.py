@@ -1,7 +1,9 @@
-"""Disk cache of arrays that are slow to compute. Several processes share it. It deletes the least recently used files.
+"""Disk cache of arrays that are slow to compute. Several processes share the cache.
 
-The environment variable ``WARPDIFF_CACHE_DIR`` names the folder; an empty value disables the cache. Without the
-variable, the folder is ``warpdiff`` in the user's cache folder.
+The files that were not used for the longest time are deleted if the cache is too large.
+
+The environment variable ``WARPDIFF_CACHE_DIR`` names the folder of the cache; an empty value disables the cache.
+Without the variable, the folder is ``warpdiff`` in the user's cache folder.
 """
 
 from __future__ import annotations
@@ -157,7 +159,7 @@ def _write(path: Path, key: bytes, arrays: Mapping[str, Any]) -> None:
 
 
 def _checksum(file: BufferedRandom | BufferedReader, key: bytes) -> bytes:
-    """Return a checksum of the key and of the archive. It detects damaged files and files of another key."""
+    """Return a checksum of the key and of the archive, which detects damaged files and files of another key."""
     file.seek(_CHECKSUM_BYTES)
     return hashlib.file_digest(file, lambda: hashlib.sha256(key)).digest()
 

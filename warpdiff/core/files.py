@@ -50,7 +50,7 @@ def atomic_write(target: Path, *, suffix: str = "", durable: bool = True) -> Ite
 def save_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Any], *, compressed: bool = True) -> Path:
     """Write arrays by name to a ``.npz`` file. Errors name the argument ``path``.
 
-    An existing file is replaced only after the new one is complete. After an error it is unchanged.
+    An existing file is replaced only after the new one is complete. After an error, the existing file is unchanged.
     """
     target = check_output(path, (".npz",))
     with atomic_write(target) as temporary, temporary.open("rb+") as file:
@@ -100,7 +100,7 @@ def made_folder(folder: Any) -> Path:
 
 
 def check_new_folder(folder: Any) -> None:
-    """Raise an error if :func:`made_folder` could not create a folder, without creating it.
+    """Raise an error if :func:`made_folder` could not create a folder; nothing is created here.
 
     Args:
         folder: Path that the user gave.
@@ -128,7 +128,7 @@ def check_file(file: Path) -> None:
 
 @contextlib.contextmanager
 def naming_file(file: Path) -> Iterator[None]:
-    """Context for reading a file. It checks that the file exists, and adds its name to errors of the operating system.
+    """Context for reading a file. It checks that the file exists, and adds the file's name to system errors.
 
     The errors name the argument ``path``.
 

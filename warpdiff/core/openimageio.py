@@ -33,11 +33,11 @@ class _Library:
 
     @contextlib.contextmanager
     def in_use(self) -> Iterator[Any]:
-        """Provide the library in a context. Within it, EXR files are read and written on the calling thread.
+        """Provide the library in a context, within which EXR files are read and written on the calling thread.
 
-        A child process would wait forever for OpenEXR's threads, which exist only in the parent. It would also wait for
-        locks that another thread had acquired, such as those of OpenColorIO. A fork therefore waits up to a second for
-        the end of all contexts of this method.
+        A child process would wait forever for OpenEXR's threads, which exist only in the parent. The child process
+        would also wait for locks that another thread had acquired, such as the locks of OpenColorIO. A fork therefore
+        waits up to a second for the end of all contexts of this method.
 
         Raises:
             RuntimeError: This process was forked while another thread used the library.

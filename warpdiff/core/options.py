@@ -1,7 +1,7 @@
 """Descriptions of options, for Python, the command line, the viewer, the reference documentation and fuzz tests.
 
-An option is a field of a frozen dataclass, or an argument of a public function: its annotation states type, range and
-unit, and the ``Attributes:`` or ``Args:`` section of the docstring states its meaning.
+An option is a field of a frozen dataclass, or an argument of a public function. The annotation of the field or argument
+states type, range and unit. The ``Attributes:`` or ``Args:`` section of the docstring states the meaning.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class Option:
         return validation.range_text(self.gt, self.ge, self.le)
 
     def check(self, value: object) -> Any:
-        """Return a value converted to the type of this option; raise an error that names the option if it is wrong."""
+        """Return a value converted to the type of this option; a wrong value raises an error that names the option."""
         if value is None and self.optional:
             return None
         return getattr(self, f"_check_{self.kind}")(value)
@@ -260,8 +260,8 @@ def documented(owner: type | Callable[..., object]) -> dict[str, str]:
 def describe(owner: type | Callable[..., object]) -> dict[str, Option]:
     """Return the options of a dataclass (its fields) or of a function (its arguments), by name.
 
-    A function's arguments include the fields of the class in its attribute ``__settings__``, which the decorator
-    :func:`warpdiff.request.signatures.accepts` sets.
+    If the function has an attribute ``__settings__``, the arguments include the fields of the class that this attribute
+    names. The decorator :func:`warpdiff.request.signatures.accepts` sets the attribute.
     """
     hints = typing.get_type_hints(owner, include_extras=True, localns=_Names(owner))
     texts = documented(owner)

@@ -149,7 +149,7 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(cores(), thread_name_prefix="warpdiff")
 
 
-# A forked child process does not have the threads of its parent's pool. It must make a new pool.
+# A forked child process does not have the threads of its parent's pool. The child process must make a new pool.
 forks.at_fork(after_in_child=_pool.cache_clear)
 
 

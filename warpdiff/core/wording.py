@@ -1,8 +1,8 @@
 """Errors and warnings with marked names of arguments, so that Python, command line and viewer print different names.
 
 The function :func:`ref` marks the name of an argument in a message. Python prints ``tolerance``, the command line
-prints ``--tolerance``, and the viewer prints the label of its control. The marks are characters of Unicode's private
-use area. Messages contain the user's values as ``repr``, which escapes such characters.
+prints ``--tolerance``, and the viewer prints the label of the control that sets the argument. The marks are characters
+of Unicode's private use area. Messages contain the user's values as ``repr``, which escapes such characters.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class WarpdiffWarning(_MarkedError, UserWarning):
 
 @contextlib.contextmanager
 def renaming(words: Mapping[str, str]) -> Iterator[None]:
-    """Context that renames arguments in the messages of its errors, for example ``path`` to ``--environment``."""
+    """Context in which errors name arguments differently, for example ``--environment`` instead of ``path``."""
 
     def renamed(match: re.Match[str]) -> str:
         name = re.split(r"[^\w-]", match[1], maxsplit=1)[0]

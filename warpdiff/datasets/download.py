@@ -1,4 +1,4 @@
-"""Data sets as height fields, from the user's folder or from the network. The package pooch downloads them."""
+"""Data sets as height fields, from the user's folder or from the network. The package pooch downloads files."""
 
 from __future__ import annotations
 

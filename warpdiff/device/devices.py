@@ -168,8 +168,8 @@ def codegen_lock() -> threading.Lock | None:
     return lock if hasattr(lock, "acquire") and hasattr(lock, "release") else None
 
 
-# While this process forks, the list has one element: the lock that Warp holds while it parses kernels. Otherwise it is
-# empty.
+# While this process forks, the list has one element: the lock that Warp holds while it parses kernels. Otherwise the
+# list is empty.
 _acquired: list[threading.Lock] = []
 # Futures for a forked child process, one for each of Warp's modules of kernels that was loaded before the fork. These
 # futures are new, because the original ones have locks, which another thread may hold during the fork.

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 ELEMENTS_OF_SLICE = 512
 # On the CPU, a thread processes several slices in one turn. Between turns it checks for interrupts and reports
 # progress. `_MOST_AT_ONCE` is the largest number of elements per turn, and `_TURNS_PER_THREAD` is the least number of
-# turns per thread. If doubled, progress is reported half as often, and twice as often.
+# turns per thread. If `_MOST_AT_ONCE` is doubled, progress is reported half as often.
 _MOST_AT_ONCE, _TURNS_PER_THREAD = 32_768, 4
 
 
@@ -33,7 +33,7 @@ class KernelCall:
     """Warp kernel with its arguments.
 
     Attributes:
-        kernel: Warp kernel, whose last input is ``first``, the index of its first thread.
+        kernel: Warp kernel. The last input of the kernel is ``first``, the index of the first thread of a launch.
         inputs: Inputs before ``first``.
         outputs: Arrays that the kernel writes.
         in_runs: Whether the kernel has another input ``run`` after ``first``: the number of indices that one thread
@@ -156,7 +156,7 @@ def launch_pipeline(
         # Each call of ``take`` processes at most ``at_once`` slices, namely the next ones that no earlier call has
         # taken. The operating system may pause a thread before its call of ``take``, and the slices of this call would
         # have to wait. There is therefore one additional call for each other thread: if a thread is paused, an
-        # additional call processes its slices.
+        # additional call processes the slices that the thread would have processed.
         times = -(-slices // at_once) + (threads - 1 if at_once > 1 else 0)
         parallel_for(lambda _: take(), range(times), threads=threads, progress=progress)
         return

@@ -42,8 +42,8 @@ PRECOMPUTED = {"D65": Path(__file__).with_name("d65.npy")}
 # The reflectance ρ is interpolated by a polynomial through this number of wavelengths: six, for a quintic. Cubics
 # require up to twice as many wavelengths as quintics for a colour error of 1e-4.
 _STENCIL = 6
-# The loop that removes negative quadrature weights ends after `_MOST_ROUNDS` rounds. It ends before if the sum of the
-# negative weights is at most `_NEGLIGIBLE` times the sum of all weights, which is the size of rounding errors.
+# The loop that removes negative quadrature weights ends after `_MOST_ROUNDS` rounds. The loop ends earlier if the sum
+# of the negative weights is at most `_NEGLIGIBLE` times the sum of all weights, which is the size of rounding errors.
 _MOST_ROUNDS, _NEGLIGIBLE = 64, 1e-12
 
 # A step between tabulated wavelengths counts as at least 1 nm if it is shorter by at most this [nm]. Wavelengths in a
@@ -126,10 +126,10 @@ def colour_products(illuminant: Illuminant = "D65") -> NDArray[np.float64]:
 
 
 def _at_whole_nanometres(wavelengths_nm: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the values of a spectrum at 380, 381, … 780 nm, so that their sum is its power, shape (401,).
+    """Return the values of a spectrum at 380, 381, … 780 nm, whose sum is the power of the spectrum, shape (401,).
 
     A spectrum with steps of at least 1 nm is interpolated linearly. A spectrum with finer steps may have narrow lines
-    between whole nanometres, which interpolation would miss. Its power between two whole nanometres is therefore
+    between whole nanometres, which interpolation would miss. The power between two whole nanometres is therefore
     distributed to both: a whole nanometre at the distance d [nm] from a wavelength gets the share 1 − d of the power at
     this wavelength.
     """
@@ -150,7 +150,7 @@ def _at_whole_nanometres(wavelengths_nm: NDArray[np.float64], values: NDArray[np
         np.add.at(result, before, power * (1.0 - share))
         np.add.at(result, before + 1, power * share)
     # The first and the last value contain the spectrum of only half a nanometre, because the visible range ends there.
-    # They are doubled, because sums over wavelengths give them the same weight as all others.
+    # Both values are doubled, because sums over wavelengths give all values the same weight.
     result[[0, -1]] *= 2.0
     return result
 
@@ -162,7 +162,7 @@ def products_by_colour_science(name: str) -> NDArray[np.float64]:
 
 @functools.cache
 def _tabulated(illuminant: Illuminant) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Return the wavelengths [nm] and powers of an illuminant, and the mean of its power with the weight ȳ."""
+    """Return the wavelengths [nm] and powers of an illuminant, and the mean of the powers with the weight ȳ."""
     if isinstance(illuminant, Spectrum):
         wavelengths, values = np.asarray(illuminant.wavelengths_nm), np.asarray(illuminant.values)
         visible = _at_whole_nanometres(wavelengths, values)
@@ -251,7 +251,7 @@ def quadrature_weights(wavelengths_nm: ArrayLike, illuminant: Illuminant = "D65"
 def _interpolation_weights(
     nodes: NDArray[np.float64], points: NDArray[np.float64], masses: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return weights of the values of ρ at ``nodes``, for a weighted sum of values that are interpolated from them.
+    """Return weights of the values of ρ at ``nodes``, for a weighted sum of interpolated values of ρ.
 
     Lagrange polynomials in 1/λ interpolate ρ from the m wavelengths ``nodes`` to the p wavelengths ``points``. The sum
     gives the interpolated values the weights ``masses``, shape (p, 3). The result has the shape (m, 3).
@@ -272,7 +272,8 @@ def _interpolation_weights(
 def _without_negative(weights: NDArray[np.float64]) -> NDArray[np.float64]:
     """Replace negative weights by 0, after half of a negative weight has been added to either neighbouring weight.
 
-    This is repeated, because it can make neighbouring weights negative. Weighted sums over a smooth ρ hardly change.
+    The addition is repeated, because it can make neighbouring weights negative. Weighted sums over a smooth ρ hardly
+    change.
     """
     for _ in range(_MOST_ROUNDS):
         negative = np.minimum(weights, 0.0)

@@ -37,8 +37,8 @@ Polarisation = Literal["s", "p"]
 # narrow for the sampling of colours.
 _THICKEST_FILM_NM = 1000.0
 # Imaginary part k of the index above which a material counts as opaque, so that a pigment below it is invisible: at
-# this k, the power of light of 500 nm falls to 1/e within 4 µm of the material. If doubled, more materials show their
-# pigment.
+# this k, the power of light of 500 nm falls to 1/e within 4 µm of the material. If doubled, more materials show the
+# pigment below them.
 _OPAQUE = 0.01
 # Number of angles at which the transmittance of a surface is tabulated. For a surface with Schlick's reflectance, the
 # transmittance that is linearly interpolated between these angles has an absolute error of at most 3e-6.
@@ -172,7 +172,7 @@ class Material:
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> Material:
-        r"""Load a material from a file of refractiveindex.info: its YAML (tables, formulas 1 to 9) or its CSV.
+        r"""Load a material from a file of refractiveindex.info, in YAML (tables, formulas 1 to 9) or in CSV.
 
         Args:
             path: Path of the file: YAML with suffix ``.yml`` or ``.yaml``, otherwise CSV with columns or blocks of
@@ -180,8 +180,8 @@ class Material:
 
         Raises:
             FileNotFoundError: The file does not exist.
-            ValueError: The file has no index of refraction that can be read, or a row that is not a wavelength with its
-                numbers; the message names the line.
+            ValueError: The file has no index of refraction that can be read, or a row that does not consist of a
+                wavelength and numbers; the message names the line.
 
         Examples:
             >>> import pathlib, tempfile
@@ -328,7 +328,8 @@ def _fresnel(
     """Return Fresnel's amplitude reflectance at the boundary of two media, from their indices and cosines."""
     a, b = (first * cosine, second * next_cosine) if polarisation == "s" else (second * cosine, first * next_cosine)
     total = a + b
-    # The divisor is 0 only for grazing incidence at the boundary of media with equal indices. It is then replaced by 1.
+    # The divisor is 0 only for grazing incidence at the boundary of media with equal indices. The divisor is then
+    # replaced by 1.
     return np.asarray((a - b) / np.where(total == 0.0, 1.0, total))
 
 
@@ -379,7 +380,7 @@ def reflectance_table(material: Material, angles: int) -> NDArray[np.float32]:
 def check_reflection(ior: object, material: Any) -> tuple[float, Material | None]:
     """Return R(0), to which the relative reflectance ρ of a surface refers, and the material or None.
 
-    R(0) is the reflectance at normal incidence that follows from the index of refraction ``ior``. With a material, it
+    R(0) is the reflectance at normal incidence that follows from the index of refraction ``ior``. With a material, R(0)
     is 1, and ρ is relative to a perfect mirror.
     """
     if material is None:

@@ -85,9 +85,9 @@ def light_solid_angle(
 ) -> NDArray[np.float64]:
     """Return Ω(λ) [sr], the solid angle of a light that is as coherent as the window, the source or the periods.
 
-    Ω = λ² ∫g² / |∫g|², with g the window (Stam 1999). For a Gaussian window of the amplitude, averaged or centred, it
-    is λ²/(4πσ²). For a source of angular radius α = √2 s it is πα² = 2πs²; by the theorem of van Cittert and Zernike,
-    its window has σ(λ) = λ/(2√2 πs). For N1 × N2 periods of a patch of area A it is λ²/(A N1 N2). The relative
+    Ω = λ² ∫g² / |∫g|², with g the window (Stam 1999). For a Gaussian window of the amplitude, averaged or centred, Ω is
+    λ²/(4πσ²). For a source of angular radius α = √2 s, Ω is πα² = 2πs²; by the theorem of van Cittert and Zernike, the
+    window of a source has σ(λ) = λ/(2√2 πs). For N1 × N2 periods of a patch of area A, Ω is λ²/(A N1 N2). The relative
     reflectance ρ is the reflected radiance divided by the radiance of this light, so that Ω converts ρ to absolute
     quantities.
 
@@ -113,7 +113,7 @@ def pigment_solid_angle(
 ) -> NDArray[np.float64]:
     """Return G = Ω/π, the factor from a Lambertian reflectance a, with the BRDF a/π, to a relative reflectance.
 
-    It is λ²/(4π²σ²) for Gaussian windows, 2s² for a source, and λ²/(πA N1 N2) for periods of a patch of area A. The
+    G is λ²/(4π²σ²) for Gaussian windows, 2s² for a source, and λ²/(πA N1 N2) for periods of a patch of area A. The
     arguments are those of :func:`light_solid_angle`.
     """
     return light_solid_angle(wavelengths_um, coherence, patch_area_um2) / math.pi
@@ -147,8 +147,8 @@ def brdf_scale(
 
     With ρ = C ⟨|P|²⟩, or C/cos θi ⟨|P|²⟩ for a source, the BRDF is R(θd) (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩
     times a factor. Here θd is half of the angle between ωi and ωr. The factor is 4πσ²/λ² for Gaussian windows, and A N1
-    N2/λ² for N1 × N2 periods of a patch of area A. For a source of the spread s it is 1/(2πs² cos θi), because the
-    source is foreshortened in (u, v).
+    N2/λ² for N1 × N2 periods of a patch of area A. For a source of the spread s, the factor is 1/(2πs² cos θi), because
+    the source is foreshortened in (u, v).
 
     Args:
         cos_light: cos θi > 0, shape (n,).

@@ -1,7 +1,8 @@
 """Readers of refractive index files of refractiveindex.info, in YAML or CSV.
 
-No row of a table is ignored. A row that does not consist of a wavelength and its numbers raises an error with its line.
-Only rows beyond the wavelengths that a `warpdiff.Material` accepts, 100 to 10,000 nm, are removed.
+No row of a table is ignored. A row that does not consist of a wavelength and the numbers of the other columns raises an
+error that names the line. Only rows beyond the wavelengths that a `warpdiff.Material` accepts, 100 to 10,000 nm, are
+removed.
 """
 
 from __future__ import annotations

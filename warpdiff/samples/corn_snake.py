@@ -2,8 +2,9 @@
 
 The shape is defined on the unrolled skin, in lattice coordinates (x, τ). x counts rows of scales across the back, from
 one edge of the belly to the other. τ counts scales from the neck to the tail. A scale is a rhombus with half diagonals
-(1, ½). Its coordinates a and b, 0 to 1, increase along the two front edges from the front corner. Neighbouring rows are
-shifted by half a scale. The half rhombi at the edges of the belly are the ends of the ventral scutes.
+(1, ½). The coordinates a and b on a scale, 0 to 1, increase along its two front edges from the front corner.
+Neighbouring rows are shifted by half a scale. The half rhombi at the edges of the belly are the ends of the ventral
+scutes.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ Tangent = Literal["around", "along"]
 # Length of the head, and largest length of the snake [radii of the body]. The length is limited because the centre line
 # is sampled at 4,097 points, with which longer snakes are bent inaccurately.
 _HEAD_LENGTH, _LONGEST = 2.5, 1e3
-# Cross sections of the head and of the body behind it, chosen by eye. Columns: position as a fraction of the length of
-# the head or of the body; half width, height above the centre line and depth below it [radii of the body]; exponent of
-# the superellipse (2 is an ellipse, larger exponents are squarer).
+# Cross sections of the head and of the body, chosen by eye. Columns: position as a fraction of the length of the head
+# or of the body; half width, height above the centre line and depth below the centre line [radii of the body]; exponent
+# of the superellipse (2 is an ellipse, larger exponents are squarer).
 _HEAD = np.array([
     [0.00, 0.36, 0.22, 0.16, 2.4], [0.25, 0.47, 0.32, 0.22, 2.6], [0.50, 0.60, 0.41, 0.27, 2.7],
     [0.75, 0.71, 0.46, 0.33, 2.6], [0.90, 0.68, 0.46, 0.35, 2.4],
@@ -90,7 +91,8 @@ class _Patch(NamedTuple):
         tau: Position along the body [scales], shape (k,).
         shift: Displacement of the vertex to the rear [scales], shape (k,).
         rise: Displacement of the vertex outwards [scales], shape (k,).
-        u, v: Position around the body [rows] and along it [scales] from which the vertex takes its colour, shape (k,).
+        u, v: Position around the body [rows] and along the body [scales] at which the texture has the colour of the
+            vertex, shape (k,).
         wall: Whether the vertex belongs to the wall under a free edge of a scale, shape (k,).
         faces: Vertex indices, shape (m, 3).
     """
@@ -114,8 +116,9 @@ def snake(
 
     The snake is centred at the y axis, from the head at −x to the tail at +x, with its back towards +y. The heading of
     the centre line is ``bend_deg`` · cos(2π ``waves`` s), with s from 0 to 1 behind the head. Every scale overlaps the
-    next ones towards the tail, and the surface and its normals step at its free edge. The surface is closed. The
-    texture is the pattern of *Pantherophis guttatus* and follows the scales. Its seam runs along the belly.
+    next ones towards the tail, and the surface and its normals step at the free edge of a scale. The surface is closed.
+    The texture is the pattern of *Pantherophis guttatus* and follows the scales. The seam of the texture runs along the
+    belly.
 
     With ``tangent="around"`` the tangent t runs around the body, across the nano-fingers; (t, head to tail, outwards)
     is right-handed. With ``"along"`` t runs from head to tail. The tangents of ``tube`` have the same directions.
@@ -240,8 +243,8 @@ class _Skin:
                 f"{ref('radius')}"
             )
 
-        # The length of a scale is proportional to the local width of the body. At the thin end of the tail, it is
-        # constant.
+        # The length of a scale is proportional to the local width of the body. At the thin end of the tail, the length
+        # is constant.
         density = np.where((s < head) | (s > last), 0.0, 1.0 / np.maximum(width, 0.25 * radius))
         tau = _integral(s, density)
         tau *= count / tau[-1]
@@ -366,7 +369,7 @@ def _joined(patches: list[_Patch]) -> _Patch:
 def grid_faces(columns: int, rows: int, *, rising: bool = False) -> NDArray[np.int64]:
     """Return two triangles per quadrilateral of a grid of vertices.
 
-    Their normals are along c × r; c and r are the directions in which the column and the row index increase.
+    The normals of the triangles are along c × r; c and r are the directions of increasing column and row index.
 
     With ``rising``, the diagonal connects the corner of least row and column to the opposite one.
     """
@@ -437,7 +440,7 @@ def _scutes(skin: _Skin, n: int) -> list[_Patch]:
         ones, zeros = np.ones(n + 1), np.zeros(n + 1)
         top, low = _plate(skin, 0.0, tau0[:-1], ones, ones), _plate(skin, 0.0, tau0[1:], zeros, zeros)
         # The wall of a scute consists of two strips of faces, because a corner of the neighbouring scale lies at half
-        # its height.
+        # the height of the wall.
         three = [np.concatenate([high, (high + deep) / 2.0, deep], axis=1) for high, deep in zip(top, low, strict=True)]
         x, v = np.tile(columns, 3)[None], three[1] + np.repeat([0.0, 1.0, 2.0], n + 1) * _RISER
         patches.append(_patches((x, *three[1:]), (x, v), grid_faces(n + 1, 3), wall=True))
@@ -464,13 +467,14 @@ def _cap(x: Floats, tau: Floats, rise: Floats, *, first: bool) -> _Patch:
     u, v = np.tile(x, rows), np.repeat(tau, columns)
     faces = grid_faces(columns, rows, rising=not first)
     at = 0 if first else (rows - 1) * columns
-    # At a tip, each triangle has a vertex of its own. Its texture coordinate u is that of the middle of the triangle.
+    # At a tip, each triangle has a vertex of its own. The texture coordinate u of this vertex is that of the middle of
+    # the triangle.
     u[at : at + columns - 1] = (x[1:] + x[:-1]) / 2.0
     return _Patch(np.tile(x, rows), v, np.zeros_like(v), rise.ravel(), u, v, np.zeros(len(v), np.bool_), faces)
 
 
 def _head(skin: _Skin, n: int) -> _Patch:
-    """Return the patch of the head. Its rings have twice as many vertices as the ring at which the scales begin."""
+    """Return the patch of the head, whose rings have twice as many vertices as the ring at which the scales begin."""
     coarse = _ring(skin, n)
     x = np.sort(np.concatenate([coarse, (coarse[1:] + coarse[:-1]) / 2.0]))
     q = np.linspace(0.0, 1.0, 14 * n + 1)
@@ -617,7 +621,7 @@ def _body_pigment(skin: _Skin, x: Floats, tau: Floats, rng: np.random.Generator)
 
 
 def _head_pigment(f: Floats, across: Floats) -> Floats:
-    """Return colours of the head in sRGB: a spearhead mark between the eyes, a bar before them, stripes to the jaw."""
+    """Return colours of the head in sRGB: a spearhead between the eyes, a bar before them, and stripes to the jaw."""
     border, eye, mouth = _head_marks(f, across)
     f, across = np.broadcast_arrays(f, np.abs(across))
 

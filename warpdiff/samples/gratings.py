@@ -370,8 +370,8 @@ def fingers(
         finger = np.argmin(past, axis=1)
         behind = past[np.arange(ny), finger]
         behind = behind / np.maximum(behind + np.min((tips - y[:, None]) % rows, axis=1), 1e-9)
-        # A ridge is added only to the columns of samples near it. In other columns its height is smaller than rounding
-        # errors.
+        # A ridge is added only to the columns of samples near it. In other columns the height of the ridge is smaller
+        # than rounding errors.
         near_columns = np.flatnonzero(np.abs((x - ridge + 0.5 * ridges) % ridges - 0.5 * ridges) < _RIDGE_REACH)
         aside = (x[near_columns] - ridge - position[finger][:, None] + 0.5 * ridges) % ridges - 0.5 * ridges
         half_width = (breadth[finger] * (0.12 + 0.34 * behind))[:, None]

@@ -1,7 +1,8 @@
-"""Sample bodies with texture coordinates. Their tangent t, along increasing u, is the x axis of the height field.
+"""Sample bodies with texture coordinates, which also define the x axis of the height field.
 
-A grating that varies along x diffracts along t. On ``tube`` and ``snake``, t runs around the body with
-``tangent="around"``, and from head to tail with ``"along"``. On ``disc``, t runs radially outwards.
+This axis is the tangent t of a body, along the increasing texture coordinate u. A grating that varies along x diffracts
+along t. On ``tube`` and ``snake``, t runs around the body with ``tangent="around"``, and from head to tail with
+``"along"``. On ``disc``, t runs radially outwards.
 
 Examples:
     >>> import warpdiff as wd
@@ -109,8 +110,8 @@ def tube(
     out = np.cos(phi)[None, :, None] * sideways[:, None, :] + np.sin(phi)[None, :, None] * np.array([0.0, 1.0, 0.0])
     vertices = centre[:, None, :] + rings_radius[:, None, None] * out
     # The normal is proportional to ds/dψ · stretch · out − dr/dψ · forward, where s is the arc length, r the radius and
-    # ψ the angle of the half ellipse. In this form it is finite at the tips. The factor `stretch` is the length of the
-    # surface divided by that of the centre line; on the inner side of a bend it is less than 1.
+    # ψ the angle of the half ellipse. In this form the normal is finite at the tips. The factor `stretch` is the length
+    # of the surface divided by that of the centre line; on the inner side of a bend the factor is less than 1.
     stretch = 1.0 + bending[:, None] * rings_radius[:, None] * np.cos(phi)
     ds = semi_axis * np.sin(angle)
     dr = radius * np.cos(angle)
@@ -150,8 +151,8 @@ def disc(
         inner_radius: Radius of the hole [mesh units], at least 0 (no hole), less than ``outer_radius``, default 0.4.
         outer_radius: Radius of the rim [mesh units], more than 0, default 1.
         segments: Number of quadrilaterals around the disc, at least 3, default 512.
-        rings: Number of quadrilaterals from the inner to the outer rim, at least 1, default 24. More of them make t
-            more exactly radial.
+        rings: Number of quadrilaterals from the inner to the outer rim, at least 1, default 24. More quadrilaterals
+            make t more exactly radial.
 
     Returns:
         A mesh with texture coordinates and vertex normals, of 2 · segments · rings faces; without a hole it has

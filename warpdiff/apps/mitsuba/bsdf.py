@@ -55,8 +55,8 @@ _LEAST_COSINE = 1e-4
 def register_mitsuba_bsdf(name: str = NAME) -> None:
     """Register the plug-in with Mitsuba, for its current variant.
 
-    A scene then uses the BSDF ``{"type": "warpdiff", "filename": "lobes.npz"}``. Its options ``ior`` (default 1.5) and
-    ``masking`` (default True) are those of :func:`warpdiff.shade`. Spectral variants read a file of
+    A scene then uses the BSDF ``{"type": "warpdiff", "filename": "lobes.npz"}``. The options ``ior`` (default 1.5) and
+    ``masking`` (default True) of the BSDF are those of :func:`warpdiff.shade`. Spectral variants read a file of
     ``BakedSpectrum.save``. RGB variants read a file of ``BakedLobes.save``, baked with ``Coherence("source")``. The
     tangent is the direction along the mesh in which the first texture coordinate increases and the second one is
     constant. Only the outside of the surface reflects. A ``twosided`` BSDF around the plug-in reflects on both sides.

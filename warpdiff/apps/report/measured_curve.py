@@ -71,7 +71,7 @@ def read_curve(path: str | os.PathLike[str]) -> MeasuredCurve:
 
     Args:
         path: Text file with a column ``wavelength_nm`` or ``angle_deg``, one column of measured values, and optionally
-            one column of their errors, with ``error``, ``std`` or ``uncertainty`` in its name.
+            one column of the errors of these values, with ``error``, ``std`` or ``uncertainty`` in its name.
 
     Raises:
         FileNotFoundError: The file does not exist.

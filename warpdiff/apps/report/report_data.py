@@ -52,8 +52,8 @@ _MOST_ORDER = 20
 # middle. At 450 nm this middle is a square of 100 µm, which is wider than the default coherence window. The number was
 # chosen so that the computation takes seconds. If doubled, the time doubles.
 _MOST_PATCH_ORDERS = 2e5
-# Least length of the cropped field, as a share of the length of the whole field, at which it counts as the whole field.
-# It is below 1 because lengths are rounded.
+# Least length of the cropped field, as a share of the length of the whole field, at which the cropped field counts as
+# the whole field. The share is below 1 because lengths are rounded.
 _WHOLE = 0.999
 # A field in which no wave repeats counts as a single period of a grating if it has at most this number of diffraction
 # orders. The number was chosen so that the table of these orders fits on a page. Patches of rough surfaces have
@@ -166,12 +166,12 @@ class ReportData:
 
     @property
     def is_cropped(self) -> bool:
-        """Whether periods are computed from the middle of the field, because it has too many samples."""
+        """Whether periods are computed from the middle of the field, because the field has too many samples."""
         return self.part is not self.request.heightfield
 
     @property
     def has_patch(self) -> bool:
-        """Whether diffraction is computed from the middle of the field, because it has too many orders."""
+        """Whether diffraction is computed from the middle of the field, because the field has too many orders."""
         shares = (own / whole for own, whole in zip(self.patch_um, self.request.heightfield.size_um, strict=True))
         return 0.0 < min(shares) < _WHOLE
 
@@ -213,7 +213,8 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
     data.warnings += _doubts(data)
     progress(0.2)
     data.is_cell = not data.periods and _order_count(part, float(request.wavelengths_nm.min())) <= _MOST_CELL_ORDERS
-    # A single period of a grating may be a tilted plane, such as a blazed groove. Only the mean is subtracted from it.
+    # A single period of a grating may be a tilted plane, such as a blazed groove. Only the mean is subtracted from such
+    # a field.
     data.roughness = data.attempt("roughness", lambda: request.heightfield.roughness(0 if data.is_cell else 1))
     progress(0.3)
     _set_geometry(data)
@@ -392,9 +393,10 @@ def _of_periods(
 ) -> tuple[Table, OrderEfficiencies]:
     """Return the table of the orders of all periods, and the efficiencies of the orders of the strongest period.
 
-    The efficiencies in ``result`` are those of a grating whose one period is the whole field. Its orders are much
-    denser than the orders of the periods that were measured in the field. The efficiency of a dense order is added to
-    the nearest order of a measured period, if the distance is at most half of the shortest wave vector.
+    The efficiencies in ``result`` are those of a grating whose one period is the whole field. The orders of this
+    grating are much denser than the orders of the periods that were measured in the field. The efficiency of a dense
+    order is added to the nearest order of a measured period, if the distance is at most half of the shortest wave
+    vector.
     """
     angles = order_angles(periods, data.to_light, data.request.wavelengths_nm, most_order=_MOST_ORDER)
     numbers = np.array([(wave, m) for wave in range(len(periods)) for m in range(-_MOST_ORDER, _MOST_ORDER + 1)])

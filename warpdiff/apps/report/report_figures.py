@@ -35,8 +35,8 @@ _MOST_DRAWN = 1400
 # Width of pictures of curves, and of pictures of maps [inches]. Both were chosen so that the text of the pictures is
 # legible on a screen of 400 pixels.
 _WIDE, _SQUARE = 5.6, 5.4
-# The report also shows the middle of a field enlarged, a square with the side `_ZOOM_UM` [µm]. It does so only if each
-# side of the field is at least `_LEAST_FIELD` times as long.
+# The report also shows the middle of a field enlarged, a square with the side `_ZOOM_UM` [µm]. This picture exists only
+# if each side of the field is at least `_LEAST_FIELD` times as long as the side of the square.
 _ZOOM_UM, _LEAST_FIELD = 10.0, 2.0
 # Highest frequency of the enlarged power spectrum, relative to the frequency of the strongest period.
 _SPECTRUM_PERIODS = 4.0

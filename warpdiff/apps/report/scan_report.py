@@ -86,8 +86,8 @@ def report(
 
     The page has the map of the heights and a profile, the cleaning steps, the ISO 25178 parameters, the power spectrum
     and its periods, the verdict on scalar diffraction, the orders with their angles and efficiencies, colours against
-    the view angle, and a reflectance map. Each number has its error, or the reason why it has none. A field without
-    some of these results has a page that says what could not be found. The report requires the extra ``plot``.
+    the view angle, and a reflectance map. Each number has its error, or the reason why it has none. If a field has not
+    all of these results, the page states which are absent. The report requires the extra ``plot``.
 
     Missing samples are interpolated before diffraction is computed. Do all other cleaning first, see
     `HeightField.levelled`. Large fields are cropped to their middle: periods are computed from at most 1,536 samples
@@ -133,8 +133,8 @@ def report(
         heightfield, _direction(to_light, "to_light"), _direction(to_view, "to_view"), _wavelengths(wavelengths_nm),
         _sigmas(sigmas_um), illuminant, None if compare is None else read_curve(compare), dict(settings),
     )  # fmt: skip
-    # A wrong setting must raise an error. Without this check, the page would only state it as the reason why results
-    # are absent.
+    # A wrong setting must raise an error. Without this check, the page would only state the error as the reason why
+    # results are absent.
     flat = HeightField.of_known_scale([[0.0]], 1.0)
     Evaluation.of(flat, EvaluationSettings(**settings), illuminants=(illuminant,))
     target = files.made_folder(folder)

@@ -146,7 +146,7 @@ def sequence(
 
 
 def check_files(suffixes: tuple[str, ...], animation: object) -> Path | None:
-    """Check the formats of frames and the file of the animation; return its path, or None without an animation."""
+    """Check the formats of frames and the file of the animation; return the path of this file, or None."""
     if not suffixes:
         raise ArgumentValueError(f"{ref('formats')} must name at least one of {' and '.join(FORMATS)}, got none")
     return None if animation is None else animated.check_target(animation, suffixes)
@@ -242,7 +242,7 @@ def _manifest(folder: Path, key: str, *, overwrite: bool) -> dict[str, Any]:
     Args:
         folder: Folder of the frames.
         key: Hash of the sequence to draw.
-        overwrite: Whether frames of another sequence are deleted; otherwise they raise a ``ValueError``.
+        overwrite: Whether frames of another sequence are deleted; otherwise such frames raise a ``ValueError``.
     """
     path = folder / _MANIFEST
     manifest: dict[str, Any] = {}

@@ -1,7 +1,7 @@
 """Controls of the viewer's page: options of the library with labels, groups and sliders.
 
-Type, choices, unit and meaning come from the descriptions of options. An option of pictures or of their display gets a
-control from its description alone if it has no entry in :func:`controls`.
+Type, choices, unit and meaning come from the descriptions of options. Without an entry in :func:`controls`, an option
+of a picture or of its display gets a control that follows from the description alone.
 """
 
 from __future__ import annotations
@@ -171,8 +171,8 @@ def controls(
     """
     bodies, surfaces, named_skies = _files(meshes) | BODIES, _files(heights) | GRATINGS, _files(environments)
     skies, none = named_skies | {CLEAR_SKY: "clear sky with a sun"}, {"none": "none"}
-    # The first choice of a control is its default. If the page offers environment files, it starts with the first file
-    # and no other light; otherwise it starts with a directional light.
+    # The first choice of a control is its default. If there are environment files, the page starts with the first file
+    # and no other light. Otherwise the page starts with a directional light.
     lights = (none if environments else {}) | {"directional": "directional", "point": "point"} | none
     others = tuple(name for name in bodies if name not in LONG_BODIES)
     picture, window, display = describe(PictureSettings), describe(Coherence), describe(DisplaySettings)

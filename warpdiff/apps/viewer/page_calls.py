@@ -156,8 +156,8 @@ class Scene:
     def of(cls, values: Mapping[str, Any], files: NamedFiles) -> Scene:
         """Return the scene that the checked values of the controls describe.
 
-        If the selected light is a point light, this scene has a directional light instead. :meth:`placed` replaces it,
-        once centre and radius of the body are known.
+        If the selected light is a point light, this scene has a directional light instead. :meth:`placed` replaces this
+        light by the point light, once centre and radius of the body are known.
         """
         known = files.controls
         mesh, tangents = _mesh(values, files)
@@ -186,8 +186,8 @@ class Scene:
     def placed(self, centre: Sequence[float], radius: float) -> Scene:
         """Return the scene with a point light at its position, which depends on centre and radius of the body.
 
-        The point light's power is such that it illuminates the body's centre like the directional light that it
-        replaces.
+        The power of the point light is such that the body's centre is as bright as in the light of the directional
+        light, which the point light replaces.
 
         Args:
             centre: Centre of the body, world frame.
@@ -211,8 +211,8 @@ class Scene:
         """Return the scene for a preview or an intermediate picture. With an environment light, that scene is simpler.
 
         The larger the tolerance, the fewer directions of an environment are sampled. An unrefined preview has the
-        ``tolerance`` None. It samples 16 directions per pixel and has no shadows, because 320 × 240 pixels require 1.9
-        s with shadows and 0.1 s without shadows.
+        ``tolerance`` None. Such a preview samples 16 directions per pixel and has no shadows, because 320 × 240 pixels
+        require 1.9 s with shadows and 0.1 s without shadows.
         """
         if self.sky is None:
             return self

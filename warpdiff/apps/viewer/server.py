@@ -1,8 +1,8 @@
 """Web server of ``warpdiff view``. It serves one HTML page and a web socket, to at most 8 pages at once.
 
-A page loads no other file and connects to no other host. Over the socket it sends small JSON messages. It receives each
-picture as one message: four bytes with the length of the JSON part, the JSON part, and the bytes of a picture file. The
-server answers requests under these conditions:
+A page loads no other file and connects to no other host. Over the socket, the page sends small JSON messages. The page
+receives each picture as one message: four bytes with the length of the JSON part, the JSON part, and the bytes of a
+picture file. The server answers requests under these conditions:
 
 - The header ``Host`` names this server, and the ``Origin`` of a socket is this server's page. Other web pages in the
   same browser can therefore not use the viewer.
@@ -100,7 +100,7 @@ def run(
                 threading.Thread(target=webbrowser.open, args=(server.address,), daemon=True).start()
 
         serving = asyncio.ensure_future(server.run(ready))
-        # If the drawing thread or the server could not start, this loop raises its error.
+        # If the drawing thread or the server could not start, this loop raises the error.
         done, _ = await asyncio.wait({studio, serving}, return_when=asyncio.FIRST_COMPLETED)
         for task in done:
             task.result()
@@ -189,7 +189,8 @@ class ViewServer:
     def _is_ours(self, host: str) -> bool:
         """Whether a ``Host`` header names this server.
 
-        If other machines can reach the server, any name is accepted, because the server does not know its names.
+        If other machines can reach the server, any name is accepted, because the server does not know all names of its
+        machine.
         """
         if self.host not in _LOOPBACK:
             return bool(host)

@@ -106,7 +106,7 @@ class Session:
 
     Attributes:
         send: Function that sends a message to the page. Its arguments are a description and the bytes of a file or
-            None. The drawing thread calls it.
+            None. The drawing thread calls ``send``.
         request: Newest request of the page.
         in_flight: Number of sent pictures that the page has not shown yet.
         open: Whether the page is connected.
@@ -376,7 +376,7 @@ class Studio:
             session.send(description | result, data)
 
         # Without an environment, one call of the renderer draws all remaining stages, each of which refines the
-        # previous one. With an environment, each stage is a call of its own, because it samples another number of
+        # previous one. With an environment, each stage is a call of its own, because stages sample different numbers of
         # directions.
         last = len(stages) - 1 if index and scene.sky is None else index
         previews = {stage.tolerance: send for stage in stages[index:last] if stage.tolerance is not None}
@@ -464,7 +464,7 @@ class Studio:
     def _base(self, scene: Scene, report: Callable[[], None]) -> wd.Renderer:
         """Make a renderer of small pictures, from which renderers of any picture size are derived.
 
-        The disk cache stores its plan, because planning requires seconds.
+        The disk cache stores the plan of this renderer, because planning requires seconds.
         """
         report()
         heightfield, surface, options = self._height_field(scene), self._surface(scene), scene.shading

@@ -82,10 +82,10 @@ def export_html(
         mesh: Mesh, as for :func:`warpdiff.shade`.
         lobes: Table of :func:`warpdiff.bake`.
         lights: One to eight directional or point lights with the illuminant of ``lobes``. A disc light may have a
-            diameter of at most 5°. It requires lobes that were baked with a coherence of the kind ``"averaged"``. The
-            page renders it as a Gaussian of the same variance, with a hard shadow. The distance of point lights from
-            the mesh's centre is at least 1.1 radii of its bounding sphere. Environments are refused: use a directional
-            light for the sun, ``DirectionalLight(sun_direction, angular_diameter_deg=0.53)``.
+            diameter of at most 5°. A disc light requires lobes that were baked with a coherence of the kind
+            ``"averaged"``. The page renders it as a Gaussian of the same variance, with a hard shadow. The distance of
+            point lights from the mesh's centre is at least 1.1 radii of its bounding sphere. Environments are refused:
+            use a directional light for the sun, ``DirectionalLight(sun_direction, angular_diameter_deg=0.53)``.
         view: First view, by a perspective camera. The size of the picture is that of the browser's window.
         ior: Index of refraction; ``math.inf`` is a perfect mirror. None is 1.5, or the material with which the lobes
             were baked.

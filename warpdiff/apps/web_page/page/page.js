@@ -158,10 +158,10 @@ const SIZE = Math.min(Number(new URLSearchParams(location.search).get("size")) |
     gl.getParameter(gl.MAX_TEXTURE_SIZE));
 const HALF_LARGEST = 1e4;
 const lobesUnit = lobes.scale / HALF_LARGEST;
-// A fragment may use at most MOST_FETCHES texture fetches. At each of TAPS points along a footprint, it fetches every
-// layer of the grid. It also fetches every group of functions of w, every wavelength of the zeroth order, the shadow
-// and the base colour. TAPS is the largest number of points for which the fetches suffice. The points extend over
-// DEVIATIONS standard deviations of the footprint to either side, and are STEP standard deviations apart.
+// A fragment may use at most MOST_FETCHES texture fetches. At each of TAPS points along a footprint, the fragment
+// fetches every layer of the grid. It also fetches every group of functions of w, every wavelength of the zeroth order,
+// the shadow and the base colour. TAPS is the largest number of points for which the fetches suffice. The points extend
+// over DEVIATIONS standard deviations of the footprint to either side, and are STEP standard deviations apart.
 const MOST_FETCHES = 64;
 const TAPS = Math.min(16, Math.floor((MOST_FETCHES - 2 - groups - header.variances.length) / layers));
 const DEVIATIONS = 2.4, STEP = 1.5;
@@ -743,11 +743,10 @@ async function begin() {
     changed();
 }
 
-// Interface for other scripts. After `await warpdiff.ready`, call
-// `warpdiff.render({ width, height, view, lights, exposure, frames, more })`; all fields are optional. It returns
-// { width, height, xyz }. `xyz` has the mean XYZ and the coverage over `frames` frames, four numbers per pixel, bottom
-// row first. The canvas shows the picture until a user changes the view. With `more`, the frames are added to those of
-// the last call.
+// Interface for other scripts. After `await warpdiff.ready`, call `warpdiff.render({ width, height, view, lights,
+// exposure, frames, more })`; all fields are optional. The call returns { width, height, xyz }. `xyz` has the mean XYZ
+// and the coverage over `frames` frames, four numbers per pixel, bottom row first. The canvas shows the picture until a
+// user changes the view. With `more`, the frames are added to those of the last call.
 window.warpdiff = {
     ready: begin(),
     header,
