@@ -119,7 +119,7 @@ def sequence(options: argparse.Namespace) -> None:
 
 
 def export_html(options: argparse.Namespace) -> None:
-    """Write a web page that shows a body, which visitors rotate."""
+    """Write a web page that shows a body, which visitors can rotate."""
     from warpdiff.apps.web_page.export_html import SUFFIXES
 
     target = files.check_output(options.output, SUFFIXES)

@@ -112,7 +112,7 @@ def surfaces_of(options: argparse.Namespace) -> wd.HeightField | dict[str, wd.He
     height field.
     """
     heightfield = height_field_of(options)
-    # Pages show one surface, so that the command ``export-html`` has no flag ``--surface``.
+    # A page shows one height field, so that the command ``export-html`` has no flag ``--surface``.
     texts = getattr(options, "surface", None)
     if not texts:
         return heightfield
@@ -131,7 +131,7 @@ def surfaces_of(options: argparse.Namespace) -> wd.HeightField | dict[str, wd.He
 
 
 def _height_field(text: str, flag: str, options: argparse.Namespace) -> wd.HeightField:
-    """Return the height field of a file or of a synthetic grating, after cleaning; ``flag`` is for messages."""
+    """Return the height field of a file or of a synthetic grating, after cleaning; ``flag`` is the name in messages."""
     made = _named(text, GRATINGS, wd.gratings, flag)
     if made is None:
         if not validation.path(text, flag).is_file():
@@ -175,7 +175,7 @@ def coherence_of(options: argparse.Namespace) -> Coherence | None:
 
 
 def settings_of(options: argparse.Namespace, settings: Any) -> dict[str, Any]:
-    """Return the keyword arguments of an evaluation that the flags set, including ``material`` and ``coherence``."""
+    """Return the settings of a computation that the flags set, including ``material`` and ``coherence``, by name."""
     return given(options, describe(settings)) | {"coherence": coherence_of(options), "material": material_of(options)}
 
 
@@ -294,7 +294,7 @@ def environment_of(options: argparse.Namespace) -> wd.Environment | None:
 
 
 def scene_of(options: argparse.Namespace, *, turning: bool = False) -> tuple[Any, Any, wd.View]:
-    """Return mesh, surfaces and camera (`View`) that the command line names.
+    """Return the mesh, the height fields of its surfaces, and the camera (`View`) that the command line names.
 
     Unless the user gives the position of the camera, the camera is placed so that the whole mesh fits into the picture.
     With ``turning``, the mesh fits into all pictures of a rotation.

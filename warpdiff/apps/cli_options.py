@@ -108,7 +108,7 @@ class Flags:
             group.add_argument(self.words[how["dest"]], **how)
 
     def finish(self, **words: str) -> None:
-        """Store with the parsed arguments the flag of each Python argument, so that error messages name the flag.
+        """Store the flag of each Python argument with the parsed arguments, so that error messages can name the flag.
 
         ``words`` has the flags that are not generated from descriptions of options, by the arguments that they set.
         """

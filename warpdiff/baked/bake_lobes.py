@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
     from warpdiff.optics.spectra import Spectrum
 
-# Sizes of tables in ascending order. First, rings per octave of |(u, v)|. Second, azimuth samples per standard
-# deviation of a lobe, which is the peak of a diffraction order over (u, v).
+# Sizes of tables in ascending order. Each pair contains the rings per octave of |(u, v)|, and the azimuth samples per
+# standard deviation of a lobe, which is the peak of a diffraction order over (u, v).
 _TABLE_SIZES = ((8, 0.7), (12, 0.8), (16, 0.9), (24, 1.0), (32, 1.2), (48, 1.5), (64, 1.8))
 # Wavelength [µm] whose lobes (the peaks of diffraction orders over (u, v)) the grid of a table must resolve. Lobes of
 # shorter wavelengths are narrower, but contribute little to the visible colour.
@@ -70,8 +70,8 @@ _VALIDATION_SIZE, _CANDIDATES, _SEED = 2048, 32_768, 27
 _SHOWN, _FLOOR = 0.2, 1e-3
 # Measured peak memory while a table is computed [bytes per node of its polar grid].
 _BYTES_A_NODE = 170
-# Largest height range of a height field that can be baked [µm]. For larger height ranges, powers oscillate so fast as
-# functions of w that their samples require more than a minute.
+# Largest height range of a height field that can be baked [µm]. For larger height ranges, the powers of Fourier
+# coefficients oscillate so fast as functions of w that their samples require more than a minute.
 _MOST_HEIGHT_UM = 12.0
 
 
@@ -251,7 +251,7 @@ class _Bakery:
         return chebyshev.cardinals(w, _SMALLEST_W, LARGEST_W, len(self._ws))
 
     def _over_w(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return XYZ / w² at points (u, v), shape (n, 2), for every tabulated |w|, shape (n, 3, nodes)."""
+        """Return XYZ / w² at points (u, v), shape (n, 2), and at every Chebyshev node of |w|, shape (n, 3, nodes)."""
         return np.stack([self._at(uv, w) for w in self._ws], axis=2)
 
     def _at(self, uv: NDArray[np.float64], w: float) -> NDArray[np.float64]:

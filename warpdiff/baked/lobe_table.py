@@ -237,7 +237,7 @@ class BakedLobes(table_files.SavedTable):
         return result
 
     def lobe_variance(self, wavelength_um: float) -> float:
-        """Return the variance of a lobe along u or v at a wavelength of more than 0 and at most 10 µm."""
+        """Return the variance along u or v of a diffraction order's lobe at a wavelength, at most 10 µm."""
         wavelength_um = validation.positive(wavelength_um, "wavelength_um", most=_LONGEST_UM)
         return self._zeroth.lobe_variance(wavelength_um)
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 # A direction counts as the normal, which has the azimuth 0, if the sine of its angle from the normal is smaller than
-# this number. The number is a thousand times larger than the rounding error of unit vectors.
+# this number. The number is far above the rounding errors of unit vectors.
 _LEAST_SINE = 1e-12
 # Decimal places of angles [degrees]. The rounding error of unit vectors changes angles by about 1e-14°, so that ten
 # decimal places are reliable.

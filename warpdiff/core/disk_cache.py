@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Maximum total size of all files [bytes]. A larger maximum only uses more disk space.
+# Maximum total size of all files of the cache [bytes]. A larger maximum only uses more disk space.
 MOST_BYTES = 2**30
 # Arrays are stored in a file if their computation took at least this long [s]. Faster computations are repeated in each
 # process.

@@ -66,7 +66,7 @@ def discard_unfinished() -> None:
 
 
 def check_output(path: Any, suffixes: tuple[str, ...], name: str = "path") -> Path:
-    """Return the checked path of a file; raise an error if no file with one of the suffixes can be written there.
+    """Return the checked path of a file to write; raise an error if the suffix is wrong or the file cannot be written.
 
     Args:
         path: Path that the user gave.

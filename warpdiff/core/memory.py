@@ -103,10 +103,10 @@ def _limits_of_groups() -> list[tuple[int, Path, Path]]:
             most, usage = ("limit_in_bytes", "usage_in_bytes") if controllers else ("max", "current")
             top = _GROUPS / controllers
             group = top / path.lstrip("/")
-            # Every parent group may have a limit, too. In a container, only the top group is visible.
+            # Every parent of the control group may have a limit, too. In a container, only the top group is visible.
             for folder in (group, *(parent for parent in group.parents if parent.is_relative_to(top))):
                 with contextlib.suppress(OSError, ValueError):
-                    # Without a limit, the file of the group contains the text "max" (version 2), or a huge number
+                    # If a control group has no limit, its file contains the text "max" (version 2), or a huge number
                     # (version 1).
                     limit = int((folder / f"memory.{most}").read_text())
                     if limit < _NO_LIMIT:

@@ -22,7 +22,7 @@ _Choice = TypeVar("_Choice", bound=str | int)
 # Largest and smallest accepted magnitude of a number, in any unit. Powers of numbers beyond these limits overflow or
 # underflow.
 MOST, LEAST = 1e15, 1e-15
-# Largest accepted integer, which is the largest int64 number; kernels would overflow with a larger one.
+# Largest accepted integer, which is the largest number of the type int64; larger integers would overflow.
 MOST_COUNT = 2**63 - 1
 # A warning follows if vectors look like angles in degrees, which requires three conditions. Each component of all
 # vectors is ±1 or a multiple of `_ROUND_DEGREES`. The largest magnitude of all components is from `_LEAST_DEGREES` to

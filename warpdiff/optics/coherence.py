@@ -20,9 +20,9 @@ DEFAULT_SIGMA_UM = 16.25
 # Angular diameter of the sun [degrees], from astronomy.
 _DEFAULT_DIAMETER_DEG = 0.53
 _WINDOWS = ("averaged", "centred")
-# Largest angular diameter of a source [degrees]. The model replaces the directions to the source, points of the unit
-# sphere, by points of the plane that touches the sphere at the centre of the source. For wider sources this is not
-# accurate.
+# Largest angular diameter of a source [degrees]. In the model, the directions to the source are points of the plane
+# that touches the unit sphere at the centre of the source, instead of points of the sphere. For wider sources this is
+# not accurate.
 _MAX_DIAMETER_DEG = 30.0
 # Largest number of periods along an axis. 100,000 periods of 1 µm are ten centimetres, larger than typical gratings.
 _MAX_PERIODS = 100_000

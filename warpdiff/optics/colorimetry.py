@@ -137,9 +137,9 @@ def _at_whole_nanometres(wavelengths_nm: NDArray[np.float64], values: NDArray[np
     if np.min(np.diff(wavelengths_nm[inside]), initial=1.0) >= 1.0 - _STEP_ROUNDING:
         return np.asarray(np.interp(VISIBLE_NM, wavelengths_nm, values))
     cuts = np.unique(np.concatenate([VISIBLE_NM, np.clip(wavelengths_nm, LAMBDA_MIN_NM, LAMBDA_MAX_NM)]))
-    # The power is integrated between consecutive cuts: all whole nanometres and all wavelengths of the spectrum.
-    # Between two cuts, the spectrum and the share of each whole nanometre are linear functions of the wavelength.
-    # Simpson's rule is exact for their product.
+    # The power is integrated between consecutive cuts, which are all whole nanometres and all wavelengths of the
+    # spectrum. Between two cuts, the spectrum and the share of each whole nanometre are linear functions of the
+    # wavelength. Simpson's rule is exact for the product of two linear functions.
     left, length = cuts[:-1], np.diff(cuts)
     result = np.zeros(len(VISIBLE_NM))
     for place, weight in ((0.0, 1.0 / 6.0), (0.5, 4.0 / 6.0), (1.0, 1.0 / 6.0)):

@@ -43,7 +43,7 @@ def gain(
     to_light: NDArray[np.float64], to_view: NDArray[np.float64], *, normal: float, masking: bool,
     per_light_cosine: bool = False,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Factor C·M between the surface's power ⟨|P|²⟩ and the relative reflectance ρ; 0 at or below the horizon.
+    """Factor C·M between the power ⟨|P|²⟩ and the relative reflectance ρ; 0 if a direction is not above the horizon.
 
     P is the windowed mean of exp(ik(wh + ux + vy)) over the heights h. C = R(θd)/R(0) · (1 + ωi·ωr)² / ((cos θi + cos
     θr)² cos θr) is eq. 3.15 of Single 2014, with a correction: Schlick's reflectance R is a ratio of powers and is

@@ -43,7 +43,8 @@ def read(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[
 
     Raises:
         OSError: The file does not exist, or cannot be read.
-        ValueError: The file has no index of refraction that can be read, or a row without a wavelength and its numbers.
+        ValueError: The file has no index of refraction that can be read, or a row that does not consist of a wavelength
+            and numbers.
     """
     text = read_text(file)
     try:

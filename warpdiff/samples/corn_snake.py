@@ -351,7 +351,7 @@ def _plate(skin: _Skin, x: ArrayLike, tau: ArrayLike, a: Floats, b: Floats) -> t
 def _patches(
     corners: tuple[Floats, ...], texture: tuple[Floats, Floats], faces: NDArray[np.int64], *, wall: bool = False
 ) -> _Patch:
-    """Join m patches of k vertices each, all with the same ``faces``, to one patch."""
+    """Join m parts of the mesh (patches) of k vertices each, all with the same ``faces``, to one patch."""
     m, k = np.broadcast_shapes(*(corner.shape for corner in corners))
     x, tau, shift, rise, u, v = (np.broadcast_to(array, (m, k)).ravel() for array in (*corners, *texture))
     return _Patch(
@@ -360,7 +360,7 @@ def _patches(
 
 
 def _joined(patches: list[_Patch]) -> _Patch:
-    """Join several patches to one patch with all their vertices and faces."""
+    """Join several parts of the mesh (patches) to one patch with all vertices and faces."""
     start = np.cumsum([0, *(len(patch.x) for patch in patches)])
     shifted = [patch._replace(faces=patch.faces + at) for patch, at in zip(patches, start[:-1], strict=True)]
     return _Patch._make(np.concatenate(parts) for parts in zip(*shifted, strict=True))

@@ -239,13 +239,13 @@ def disc(
 
 
 def _run_lengths(rng: np.random.Generator, bits: int, form: _DiscFormat) -> NDArray[np.int64]:
-    """Return random run lengths [channel bits] with the sum ``bits``: pits and lands in turn, an even number."""
+    """Return an even number of random run lengths [channel bits] with the sum ``bits``, of pits and lands in turn."""
     lengths = np.arange(form.shortest_run, form.longest_run + 1)
     weights = form.growth ** -lengths.astype(np.float64)
     weights /= weights.sum()
     runs = rng.choice(lengths, size=2 * round(0.5 * bits / float(weights @ lengths)), p=weights)
-    # Randomly selected runs are lengthened or shortened by one bit until the sum of all is ``bits``. The track is then
-    # periodic.
+    # Randomly selected runs (pits or lands) are lengthened or shortened by one bit until the sum of all is ``bits``.
+    # The track is then periodic.
     while (missing := bits - int(runs.sum())) != 0:
         step = 1 if missing > 0 else -1
         free = np.nonzero((runs + step >= form.shortest_run) & (runs + step <= form.longest_run))[0]
@@ -320,7 +320,7 @@ def fingers(
         seed: Seed of the random variations, at least 0, default 0.
 
     Returns:
-        Heights of zero mid-range, periodic in both directions.
+        Heights, periodic in both directions. The mean of the highest and the lowest height is 0.
 
     Raises:
         ValueError: An argument is out of its range, or the patch has less than one finger or 8 samples per finger.

@@ -102,8 +102,8 @@ def tube(
     forward = np.stack([np.cos(theta), np.zeros_like(s), np.sin(theta)], axis=1)
     sideways = np.stack([np.sin(theta), np.zeros_like(s), -np.cos(theta)], axis=1)
 
-    # The texture coordinate u increases around the body from the belly, in the sense for which the directions (around,
-    # forward, outward) are right-handed.
+    # The texture coordinate u increases around the body from the belly, in the direction for which (around, forward,
+    # outward) are right-handed.
     turn = np.arange(segments_around + 1) / segments_around
     phi = 2.0 * math.pi * turn - math.pi / 2.0
     phi[-1] = phi[0]  # The first and last vertex of a ring get exactly the same position.

@@ -44,7 +44,7 @@ _GRADES = (
     "Reliable: use colours, and efficiencies that exceed their error. Qualitative: use the positions of colours, and "
     "not their brightness. Invalid: use nothing but the angles of orders."
 )
-# Sentences that explain causes of an error, by the reason of a verdict.
+# Sentences that explain why scalar diffraction has an error, by the reason in the verdict.
 _CAUSES = {
     "energy": (
         " Scalar diffraction does not conserve energy: the efficiencies of all orders sum to more or less than the "
@@ -268,7 +268,7 @@ def _surface(data: ReportData, numbers: JsonObject) -> str:
 
 
 def _stated(arguments: dict[str, str]) -> str:
-    """Return in words which of size and unit the user states, and which the file states."""
+    """Return a text that lists the sizes and units that the user has stated, or says that the file states them."""
     names = [f"{name} = {value}" for name, value in arguments.items() if name not in ("channel", "rows")]
     return f"stated by the user: {', '.join(names)}" if names else "from the file"
 

@@ -85,9 +85,10 @@ def report(
     """Write the report of a height field: one web page without links to other files, and its numbers.
 
     The page has the map of the heights and a profile, the cleaning steps, the ISO 25178 parameters, the power spectrum
-    and its periods, the verdict on scalar diffraction, the orders with their angles and efficiencies, colours against
-    the view angle, and a reflectance map. Each number has its error, or the reason why it has none. If a field has not
-    all of these results, the page states which are absent. The report requires the extra ``plot``.
+    and its periods, the verdict on scalar diffraction (its expected error), the diffraction orders with their angles
+    and efficiencies, colours against the view angle, and a reflectance map. Each number has its error, or the reason
+    why it has none. If a field has not all of these results, the page states which are absent. The report requires the
+    extra ``plot``.
 
     Missing samples are interpolated before diffraction is computed. Do all other cleaning first, see
     `HeightField.levelled`. Large fields are cropped to their middle: periods are computed from at most 1,536 samples

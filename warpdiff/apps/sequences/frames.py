@@ -170,8 +170,8 @@ def draw_by_workers(
                 for more in submit(1):
                     ready.add(more)
         except CancelledError:
-            # At this point, no worker has the pickle any more. Dask cannot recompute data that was sent from here, so
-            # that the next attempt sends the pickle again.
+            # At this point, no worker has the pickle of renderer and shots any more. Dask cannot recompute data that
+            # was sent from here, so that the next attempt sends the pickle again.
             if attempt == _RETRIES:
                 raise
         finally:

@@ -118,7 +118,7 @@ def sequence(
     if factor is None:
         factor = _metered(renderer, shots, shown.display, report) if exposure is None else exposure
         _write(target / _MANIFEST, json.dumps({"key": key, "frames": len(shots), "exposure": factor}).encode())
-    # EXR files have the exposure of the caller, and otherwise none. Their metadata state the exposure of the PNG files.
+    # EXR files have the exposure that the caller gives, or none. Their metadata state the exposure of the PNG files.
     shown = dataclasses.replace(shown, exposure=factor)
     scale = 1.0 if exposure is None else exposure_factor(shown, ())
     job = FrameJob(key, suffixes, shown, background, scale)
@@ -204,8 +204,8 @@ def _key(renderer: Renderer, shots: Sequence[Shot], saving: Any) -> str:
     for shot in shots:
         digest.update(repr(shot).encode())
         for light in shot.lights:
-            # The text of a shot contains spectra only by name, and settings of an environment only rounded. Their exact
-            # values and arrays are therefore hashed as well.
+            # The text of a shot contains only the names of spectra, and rounded settings of environments. Exact
+            # settings and all arrays of spectra and environments are therefore hashed as well.
             if isinstance(light, LobeLight) and not isinstance(light.illuminant, str):
                 _feed(digest, light.illuminant)
             elif isinstance(light, Environment):

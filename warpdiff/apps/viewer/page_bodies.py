@@ -28,7 +28,7 @@ _TOWARDS_EYE = (0.0, 0.6, 0.8)
 
 
 def surface_of(mesh: Call | Path, tangents: tuple[float, float, float] | None) -> Surface:
-    """Return the surface of a mesh file or of a sample body.
+    """Return the prepared mesh (surface) of a mesh file or of a sample body.
 
     Sample bodies are stored in the disk cache, because making one requires more time than rendering a picture.
 
@@ -125,9 +125,10 @@ def angles_deg(direction: Sequence[float]) -> dict[str, float]:
 
 
 def height_field_of(call: Call) -> wd.HeightField:
-    """Return the height field that a call makes.
+    """Return the height field that a library call makes.
 
-    Synthetic gratings are stored in the disk cache, because making the one called nano-fingers requires half a second.
+    Synthetic gratings are stored in the disk cache, because making the grating with nano-fingers requires half a
+    second.
     """
     if not call.function.startswith("gratings."):
         result: wd.HeightField = call.make()

@@ -224,7 +224,7 @@ class Scene:
 
     @property
     def shading(self) -> dict[str, Any]:
-        """Options of ``Renderer`` and ``shade`` by name. An option that is a call, such as a material, is evaluated."""
+        """Options of ``Renderer`` and ``shade`` by name; values that are calls, as for a material, are executed."""
         return {name: _result(value) for name, value in self.options}
 
     def python(self, view: wd.View, tolerance: float, saving: Mapping[str, Any]) -> str:
@@ -262,8 +262,8 @@ class Scene:
         """Return the command line that renders the scene and saves the picture.
 
         The picture of the command may differ from the viewer's picture by up to twice the tolerance, because each has
-        an error of up to the tolerance. The command makes a plan for this one camera, and the viewer makes a plan for
-        many cameras.
+        an error of up to the tolerance. The command plans its computation for this one camera, and the viewer plans its
+        computations for many cameras.
         """
         words = ["warpdiff", "render", _named(self.mesh), "--heightfield", *_height_field_words(self.heightfield)]
         if self.light is not None:

@@ -110,8 +110,8 @@ class Session:
         request: Newest request of the page.
         in_flight: Number of sent pictures that the page has not shown yet.
         open: Whether the page is connected.
-        generation: Generation of the request whose stages are drawn.
-        stage: Index of the next stage to draw.
+        generation: Generation (number) of the request whose stages are drawn.
+        stage: Index of the next stage to draw; see :class:`Stage`.
         drawn_at: Time at which the last picture was sent, by ``time.monotonic`` [s].
         drawn_request: Request that the last picture answered.
         exposure: Automatic exposure factor of the last picture that was not a preview of a movement.
@@ -464,7 +464,8 @@ class Studio:
     def _base(self, scene: Scene, report: Callable[[], None]) -> wd.Renderer:
         """Make a renderer of small pictures, from which renderers of any picture size are derived.
 
-        The disk cache stores the plan of this renderer, because planning requires seconds.
+        The disk cache stores the plan of this renderer (method and numbers of samples), because planning requires
+        seconds.
         """
         report()
         heightfield, surface, options = self._height_field(scene), self._surface(scene), scene.shading

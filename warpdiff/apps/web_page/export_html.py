@@ -1,4 +1,4 @@
-"""Function ``export_html``, which writes a web page that needs no server. It shows a mesh by colours that are baked."""
+"""Function ``export_html``, which writes a web page that needs no server. The page shows a mesh with baked colours."""
 
 from __future__ import annotations
 

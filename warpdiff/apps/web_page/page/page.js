@@ -535,7 +535,7 @@ function colours() {
 }
 
 // Returns the automatic exposure factor. It maps the mean luminance of the illuminated pixels, without the brightest
-// 0.01 %, to the mean that suits ACES.
+// 0.01 %, to the mean luminance that suits the display transform ACES.
 function metered() {
     const xyz = colours(), luminance = [];
     for (let k = 0; k < xyz.length; k += 4) if (xyz[k + 1] > 0) luminance.push(xyz[k + 1]);
