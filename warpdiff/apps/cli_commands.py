@@ -86,8 +86,8 @@ def sequence(options: argparse.Namespace) -> None:
             f"--lights-turn is for --turns, not for {'--path' if options.path else '--light-to'}: give one of them"
         )
     saving = given(options, describe(wd.sequence))
-    # Files are checked here, because the renderer below draws the first picture before ``warpdiff.sequence`` checks
-    # them.
+    # Files are checked here, because a ``Renderer`` is made before ``warpdiff.sequence`` checks the files. A new
+    # renderer already draws a picture, for which an error about files should not wait.
     check_files(tuple(saving.get("formats", FORMATS[:1])), saving.get("animation"))
     files.check_new_folder(options.output)
     environment = cli_inputs.environment_of(options)

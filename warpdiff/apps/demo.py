@@ -62,8 +62,8 @@ class DemoPicture:
 def data_folder(data: str | os.PathLike[str] | None = None) -> Path | None:
     """Return the folder of the real scan and mesh, or None if there is no such folder.
 
-    The first of these that is set is used: the argument ``data``, the environment variable ``WARPDIFF_DATA``, and
-    ``../shared/data`` next to a checkout.
+    The argument ``data`` names the folder. Without it, the environment variable ``WARPDIFF_DATA`` names the folder.
+    Without both, the folder is ``../shared/data`` next to a checkout of the repository.
 
     Raises:
         FileNotFoundError: The folder that ``data`` or ``WARPDIFF_DATA`` names does not exist.

@@ -157,6 +157,6 @@ def brdf_scale(
         patch_area_um2: Area of the patch [µm²].
 
     Returns:
-        Shape (n, m).
+        Ratios, shape (n, m).
     """
     return 1.0 / (cos_light[:, None] * light_solid_angle(wavelengths_um, coherence, patch_area_um2))

@@ -115,8 +115,8 @@ class ReportData:
         flat_powers: Power that a flat surface of the material reflects at each wavelength, relative to the incident
             power, shape (m,).
         efficiencies: Efficiencies of the orders that the picture of the orders shows.
-        orders: Table of the orders; for a field without orders, of the power in the mirror direction and the scattered
-            power.
+        orders: Table of the diffraction orders. For a field without orders, the table has the power in the mirror
+            direction and the scattered power.
         patch_um: Size (y, x) of the field from which diffraction is computed [µm], after cropping.
         is_cell: Whether the field counts as one period of a grating, because nothing repeats in it and it has few
             orders.

@@ -38,7 +38,7 @@ _Y_DEG = 90.0
 # The direction of a diffraction order counts as in the plane of the light and the normal if the end of its unit vector
 # is at most this far from the plane. The number is the sine of 0.06°.
 _IN_PLANE = 1e-3
-# Height below which the page states heights in nanometres [µm], and the number of nanometres per micrometre.
+# Height [µm] below which the page states heights in nanometres, and number of nanometres per micrometre.
 _LEAST_MICROMETRES, _NM_PER_UM = 1.0, 1e3
 _GRADES = (
     "Reliable: use colours, and efficiencies that exceed their error. Qualitative: use the positions of colours, and "

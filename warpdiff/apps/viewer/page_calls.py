@@ -203,7 +203,7 @@ class Scene:
 
     @property
     def normal(self) -> float:
-        """Reflectance at normal incidence by which pictures are divided; 1 for a material with its own spectrum."""
+        """Reflectance at normal incidence by which pictures are divided; 1 if the body has a ``Material``."""
         shading = self.shading
         return check_reflection(shading.get("ior"), shading.get("material"))[0]
 
