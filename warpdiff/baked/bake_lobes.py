@@ -49,9 +49,9 @@ _BLUE_UM = 0.43
 # `_RELATIVE_ERROR` is the relative tolerance of the sampled colours XYZ, per unit of the accepted ΔE2000. If doubled,
 # the errors of these colours cause a larger part of the ΔE2000.
 _FUNCTIONS_SHARE, _RELATIVE_ERROR = 0.6, 5e-3
-# `_LOOK_UPS` is the typical number of colours that are computed for a table. `_MOST_S` is the longest estimated time
-# for these colours that is accepted [s on one core]. Estimates are too long: with a source of 2° and a patch of 12.8
-# µm, 83 s were estimated and 25 s measured.
+# `_LOOK_UPS` is the typical number of colours that are computed for a table. `_MOST_S` is the longest accepted time for
+# these colours, as estimated [s on one core]. Estimates are too long: with a source of 2° and a patch of 12.8 µm, 83 s
+# were estimated and 25 s measured.
 _LOOK_UPS, _MOST_S = 3e6, 300.0
 # Smallest |w| at which colours are sampled, where w is the component of the scattering vector along the normal. If |w|
 # is smaller, light and view are both near the horizon. Such colours are proportional to w² and need no samples.

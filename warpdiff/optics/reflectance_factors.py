@@ -45,11 +45,11 @@ def gain(
 ) -> NDArray[np.float64]:  # fmt: skip
     """Factor C·M between the power ⟨|P|²⟩ and the relative reflectance ρ; 0 if a direction is not above the horizon.
 
-    P is the windowed mean of exp(ik(wh + ux + vy)) over the heights h. C = R(θd)/R(0) · (1 + ωi·ωr)² / ((cos θi + cos
-    θr)² cos θr) is eq. 3.15 of Single 2014, with a correction: Schlick's reflectance R is a ratio of powers and is
-    therefore not squared. θd is half of the angle between ωi and ωr. M is the V-cavity masking and shadowing of Cook
-    and Torrance (1982). For a source of finite size the factor is C·M/cos θi: a flat mirror then shows the radiance of
-    the source, ρ = R(θi)/R(0).
+    P is the windowed mean of exp(ik(wh + ux + vy)) over the heights h. The factor C is R(θd)/R(0) · (1 + ωi·ωr)² /
+    ((cos θi + cos θr)² cos θr), which is eq. 3.15 of Single 2014, with a correction: Schlick's reflectance R is a ratio
+    of powers and is therefore not squared. θd is half of the angle between ωi and ωr. M is the V-cavity masking and
+    shadowing of Cook and Torrance (1982). For a source of finite size the factor is C·M/cos θi: a flat mirror then
+    shows the radiance of the source, ρ = R(θi)/R(0).
 
     Args:
         to_light: Unit vectors ωi to the light, shape (n, 3).
@@ -146,9 +146,9 @@ def brdf_scale(
     """Return 1/(Ω cos θi), the ratio of the absolute BRDF [1/sr] to R(0)·ρ (Stam 1999); ρ excludes masking.
 
     With ρ = C ⟨|P|²⟩, or C/cos θi ⟨|P|²⟩ for a source, the BRDF is R(θd) (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩
-    times a factor. Here θd is half of the angle between ωi and ωr. The factor is 4πσ²/λ² for Gaussian windows, and A N1
-    N2/λ² for N1 × N2 periods of a patch of area A. For a source of the spread s, the factor is 1/(2πs² cos θi), because
-    the source is foreshortened in (u, v).
+    times a factor. Here θd is half of the angle between ωi and ωr. For Gaussian windows, the factor is 4πσ²/λ². For N1
+    × N2 periods of a patch of area A, it is A N1 N2/λ². For a source of the spread s, the factor is 1/(2πs² cos θi),
+    because the source is foreshortened in (u, v).
 
     Args:
         cos_light: cos θi > 0, shape (n,).

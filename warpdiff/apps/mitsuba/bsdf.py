@@ -1,8 +1,8 @@
 """BSDF plug-in ``warpdiff`` for Mitsuba 3: path tracing with baked lobes.
 
-In spectral variants each wavelength λ of a ray looks up the power spectrum (``BakedSpectrum``) at q = (u, v)/λ and κ =
-w/λ. In RGB variants a ray looks up colours (``BakedLobes``) at (u, v) and w. (u, v, w) is the scattering vector. Both
-look-ups give the absolute BRDF f of ``warpdiff.brdf``:
+In Mitsuba's spectral variants, each wavelength λ of a ray looks up the power spectrum (``BakedSpectrum``) at q = (u,
+v)/λ and κ = w/λ. In RGB variants a ray looks up colours (``BakedLobes``) at (u, v) and w. (u, v, w) is the scattering
+vector. Both look-ups give the absolute BRDF f of ``warpdiff.brdf``:
 
     f cos θo = R(θd) M (1 + ωi·ωo)² / (cos θi w²) · D.
 

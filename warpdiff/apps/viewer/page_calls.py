@@ -211,8 +211,8 @@ class Scene:
         """Return the scene for a preview or an intermediate picture. With an environment light, that scene is simpler.
 
         The larger the tolerance, the fewer directions of an environment are sampled. An unrefined preview has the
-        ``tolerance`` None. Such a preview samples 16 directions per pixel and has no shadows, because 320 × 240 pixels
-        require 1.9 s with shadows and 0.1 s without shadows.
+        ``tolerance`` None. Such a preview samples 16 directions per pixel and has no shadows, because shadows increase
+        the time for 320 × 240 pixels from 0.1 s to 1.9 s.
         """
         if self.sky is None:
             return self
