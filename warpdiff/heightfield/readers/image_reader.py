@@ -33,8 +33,8 @@ _OTHER_FORMAT = (
 def read_image(file: Path) -> FileContent:
     """Read a grey image without a conversion of its samples."""
     with openimageio.in_use() as oiio:
-        # Files in the format PFM store the bottom row first; this attribute makes OpenImageIO return the top row first.
-        # Readers of other formats ignore it.
+        # Files in the format PFM store the bottom row first. This attribute makes OpenImageIO return the top row first;
+        # for other formats, OpenImageIO ignores the attribute.
         configuration = oiio.ImageSpec()
         configuration.attribute("pnm:pfmflip", 1)
         image = oiio.ImageInput.open(str(file), configuration)
@@ -50,7 +50,7 @@ def read_image(file: Path) -> FileContent:
 
 
 def _unknown(reason: str) -> str:
-    """Return the text of the error for a file that OpenImageIO cannot open, from the message of OpenImageIO."""
+    """Return the error message for a file that OpenImageIO cannot open, which includes OpenImageIO's own message."""
     return f"cannot be read as an image ({reason}); give a grey image, .npy, .npz, .x3p or a text"
 
 

@@ -88,7 +88,7 @@ def _damaged(file: Path, reason: str) -> Exception:
 
 
 def _member(archive: zipfile.ZipFile, name: str, most: int, file: Path, *, least: int = 0) -> bytes:
-    """Return the bytes of a file in the archive.
+    """Return the bytes of a file in the archive, after a check of its size.
 
     An error is raised if the file has fewer than ``least`` bytes, the number that the header states. If ``least`` is 0,
     the header states no number, and an error is raised if the file has more than ``most`` bytes. To find this out, at
@@ -109,11 +109,11 @@ def _member(archive: zipfile.ZipFile, name: str, most: int, file: Path, *, least
 
 
 class _HeaderError(ValueError):
-    """Raised for an XML header that lacks a required value, has an invalid one, or describes an unsupported surface."""
+    """Raised for an XML header in which a value is missing or invalid, or that describes an unsupported surface."""
 
 
 class _Header:
-    """Texts of the elements of the XML header, by their path without namespaces. Listed heights are stored separately.
+    """Texts of the elements of the XML header, by path without namespaces; heights in the header are separate.
 
     Attributes:
         texts: Text of each element by its path below the root, such as ``"Record1/Axes/CX/Increment"``. Of several
@@ -127,8 +127,8 @@ class _Header:
         self._path: list[str] = []
         self._text: list[str] = []
         parser = expat.ParserCreate()
-        # A document type is refused. Only with it could the header define entities, which may expand without limit or
-        # read other files.
+        # A document type is refused. Only a document type could define entities, which may expand without limit or read
+        # other files.
         parser.StartDoctypeDeclHandler = self._refuse
         parser.StartElementHandler = self._begin
         parser.EndElementHandler = self._end
