@@ -17,8 +17,9 @@ from warpdiff.request.signatures import checked
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# The colours of an error image range from the tolerance divided by this number to the tolerance times this number.
-# Limit: errors outside of this range cannot be distinguished from those at its ends.
+# The colours of an error image range from the tolerance divided by this number to the tolerance times this number. The
+# value was chosen. If doubled, more errors have different colours, but errors near the tolerance are harder to
+# distinguish.
 _ERROR_RANGE = 30.0
 # Start of the logarithmic error axis in the plot of a plan, relative to the tolerance. Smaller errors have bars of
 # length 0.
