@@ -7,7 +7,7 @@
 
 The script exports the files of the commit to a temporary folder, and builds the wheel there, without uncommitted files.
 It prints the path of the environment's Python. With ``--versions-of``, libraries are installed in the versions of
-another environment. Other versions of libraries may change the last bit of results.
+another environment. With other versions of the libraries, results may differ in their last bit.
 """
 
 from __future__ import annotations

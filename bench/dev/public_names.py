@@ -1,4 +1,4 @@
-"""Import of the installed warpdiff under the public names of version 0.2, also where version 0.1.0 is installed.
+"""Import of the installed warpdiff under the public names of version 0.2, even if version 0.1.0 is installed.
 
 ``from bench.dev.public_names import wd`` imports the package that is installed for this Python, never the source folder
 next to ``bench``. If that package is version 0.1.0, the baseline, the new names are added to it. Newer versions are not
@@ -24,8 +24,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # Public functions that were renamed, new name to old name.
 FUNCTIONS = {"reflectance_map": "brdf_map"}
-# Keyword arguments that were renamed, new name to old name. All functions with an argument of the new name had an
-# argument of the old name.
+# Keyword arguments that were renamed, new name to old name. The mapping applies to every function that has an argument
+# of the new name.
 ARGUMENTS = {
     "heightfield": "hf",
     "lights": "light",
@@ -76,8 +76,8 @@ def plan_numbers(plan: Any, report: Any = None) -> dict[str, Any]:
 
 
 def _installed() -> Any:
-    # The root of the checkout is on the import path because ``bench`` lies in it. It is removed, so that its
-    # ``warpdiff`` folder is not imported instead of the installed package.
+    # The root of the checkout is on the import path because ``bench`` lies in it. The root is removed from the path, so
+    # that its ``warpdiff`` folder is not imported instead of the installed package.
     sys.path[:] = [entry for entry in sys.path if Path(entry).resolve() != ROOT]
     package = importlib.import_module("warpdiff")
     if is_baseline(package):

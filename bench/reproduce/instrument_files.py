@@ -31,7 +31,7 @@ TEXTS = (".txt", ".csv", ".asc", ".gz", ".hfm")
 # Suffixes of scans of heights that the package refuses. The other programs of this comparison cannot open such a file
 # and confirm that it is a scan. A file with such a suffix therefore counts as a scan without their confirmation.
 REFUSED_SCANS = (".nms", ".h5-jpk")
-# Suffixes of the files in the folder that are no files of instruments. They are skipped.
+# Suffixes of files in the folder that do not come from instruments. These files are skipped.
 OTHERS = (".yaml", ".npy", ".py", ".nc", ".list", ".log", ".sh")
 SIZE_TOLERANCE, HEIGHT_TOLERANCE = 1e-4, 1e-3
 _TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
@@ -115,8 +115,8 @@ def text_readings(path: Path) -> list[Reading]:
 def agree(field: wd.HeightField, reading: Reading, *, is_text: bool) -> bool:
     """Whether a height field equals an independent reading."""
     heights = field.heights_um
-    # The picture of a file shows row 0 at the top. Where the file says that its rows go "up", the heights of the field
-    # are in the opposite order. A text with x, y and z has no picture, so that both orders are accepted.
+    # The picture of a file shows row 0 at the top. If the orientation of a file's rows is "up", the heights of the
+    # field are in the opposite order. A text with x, y and z has no picture, so that both orders are accepted.
     pictures = [heights[::-1] if field.source is not None and field.source.rows == "up" else heights]
     if is_text:
         pictures.append(heights)
@@ -126,8 +126,8 @@ def agree(field: wd.HeightField, reading: Reading, *, is_text: bool) -> bool:
         return False
     for picture in pictures:
         known = np.isfinite(picture) & np.isfinite(reading.heights_um)
-        # Gwyddion replaces missing samples by finite heights, and marks them in a separate channel. Such a reading is
-        # compared at all samples that are not missing in the field of the library.
+        # Gwyddion replaces missing samples by finite heights, and marks these samples in a separate channel. Such a
+        # reading is compared at all samples that are not missing in the field of the library.
         if not is_text and np.isfinite(reading.heights_um).all():
             known = np.isfinite(picture)
         elif not np.array_equal(np.isnan(picture), np.isnan(reading.heights_um)):

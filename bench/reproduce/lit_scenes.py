@@ -1,10 +1,10 @@
 """Errors and times of pictures under skies, disc lights and many lights, on bodies that shadow themselves.
 
 Each row is a scene, a surface and a light, such as ``whole_scan_sun``. The reference is a sum over directions with
-shadows (``bench/truth/sky_sums.py``). A row has the errors of a picture relative to its tolerance, its processor time
-relative to that with one directional light, the number of pixels with an error above the tolerance, and the number of
-these for which ``image.error`` is above the tolerance, too. The reference of pictures with many lights, such as
-``tube_scan_16lights``, is the sum of pictures with one light each, at an eighth of the tolerance.
+shadows (``bench/truth/sky_sums.py``). A row has: the errors of a picture relative to its tolerance; its processor time
+relative to that of a picture with one directional light; the number of pixels whose error exceeds the tolerance; and
+the number of those pixels whose estimated error ``image.error`` exceeds it, too. The reference of pictures with many
+lights, such as ``tube_scan_16lights``, is the sum of pictures with one light each, at an eighth of the tolerance.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def scene_of(case: str, tolerance: float) -> tuple[Any, wd.HeightField, list[Any
 def reference(
     sums: SkySums, light: wd.DirectionalLight | np.ndarray, pixels: int, across: int, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return random interior pixels, their reference XYZ under a disc light or sky, and a mask.
+    """Return random interior pixels, the reference XYZ of these pixels under a disc light or sky, and a mask.
 
     The mask selects pixels that are not black and whose reference has a standard error below a third of the tolerance.
     """
@@ -173,7 +173,7 @@ def flicker(case: str, *, tolerance: float, frames: int) -> None:
 
     Flicker is the error of the change of a pixel's colour from one frame to the next. The reference is the change
     between the same frames at a fifth of the tolerance. Only pixels that the body covers completely in both frames are
-    included. The camera moves by 1/48 of a turn per frame.
+    included. The camera moves by 1/48 of a turn around the body per frame.
     """
     make, heightfield, lights, view, options = scene_of(case, tolerance)
     body, differences = make(), []

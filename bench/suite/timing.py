@@ -1,4 +1,4 @@
-"""Interleaved timing: in each round, every call runs once. Results are medians over the rounds with their range."""
+"""Interleaved timing: in each round, every call runs once. Results are medians and ranges over the rounds."""
 
 from __future__ import annotations
 
