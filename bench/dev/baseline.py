@@ -29,7 +29,7 @@ BASELINE = "435cbd29d7812b4a0b884249204b87c1858a2e49"
 def build(folder: Path, commit: str, versions_of: Path | None) -> Path:
     """Build the wheel of a commit and install it into a new environment.
 
-    Return the path of the environment's Python.
+    Return the path of the Python program of the environment.
     """
     if folder.exists() and any(folder.iterdir()):
         raise SystemExit(f"error: --folder must be empty or not exist yet, got {folder}")

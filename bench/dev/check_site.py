@@ -99,7 +99,7 @@ class Tab:
         return [*self.page.evaluate(FAULTS), *self.messages]
 
     def results(self, word: str) -> int:
-        """Return the number of pages that the search box of the first page finds for a word."""
+        """Search for a word by the search box of the first page, and return the number of pages in the result."""
         self.page.goto(f"{self.address}/index.html")
         self.page.locator("button.search-button__button:visible, button.search-button:visible").first.click()
         self.page.keyboard.type(word)

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     Values = dict[str, Any]
     Case = Callable[[int], Values]
 
-# Numbers of threads with which each case is computed.
+# Numbers of threads with which each test case is computed.
 THREADS = (1, 2)
 SIZE = {"width": 96, "height": 72}
 SMALL = {"width": 24, "height": 18}
@@ -67,11 +67,11 @@ PERIOD_NUMBERS = (
 )  # fmt: skip
 
 
-# Surfaces, bodies, cameras and lights that the cases use.
+# Surfaces, bodies, cameras and lights that the test cases use.
 
 
 def fingers() -> Any:
-    """Return a new height field of fingers, for which the package has no cached plans or tables."""
+    """Return a new height field of fingers as on a snake's skin, for which the package has cached nothing."""
     return wd.gratings.fingers(size_um=12.8, pitch_um=0.09, seed=5)
 
 
@@ -147,7 +147,7 @@ def coated_metal() -> Any:
     return wd.Material.metal("Al").coated(wd.Material.dielectric(1.5), 300.0)
 
 
-# Functions that collect the values to compare from a result of the package, by name.
+# Functions that collect, by name, the values of a result that are compared.
 
 
 def image_values(image: Any) -> Values:
@@ -156,7 +156,7 @@ def image_values(image: Any) -> Values:
 
 
 def map_values(image: Any) -> Values:
-    """Return the arrays of a picture or of a reflectance map, with the numbers of its plan."""
+    """Return the arrays of a picture or of a reflectance map, with the numbers of the plan."""
     arrays = {name: getattr(image, name) for name in IMAGE_ARRAYS} | dict(image.layers or {})
     return arrays | plan_values(image.plan)
 
@@ -244,7 +244,7 @@ def sampled_picture(method: str) -> Case:
 
 
 def explicit_tangents(threads: int) -> Values:
-    """Render a sphere with explicit tangents and no texture coordinates, as a perfect mirror without masking."""
+    """Render a sphere, as a perfect mirror without masking, with explicit tangents instead of texture coordinates."""
     ball = trimesh.creation.icosphere(subdivisions=3)
     tangents = np.cross([0.0, 1.0, 0.0], ball.vertices + np.array([1e-3, 0.0, 0.0]))
     view = wd.View((0.0, 0.5, 4.0), (0.0, 0.0, 0.0), **SIZE)
@@ -277,7 +277,7 @@ def successive_pictures(threads: int) -> Values:
 
 
 def previews(threads: int) -> Values:
-    """Collect the previews that a renderer completes at tolerances of 0.3 and 0.1, and its final picture."""
+    """Collect the previews that a renderer completes at tolerances of 0.3 and 0.1, and the final picture."""
     renderer = wd.Renderer(tube(), fingers(), ABOVE, tube_view(**MEDIUM), tolerance=2e-2, threads=threads)
     completed: Values = {}
 
@@ -289,7 +289,7 @@ def previews(threads: int) -> Values:
 
 
 def resized_renderer(threads: int) -> Values:
-    """Render a smaller picture with the plan and the tables of a larger one."""
+    """Render a smaller picture with the plan and the tables of a larger picture."""
     renderer = wd.Renderer(tube(), fingers(), [ABOVE, SIDE], tube_view(), tolerance=1e-1, refine=False, threads=threads)
     return image_values(renderer.resized(tube_view(**MEDIUM), refine=True).image())
 
@@ -366,7 +366,7 @@ def direction_colours(count: int, coherence: Any, **options: Any) -> Case:
 
 
 def spectra(threads: int) -> Values:
-    """Compute relative and absolute spectra for all kinds of coherence, and the order efficiencies of a grating."""
+    """Compute relative and absolute reflectance spectra for all kinds of coherence, and order efficiencies."""
     coherences = (wd.Coherence(), wd.Coherence("centred"), SOURCE, wd.Coherence("replicas", periods=(2, 2)))
     values: Values = {}
     for coherence in coherences:
@@ -411,7 +411,7 @@ def maps(threads: int) -> Values:
 
 
 def material_colours(threads: int) -> Values:
-    """Compute colours of a coated metal under two illuminants, its spectra, and the reflectance of a flat surface."""
+    """Compute a coated metal's colours under two illuminants, its spectra, and the reflectance of a flat surface."""
     lights, views = directions(60)
     material = coated_metal()
     options: Values = {"material": material, "threads": threads}
@@ -428,7 +428,7 @@ def material_colours(threads: int) -> Values:
 
 
 def surfaces(_: int) -> Values:
-    """Collect synthetic height fields and results of all cleaning methods.
+    """Collect synthetic height fields, and the results of all methods that clean them.
 
     For one cleaned height field, also collect the numbers of its summary and of a plan for its reflectance.
     """
@@ -688,7 +688,7 @@ CASES: dict[str, Case] = {
 def compute(names: list[str]) -> tuple[dict[str, np.ndarray], list[str]]:
     """Compute all values of the named test cases.
 
-    Keys of the values are "case/threads/name". The second result is a list of failures: exceptions, and values that
+    The keys of the values are "case/threads/name". The second result is a list of failures: exceptions, and values that
     depend on the number of threads.
     """
     values: dict[str, np.ndarray] = {}
@@ -744,7 +744,7 @@ def _difference(a: np.ndarray, b: np.ndarray) -> str:
 
 
 def main() -> int:
-    """Write the values, or compare them with a written file. Return 1 if a value differs or a case fails."""
+    """Write the values, or compare them with an earlier file. Return 1 if a value differs or a test case fails."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     action = parser.add_mutually_exclusive_group(required=True)
     action.add_argument("--write", type=Path, metavar="FILE", help="write the reference to this .npz file")

@@ -52,7 +52,8 @@ def frame_times(mesh: Any, surface: wd.HeightField, device: str, frames: int, **
     begin = time.perf_counter()
     renderer = wd.Renderer(mesh, surface, *moved(mesh, 0), device=device, pigment=0.0, **options)
     for index in range(frames + 1):
-        # A GPU works asynchronously. Without waiting for it, the measured time would end before the frame is complete.
+        # A GPU works asynchronously. If the script did not wait for it, the measured time would end before the frame is
+        # complete.
         wp.synchronize_device(renderer.draw(*moved(mesh, index)).device)
         end = time.perf_counter()
         seconds.append(end - begin)
@@ -62,7 +63,7 @@ def frame_times(mesh: Any, surface: wd.HeightField, device: str, frames: int, **
 
 
 def pictures(data: str | None) -> dict[str, tuple[Any, wd.HeightField, list[Any], dict[str, Any]]]:
-    """Return body, surface, lights and options of each compared picture, by its name."""
+    """Return body, height field, lights and options of each compared picture, by the name of the picture."""
     tube, fingers = wd.meshes.tube(), wd.gratings.fingers(size_um=12.8, pitch_um=0.09, seed=5)
     scan = inputs.levelled_scan(data)
     coarse: dict[str, Any] = {"tolerance": 1e-1}
@@ -83,7 +84,7 @@ def pictures(data: str | None) -> dict[str, tuple[Any, wd.HeightField, list[Any]
 
 
 def turned(light: Any) -> Any:
-    """Return the light with its direction or position changed by about its rounding error."""
+    """Return the light with its direction or position changed by about the rounding error of float32."""
     name = "position" if isinstance(light, wd.PointLight) else "to_light"
     return replace(light, **{name: tuple(np.array(getattr(light, name)) * (1.0 + TURN * np.array([1.0, -1.0, 0.0])))})
 
@@ -115,7 +116,7 @@ def picture_differences(case: Any, device: str) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print times and differences, and write them to a file."""
+    """Print times of frames and differences of pictures, and write both to a file."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--device", default="cuda", help="device to compare with the CPU (default: cuda)")
     parser.add_argument(

@@ -75,9 +75,7 @@ class Mutant:
 
 
 def definitions(tree: ast.Module) -> Iterator[tuple[tuple[str, ...], ast.stmt]]:
-    """Return each top-level statement of a module with the names that it defines.
-
-    The methods of a class follow the class.
+    """Return pairs of each top-level statement of a module and the names that it defines; methods follow their class.
     """
     for node in tree.body:
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):

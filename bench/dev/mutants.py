@@ -50,7 +50,7 @@ PATIENCE, COMPILE_S = 4.0, 60.0
 # otherwise exhaust.
 MEMORY = 12 << 30
 # Test processes are forks of a server process, which has already imported the slow packages. The server does not import
-# warpdiff: each fork imports it with its changed sources.
+# warpdiff, because each fork imports it from changed sources.
 PROCESSES = multiprocessing.get_context("forkserver")
 PROCESSES.set_forkserver_preload(["pytest", "hypothesis", "numpy.testing", "scipy.special", "trimesh", "warp"])
 
@@ -186,7 +186,7 @@ class Run:
         return [name for (*_, seconds, name), end in zip(ranked, ends, strict=True) if end - seconds < self._most_s]
 
     def test(self, mutant: Mutant) -> None:
-        """Make one change, run its tests, record the result, and undo the change."""
+        """Make one change, run the tests for it, record the result, and undo the change."""
         begin, path, tests = time.perf_counter(), self.tree / mutant.path, self.tests_of(mutant)
         source = path.read_bytes()
         path.write_bytes(mutant.apply(source))

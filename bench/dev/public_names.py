@@ -50,8 +50,8 @@ PLAN_FIELDS = {
     "split": "refined_share", "judged": "validation_size", "searched": "is_measured", "max_lateral": "max_order_rate",
 }  # fmt: skip
 COHERENCE_FIELDS = {"copies": "periods"}
-# Fields of a picture's report that were fields of the plan in version 0.1.0, with their values for a plan without a
-# picture.
+# Fields of a picture's report that were fields of the plan in version 0.1.0, with the values of these fields for a plan
+# without a picture.
 REPORT_FIELDS = {
     "light_sample_count": 0, "refined_share": 0.0, "unconverged_share": 0.0, "unconverged_edge_share": 0.0,
     "errors": (0.0, 0.0),
@@ -100,7 +100,7 @@ def _add_new_names(package: Any) -> None:
 
 
 def _with_new_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a wrapper of a function of version 0.1.0 that accepts keyword arguments by their present names, too."""
+    """Return a wrapper of a function of version 0.1.0 that also accepts the present names of keyword arguments."""
 
     @functools.wraps(function)
     def call(*positional: Any, **keywords: Any) -> Any:

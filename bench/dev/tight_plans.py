@@ -49,11 +49,11 @@ from warpdiff.planner import cost_model
 from warpdiff.request.directions import DirectionRange, order_rate
 from warpdiff.tables import coefficient_table
 
-# Width of the visible range in wavenumbers 1/λ [1/µm].
+# Width of the visible range, as a difference of wavenumbers 1/λ [1/µm].
 SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
 # Number of directions whose errors are evaluated, and number of directions of a call for which the plan is made.
 DIRECTIONS, PLANNED = 128, 40_000
-# Smallest cosine of the angle between random directions and the normal. The angle is at most 85°.
+# Smallest cosine of the angle between random directions and the normal; the angle is at most 85°.
 LOWEST = math.cos(math.radians(85.0))
 KINDS = ("averaged", "centred", "source", "replicas")
 # Tolerances of configurations. Replicated patches are not tried at tolerances below 1e-2, because the float64 reference
@@ -76,7 +76,8 @@ SPLITS = (1.0, 0.95, 0.9, 0.8, 0.7, 0.5, 0.25, 0.0)
 MORE_TERMS, MORE_EXPONENTS = 3, 5
 # Step and upper limit of the exponent a in the least weight exp(−a) of neighbouring Fourier coefficients.
 EXPONENT_STEP, MOST_EXPONENT = 0.5, 24.0
-# Largest predicted cost of methods and settings that are tried, relative to the lowest predicted cost.
+# Methods and settings of plans are tried only if their predicted cost, relative to the lowest predicted cost, is at
+# most this number.
 HOPELESS = 1.6
 TIMED = 4  # number of candidates that are timed
 # Largest number of directions of one timed call. The value is limited by time: if doubled, the calls take twice as
@@ -163,7 +164,7 @@ def _upper(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 class Call:
-    """Directions of one configuration, with their reference colours.
+    """Directions of one configuration (inputs of a plan), with the reference colours of these directions.
 
     Methods compute the colours and errors of these directions by a plan.
     """
@@ -237,7 +238,7 @@ class Call:
         return np.max(groups, axis=0)
 
     def error(self, plan: wd.Plan) -> float:
-        """Compute colours by a plan, and return the larger P99 of their errors: of bright or of dim directions."""
+        """Compute colours by a plan; return the larger 99th percentile of errors, of bright or dim directions."""
         return float(self.worst(self.errors(plan)))
 
 
@@ -264,7 +265,8 @@ class Bandwidths:
         step = np.clip(step, 0, np.floor(-4.0 * np.log2(c) + 1e-9).astype(int))
         tops = np.arange(len(self.sizes))
         which = [np.maximum(top - step, first) for top in tops[first:]]
-        # An assignment with a number of wavelengths from ``FEWER`` has this number for all directions.
+        # An assignment states a number of wavelengths for every direction. The numbers in ``FEWER`` are used only for
+        # all directions alike.
         which = [np.full((1, len(call.w)), top) for top in tops[:first]] + which
         self.which = np.concatenate(which)
         self.made = [(top, 0) for top in tops[:first]]
@@ -275,7 +277,8 @@ class Bandwidths:
     def cheapest(self, call: Call, errors: np.ndarray, tolerance: float) -> int | None:
         """Return the index of the assignment with the fewest wavelengths that meets the tolerance, or None.
 
-        ``errors`` has the errors of all directions for all numbers of wavelengths, shape (sizes, n).
+        An assignment states a number of wavelengths for every direction. ``errors`` has the errors of n directions for
+        all numbers of wavelengths, shape (sizes, n).
         """
         columns = np.arange(errors.shape[1])
         for start in range(0, len(self.order), CHUNK):
@@ -503,7 +506,7 @@ def quartiles(values: list[float]) -> str:
 
 
 def main() -> None:
-    """Print the table of configurations and its summary."""
+    """Print the table of configurations and a summary of the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=40, help="number of configurations (default: 40)")
     parser.add_argument("--only", type=int, help="run only the configuration with this index")

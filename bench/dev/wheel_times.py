@@ -48,7 +48,8 @@ CLOCKS = ("wall", "cpu")
 # Least number of rounds for which order statistics give a confidence interval of 95 %. The number is derived: with the
 # probability 2 · 0.5⁶ < 5 %, all of 6 values lie on the same side of the median.
 FEWEST_ROUNDS = 6
-# Target of the total time of one wheel's calls per task and round [s], and smallest and largest number of these calls.
+# Time that all calls of one wheel should take together per task and round [s], and smallest and largest number of these
+# calls.
 SECONDS_PER_ROW, FEWEST_CALLS, MOST_CALLS = 0.6, 3, 25
 # Number of directions of a timed call.
 DIRECTIONS = 100_000
@@ -173,7 +174,7 @@ PROCESS_ROWS: dict[str, tuple[int, list[str]]] = {
 
 
 def timed(call: Call, k: int) -> Seconds:
-    """Return the wall time and the processor time of one call."""
+    """Return the wall-clock time and the processor time of one call."""
     wall, cpu = time.perf_counter(), time.process_time()
     call(k)
     return Seconds(time.perf_counter() - wall, time.process_time() - cpu)
@@ -182,7 +183,7 @@ def timed(call: Call, k: int) -> Seconds:
 def work(threads: int | None) -> None:
     """Run the worker process: write the names of its tasks, then time one call for each line of stdin.
 
-    A line is the name of a task to prepare, or the number of a call of this task.
+    Each line is the name of a task to prepare, or the number of the next call of the prepared task.
     """
     # This process writes its answers to its stdout. Output of libraries is discarded, because it would mix with the
     # answers.
@@ -270,7 +271,7 @@ class Worker:
         return Seconds(*self._answer())
 
     def run(self, k: int) -> Seconds:
-        """Return the times of one call of the prepared task, which gets the number ``k`` of the call."""
+        """Return the times of one call of the prepared task; ``k`` is the number of the call."""
         self.ask(k)
         return self.receive()
 
@@ -312,8 +313,8 @@ class Row:
         count = len(ratios)
         if count < FEWEST_ROUNDS:
             return float(np.median(ratios)), -math.inf, math.inf
-        # There are n ratios, one per round. Their true median lies outside of the interval from the i-th smallest to
-        # the i-th largest ratio with the probability 2 · Σ C(n, k) / 2ⁿ for k < i.
+        # There are n ratios, one per round. The true median of such ratios lies outside of the interval from the i-th
+        # smallest to the i-th largest ratio with the probability 2 · Σ C(n, k) / 2ⁿ, a sum over k < i.
         outside, i = 0.0, 0
         while 2.0 * (outside + math.comb(count, i) * 0.5**count) <= 0.05:
             outside += math.comb(count, i) * 0.5**count

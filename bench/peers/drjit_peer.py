@@ -80,7 +80,7 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
 
 
 def _aligned(values: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return a float32 copy that starts at a cache line. Dr.Jit compiles again if the alignment changes."""
+    """Return a float32 copy of an array that starts at a cache line. Dr.Jit compiles again if the alignment changes."""
     memory = np.empty(len(values) + LINE, dtype=np.float32)
     first = -memory.ctypes.data // memory.itemsize % LINE
     memory[first : first + len(values)] = values

@@ -60,7 +60,7 @@ def available() -> str | None:
 
 
 def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Callable[..., NDArray[np.float32]]:
-    """Return a function ``shade(scattering_vectors, gains, threads)`` that returns XYZ (n, 3) of directions."""
+    """Return a function ``shade(scattering_vectors, gains, threads)`` that computes XYZ (n, 3) of directions."""
     made = series.series(heightfield, coherence, **setting)
     across, along = map(np.float32, made.falloff)
     if -max(across, along) * (made.neighbour_extent + 1) ** 2 < LEAST_EXPONENT:
@@ -84,7 +84,7 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
 
 @functools.lru_cache(maxsize=4)
 def _lines(heightfield: wd.HeightField, terms: int, centred: bool) -> NDArray[np.float32]:
-    """Return the rows of coefficients, padded with zeros to whole cache lines, shape (n, 2, lanes)."""
+    """Return the rows of Fourier coefficients, padded with zeros to whole cache lines, shape (n, 2, lanes)."""
     rows = series.rows_of(heightfield, terms, centred)[0]
     lines = _aligned((len(rows), 2, LANES * math.ceil(terms / LANES)))
     lines[:, :, :terms] = rows
@@ -135,7 +135,7 @@ def _exp(x):
 
 @functools.cache
 def _kernel(lanes: int, neighbour_extent: int, powers: bool) -> Any:  # noqa: PLR0915
-    """Return the compiled kernel for fixed numbers of terms and neighbours, which are the lengths of its loops."""
+    """Return the compiled kernel for fixed numbers of terms of the series and of neighbouring coefficients."""
     side = 2 * neighbour_extent + 1
     # Three neighbouring coefficients are processed at a time. A loop with a shorter body would be unrolled before it
     # could be vectorised. If the number of coefficients is no multiple of three, the last entries have the weight 0.

@@ -120,9 +120,9 @@ def truth(rays: Rays, chosen: NDArray[np.int64]) -> tuple[Hits, NDArray[np.bool_
 
 
 def _interpolated(surface: Surface, face: Any, bary: Any) -> NDArray[np.float64]:
-    """Return the interpolated unit normals of hits in float64, from their faces (n,) and barycentric coordinates.
+    """Return interpolated unit normals of hits in float64, from the hits' faces (n,) and barycentric coordinates.
 
-    A miss has the face −1, and its normal is arbitrary.
+    The face of a miss is −1, and the normal of a miss is arbitrary.
     """
     normal = np.einsum("kc,kcd->kd", np.float64(bary), surface.normals[surface.faces[face]].astype(np.float64))
     return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)

@@ -142,7 +142,7 @@ def _brightness(heightfield: wd.HeightField, coherence: wd.Coherence, run: Calla
 
 @functools.cache
 def _kernels() -> tuple[Any, Any]:
-    """Return the compiled functions of the two forms, ``"rainbow"`` and ``"cie"``."""
+    """Return the compiled functions of the shader's two forms, ``"rainbow"`` and ``"cie"``."""
 
     @numba.njit(parallel=True, fastmath=True, error_model="numpy")
     def rainbow(period, roughness, to_xyz, scale, scattering_vectors, gains, xyz_out):

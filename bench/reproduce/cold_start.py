@@ -69,7 +69,7 @@ def seconds(code: str, cache: Path) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Time all kinds of processes and print a table of the times."""
+    """Time processes with an empty and with a filled kernel cache, and print a table of the times."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scan", type=Path, help="file of a scan with 1332 × 1332 samples to time")
     options = parser.parse_args()

@@ -33,7 +33,7 @@ from warpdiff.scene.mesh_import import prepare_surface
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-# Size of a crop, and width of the margin [pixels] that the pixel filter requires around it.
+# Width and height of a crop, and width of the margin around the crop that the pixel filter requires [pixels].
 WIDTH, HEIGHT, MARGIN = 24, 18, 2
 # Size of the whole picture [pixels], of which a crop is a part.
 WHOLE = (640, 480)
@@ -50,7 +50,7 @@ LIGHTS = (wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.7, 0.8, 
 EYES = ((0.0, 1.6, 3.1), (2.4, 0.5, 1.9))
 FOV_DEG, RADII = 27.0, 4.6
 # Share of the picture's pixels that are brighter than white after exposure. Pictures are exposed in this way before
-# their colour differences ΔE2000 are computed.
+# colour differences ΔE2000 are computed.
 CLIPPED = 1e-3
 # Distances of cameras that render crops, from the eye to the middle of the crop. They are relative to the distance of
 # the camera that shows the whole body.
@@ -112,7 +112,7 @@ def lumpy(subdivisions: int) -> Any:
 def _unwrapped(mesh: Any, uv: np.ndarray) -> Any:
     """Return a mesh with texture coordinates, where u increases by 1 around the z-axis.
 
-    Faces that cross the seam get corners of their own, with u beyond 1.
+    The seam is the line where u jumps from 1 to 0. Faces that cross the seam get separate corners, with u beyond 1.
     """
     faces, vertices = np.array(mesh.faces), np.asarray(mesh.vertices)
     across = np.ptp(uv[faces, 0], axis=1) > 0.5
@@ -169,7 +169,7 @@ def truth(area: Crop, tolerance: float) -> Truth:
 
 
 def filtered(area: Crop, tolerance: float, points: int) -> Truth:
-    """Return the filtered mean of ``points`` × ``points`` points per pixel of a crop."""
+    """Return the mean over ``points`` × ``points`` points per pixel of a crop, weighted by the pixel filter."""
     view = finer(area.view, points, MARGIN)
     image = wd.shade(
         area.mesh, area.heightfield, area.light, view, tolerance=max(OF_POINTS * tolerance, 1e-5), footprint=False,

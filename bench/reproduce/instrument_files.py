@@ -1,12 +1,13 @@
 """Comparison of ``HeightField.load`` with independent programs, on a folder of files of instruments and text exports.
 
-``python -m bench.reproduce.instrument_files FOLDER`` prints a line for each file, and counts. It requires the extra
-``scans``. Test files are in the repositories ContactEngineering/SurfaceTopography (test/file_format_examples),
+``python -m bench.reproduce.instrument_files FOLDER`` prints a line for each file, and counts. The command requires the
+extra ``scans``. Test files are in the repositories ContactEngineering/SurfaceTopography (test/file_format_examples),
 AFM-SPM/AFMReader (tests/resources), fredericjs/surfalize (tests/test_files), heike/x3ptools and OpenFMC/x3p.
 
 Independent readings: Gwyddion's importers (package gwyddionpy with its extra converter, if it is installed) for binary
 files, a plain reading of the binary member for .x3p, and SurfaceTopography for texts. Shape, size (within 1e-4),
-missing samples and heights (within 1e-3 of their range, up to a constant) must be equal without a flip.
+missing samples and heights (within 1e-3 of the height range, up to a constant) must be equal, without a flip of an
+axis.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ from warpdiff.heightfield.readers.length_units import factor_of
 
 TEXTS = (".txt", ".csv", ".asc", ".gz", ".hfm")
 # Suffixes of scans of heights that the package refuses. The other programs of this comparison cannot open such a file
-# and confirm that it is a scan. A file with such a suffix therefore counts as a scan without their confirmation.
+# and confirm that it is a scan. A file with such a suffix therefore counts as a scan without a confirmation by another
+# program.
 REFUSED_SCANS = (".nms", ".h5-jpk")
 # Suffixes of files in the folder that do not come from instruments. These files are skipped.
 OTHERS = (".yaml", ".npy", ".py", ".nc", ".list", ".log", ".sh")
@@ -38,7 +40,7 @@ _TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
 
 
 class Reading(NamedTuple):
-    """A map of heights [µm] in the order of the picture, NaN for missing samples, and its size (Ly, Lx) [µm]."""
+    """Heights [µm] in the order of the picture, NaN for missing samples, and the size (Ly, Lx) of the field [µm]."""
 
     heights_um: np.ndarray
     size_um: tuple[float, float]
@@ -89,7 +91,7 @@ def plain_x3p(path: Path) -> list[Reading]:
 
 
 def text_readings(path: Path) -> list[Reading]:
-    """Return the maps that SurfaceTopography reads from a text.
+    """Return the fields of heights that SurfaceTopography reads from a text.
 
     If the text states no unit, the unit is nm; if it states no size, the sample spacing is one unit.
     """

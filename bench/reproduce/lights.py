@@ -133,7 +133,7 @@ def against_sums(kind: str, seed: int, pixels: int, across: int, tolerances: lis
             summed = functools.partial(sums.under_sky, sky=grey)
             _judge(name, inside, summed, 32 * across, seed, tolerances, options=options)
             continue
-        # The direction to the light is that to the eye plus a random vector with components from −0.7 to 0.7.
+        # The direction to the light is the direction to the eye plus a random vector with components from −0.7 to 0.7.
         towards = np.asarray(view.eye) - np.asarray(view.target)
         towards = towards / np.linalg.norm(towards) + rng.uniform(-0.7, 0.7, 3)
         degrees = DIAMETERS[index % len(DIAMETERS)]

@@ -26,7 +26,7 @@ import trimesh
 import warpdiff as wd
 
 PAGE = Path(__file__).parents[2] / "docs" / "contributing" / "add_a_light.md"
-# Tolerances of the pictures and of their reference.
+# Tolerance of the compared pictures, and tolerance of the reference picture.
 TOLERANCE, OF_REFERENCE = 0.1, 0.03
 # Numbers of lobes that are compared, and number of lobes of the reference.
 COUNTS, MOST = (4, 8, 16, 32), 256
@@ -35,7 +35,7 @@ DARK = 0.02
 
 
 def line_light() -> Any:
-    """Return the class ``LineLight`` of the page for contributors."""
+    """Return the class ``LineLight`` from the code of the page ``docs/contributing/add_a_light.md``."""
     code = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)[0]
     module = types.ModuleType("line_light_of_the_page")
     sys.modules[module.__name__] = module

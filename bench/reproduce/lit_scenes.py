@@ -25,7 +25,7 @@ from bench.reproduce.lights import converged_means, distances, sky
 from bench.truth.sky_sums import SkySums
 
 SIZE = {"width": 240, "height": 130}
-# Direction to the disc lights of all scenes except the plate.
+# Direction to the disc lights of all scenes except the scene of a plate above a floor.
 TOWARDS = (0.6, 1.0, -0.1)
 CASES = [
     *(f"{scene}_scan_{light}" for scene in ("whole", "close", "coils", "tube") for light in ("sun", "nosun", "room")),
@@ -35,7 +35,7 @@ CASES = [
 
 
 def plate() -> trimesh.Trimesh:
-    """Return a mesh of a horizontal plate above a larger floor, on which it casts a shadow."""
+    """Return a mesh of a horizontal plate above a larger floor; the plate casts a shadow on the floor."""
     parts = []
     for half, height in ((1.0, 0.0), (0.3, 0.4)):
         corners = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]], dtype=float)
@@ -127,7 +127,7 @@ def reference(
 
 
 def judge(case: str, *, tolerance: float, pixels: int, across: int) -> None:
-    """Render one case, compare it with the reference, and print its row."""
+    """Render one case, compare it with the reference, and print its row of the table."""
     name = case.split("_")[2]
     make, heightfield, lights, view, options = scene_of(case, tolerance)
     body, window = make(), options["coherence"]

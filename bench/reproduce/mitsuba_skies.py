@@ -127,7 +127,7 @@ def compare(case: str, mi: Any, scan: wd.HeightField, spectrum: Path, options: a
 
 
 def measured(draw: Any) -> float:
-    """Draw a picture three times. Return the median of the processor times [s]."""
+    """Draw a picture three times. Return the median of the processor times of the drawings [s]."""
     times = []
     for _ in range(3):
         begin = time.process_time()
@@ -165,7 +165,7 @@ def sensor(mi: Any, view: wd.View) -> dict[str, Any]:
 
 
 def mesh(mi: Any, body: Any, spectrum: Path) -> Any:
-    """Return Mitsuba's mesh of a body, with its normals and texture coordinates."""
+    """Return Mitsuba's mesh of a body, with the normals and texture coordinates of the body."""
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict({"type": "warpdiff", "filename": str(spectrum)})
     result = mi.Mesh(

@@ -71,7 +71,7 @@ class Grating(NamedTuple):
 
 
 class Shares(NamedTuple):
-    """Counts and shares of gratings by the grade of their verdict.
+    """Counts and shares of gratings by the grade of the verdict on them.
 
     Three of the shares have targets, see ``meets_targets``.
     """
@@ -85,7 +85,7 @@ class Shares(NamedTuple):
 
     @classmethod
     def of(cls, errors: np.ndarray, verdicts: np.ndarray) -> Shares:
-        """Compute counts and shares from the actual errors of gratings and the errors that their verdicts predict."""
+        """Compute counts and shares from the actual errors of gratings and from the errors that verdicts predict."""
         wrong, reliable, invalid = errors > WRONG, verdicts < QUALITATIVE, verdicts >= INVALID
         return cls(
             len(errors), int(reliable.sum()), _share(wrong[reliable]), _share(reliable[~wrong]),
@@ -180,7 +180,7 @@ def _glass_cells() -> list[tuple[float, float]]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the shares; return 1 if a target is missed."""
+    """Print the shares of gratings by grade; return 1 if a target is missed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rise", action="store_true", help="compare heights of the full weight above the horizon")
     if parser.parse_args(arguments).rise:

@@ -100,7 +100,7 @@ class Setup:
 
     @property
     def natural_name(self) -> str:
-        """Name of the natural surface in figures."""
+        """Name in figures of the natural surface: the scan, or the fingers that replace it."""
         return "fingers" if self.scan is None else "Elaphe"
 
 
@@ -161,7 +161,7 @@ def library(
 
 
 def blazed() -> wd.HeightField:
-    """Return the published blazed grating, with a period of 2.5 µm."""
+    """Return the blazed grating of the publication (Single 2014), with a period of 2.5 µm."""
     return wd.gratings.blazed(BLAZED_UM, 0.25)
 
 
@@ -181,7 +181,7 @@ def written(periods: Floats) -> str:
 def methods_of(
     heightfield: wd.HeightField, raw: wd.HeightField | None, *, periods: tuple[int, int]
 ) -> dict[str, tuple[str, Any, float]]:
-    """Return the compared methods by name: key in ``PUBLISHED``, function for ρ, and step of angles [degrees]."""
+    """Return the compared methods by name: key in ``PUBLISHED``, reflectance function, step of angles [degrees]."""
     repeated = wd.Coherence("replicas", periods=periods)
     many = f"{periods[0]} × {periods[1]} periods"
     other = library(heightfield, opposite=True, strict=False)
@@ -364,7 +364,7 @@ def map_gratings(setup: Setup) -> Table:
 # Exposure of rendered bodies, relative to the exposure of reflectance maps.
 RENDERED = 10.0
 LIGHT = wd.DirectionalLight((0.5, 0.75, -0.8))
-# Point on the snake's back at which a diffraction order is visible.
+# Point on the snake's back at which a diffraction order is visible; the camera looks at it.
 COLOURED = (-0.453, 0.190, -0.137)
 
 

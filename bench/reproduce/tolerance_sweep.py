@@ -61,7 +61,7 @@ class Outcome(NamedTuple):
 
     @property
     def margin(self) -> float | None:
-        """Ratio of predicted to measured error, or None if the measured error is below ``COUNTS_FROM`` tolerances."""
+        """Ratio of predicted to measured error; None if the latter is below ``COUNTS_FROM`` times the tolerance."""
         measured = max(self.bright, self.dim)
         return self.predicted / measured if COUNTS_FROM <= measured < np.inf else None
 
@@ -123,7 +123,7 @@ def share_predicted(outcomes: list[Outcome]) -> float:
 
 
 def table(outcomes: list[Outcome]) -> list[str]:
-    """Return the lines of a Markdown table with one row per stratum and one for all calls."""
+    """Return the lines of a Markdown table with a row per stratum (group of calls) and a row for all calls."""
     low, high = PREDICTED
     columns = (
         "stratum", "calls", "within", "refused", "warned", "worst error / tolerance: all", "bright", "dim",

@@ -76,7 +76,8 @@ def periods(
 
     def weights(position: Floats, axis: int) -> tuple[Floats, Floats]:
         if heightfield.shape[axis] == 1:
-            # Along an axis with one sample, the coefficients do not depend on the frequency, and are not interpolated.
+            # Along an axis with one sample, the Fourier coefficients do not depend on the frequency, and are not
+            # interpolated.
             order = np.zeros((len(position), 1))
             weight = order + 1.0
         elif interpolation == "linear":

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 SURFACE = "fingers 25.6 µm"
 SUBJECTS = ("snake", "tube", "low-poly", "disc", "bottle")
-# Seed of the random positions of crops, and number of crops per body.
+# Seed of the random positions of crops (small parts of pictures), and number of crops per body.
 SEED, CROPS = 90, 4
 # Tolerance of the plans for point samples. The value is derived: half of the smallest tolerance of the refined frames.
 # The reference has a third of this tolerance.

@@ -127,7 +127,7 @@ def best(peer: Any, settings: list[dict[str, Any]], heightfield: wd.HeightField,
 
 
 def label(setting: dict[str, Any]) -> str:
-    """Return a short description of a peer's setting."""
+    """Return a short description of a setting of a peer (another program)."""
     if not setting:
         return "default"
     if "colours" in setting:
@@ -140,7 +140,7 @@ def label(setting: dict[str, Any]) -> str:
 def plans(
     scene: Scene, coherence: wd.Coherence, directions: Directions, setting: Setting
 ) -> dict[tuple[str, str], wd.Plan]:
-    """Return plans for the illuminated pixels of a scene, by (method, tolerance)."""
+    """Return plans for the illuminated pixels of a scene, by the pair (method, tolerance)."""
     result = {}
     pairs = directions.to_lights, -directions.scattering_vectors - directions.to_lights
     options: dict[str, Any] = {"coherence": coherence, "device": setting.device, "threads": setting.threads}
@@ -328,7 +328,7 @@ def _at(curve: dict[str, Any], error: float) -> int | None:
 
 
 def finding(result: dict[str, Any]) -> str:
-    """Return a sentence that compares the automatic choice with the fastest peer at an error of 1e-2."""
+    """Return a sentence that compares the automatic choice with the fastest other program at an error of 1e-2."""
     curves = result["curves"]
     ours_at = _at(curves[AUTOMATIC], 1e-2)
     if ours_at is None:

@@ -26,7 +26,7 @@ EXPOSURE = 5.0
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Return sRGB pictures (height, width, 3) of all scenes, and their errors.
+    """Return sRGB pictures (height, width, 3) of all scenes, and the errors of these pictures.
 
     Errors are relative to the picture by warpdiff with a tolerance of 1e-3.
     """

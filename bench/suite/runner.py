@@ -26,8 +26,8 @@ from warpdiff.device.devices import resolve_device, resolve_threads
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-# Modules of the charts in the order of the report. Each has measure(setting), numbers(results) and chart(results,
-# folder).
+# Modules of the charts in the order of the report. Each module has the functions measure(setting), numbers(results) and
+# chart(results, folder).
 PARTS = ("previews", "pareto", "frames", "rays", "scaling", "stability", "validity")
 PACKAGES = (
     "warp-lang", "numpy", "trimesh", "colour-science", "OpenImageIO", "matplotlib", "numba", "drjit", "mitsuba",
@@ -206,7 +206,7 @@ def report(results: dict[str, Any]) -> str:
 
 
 def compare(old: Path, new: Path) -> list[str]:
-    """Return the numbers that differ between two runs by more than their noise, the largest change first.
+    """Return the numbers that differ between two runs by more than the noise, the largest change first.
 
     Args:
         old: Path of the first ``results.json``.

@@ -58,8 +58,8 @@ def most_memory() -> float:
     """Return the peak memory of this process [MB]."""
     status = Path("/proc/self/status")
     if status.is_file():
-        # getrusage is used only where /proc/self/status is missing, because its value includes the memory of the parent
-        # process.
+        # The function getrusage is used only where /proc/self/status is missing, because its result includes the memory
+        # of the parent process.
         return float(status.read_text().split("VmHWM:")[1].split()[0]) / 1024.0
     import resource
 

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-# Refractive index of the surface.
+# Refractive index of the surfaces of all scenes.
 IOR = 1.5
-# Width of the pictures whose pixels are timed.
+# Width of the pictures whose pixels are timed [pixels].
 WIDTH = 960
 # Number of illuminated pixels of a frame. The time per frame is estimated as the time per pixel times this number.
 FRAME_PIXELS = 150_000

@@ -97,7 +97,7 @@ class Points:
         self, heightfield: wd.HeightField, lights: np.ndarray, views: np.ndarray, coherence: wd.Coherence,
         exact: np.ndarray, name: str = AUTOMATIC,
     ) -> None:  # fmt: skip
-        """Evaluate the library's automatic choice, and add its error at the present value on the x axis."""
+        """Evaluate the library's automatic choice, and add the error of its colours at the present x value."""
         arguments = {"coherence": coherence, "tolerance": TOLERANCE}
         xyz, message = methods.outcome(wd.reflectance, heightfield, lights, views, **arguments)
         if message:
@@ -144,7 +144,7 @@ class Points:
 
 
 def height_range(which: slice = ALL) -> Panel:
-    """Return the panel of the height range: errors of every series in float32 and in float64."""
+    """Return the panel of the height range: errors of all series expansions in float32 and in float64."""
     sigma, (lights, views) = 2.0, methods.hemisphere_pairs(48)
     flat, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=3), wd.Coherence(sigma_um=sigma)
     x, points = np.geomspace(0.05, 5.0, 13)[which], Points()
@@ -360,8 +360,8 @@ def wavelength_steps(which: slice = ALL) -> Panel:
             equal = methods.wavenumber_colour(heightfield, lights, views, round(400.0 / step) + 1, window)
             points.add(EQUAL + name, methods.colour_error(fixed, exact))
             points.add(CUBICS + name, methods.colour_error(equal, exact))
-            # The automatic choice does not depend on the wavelength step. Its curve is constant, and shows the larger
-            # error of the panel's two surfaces.
+            # The automatic choice does not depend on the wavelength step. The curve of the automatic choice is
+            # constant, and shows the larger error of the panel's two surfaces.
             points.automatic(heightfield, lights, views, window, exact)
     return points.panel(
         "wavelength steps", "step [nm]", x, "fingers, 25.6 µm, σ 16.25 µm; small: 3.2, 2", (1, 2, 5, 10, 20, 50)
@@ -370,7 +370,7 @@ def wavelength_steps(which: slice = ALL) -> Panel:
 
 REGIMES = (height_range, window_width, patch_size, order_rate, grazing, pitch, periods, wavelength_steps)
 
-# Colours similar to those of ColorBrewer. Related methods have similar hues.
+# Colours of curves, similar to those of ColorBrewer. Related methods have similar hues.
 RED, ORANGE, BLUE, TEAL, PURPLE = "#b2182b", "#e08214", "#1b6cb5", "#1a9879", "#7b4fa3"
 BROWN, SAND, GREEN, LIME, CYAN, PINK, ROSE, GREY = (
     "#8c510a", "#d8a657", "#1b7837", "#7fbf7b", "#0096b4", "#c51b7d", "#ee9cca", "#555555",

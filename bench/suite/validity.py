@@ -59,21 +59,21 @@ WAVELENGTH_NM = 500.0
 
 
 class Integral:
-    """Reference solver by boundary integrals. Its periods and depths are relative to the wavelength."""
+    """Reference solver by boundary integrals. Periods and depths of gratings are relative to the wavelength."""
 
     def __init__(self) -> None:
         from gratinglab import Illumination, problem, profiles, solvers
 
         self._illumination, self._problem, self._profiles = Illumination.classical, problem.Problem, profiles
         self._solver = solvers.get_solver("integral")
-        # The solver reads indices of refraction from files. An environment variable states their folder.
+        # The solver reads indices of refraction from files. An environment variable states the folder of these files.
         self._folder = tempfile.TemporaryDirectory()
         os.environ["GRATINGLAB_MATERIALS"] = self._folder.name
 
     def __call__(
         self, shape: str, period: float, depth: float, angle: float, index: float | None, *, finer: float = 1.0
     ) -> tuple[np.ndarray, np.ndarray, float]:  # fmt: skip
-        """Return the diffraction orders of a grating, their efficiencies, and the error of the energy balance."""
+        """Return the diffraction orders of a grating with their efficiencies, and the error of the energy balance."""
         profile = {
             "sine": lambda: self._profiles.Sinusoidal(depth_fraction=depth / period),
             "square": lambda: self._profiles.Lamellar(depth_fraction=depth / period),

@@ -24,7 +24,7 @@ GRATINGS = ("fingers", "sinusoidal", "lamellar", "blazed", "disc", "bumps")
 LAYOUTS = ("few", "some", "many", "many", "grid", "grid", "map", "map", "frame")
 WAYS = ("random", "mirror", "orders", "grazing", "mixed")
 ILLUMINANTS = ("D65", "D65", "D65", "A", "FL11", "HP1", "E")
-# Materials of half of the calls. The other calls use the default material.
+# Materials from which half of the calls draw theirs. The other calls use the default material.
 MATERIALS = (
     None, *map(wd.Material.metal, ("Al", "Au", "Cu", "Cr")), wd.Material.dielectric(1.5),
     wd.Material.metal("Ni").coated(wd.Material.dielectric(1.46), 220.0),
@@ -43,7 +43,7 @@ MOST = 262_144
 # least 0.1 ms.
 MOST_SAMPLED = 32_768
 MOST_REPLICAS = 8_192
-# Largest angle of directions from the normal [degrees], and its cosine.
+# Largest angle of directions from the normal [degrees], and the cosine of this angle.
 STEEPEST_DEG = 85.0
 LOWEST = math.cos(math.radians(STEEPEST_DEG))
 # Largest sample spacing [µm] of resampled surfaces. The value is derived: slightly below 95 nm, which is half of the
@@ -184,7 +184,7 @@ def surface(rng, name, scan, *, small=False):
 
 
 def diagonal(rng, heightfield):
-    """Return a square periodic height field with its ridges along the diagonal, with some roughness added."""
+    """Return a square periodic height field with ridges along the diagonal and with added roughness."""
     n = min(heightfield.shape)
     rows, columns = np.mgrid[:n, :n]
     ridges = heightfield.heights_um[rows, (columns + rows) % n]
@@ -203,7 +203,7 @@ def rough(rng):
 
 
 def fewer(heights):
-    """Return one corner of an array of heights, which has at most ``MOST_PATCH_SAMPLES`` samples."""
+    """Return a corner of an array of heights that has at most ``MOST_PATCH_SAMPLES`` samples."""
     ny, nx = heights.shape
     while ny * nx > MOST_PATCH_SAMPLES:
         ny, nx = (ny - ny // 8, nx) if ny >= nx else (ny, nx - nx // 8)

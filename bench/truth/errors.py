@@ -19,7 +19,7 @@ def reference_luminance(luminance: np.ndarray, weights: np.ndarray | None = None
 
 
 def percentile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    """Return the value below which ``share`` of the total weight of the values lies, or 0 without values."""
+    """Return the weighted percentile: the value below which ``share`` of the total weight lies; 0 without values."""
     if not len(values) or not weights.sum() > 0.0:
         return 0.0
     order = np.argsort(values)

@@ -43,7 +43,7 @@ LEAST = 1e-10
 
 
 class Result(NamedTuple):
-    """Results of a call for its illuminated directions. ``read`` marks directions that the planner's trials used."""
+    """Results of a call for its illuminated directions. ``read`` marks directions on which the planner tried plans."""
 
     xyz: np.ndarray  # colours of the directions, shape (n, 3)
     to_light: np.ndarray  # directions to the light, shape (n, 3)
@@ -76,7 +76,7 @@ class Figure(NamedTuple):
 
 @contextmanager
 def witnessed() -> Iterator[list[np.ndarray]]:
-    """Record the scattering vectors (u, v, w) of directions that the planner's trials use in the ``with`` block."""
+    """Record the scattering vectors (u, v, w) of directions on which the planner tries plans in the ``with`` block."""
     vectors: list[np.ndarray] = []
 
     class Witness(trial.Trial):

@@ -27,7 +27,7 @@ PUBLISHED_TERMS = 37
 # Exponent at which the Gaussian of a coherence window is truncated. The value is derived: exp(−36) = 2e-16 is the
 # rounding error of float64.
 DEPTH = 36.0
-# Luminance, relative to a mirror, below which the library treats a direction as dark.
+# Luminance, relative to that of a mirror, below which the library treats a direction as dark.
 DARK = 1e-10
 # Largest number of values in a temporary array. The value is limited by memory.
 CHUNK = 1 << 21
@@ -103,10 +103,11 @@ def finger_rows(length_um, height_um=0.3, pitch_um=0.05):
 
 
 def in_plane(count, largest, seed=0):
-    """Return lights and views (count, 3) in the xz-plane with 0.02 <= |u| <= largest. |u| is log-uniform."""
+    """Return directions to light and view (count, 3) in the xz-plane, with |u| log-uniform from 0.02 to ``largest``."""
     rng = np.random.default_rng(seed)
     u = np.exp(rng.uniform(math.log(0.02), math.log(largest), count))
-    # In this function u is sin θi + sin θr. Both sines must be between −0.97 and 0.97.
+    # Here u is sin θi + sin θr, with the angles θi of light and θr of view from the normal. Both sines must be between
+    # −0.97 and 0.97.
     light = rng.uniform(np.maximum(-0.97, u - 0.97), np.minimum(0.97, u + 0.97))
     x = np.stack([light, u - light]) * rng.choice([-1.0, 1.0], count)
     pair = np.stack([x, np.zeros_like(x), np.sqrt(1.0 - x**2)], axis=-1)
@@ -114,7 +115,7 @@ def in_plane(count, largest, seed=0):
 
 
 def hemisphere_pairs(count, lowest=0.1, seed=0):
-    """Return random lights and views (count, 3) on the hemisphere with z >= lowest."""
+    """Return random directions to light and view (count, 3) on the hemisphere, with z >= lowest."""
     rng = np.random.default_rng(seed)
     z, phi = rng.uniform(lowest, 1.0, (2, count)), rng.uniform(0.0, 2.0 * np.pi, (2, count))
     s = np.sqrt(1.0 - z * z)
@@ -159,10 +160,10 @@ def at_elevation(count, elevation_deg, spread_deg=None, seed=0):
 
 
 def near_resonance(heightfield, away, wavelength_um, seed=7):
-    """Return lights and views (n, 3) in the xz-plane, near resonances of a replicated row of heights.
+    """Return directions to light and view (n, 3) in the xz-plane, near resonances of a replicated row of heights.
 
-    At a resonance, the phase between neighbouring periods is a whole number of turns. Here it differs by up to ``away``
-    turns.
+    At a resonance, the phase between neighbouring periods is a whole number of turns. Here the phase differs from a
+    whole number by up to ``away`` turns.
     """
     rng = np.random.default_rng(seed)
     orders = np.tile([-12, -7, -5, -3, -2, -1, 1, 2, 3, 4, 6, 9], 4)
@@ -258,7 +259,7 @@ def windowed_powers(
         position = np.outer(across, tau).ravel() * length
         near = np.floor(position) if floor else np.rint(position)
         most = math.ceil(math.sqrt(DEPTH / falloff) * length + 0.5) if neighbour_extent is None else neighbour_extent
-        # Along an axis with one sample, the heights are constant, and only the order 0 exists.
+        # Along an axis with one sample, the heights are constant, and only the diffraction order 0 exists.
         order = near[:, None] + np.arange(-most, most + 1, dtype=near.dtype) if n > 1 else np.zeros((len(near), 1))
         distance = (order - position[:, None]) / length if n > 1 else np.zeros((len(near), 1))
         axes.append((order.astype(np.int64) % n, np.exp(-falloff * distance**2).astype(dtype)))
@@ -276,7 +277,7 @@ def windowed_powers(
 
 
 def series_reflectance(heightfield, lights, views, wavelengths_um, **keywords):
-    """Return the reflectance ρ, shape (n, m). ``keywords`` are arguments of ``windowed_powers``."""
+    """Return reflectances ρ, shape (n, m), by a series expansion. ``keywords`` are arguments of ``windowed_powers``."""
     return reference.gain(lights, views)[:, None] * windowed_powers(
         heightfield, lights, views, wavelengths_um, **keywords
     )
@@ -302,8 +303,8 @@ def single_precision(heightfield, lights, views, wavelengths_um, *, sigma):
 def fixed_steps(step_nm):
     """Return wavelengths [nm] at fixed steps from 380 nm on, and colour weights (m, 3).
 
-    The weights are samples of the illuminant times the CIE functions, as in the published method, which does not use
-    quadrature weights.
+    The weights are samples of the illuminant times the CIE functions, as in the method of Single (2014), which does not
+    use quadrature weights.
     """
     wavelengths = np.arange(380.0, 780.0 + 1e-9, step_nm)
     table = reference.products("D65")

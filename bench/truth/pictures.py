@@ -32,7 +32,7 @@ def furnace_picture(
 ) -> tuple[wd.Image, np.ndarray]:
     """Render a perfect mirror sphere under a uniform sky of radiance 1.
 
-    Return the picture and the distance of each pixel from the sphere's centre, in radii.
+    Return the picture and the distance of each pixel from the centre of the sphere [radii of the sphere].
     """
     ball = trimesh.creation.icosphere(4)
     radius = 1.01 * np.hypot(*np.meshgrid(*2 * [(2.0 * np.arange(size) + 1.0) / size - 1.0]))

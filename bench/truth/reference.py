@@ -30,9 +30,9 @@ WIDTHS = 9.0
 DEPTH = WIDTHS**2 / 2.0
 # Range of wavenumbers 1/λ [1/µm] of all integrals, from 780 nm to 380 nm.
 REDDEST, BLUEST = 1.0 / 0.78, 1.0 / 0.38
-# Size of the cells of the quadrature over τ = 1/λ. `POINTS` is the number of Gauss-Legendre nodes per cell. The initial
-# length of a cell is at most `WIDTHS_PER_CELL` standard deviations of a coefficient's Gaussian in τ, and at most
-# `PERIODS_PER_CELL` periods of exp(2πiτwh). Cells are halved until the integral converges.
+# The quadrature over τ = 1/λ divides the range into cells. `POINTS` is the number of Gauss-Legendre nodes per cell. The
+# initial length of a cell is at most `WIDTHS_PER_CELL` standard deviations in τ of the Gaussian weight of a Fourier
+# coefficient, and at most `PERIODS_PER_CELL` periods of exp(2πiτwh). Cells are halved until the integral converges.
 POINTS = 8
 WIDTHS_PER_CELL = 6.0
 PERIODS_PER_CELL = 1.2
@@ -71,7 +71,7 @@ class Step(NamedTuple):
 
 
 def step_of(coherence, sigma, centre):
-    """Return a coherence from its kind, σ [µm] and centre (y, x) [µm]. A coherence object is returned unchanged."""
+    """Return a coherence from its kind and its window's σ [µm] and centre (y, x) [µm]; return an object unchanged."""
     return Step(coherence, sigma, centre_um=centre) if isinstance(coherence, str) else coherence
 
 
@@ -118,8 +118,8 @@ class Coefficients:
         self.low = kappas.min()
         self.half = max(np.ptp(kappas) / 2.0, 1e-9)
         heights = np.asarray(heightfield.heights_um, dtype=np.float64)
-        # The mid-range height is subtracted. This changes only a phase that is common to all coefficients, and reduces
-        # the number of nodes in κ.
+        # The middle of the height range is subtracted. This changes only a phase that is common to all Fourier
+        # coefficients, and reduces the necessary number of Chebyshev nodes in κ.
         heights = heights - (heights.max() + heights.min()) / 2.0
         self.height = np.abs(heights).max()
         self.terms = chebyshev_terms(2.0 * math.pi * self.half * self.height)
@@ -213,7 +213,7 @@ class Coefficients:
             length, low, high = self.lengths[1 - axis], ends[:, axis].min(), ends[:, axis].max()
             first = math.ceil((low - radius * along_axis[axis]) * length)
             last = math.floor((high + radius * along_axis[axis]) * length)
-            # Along an axis with one sample, the heights are constant, and only the order 0 exists.
+            # Along an axis with one sample, the heights are constant, and only the diffraction order 0 exists.
             bounds.append(np.arange(first, last + 1) if self.shape[1 - axis] > 1 else np.arange(first <= 0 <= last))
         r, s = (grid.ravel() for grid in np.meshgrid(*bounds))
         q = np.stack([r / self.lengths[1], s / self.lengths[0]], axis=1)
@@ -245,13 +245,13 @@ class Coefficients:
 
 
 class Replicas:
-    """Replicated height field with coherent periods, and its |P|²."""
+    """Replicated height field with coherent periods, and the powers |P|² of scattering vectors."""
 
     def __init__(self, heightfield, step):
         (ny, nx), (dy, dx) = heightfield.shape, (float(d) for d in heightfield.pitch_um)
         heights = np.asarray(heightfield.heights_um, dtype=np.float64)
         # The origin is moved to the middle of the patch. This changes only a phase that is common to all samples, and
-        # reduces the number of nodes in τ.
+        # reduces the necessary number of Chebyshev nodes in τ = 1/λ.
         x = np.broadcast_to((np.arange(nx) - (nx - 1) / 2.0) * dx, heights.shape)
         y = np.broadcast_to(((np.arange(ny) - (ny - 1) / 2.0) * dy)[:, None], heights.shape)
         z = heights - (heights.max() + heights.min()) / 2.0
@@ -433,7 +433,7 @@ def reference_spectral(
 
 
 def reflected(material, to_light, to_view, wavelengths_um):
-    """Return the Fresnel reflectance of one pair of directions, or 1 without a material.
+    """Return the Fresnel reflectance for one pair of directions to light and view, or 1 without a material.
 
     The angle of incidence is half of the angle between the two directions.
     """
@@ -669,7 +669,7 @@ class PictureError(NamedTuple):
 
 
 def stratified(mask, count, seed=0):
-    """Return indices of ``count`` random pixels of a mask, evenly distributed over its rows.
+    """Return indices of ``count`` random pixels of a mask, evenly distributed over the rows of the mask.
 
     The pixels of the mask, in row order, are divided into ``count`` equal parts. One pixel is drawn from each part.
     """
@@ -680,7 +680,7 @@ def stratified(mask, count, seed=0):
 
 
 def picture_error(xyz, truth):
-    """Return the error of a picture's XYZ (k, 3) relative to reference ``Pixels``, over illuminated pixels."""
+    """Return the error of a picture's XYZ (k, 3) relative to the reference ``truth``, over illuminated pixels."""
     use = truth.illuminated & ~truth.unsure
     exact, moved = truth.xyz[use], np.linalg.norm(xyz[use] - truth.xyz[use], axis=1)
     floor = FLOOR * reference_luminance(exact[:, 1])

@@ -78,7 +78,7 @@ class SkySums:
         self._plan = wd.plan(heightfield, tolerance=1e-2, coherence=coherence)
 
     def interior(self) -> NDArray[np.int64]:
-        """Return rows and columns (n, 2) of the pixels whose filter rays all hit the mesh."""
+        """Return rows and columns (n, 2) of pixels for which all rays of the pixel filter hit the mesh."""
         margin = 3 * _ACROSS // 2
         edges = np.pad(~self._hit, margin, constant_values=True).cumsum(axis=0).cumsum(axis=1)
         edges = np.pad(edges, ((1, 0), (1, 0)))
@@ -141,7 +141,8 @@ class SkySums:
             polar = (pixel // width + 0.5 + down) / height * math.pi
             azimuth = ((pixel % width + 0.5 + right) / width - 0.5) * 2.0 * math.pi
             along = [np.sin(polar) * np.sin(azimuth), np.cos(polar), -np.sin(polar) * np.cos(azimuth)]
-            # Samples beyond a pole become zero vectors, which do not contribute because their probability density is 0.
+            # Samples beyond a pole of the sky become zero vectors. They do not contribute, because a zero vector does
+            # not count as above the surface.
             return np.where((polar > 0.0) & (polar < math.pi), along, 0.0).T
 
         def density(along: NDArray[np.float64]) -> NDArray[np.float64]:

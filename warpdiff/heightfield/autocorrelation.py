@@ -1,4 +1,4 @@
-"""Autocorrelation of heights with missing samples, and the distances over which it decays."""
+"""Autocorrelation of heights with missing samples, and the distances over which the autocorrelation decays."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _SECANTS = 4
 
 @dataclass(frozen=True)
 class Decay:
-    """Distances from the origin at which an autocorrelation falls to `THRESHOLD`; azimuths are from x towards y.
+    """Distances from lag 0 at which an autocorrelation falls to `THRESHOLD`; azimuths are from x towards y.
 
     Attributes:
         fastest_um: Shortest distance over all azimuths [µm]; NaN if the autocorrelation does not fall to the threshold
@@ -184,7 +184,7 @@ def _extreme(rays: _Rays, angle: float, step: float, *, sign: float) -> tuple[fl
 class _Rays:
     """Interpolated autocorrelation on rays, which are straight lines from lag 0.
 
-    Angles and lengths are those of a grid whose pitch is 1 along both axes.
+    Angles and lengths are measured on a grid of lags whose pitch is 1 along both axes.
     """
 
     def __init__(
@@ -199,12 +199,13 @@ class _Rays:
         zero = tuple(n // 2 for n in products.shape)
         with np.errstate(divide="ignore", invalid="ignore"):
             values = np.where(self._usable, products / pairs, 0.0) / (products[zero] / pairs[zero])
-        # The spline continues the values beyond their edges as a mirror image. This affects only lags near the edges.
+        # The interpolating spline continues the autocorrelation beyond the largest lags as a mirror image. This affects
+        # only values near the largest lags.
         self._spline = ndimage.spline_filter(values, order=3, mode="mirror") if min(values.shape) > 1 else values
         self._line = values.ravel()
 
     def scale(self, angles: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the length in micrometres of one unit of the grid, along each angle."""
+        """Return the length [µm] of one unit of the grid with pitch 1, in the direction of each angle."""
         dy, dx = self._pitch
         return np.hypot(dy * np.sin(angles), dx * np.cos(angles))
 

@@ -1,4 +1,4 @@
-"""Functions of arrays of heights (ny, nx): levelling, dust removal, cropping, resampling, and the periodic part."""
+"""Functions of arrays of heights (ny, nx): levelling, dust removal, cropping, resampling, and matching of edges."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def require_memory(method: str, shape: tuple[int, int]) -> None:
 
 
 def level(heights: NDArray[np.float64], missing: NDArray[np.bool_], order: int) -> NDArray[np.float64]:
-    """Return heights without their least-squares polynomial of total degree ``order``."""
+    """Return heights minus the least-squares polynomial of total degree ``order`` in x and y."""
     # The fitted functions are products of orthonormal polynomials in y and in x. If no sample is missing, these
     # products are orthonormal too. Scalar products with the heights are then the least-squares coefficients, without a
     # system of equations.
@@ -51,7 +51,7 @@ def level(heights: NDArray[np.float64], missing: NDArray[np.bool_], order: int) 
 
 
 def _polynomials(samples: int, order: int) -> NDArray[np.float64]:
-    """Return polynomials of increasing degree, orthonormal on equidistant samples, shape (samples, polynomials)."""
+    """Return polynomials of increasing degree, orthonormal on equally spaced samples, (samples, polynomials)."""
     x = np.linspace(-1.0, 1.0, samples) if samples > 1 else np.zeros(1)
     return np.linalg.qr(np.polynomial.legendre.legvander(x, min(order, samples - 1)))[0]
 
@@ -95,8 +95,8 @@ def despike(
     valid = known.astype(np.float64)
     filled = np.full(heights.shape, np.mean(heights[known if known.any() else ~missing]))
     for spread in size_um * 2.0 ** np.arange(1, -4, -1):
-        # Spikes are filled by Gaussian averages of decreasing width. Where a narrow Gaussian covers hardly any valid
-        # sample, the average of the wider one remains.
+        # Spikes are filled by Gaussian averages of decreasing width. Where a narrow Gaussian covers hardly any sample
+        # that is no spike, the average of the wider Gaussian remains.
         weight = np.maximum(_blurred(valid, pitch_um, spread), 0.0)
         filled = (_blurred(heights * valid, pitch_um, spread) + 0.02 * filled) / (weight + 0.02)
     if known.any():

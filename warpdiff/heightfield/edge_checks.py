@@ -1,4 +1,4 @@
-"""Checks of a height field before an evaluation: whether it is levelled, and whether its opposite edges match."""
+"""Checks of a height field before its reflectance is computed: whether it is levelled, and whether its edges match."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Ratio of the standard deviation of a fitted plane to that of the remaining roughness, above which a field counts as
-# tilted. The value was measured on a patch of 18 µm, in comparison with the same patch without tilt: at a ratio of 0.3
-# colours are equal, at a ratio of 1 the scattered power is smaller by 29 %.
+# Ratio of the standard deviation of a fitted plane to the standard deviation of the remaining roughness, above which a
+# field counts as tilted. The value was measured on a patch of 18 µm, in comparison with the same patch without tilt: at
+# a ratio of 0.3 colours are equal, at a ratio of 1 the scattered power is smaller by 29 %.
 _MOST_TILT = 1.0
-# Ratio of the standard deviation of a fitted plane to that of the remaining roughness, above which a field counts as an
-# exact plane. An exact plane is no tilt of the sample, but a surface such as one period of a blazed grating.
+# Ratio of the standard deviation of a fitted plane to the standard deviation of the remaining roughness, above which a
+# field counts as an exact plane. An exact plane is no tilt of the sample, but a surface such as one period of a blazed
+# grating.
 _EXACT = 1e6
 # Ratio of the standard deviation of the smooth part of a field to the standard deviation of its heights, above which
 # opposite edges count as unequal. The smooth part is that of Moisan's decomposition, which `HeightField.periodic`

@@ -314,7 +314,7 @@ class HeightField:
 
     @property
     def size_um(self) -> tuple[float, float]:
-        """Extent (Ly, Lx) [µm]: samples times pitch, which is one period of a periodic field."""
+        """Extent (Ly, Lx) [µm]: number of samples times pitch. For a periodic field, it is the length of one period."""
         return self.shape[0] * self.pitch_um[0], self.shape[1] * self.pitch_um[1]
 
     @property
@@ -343,7 +343,7 @@ class HeightField:
     @property
     @np.errstate(under="ignore")
     def rms_slope(self) -> float:
-        """Root mean square slope between neighbouring samples, without those across the edges."""
+        """Root mean square slope between neighbouring samples, without slopes across the edges of the field."""
         return diagnostics.rms_slope(self._heights_um, self.pitch_um)
 
     @forks.cached_property
@@ -501,7 +501,7 @@ class HeightField:
     def rotated(self, quarter_turns: int = 1) -> HeightField:
         """Rotate the field counter-clockwise as viewed from +z, with x to the right and y up.
 
-        After one quarter turn, a grating whose heights vary along x is one whose heights vary along y.
+        One quarter turn makes a grating whose heights vary along y from a grating whose heights vary along x.
 
         Args:
             quarter_turns: Number of quarter turns, default 1; negative numbers turn clockwise.
@@ -515,8 +515,8 @@ class HeightField:
         """
         turns = validation.count(quarter_turns, "quarter_turns", least=-validation.MOST_COUNT) % 4
         pitch = self.pitch_um[::-1] if turns % 2 else self.pitch_um
-        # numpy.rot90 assumes that the first row is at the top, but here it is at the bottom. The sign of the turns is
-        # therefore reversed.
+        # numpy.rot90 assumes that the first row of an array is at the top. In a height field the first row is at the
+        # bottom, so that the sign of the turns is reversed.
         result = HeightField.of_known_scale(np.ascontiguousarray(np.rot90(self._heights_um, -turns)), pitch)
         return result._after(self, f"Rotated by {90 * turns}° counter-clockwise.")
 

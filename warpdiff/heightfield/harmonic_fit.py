@@ -1,4 +1,4 @@
-"""Least-squares fit of a wave of unknown frequency with its harmonics, and the covariance of the fitted frequency."""
+"""Least-squares fit of a wave of unknown frequency and its harmonics, with the covariance of the fitted frequency."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ if TYPE_CHECKING:
 # Smallest number of cycles over the field for a wave to count as a period. Slower waves may belong to the overall form
 # of the surface. The value was chosen; if doubled, periods that repeat three to five times are not reported.
 FEWEST_PERIODS = 3.0
-# Largest number of harmonics of a wave, including the fundamental.
+# Largest number of harmonics of a wave that are fitted, including the fundamental.
 MOST_HARMONICS = 16
-# Largest frequency of a harmonic, relative to the Nyquist limit. At the limit itself, a sine may vanish on all samples.
+# Largest frequency of a fitted harmonic, relative to the Nyquist limit. A sine at the Nyquist limit may vanish on all
+# samples.
 OF_NYQUIST = 0.9
 # Number of values per period of the shortest harmonic of a wave. Samples that are closer together are averaged over
 # blocks before a fit, which saves time. With two values per period, harmonics would alias.

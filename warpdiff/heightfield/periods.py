@@ -43,8 +43,8 @@ _SIDE_LINES = 0.55
 # Radius of the bands around the harmonics of a wave that are excluded from the search for further waves, relative to
 # the frequency of the wave.
 _HARMONIC_BAND = 0.5
-# Highest harmonic whose alias is excluded from the search for further waves. Higher harmonics have little power, and
-# the bands around their aliases would cover the spectrum.
+# Number of the highest harmonic of a wave whose alias is excluded from the search for further waves. Higher harmonics
+# have little power, and the excluded bands around all aliases would cover the spectrum.
 _MOST_ALIASED = 5
 # Radius of the band of frequencies of a wavering wave, whose phase varies over the field. It is in standard deviations
 # of the frequencies in this band, weighted by their power.
@@ -87,7 +87,7 @@ _COHERENT_AT, _WAVERING_AT = (0.43, 0.32), (0.4, 0.7)
 # likelihood of the measured spectrum at this ratio (`_low_power`).
 _WALKS = (0.0, *(10.0 ** np.arange(-0.5, 5.1, 0.5)).tolist())
 
-# Cache: for each field, the periods found by calls, with the argument ``count`` of the call as the key.
+# Cache of results by field: tuples of periods, by the argument ``count`` of the call.
 _found: weakref.WeakKeyDictionary[HeightField, dict[int, tuple[Period, ...]]] = weakref.WeakKeyDictionary()
 
 
@@ -160,7 +160,7 @@ class Periods(tuple[Period, ...]):
     __slots__ = ()
 
     def table(self) -> Table:
-        """Return a table with a row per period: the attributes of :class:`warpdiff.Period`.
+        """Return a table with a row per period; the columns are attributes of :class:`warpdiff.Period`.
 
         ``amplitude_um`` is the amplitude of the fundamental.
 
@@ -281,7 +281,7 @@ class _Search:
         return bool(min(self.heights.shape) > 1)
 
     def strongest(self, count: int) -> list[_Wave]:
-        """Find at most ``count`` waves, beginning with the strongest line of the spectrum."""
+        """Find at most ``count`` waves, beginning with the strongest line (narrow maximum) of the spectrum."""
         waves: list[_Wave] = []
         spectrum = WindowedSpectrum(self.heights)
         # More spectral lines are examined than waves are requested, because some lines are rejected: those that belong
@@ -386,7 +386,7 @@ class _Search:
     def _without_sine(
         self, heights: NDArray[np.float64], cycles: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Fit a sine near a frequency [cycles over the field]; return its frequency, and the heights without it."""
+        """Fit a sine near a frequency [cycles over the field]; return its frequency, and the heights minus the sine."""
         fitted, sine = fit_sine(heights, self.known, cycles)
         return fitted, np.where(self.known, heights - sine, 0.0)
 
@@ -486,7 +486,7 @@ class _Search:
         error = math.sqrt(variance) / float(np.sum(density)) * float(np.sum(power[inside])) / excess
         degrees = np.count_nonzero(low)
         error *= float(special.stdtrit(degrees, special.ndtr(2.0))) / 2.0
-        # The band contains half of the power of the wave. The other half is at the opposite frequency.
+        # The band of frequencies contains half of the power of the wave. The other half is at opposite frequencies.
         share = 2.0 * excess / periodic.size
         return _Wave(q, error, (math.sqrt(2.0 * share),), min(share, 1.0), is_coherent=False)
 
@@ -544,7 +544,7 @@ def _low_power(power: NDArray[np.float64], squares: NDArray[np.float64], at: flo
 
 
 def cut_whole(heightfield: HeightField) -> tuple[HeightField, Period]:
-    """Crop a field to whole periods, see `HeightField.whole_periods`; return the cropped field and its period."""
+    """Crop a field to whole periods, see `HeightField.whole_periods`; return the cropped field and the period."""
     periods = fit(heightfield, 3)
     if not periods:
         raise ArgumentValueError(
@@ -556,6 +556,6 @@ def cut_whole(heightfield: HeightField) -> tuple[HeightField, Period]:
         frequency = abs(periods[0].frequency[axis])
         number = math.floor(frequency * heightfield.size_um[axis] + 1e-6)
         # If the field contains less than one period of the wave along an axis, for example along the grooves of a
-        # grating, it is not cropped along this axis.
+        # grating, the field is not cropped along this axis.
         size.append(number / frequency if number else heightfield.size_um[axis])
     return heightfield.cropped((size[0], size[1]), offset_um=(0.0, 0.0)), periods[0]

@@ -70,7 +70,7 @@ _REASONS_OF_LARGE_ERRORS = {
     "Sal": f"the autocorrelation falls only just below {autocorrelation.THRESHOLD} there, or not at all in some parts",
     "Str": f"the autocorrelation falls only just below {autocorrelation.THRESHOLD}, or not at all in some parts",
 }
-# Parameters that follow from sums over the samples of a field, without its autocorrelation.
+# Parameters that follow from sums over the samples of a field, without the autocorrelation of the heights.
 _FROM_SUMS = ("Sa", "Sq", "Sdq", "Sdr")
 _UNITS = {"Sa": "µm", "Sq": "µm", "Sdq": "", "Sdr": "%", "Sal": "µm", "Str": ""}
 
@@ -224,7 +224,7 @@ def measure(heightfield: HeightField, order: int) -> Roughness:
 
 
 def has_large_error(value: float, error: float | None) -> bool:
-    """Whether a standard error is more than half as large as its value."""
+    """Whether the standard error of a parameter is more than half as large as the parameter."""
     return error is not None and error > _LARGE_ERROR * abs(value)
 
 

@@ -25,7 +25,7 @@ _ATOM_UM = 1e-4
 _SUSPICIOUS_RANGE_UM, _SUSPICIOUS_SLOPE = 5e-4, 1e-3
 # Largest usual pitch [µm]. Samples at this pitch resolve the diffraction of green light up to an angle of 8°.
 _MOST_PITCH_UM = 2.0
-# Half of the shortest visible wavelength [µm]. A grating of a smaller period has only the zeroth order.
+# Half of the shortest visible wavelength [µm]. A grating of a smaller period has only the zeroth diffraction order.
 _LEAST_SIZE_UM = 0.19
 # Mean slopes above which a field gets a warning. A mean slope above the first number causes a warning if the median
 # slope also exceeds this number. A mean slope above the second number always causes a warning. An echelle grating of
@@ -39,8 +39,8 @@ _UNITS = {"nanometres": 1e-3, "metres": 1e6, "millimetres": 1e3, "ångströms": 
 # Usual height ranges [µm], pitches [µm] and mean slopes of scans. A warning proposes another unit only if this unit
 # brings all three quantities into their usual ranges.
 _RANGES_UM, _PITCHES_UM, _SLOPES = (5e-4, 20.0), (1e-3, _MOST_PITCH_UM), (1e-4, _STEEP)
-# Middle of the usual height ranges [µm]. If several units are possible, the proposed one brings the height range
-# nearest to this middle, on a logarithmic scale.
+# Middle of the usual height ranges [µm]. If several units are possible, the unit is proposed that brings the height
+# range nearest to this middle, on a logarithmic scale.
 _TYPICAL_RANGE_UM = 0.3
 # Period of a synthetic grating [µm], and ratio of its depth to its period, above which a warning asks for the unit.
 # Both values were chosen; if doubled, fewer wrong units are noticed.

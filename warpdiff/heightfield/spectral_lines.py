@@ -65,7 +65,8 @@ _FAN_COSINES, _FAN_SINES = np.cos(_FAN), np.sin(_FAN)
 # Quantile of the powers in a ring or sector of the frequency plane from which the coarse background is estimated. The
 # value is below the median, because at low frequencies a line covers most of a ring.
 _QUANTILE = 0.15
-# Ratios of the mean of exponentially distributed powers to their median, and to their quantile `_QUANTILE`.
+# For exponentially distributed powers: ratio of the mean to the median, and ratio of the mean to the quantile
+# `_QUANTILE`.
 _MEAN_OF_MEDIAN, _MEAN_OF_QUANTILE = 1.0 / math.log(2.0), -1.0 / math.log(1.0 - _QUANTILE)
 
 
@@ -111,7 +112,7 @@ class WindowedSpectrum:
 
     @property
     def _cycles(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Frequencies of the rows of ``power`` [cycles], shape (ny, 1), and of its columns, shape (1, nx)."""
+        """Frequencies [cycles over the field] of the rows of ``power``, (ny, 1), and of the columns, (1, nx)."""
         ny, nx = self.power.shape
         return np.arange(ny)[:, None] - self.centre[0], np.arange(nx)[None, :] - self.centre[1]
 
@@ -183,14 +184,14 @@ class WindowedSpectrum:
         because steps between scan lines have their power on an axis.
         """
         rows, columns = (k / size for k, size in zip(self._cycles, sizes, strict=True))
-        # Frequency of each coefficient [cycles over the longer side of the field].
+        # Frequency of each Fourier coefficient [cycles over the longer side of the field].
         frequency = np.maximum(np.max(sizes) * np.hypot(rows, columns), 1.0)
         ring = np.floor(_RINGS * np.log2(frequency)).astype(np.int32)
         angle = np.arctan2(rows, columns)
         sector = np.floor((_SECTORS / np.pi) * angle).astype(np.int32) % _SECTORS
         count, is_plane = int(ring.max()) + 1, min(self.power.shape) > 1
-        # Opposite frequencies have equal powers, so that half of the plane suffices. At high frequencies of a large
-        # spectrum only every n-th coefficient is used, which saves time.
+        # Opposite frequencies have equal powers, so that half of the frequency plane suffices. At high frequencies of a
+        # large spectrum only every n-th Fourier coefficient is used, which saves time.
         subset = np.broadcast_to(columns >= 0 if self.power.shape[1] > 1 else rows >= 0, self.power.shape)
         step = self.power.size // _MOST_SAMPLED
         if step > 1:
@@ -239,8 +240,8 @@ class WindowedSpectrum:
         for _ in range(_MOST_CANDIDATES):
             row, column = np.unravel_index(int(np.argmax(values)), values.shape)
             value = float(values[row, column])
-            # The coarse background may contain the power of a line itself. It therefore only decides which maxima are
-            # examined, and in which order.
+            # The coarse background may contain the power of a line. It is therefore only used to decide which maxima
+            # are examined, and in which order.
             if special.gammaincc(independent, independent * value) > max(level, _EXAMINED):
                 break
             values[row, column] = 0.0
@@ -390,7 +391,7 @@ def _is_significant(ratio: float, independent: float, background_count: float, l
     from scipy import special
 
     few = max(0.5 * background_count, 1.0)
-    # Survival function of Fisher's F distribution.
+    # Probability that a number with Fisher's F distribution exceeds ``ratio`` (survival function).
     probability = special.betainc(few, independent, few / (few + independent * ratio))
     return bool(probability <= level and (width == 1 or ratio >= _LEAST_CONTRAST))
 

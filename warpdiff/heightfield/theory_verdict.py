@@ -134,7 +134,7 @@ class TheoryVerdict:
 
     @property
     def explanation(self) -> str:
-        """Reason of the verdict in words, as a clause."""
+        """Reason of the verdict in words, as a part of a sentence."""
         return _REASONS[self.reason]
 
     def __str__(self) -> str:
@@ -197,7 +197,7 @@ def _cached(
     cache: weakref.WeakKeyDictionary[HeightField, dict[float, _T]], heightfield: HeightField, wavelength_nm: float,
     make: Callable[[HeightField, float], _T],
 ) -> _T:  # fmt: skip
-    """Return ``make(heightfield, wavelength)`` from a cache if possible; ``make`` expects the wavelength in µm."""
+    """Return the result of ``make(heightfield, wavelength)``, cached by height field; ``make`` expects µm."""
     cached = cache.setdefault(heightfield, {})
     if wavelength_nm not in cached:
         if len(cached) >= _MOST_CACHED:
@@ -229,7 +229,7 @@ def errors_of(heightfield: HeightField, wavelength_um: float) -> dict[Reason, fl
 def _orders(
     shape: tuple[int, ...], pitch_um: tuple[float, float], wavelength_um: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return spatial frequencies of a Fourier transform times the wavelength, along y and x, shape (ny, nx) each."""
+    """Return the frequencies of a Fourier transform times the wavelength, along y and along x, shapes (ny, nx)."""
     rates = (wavelength_um * np.fft.fftfreq(n, pitch) for n, pitch in zip(shape, pitch_um, strict=True))
     v, u = np.meshgrid(*rates, indexing="ij")
     return v, u
@@ -240,8 +240,8 @@ def _part(
 ) -> tuple[NDArray[np.float64], tuple[float, float], NDArray[np.float64]]:
     """Return heights of a middle part of the field, without samples much closer together than the wavelength requires.
 
-    Also return the pitch of the part [µm] and a window. Along an axis where the part is smaller than the field, the
-    window falls to 0 at both ends; elsewhere it is 1.
+    Also return the pitch of the part [µm] and a window function. If the part is smaller than the field along an axis,
+    the window function falls to 0 at both ends of the part along this axis. Otherwise it is 1.
     """
     most = _MOST_OF_PROFILE if 1 in heightfield.shape else _MOST_OF_FIELD
     steps, parts, fades = [], [], []
@@ -279,8 +279,8 @@ def _undersampled_share(heightfield: HeightField, wavelength_um: float) -> float
     """Return the share of undersampled steps in the sum of all height differences |Δh| between neighbouring samples.
 
     The larger of the shares along x and along y counts. A step is undersampled if it and the next step change the phase
-    by more than half a cycle each, both upwards or both downwards. A single large step is not counted, because it is a
-    vertical wall, which two samples represent correctly.
+    of the light by more than half a cycle each, both upwards or both downwards. A single large step is not counted,
+    because it is a vertical wall, which two samples represent correctly.
     """
     worst = 0.0
     limit = wavelength_um / 4.0

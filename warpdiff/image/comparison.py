@@ -55,7 +55,7 @@ class Comparison:
     luminance_ratio: float
 
     def as_dict(self) -> dict[str, float | int | None]:
-        """Return the numbers of the comparison by name, without the arrays, for a JSON file."""
+        """Return the numbers of the comparison by name, for a JSON file; the arrays of the comparison are omitted."""
         return {
             "pixels": int(self.pixels.sum()), "tolerance": self.tolerance, "p50": self.p50, "p90": self.p90,
             "p99": self.p99, "share_beyond_tolerance": self.share_beyond_tolerance,

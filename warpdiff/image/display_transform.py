@@ -90,7 +90,7 @@ _BISECTIONS = 20
 # Number of colours that one thread transforms at once. The value is limited by small pictures: if doubled, they use
 # fewer threads.
 _TOGETHER = 8192
-# Lower bound of a divisor; it prevents a division by zero.
+# Lower bound of a divisor, which prevents a division by zero.
 _LEAST = 1e-30
 
 
@@ -230,7 +230,7 @@ def aces(xyz: NDArray[np.float64], gamut: GamutName) -> NDArray[np.float64]:
     target = GAMUTS[gamut]
     row = np.minimum(xyz, WHITE).astype(np.float32)[None]
     with openimageio.in_use() as oiio:
-        # OpenImageIO uses only the calling thread here: in a forked child process, the library's other threads do not
+        # OpenImageIO uses only the calling thread, because in a forked child process the library's other threads do not
         # exist.
         buffer = oiio.ImageBufAlgo.ociodisplay(
             oiio.ImageBuf(row), target.display, target.view, fromspace=SCENE, unpremult=False,

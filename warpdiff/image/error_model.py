@@ -93,7 +93,7 @@ def luminance_floor(luminance: NDArray[np.floating[Any]]) -> float:
 
 
 def share_beyond(error: NDArray[np.float32], tolerance: float) -> float:
-    """Return the expected fraction of pixels whose true error exceeds a tolerance, from their estimated errors (n,)."""
+    """Return the expected fraction of pixels whose true error exceeds a tolerance, by the estimated errors (n,)."""
     if not error.size:
         return 0.0
     odds = _ODDS_AT_TOLERANCE * (error.astype(np.float64) / tolerance) ** _ODDS_POWER

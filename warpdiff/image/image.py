@@ -1,4 +1,4 @@
-"""Class ``Image``: pictures in linear CIE XYZ, and reading and writing of their files."""
+"""Class ``Image``: pictures in linear CIE XYZ, with functions that read and write picture files."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ class Image:
             exposure_from: Picture whose automatic exposure is used, so that several pictures get the same exposure.
             background: Background, mixed in the display's linear light: an encoded colour (R, G, B) with components
                 from 0 to 1, a picture of the same size, or linear sRGB of shape (height, width, 3), as from
-                :meth:`warpdiff.Environment.background`. None leaves it transparent.
+                :meth:`warpdiff.Environment.background`. None leaves the background transparent.
             exact: Whether ACES is computed for each colour. False interpolates in a table of ACES colours, which is
                 several times as fast; the result differs by 0.1 ΔE2000 in the median and by 0.6 ΔE2000 at the 99th
                 percentile.
@@ -263,12 +263,13 @@ class Image:
             path: File with the suffix ``.exr`` or ``.png``. EXR holds linear float32 channels, multiplied by alpha: R,
                 G, B, A, XYZ.X, XYZ.Y, XYZ.Z, the estimated error as error.Y, and one part per layer of the picture,
                 with channels such as normal.X. PNG holds display RGB, not multiplied by alpha, and alpha unless there
-                is a background. The metadata of PNG files state the transform and the exposure. Those of EXR files
-                state how the same call would display the picture as PNG: see ``docs/how-to/layers_and_exr_files.md``.
+                is a background. The metadata of PNG files state the transform and the exposure. The metadata of EXR
+                files state how the same call would display the picture as PNG: see
+                ``docs/how-to/layers_and_exr_files.md``.
             exposure_from: Picture whose automatic exposure is used, so that several pictures get the same exposure.
             background: Background of PNG files, mixed in the display's linear light: an encoded colour (R, G, B) with
                 components from 0 to 1, a picture of the same size, or linear sRGB of shape (height, width, 3). None
-                leaves it transparent.
+                leaves the background transparent.
 
         Returns:
             The path of the file.

@@ -61,7 +61,8 @@ class Report:
     def is_converged(self) -> bool:
         """Whether at most 1 % of the interior pixels and 5 % of the edge pixels are expected to exceed their tolerance.
 
-        For a picture without refinement (see ``is_refined``) the value is True and guarantees nothing.
+        The errors of edge pixels may be three times the tolerance. For a picture without refinement (see
+        ``is_refined``) the value is True and guarantees nothing.
         """
         return self.unconverged_share <= MOST_UNCONVERGED and self.unconverged_edge_share <= MOST_UNCONVERGED_EDGES
 

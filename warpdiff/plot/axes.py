@@ -122,7 +122,7 @@ def add_scale_bar(ax: Axes, width_um: float) -> None:
 
 
 def add_colour_bar(ax: Axes, picture: Any, label: str, *, extend: str = "neither") -> Any:
-    """Draw a colour bar to the right of a map, as high as the map, and return it.
+    """Draw a colour bar to the right of a map, as high as the map, and return the colour bar.
 
     Args:
         ax: Axes of the map.

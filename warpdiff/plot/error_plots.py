@@ -90,12 +90,12 @@ def error_image(
 
 @checked
 def plan(plan: Plan, *, ax: Axes | None = None, title: str | None = None) -> Axes:
-    """Plot the predicted errors of a plan by their source; a line marks the tolerance, and the title states the cost.
+    """Plot the errors that a plan predicts, by their source; a line marks the tolerance, the title states the cost.
 
     Args:
         plan: Plan, for example of :func:`warpdiff.plan` or ``image.plan``.
         ax: Axes to draw into; None makes a figure.
-        title: Title; None states whether the plan meets its tolerance, and its computing time.
+        title: Title; None states whether the plan meets its tolerance, and how long the computation takes.
 
     Returns:
         The axes.

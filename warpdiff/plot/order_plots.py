@@ -29,7 +29,7 @@ _LINE_LUMINANCE = 0.3
 # A band below the wavelength axis shows the colour of each wavelength. First number: height of the band as a share of
 # the height of the plot. Second number: number of colours in the band.
 _BAND_HEIGHT, _BAND_COLOURS = 0.03, 256
-# Lower bound of an RGB component before a division by it; it prevents a division by zero.
+# Lower bound of an RGB component before a division by this component, which prevents a division by zero.
 _LEAST_RGB = 1e-9
 # Maximum number of diffraction orders that a plot against the view angle labels with their numbers. The value is
 # limited by space: more labels overlap.

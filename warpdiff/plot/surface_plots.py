@@ -45,7 +45,7 @@ _LINE_RANGE = 1e-7
 # A profile may be drawn below a map of heights. First number: height of the profile. Second number: height of the gap
 # between map and profile. Both are relative to the width of the map.
 _PROFILE, _GAP = 0.3, 0.24
-# Lower bound of a power density before its logarithm is drawn; it prevents a logarithm of 0.
+# Lower bound of a power density before its logarithm is drawn, which prevents a logarithm of 0.
 _LEAST_POWER = 1e-30
 # Mean slope to which the heights of a map are scaled before the map is shaded as a relief. The value was chosen because
 # brightness saturates at slopes of about 1, the slope of the light's direction. If doubled, steep walls of grooves look
@@ -128,8 +128,8 @@ def _shaded(heightfield: HeightField, colours: NDArray[np.float64]) -> NDArray[n
 
     dy, dx = heightfield.pitch_um
     lowest = float(np.nanmin(heightfield.heights_um))
-    # matplotlib's ``LightSource`` assumes that the rows of a map run downwards. In a height map they run upwards, so
-    # that dy is negative.
+    # matplotlib's ``LightSource`` assumes that the rows of a map run downwards. In a height map the rows run upwards,
+    # so that the argument dy is negative.
     result = LightSource(azdeg=315.0, altdeg=45.0).shade_rgb(
         colours[..., :3], np.nan_to_num(heightfield.heights_um, nan=lowest), blend_mode="soft",
         vert_exag=_RELIEF_SLOPE / heightfield.mean_slope, dx=dx, dy=-dy,
@@ -319,7 +319,7 @@ class _Line:
 
     Attributes:
         along: Axis of the profile, ``"x"`` or ``"y"``.
-        positions_um: Positions of the samples on that axis [µm], shape (n,).
+        positions_um: Positions of the samples on the axis ``along`` [µm], shape (n,).
         heights_um: Heights [µm], shape (n,); NaN where a sample is missing.
         at_um: Position of the line on the other axis [µm]; None if the field is constant along the other axis.
     """

@@ -39,7 +39,7 @@ def read_image(file: Path) -> FileContent:
         configuration.attribute("pnm:pfmflip", 1)
         image = oiio.ImageInput.open(str(file), configuration)
         if image is None:
-            # The error message is read here even if it is not used, because OpenImageIO prints unread messages when the
+            # The error message is read even if it is not used, because OpenImageIO prints unread messages when the
             # process ends.
             reason = _unknown(_reason(oiio))
             raise refusal(file, reason if file.suffix.lower() in _SUFFIXES else _OTHER_FORMAT)
@@ -72,7 +72,7 @@ def _samples_of(image: Any, file: Path) -> np.ndarray:
 
 
 def _upright(samples: np.ndarray, orientation: object) -> np.ndarray:
-    """Return samples rotated and flipped as the image is displayed, by its orientation tag (TIFF, EXIF), 1 to 8."""
+    """Return samples in the orientation in which an image is displayed, by its orientation tag (TIFF, EXIF), 1 to 8."""
     if orientation not in range(2, 9):
         return samples
     turned = {5: samples.T, 6: np.rot90(samples, -1), 7: np.rot90(samples, 2).T, 8: np.rot90(samples)}

@@ -1,4 +1,4 @@
-"""Registry of readers of height files, and conversion of the content of a file to heights [µm] and their pitch."""
+"""Registry of readers of height files, and conversion of the content of a file to heights [µm] and a pitch [µm]."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ Rows = Literal["down", "up"]
 # that confuse units return such sizes. If doubled, wrong sizes are accepted if the factor between the units is small.
 _MOST_EXTENT_UM = 1e6
 # Largest relative difference between the pitch that a file states and the pitch that the caller states. Small
-# differences are accepted, because headers are rounded. If doubled, arguments that contradict a file slightly more are
-# ignored.
+# differences are accepted, because headers are rounded; the pitch of the file is then used. If doubled, arguments are
+# ignored that contradict a file slightly more.
 _MOST_DIFFERENCE = 1e-3
 
 
@@ -158,8 +158,8 @@ def registered() -> tuple[RegisteredReader, ...]:
 def reader_of(file: Path) -> RegisteredReader:
     """Return the reader of a file, by its suffix and content."""
     own = _readers.get(file.suffix.lower(), ())[::-1]
-    # Readers that were registered later are tried first. The text reader, for example, is registered early and would
-    # accept the text header of some binary files of instruments.
+    # Readers that were registered later are tried first. The text reader, for example, is registered early. It would
+    # accept some binary files of instruments, because they begin with a text header.
     known = (*own, *(entry for entry in registered()[::-1] if entry not in own and entry.recognises))
     with files.naming_file(file):
         for entry in known:
@@ -237,7 +237,7 @@ def check_texts(channel: object, unit: object) -> None:
 
 
 def rows_of(content: FileContent, rows: object) -> Rows:
-    """Return the orientation of rows: the argument ``rows`` of the caller, or the default of the file if it is None."""
+    """Return the orientation of rows: the argument ``rows``, or the default of the file if the argument is None."""
     return content.rows if rows is None else validation.choice(rows, "rows", get_args(Rows))  # type: ignore[return-value]
 
 

@@ -104,8 +104,8 @@ def _cells(line: str, form: Form) -> Iterator[list[str]]:
     for separator in (";", ",", "\t"):
         if separator in line:
             yield [cell.strip('" ') for cell in line.split(separator) if cell.strip()]
-    # A name and its unit are joined before the line is split at white space, for headings such as "X [nm] Y [nm] Z
-    # [nm]", "x(µm) y(µm) z(nm)" and "x in um  y in um  z in nm".
+    # Before a line of headings is split at white space, each name is joined with the unit after it. Examples are "X
+    # [nm] Y [nm] Z [nm]", "x(µm) y(µm) z(nm)" and "x in um y in um z in nm".
     joined = re.sub(r"\s*(?:/|\bin\b)\s*", "/", re.sub(r"\s+([\[(])", r"\1", line))
     yield joined.split()
 

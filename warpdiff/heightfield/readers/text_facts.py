@@ -18,8 +18,8 @@ MOST_DIFFERENCE = 1e-3
 # Largest ratio of the pitches along x and y that is accepted from a header. A larger ratio suggests that a "height" in
 # the header is the range of the heights and not a size. If doubled, more ranges of heights are mistaken for sizes.
 _MOST_ASPECT = 50.0
-# Largest relative difference between the size that a header states and its number of samples times its pitch. If
-# doubled, more contradictions are accepted.
+# Largest relative difference between the size that a header states and the product of the stated number of samples and
+# pitch. If doubled, more contradictions are accepted.
 _MOST_RATIO = 0.01
 # Codes of missing samples may be limits of number types, which programs round. A code whose absolute value is above the
 # first number is therefore compared with a tolerance, and the second number is this relative tolerance. The first
@@ -181,8 +181,8 @@ def pitch_of(facts: Facts, nx: int, ny: int) -> tuple[tuple[float, float] | None
         dx, dy = dx or facts.size_of_both / nx, dy or facts.size_of_both / ny
     elif facts.size_of_both is not None:
         reason = f"{facts.line_of('size_of_both')} states one size for {nx} × {ny} samples (x × y)"
-    # If the pitch along y is more than 50 times the pitch along x, or less than 1/50 of it, the "height" in the header
-    # is probably the range of the heights and not the size along y.
+    # The "height" in a header may be the range of the heights and not the size along y. This is probable if the pitch
+    # along y is more than 50 times the pitch along x, or less than 1/50 of it.
     is_likely = dx is not None and dy is not None and dx / _MOST_ASPECT <= dy <= dx * _MOST_ASPECT
     return ((dy, dx), "") if is_likely else (None, reason)  # type: ignore[return-value]
 

@@ -20,7 +20,7 @@ IN_KEY = re.compile(
 
 
 def _names(*lines: str) -> frozenset[str]:
-    """Return the set of keys in lines of text; vertical bars separate the keys of a line."""
+    """Return the set of keys in strings; vertical bars separate the keys of a string."""
     return frozenset("|".join(lines).split("|"))
 
 
@@ -174,12 +174,12 @@ def states_unit_xy(words: str) -> bool:
 
 
 def states_factor(words: str) -> bool:
-    """Whether a key states a factor of the heights."""
+    """Whether a key states a factor by which the numbers are multiplied to give heights."""
     return words in _FACTORS or _FACTOR_OF_HEIGHTS.search(words) is not None
 
 
 def states_no_data(words: str) -> bool:
-    """Whether a key speaks of missing samples."""
+    """Whether a key states the code or the number of missing samples."""
     return _NO_DATA.search(words) is not None
 
 

@@ -31,7 +31,7 @@ _Grid = tuple[tuple[np.ndarray, float], tuple[np.ndarray, float]]
 
 
 def zygo_pitch(lines: Sequence[str]) -> float | None:
-    """Return the size of a pixel [µm] in a Zygo XYZ file, 0 if the file does not state it; None for other files.
+    """Return the size of a pixel [µm] in a Zygo XYZ file, 0 if the file does not state this size; None for other files.
 
     The size [m] is the seventh number in the eighth line. The unit of the heights depends on a setting of the program
     that wrote the file, and is not in the file.
@@ -131,8 +131,8 @@ def _grid_or_reason(x: np.ndarray, y: np.ndarray) -> _Grid | str:
     if along_x is None or along_y is None:
         return "on no even grid"
     nx, ny = len(along_x[0]), len(along_y[0])
-    # Two or three rows of a matrix with three columns could be read as points on a diagonal of a grid. There must
-    # therefore be more points than the grid has columns, and more than it has rows.
+    # Two or three rows of a matrix with three columns could be read as points on a diagonal of a grid. The number of
+    # points must therefore exceed the number of columns of the grid, and its number of rows.
     if len(x) < 4 or len(x) <= max(nx, ny) or len(x) <= _MOST_EMPTY * nx * ny:
         return f"at {len(x)} of the {nx} × {ny} positions of a grid"
     nodes = np.rint((y - along_y[0][0]) / along_y[1]) * nx + np.rint((x - along_x[0][0]) / along_x[1])

@@ -63,7 +63,8 @@ def read_text(file: Path) -> FileContent | Channels:
     same = _equal_blocks(file, blocks)
     facts = [_facts_of(block, form, signs, blocks[0].header) for block in same]
     _check_signs(file, use, form.decimal, facts[0])
-    # Matrices whose unit is a length come first, because the first channel is the default.
+    # A text may have several matrices as channels. Those whose unit is a length come first, because the first channel
+    # is the default.
     order = sorted(range(len(same)), key=lambda k: bool(facts[k].not_length) and facts[k].unit is None)
     channels: dict[str, Callable[[], FileContent]] = {}
     for k in order:
@@ -78,7 +79,7 @@ def read_text(file: Path) -> FileContent | Channels:
 
 
 def _equal_blocks(file: Path, blocks: list[Block]) -> list[Block]:
-    """Return the largest block of numbers and all other blocks of the same shape, which are channels of the file.
+    """Return the blocks of numbers that have the shape of the largest block; they are the channels of the file.
 
     The file is refused if other blocks have as many columns but another number of rows.
     """
@@ -289,7 +290,7 @@ def _is_counted(values: np.ndarray) -> bool:
 
 
 def _has_even_edges(values: np.ndarray) -> bool:
-    """Whether the first row and the first column of a matrix are equally spaced numbers; their corner is ignored."""
+    """Whether the first row and the first column of a matrix, without their common corner, have equal steps."""
     return text_table.is_even(values[0, 1:]) and text_table.is_even(values[1:, 0])
 
 

@@ -1,4 +1,4 @@
-"""Statements in header lines of text exports: keys with one number or two, and their units and axes."""
+"""Statements in header lines of text exports: a key with one number or two, which have units and axes."""
 
 from __future__ import annotations
 
@@ -131,15 +131,15 @@ class Statement:
 
     @property
     def words(self) -> str:
-        """Key without units, axes and the order of two numbers in brackets."""
+        """Key of the statement, without units, axes, and words in brackets that name the order of two numbers."""
         return text_keys.words_of(_ORDER.sub(" ", self.text))
 
     @property
     def key(self) -> Key:
-        """Fact that the key states."""
+        """Fact that the key of the statement states, such as a size or a pitch."""
         per_pixel = self._unit_of_key()[1] or any(measure.per_pixel for measure in self.measures)
         key = text_keys.key_of(self.words, per_pixel=per_pixel)
-        # The order of two numbers, such as "(x, y)", also names the axes of a key such as "Step".
+        # Words such as "(x, y)", which name the order of two numbers, also name the axes of a key such as "Step".
         order = _ORDER.search(self.text)
         if key.kind or len(self.measures) != 2 or order is None:
             return key

@@ -24,7 +24,7 @@ MOST_BYTES = 1 << 30
 # Separators and decimal signs are tried on a sample of the text. The numbers are the largest numbers of lines and of
 # characters of this sample. If doubled, the choice is as good and takes twice as long.
 _SAMPLE_LINES, _SAMPLE_CHARACTERS = 400, 200_000
-# Number of bytes at the beginning of a file by which it is identified as text.
+# Number of bytes at the beginning of a file that are read to find out whether the file is text.
 _HEAD_BYTES = 4096
 _GZIP = b"\x1f\x8b"
 _MARKS = (
@@ -40,13 +40,14 @@ _GAPS = frozenset({
 })  # fmt: skip
 # Matches "no data" in a cell, but not in a header line that states the code of missing samples.
 _NO_DATA = re.compile(r"(?i)\bno[ _-]?data\b(?!\s*(?:value|code|[:=]))")
-# Matches an apostrophe that separates thousands, and spaces that some programs write for this purpose.
+# `_APOSTROPHE` matches an apostrophe between digits that separates thousands. `_GROUPED` matches a number with any
+# thousands sign. `_SPACES` matches the narrow spaces that some programs use as this sign.
 _APOSTROPHE = re.compile(r"(?<=\d)['’](?=\d{3}(?!\d))")
 _GROUPED = re.compile(r"\d[,. \xa0]\d{3}(?!\d)")
 _SPACES = re.compile("[\u2009\u202f]")
 _NUMBERS = {
     (".", ""): re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"),
-    # With a decimal comma, digits must follow the comma. A comma without digits after it is a separator.
+    # If the decimal sign is a comma, digits must follow it in a number. A comma without digits after it is a separator.
     (",", ""): re.compile(r"[-+]?(?:\d+(?:,\d+)?|,\d+)(?:[eEdD][-+]?\d+)?"),
     **{
         (decimal, sign): re.compile(
@@ -56,7 +57,7 @@ _NUMBERS = {
     },
 }
 # Pairs of a separator and a decimal sign that are tried; a separator of None is white space. If several pairs give
-# equally many numbers, the first one is used.
+# equally many numbers, the first of these pairs is used.
 _FORMS: tuple[tuple[str | None, str], ...] = (
     ("\t", "."), (";", "."), (",", "."), (None, "."), ("\t", ","), (";", ","), (",", ","), (None, ","),
 )  # fmt: skip
@@ -111,8 +112,8 @@ def decode(data: bytes) -> str:
             return data.decode(name, errors="replace")
     head = data[:400]
     if head.count(0) > len(head) // 4:
-        # In UTF-16, one of the two bytes of a Latin letter is zero: the second one in little-endian order, the first
-        # one in big-endian order.
+        # In UTF-16, one of the two bytes of a Latin letter is zero: the second byte in little-endian order, the first
+        # byte in big-endian order.
         return data.decode("utf-16-le" if head[1::2].count(0) >= head[::2].count(0) else "utf-16-be", errors="replace")
     try:
         return data.decode("utf-8")
@@ -212,7 +213,7 @@ class Block:
 
 
 def lines_of(text: str) -> list[str]:
-    """Return the lines of a text. Minus signs become ASCII, and "no data" becomes "nan".
+    """Return the lines of a text. Unicode minus signs become hyphens, and "no data" becomes "nan".
 
     Apostrophes that separate thousands are removed.
     """
@@ -223,7 +224,7 @@ def lines_of(text: str) -> list[str]:
 
 
 def _sample_of(lines: Sequence[str]) -> list[str]:
-    """Return the lines of a text in which separators and signs are tried."""
+    """Return a part of the lines of a text, on which separators and decimal signs are tried."""
     filled = [line for line in lines if line.strip()]
     mean = sum(map(len, filled)) / max(len(filled), 1)
     count = max(min(_SAMPLE_LINES, int(_SAMPLE_CHARACTERS / max(mean, 1.0))), 5)
@@ -245,12 +246,12 @@ def form_of(lines: Sequence[str]) -> Form | None:
 
 
 def _best_form(forms: Sequence[Form], sample: Sequence[str], *, has_quotes: bool) -> tuple[int, Form | None]:
-    """Return the largest number of numbers in rows of equal length, and the form that gives it."""
+    """Return the largest number of numbers in equally long rows, and the form (separator, signs) that gives them."""
     best, chosen = 0, None
     for form in forms:
         counts = dict[int, int]()
-        # If a comma separates the cells and is also in their numbers, only quotes around the cells show which commas
-        # are separators.
+        # If a comma separates the cells of a line and is also used in numbers, only quotes around the cells show which
+        # commas are separators.
         if form.separator in (form.decimal, form.thousands) and not has_quotes:
             continue
         for line in sample:
@@ -332,7 +333,7 @@ def blocks_of(lines: Sequence[str], form: Form) -> list[Block]:
 
 
 def odd_cell(form: Form, line: str, width: int) -> str | None:
-    """Return the first text in a line of ``width`` cells that are mostly numbers; None for other lines."""
+    """Return the first cell that is no number, in a line of ``width`` cells that are mostly numbers; otherwise None."""
     cells = form.cells(line)
     if len(cells) != width or width < 3:
         return None

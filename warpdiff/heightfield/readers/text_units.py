@@ -1,4 +1,4 @@
-"""Header lines of text exports about the unit of the heights, about the unit of the positions, and about factors."""
+"""Header lines of text exports that state a unit of heights, a unit of positions, or a factor of heights."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Readers of instrument files by the library SurfaceTopography, and conversion of its objects."""
+"""Readers of instrument files by the library SurfaceTopography, and conversion of the library's objects."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ _FORMATS: tuple[tuple[str, str, tuple[str, ...], Callable[[Path], bool] | None],
 
 
 def _read(name: str, file: Path) -> Channels:
-    """Return the channels of a file that contain heights. ``name`` is SurfaceTopography's name of its format."""
+    """Return the channels of a file that contain heights. ``name`` is SurfaceTopography's name of the file format."""
     try:
         from SurfaceTopography.IO import open_topography
     except ImportError as error:
@@ -120,9 +120,10 @@ def _read(name: str, file: Path) -> Channels:
     except MemoryError:
         raise
     except Exception as error:
-        # All exceptions are converted, because the library's readers raise many types of them for damaged files.
+        # All exceptions are converted, because the library's readers raise many types of exceptions for damaged files.
         raise _damaged(file, name, error) from None
-    # The default channel of the library comes first, unless its name is that of another signal, such as a phase.
+    # The default channel of the library comes first, unless its name shows that it has no heights but a phase or the
+    # like.
     listed.sort(key=lambda entry: (_is_other_signal(entry[1]), entry[0] != default))
     if not listed:
         raise refusal(file, "has no channel of heights with a unit of length on a grid; export the height channel")
@@ -155,7 +156,7 @@ def _name(channel: Any) -> str:
 
 
 def _is_other_signal(name: str) -> bool:
-    """Whether the name of a channel is that of another signal than a height, such as a phase or a current."""
+    """Whether the name of a channel shows that it has no heights but another signal, such as a phase or a current."""
     return any(word in name.lower() for word in _OTHER_SIGNALS)
 
 
