@@ -6,8 +6,8 @@
     python -m bench.dev.baseline --folder head --commit HEAD --versions-of baseline
 
 The script exports the files of the commit to a temporary folder, and builds the wheel there, without uncommitted files.
-It prints the path of the environment's Python. With ``--versions-of``, libraries are installed in the versions of
-another environment. With other versions of the libraries, results may differ in their last bit.
+The script prints the path of the environment's Python program. With ``--versions-of``, libraries are installed in the
+versions of another environment. With other versions of the libraries, results may differ in their last bit.
 """
 
 from __future__ import annotations

@@ -92,7 +92,8 @@ def turned(light: Any) -> Any:
 def picture_differences(case: Any, device: str) -> dict[str, Any]:
     """Return quantiles of the relative differences of two pictures from the CPU's picture of the same scene.
 
-    The first picture is that of the other device. The second is one of the CPU, with slightly changed lights.
+    The first picture is that of the other device. The second picture is one that the CPU renders with slightly changed
+    lights.
     """
     mesh, surface, lights, options = case
     view = replace(moved(mesh, 2)[1], width=320, height=240)

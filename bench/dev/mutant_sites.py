@@ -24,8 +24,8 @@ PACKAGES = {
 }  # fmt: skip
 NATIVE = "kernels/native"
 
-# Replacements of tokens, old to new. If a token has several replacements, a hash of its line selects one of them. Names
-# of functions are replaced only where the function is called.
+# Replacements of tokens, old to new. If a token has several replacements, a hash of the line with the token selects one
+# of them. Names of functions are replaced only where the function is called.
 PAIRS = (
     "min max", "minimum maximum", "argmin argmax", "any all", "sin cos", "floor ceil", "== !=", "and or", "True False",
     "+ -", "* /", "& |", "<< >>", "+= -=", "*= /=", "|= &=", "break continue",
@@ -75,8 +75,7 @@ class Mutant:
 
 
 def definitions(tree: ast.Module) -> Iterator[tuple[tuple[str, ...], ast.stmt]]:
-    """Return pairs of each top-level statement of a module and the names that it defines; methods follow their class.
-    """
+    """Return each top-level statement of a module with the names that it defines; methods follow their class."""
     for node in tree.body:
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
             yield (node.name,), node

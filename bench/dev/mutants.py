@@ -1,8 +1,8 @@
 """Mutation score: share of one-token faults in the sources that the tests detect, for one commit or several.
 
 ``python -m bench.dev.mutants COMMIT ... --seed COMMIT --minutes 60`` exports each commit into a folder. The command
-records once which functions and kernels each test executes. After that, it makes one change at a time and runs the
-tests that execute the changed code; tests of the changed module come first. The seed determines the changes. With
+records once which functions and kernels each test executes. After that, the command makes one change at a time and runs
+the tests that execute the changed code; tests of the changed module come first. The seed determines the changes. With
 ``--headers``, the changes are two faults per C++ header instead. Changes of the commits alternate, so that the scores
 are comparable even if the run is interrupted. The same command continues an interrupted run.
 """

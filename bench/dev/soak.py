@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[2]
 # Time after the planned end for which tests may still be running [s]. The value was chosen: a test that is still
-# running after it counts as hanging.
+# running after this time counts as hanging.
 GRACE_S = 900.0
 
 

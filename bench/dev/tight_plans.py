@@ -189,7 +189,7 @@ class Call:
         )
         self.exact = exact
         # The floor f of errors is a share of the luminance of all planned directions. The few directions of this object
-        # do not represent this luminance. It is therefore an argument.
+        # do not represent this luminance. This luminance is therefore an argument.
         floor = FLOOR * luminance
         self._above = exact[:, 1] >= floor
         self._scale = np.where(self._above, np.maximum(np.linalg.norm(exact, axis=1), floor), floor)
@@ -227,7 +227,7 @@ class Call:
         return evaluate
 
     def errors(self, plan: wd.Plan) -> np.ndarray:
-        """Return the error of each direction's colour by a plan, relative to the reference or to the floor f."""
+        """Return errors of the directions' colours by a plan, relative to the reference, or to the floor f if dim."""
         self.prepared(plan)()
         xyz = self.load(1)[-1].numpy().astype(np.float64)
         return np.nan_to_num(np.linalg.norm(xyz - self.exact, axis=1) / self._scale, nan=1e9, posinf=1e9)

@@ -6,8 +6,9 @@ has two forms.
 
 - ``"rainbow"`` is the form in Stam's chapter. Orders have equal strength for all components v along the tracks.
   Wavelengths from 0.5 to 1 µm are coloured by three parabolas, max(0, 1 − x²). A white highlight exp(−(r u/w)²) is
-  added. The chapter defines neither the brightness of the orders nor r. Here the mean luminance of the orders is that
-  of exact colours in random directions, and the highlight is as wide as the lobe of a Gaussian coherence window.
+  added. The chapter defines neither the brightness of the orders nor r. In this module the mean luminance of the orders
+  is that of exact colours in random directions, and the highlight is as wide as the lobe of a Gaussian coherence
+  window.
 - ``"cie"`` has the same lines, with four factors that Stam's form omits: the power |H_n0|² of each order, computed from
   the heights; the dependence on v by the Gaussian of the window; CIE colours; and the geometry factors (gains).
 

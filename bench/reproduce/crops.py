@@ -2,10 +2,10 @@
 
 A crop has 24 × 18 pixels with the pixel size of a 640 × 480 picture, around a random illuminated pixel. Its reference
 is the mean of 96 × 96 points per pixel under the Gaussian pixel filter (σ = 0.5 pixels, truncated at 1.5). A second
-reference with 64 × 64 points shows whether the first reference has converged. The floor f, below which the luminance of
-a pixel does not reduce the divisor of its relative error, is that of the whole picture. Errors are evaluated on
-interior pixels, whose points all hit the body and are illuminated. Such pixels may contain edges between parts of a
-body, and may lie at the border of the crop. Use a seed that was not used to develop the code.
+reference with 64 × 64 points shows whether the first reference has converged. The error of a pixel is relative to its
+‖XYZ‖, or to a floor f if that is larger. The floor is that of the whole picture. Errors are evaluated on interior
+pixels, whose points all hit the body and are illuminated. Such pixels may contain edges between parts of a body, and
+may lie at the border of the crop. Use a seed that was not used to develop the code.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ FOV_DEG, RADII = 27.0, 4.6
 # Share of the picture's pixels that are brighter than white after exposure. Pictures are exposed in this way before
 # colour differences ΔE2000 are computed.
 CLIPPED = 1e-3
-# Distances of cameras that render crops, from the eye to the middle of the crop. They are relative to the distance of
+# Distances of cameras that render crops, from the eye to the middle of the crop. The distances are relative to that of
 # the camera that shows the whole body.
 DISTANCES = (1.0, 2.0, 0.25)
 
@@ -203,8 +203,8 @@ def measured(area: Crop, exact: Truth, image: wd.Image) -> Errors:
     xyz, covered = image.xyz.astype(np.float64), np.maximum(image.coverage, 1e-6)[..., None]
     size = np.maximum(np.linalg.norm(exact.xyz, axis=2), FLOOR * area.white)
     error = np.linalg.norm(xyz / covered - exact.xyz, axis=2) / size
-    # ``image.error`` is relative to the reference luminance of the crop. It is converted to the reference luminance of
-    # the whole picture.
+    # ``image.error`` is relative to the reference luminance of the crop. It is converted here, so that it is relative
+    # to the reference luminance of the whole picture.
     own = np.maximum(
         np.linalg.norm(xyz, axis=2), FLOOR * reference_luminance(image.xyz[image.illuminated][:, 1].astype(np.float64))
     )

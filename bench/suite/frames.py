@@ -135,8 +135,8 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
 def _ratios(results: dict[str, Any]) -> str:
     """Return a text that compares frames refined to a tolerance of 0.1 with point samples, for each body.
 
-    The text states two ratios. Each divides a value with the largest number of point samples per pixel by that of the
-    refined frame: the time, and the 99th percentile (P99) of the errors.
+    The text states two ratios: of times, and of 99th percentiles (P99) of errors. Each ratio divides the value with the
+    largest number of point samples per pixel by the value of the refined frame.
     """
     texts = []
     for body, by_method in results.items():

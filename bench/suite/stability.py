@@ -122,7 +122,7 @@ class Points:
     ) -> None:
         """Add the errors of colours from 3 × 3 Fourier coefficients; the reference is colours from all coefficients.
 
-        The wavelengths of both are the same.
+        Both colours use the same wavelengths.
         """
         wavelengths, weights = methods.fixed_steps(step_nm)
 

@@ -292,7 +292,7 @@ def by_an_order(rng, lights, views, heightfield, coherence):
     wavelength = rng.uniform(0.38, 0.78, (len(lights), 1))
     lengths = np.array([heightfield.size_um[1], heightfield.size_um[0]])
     orders = np.rint(-(lights + views)[:, :2] / wavelength * lengths)
-    # Along an axis with one sample the heights are constant, so that only the order 0 exists.
+    # Along an axis with one sample, the heights are constant, so that only the diffraction order 0 exists.
     orders[:, [heightfield.shape[1] == 1, heightfield.shape[0] == 1]] = 0.0
     if coherence.kind == "replicas":
         width = wavelength / (lengths * np.array(coherence.periods[::-1]))

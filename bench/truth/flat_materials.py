@@ -31,8 +31,8 @@ def reflectance(material: Any, wavelengths_um: Any, cosines: Any, polarisations:
             index = np.interp(1e3 * wavelengths, layer.wavelengths_nm, layer.n) + 1j * np.interp(
                 1e3 * wavelengths, layer.wavelengths_nm, layer.k
             )
-            # The variable is the component of the wave vector normal to the surface, relative to 2π/λ. It is a square
-            # root, and the root is used whose wave decays with depth.
+            # `normal` is the component of the wave vector normal to the surface, relative to 2π/λ. Of the two square
+            # roots, the one is used whose wave decays with depth.
             normal = np.sqrt(index**2 - along**2 + 0j)
             normal = np.where(normal.imag < 0.0, -normal, normal)
             normals.append(normal)

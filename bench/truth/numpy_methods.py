@@ -189,7 +189,7 @@ class Rows(NamedTuple):
 def rows_for(heightfield, method, terms, *, kappas, dtype=np.float64):
     """Return all Fourier coefficients of a height field, or their powers, for a range of κ = w/λ.
 
-    The results are in float32 or float64. With the method "exact", they are accurate to rounding errors.
+    The results are in float32 or float64. With the method "exact", the results are accurate to rounding errors.
     """
     block = fourier_coefficients.Block(heightfield.shape, (0, 0), heightfield.shape)
     complex_type = np.complex64 if dtype == np.float32 else np.complex128

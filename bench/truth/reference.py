@@ -315,9 +315,9 @@ class Replicas:
         turns = scattering_vector @ self.samples
         for part in np.array_split(turns, math.ceil(len(turns) / MOST_SAMPLES)):
             # The position of a Chebyshev node is the middle of its panel plus an offset, so that the exponential at the
-            # node is a product of two factors. The middles are equally spaced, so that their factors follow by
-            # recurrence. The offsets are symmetric, so that the factors of the second half are complex conjugates of
-            # the first half.
+            # node is a product of two factors. The middles are equally spaced, so that the factors of the middles
+            # follow by recurrence. The offsets are symmetric, so that the factors of the second half are complex
+            # conjugates of the first half.
             to_middles, to_next = exp_i(2.0 * math.pi * (low + step / 2.0) * part), exp_i(2.0 * math.pi * step * part)
             middles = np.empty((panels, len(part)), dtype=complex)
             for panel in range(panels):

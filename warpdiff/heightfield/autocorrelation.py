@@ -29,10 +29,10 @@ _LEAST_PAIRS = 0.05
 # narrow minima are missed.
 _STEP = 0.5
 # A decay length is the lag at which the autocorrelation falls to `THRESHOLD`; it depends on the azimuth. `_AZIMUTHS` is
-# the number of azimuths over half a turn at which it is computed first. The azimuths of the shortest and the longest
-# decay length are then refined `_LEVELS` times, with `_AZIMUTHS_OF_LEVEL` closer azimuths each time. The numbers were
-# chosen so that the last azimuths are 0.001° apart and the texture aspect ratio Str is exact to 1 % down to 0.001. If
-# the numbers of azimuths are doubled, the time doubles.
+# the number of azimuths over half a turn at which decay lengths are computed first. The azimuths of the shortest and
+# the longest decay length are then refined `_LEVELS` times, with `_AZIMUTHS_OF_LEVEL` closer azimuths each time. The
+# numbers were chosen so that the last azimuths are 0.001° apart and the texture aspect ratio Str is exact to 1 % down
+# to 0.001. If the numbers of azimuths are doubled, the time doubles.
 _AZIMUTHS, _LEVELS, _AZIMUTHS_OF_LEVEL = 360, 3, 17
 # Number of azimuths over half a turn for the decay lengths of a field without one of its blocks (rectangular parts). A
 # jackknife over the blocks gives the standard errors of decay lengths. The value is limited by the refinements, which
@@ -248,9 +248,9 @@ class _Rays:
         """
         from scipy import ndimage
 
-        # The autocorrelation at a lag is interpolated from values at lags of whole samples. It counts as known if the
-        # values at the nearest whole lags on both sides are known. Along an axis where the lag itself is a whole
-        # number, up to rounding, only the value at this lag counts.
+        # The autocorrelation at a lag is interpolated from values at lags of whole samples. The interpolated value
+        # counts as known if the values at the nearest whole lags on both sides are known. Along an axis where the lag
+        # itself is a whole number, up to rounding, only the value at this lag counts.
         roundings = (np.floor, 1e-9), (np.ceil, -1e-9)
         places = lags + self._centre.reshape(2, *[1] * (lags.ndim - 1))
         usable = np.ones(lags.shape[1:], dtype=bool)

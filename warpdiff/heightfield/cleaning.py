@@ -14,8 +14,9 @@ from warpdiff.core.wording import ArgumentValueError, ref
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Largest memory that methods of `HeightField` require, by the name of the method [bytes per sample of the field]. It
-# was measured, without the memory of the field. If doubled, fields are refused that would fit into memory.
+# Largest memory that methods of `HeightField` require, by the name of the method [bytes per sample of the field]. The
+# numbers were measured, and do not include the memory of the field. If doubled, fields are refused that would fit into
+# memory.
 _BYTES_PER_SAMPLE = {
     "levelled": 34.0, "despiked": 88.0, "periodic": 62.0, "periods": 107.0, "whole_periods": 107.0, "roughness": 115.0,
 }  # fmt: skip
@@ -40,8 +41,8 @@ def level(heights: NDArray[np.float64], missing: NDArray[np.bool_], order: int) 
         coefficients = along_y.T @ np.where(missing, 0.0, heights) @ along_x
         fitted = np.add.outer(np.arange(along_y.shape[1]), np.arange(along_x.shape[1])) <= order
         if missing.any():
-            # If samples are missing, the fitted functions are not orthogonal on the others. A small system of equations
-            # of their scalar products is therefore solved.
+            # If samples are missing, the fitted functions are not orthogonal on the known samples. A small system of
+            # equations of their scalar products is therefore solved.
             squares = [(base[:, :, None] * base[:, None, :]) for base in (along_y, along_x)]
             products = np.einsum("yab,yx,xcd->acbd", squares[0], ~missing, squares[1], optimize=True)
             coefficients[fitted] = np.linalg.lstsq(products[fitted][:, fitted], coefficients[fitted], rcond=None)[0]
@@ -51,7 +52,7 @@ def level(heights: NDArray[np.float64], missing: NDArray[np.bool_], order: int) 
 
 
 def _polynomials(samples: int, order: int) -> NDArray[np.float64]:
-    """Return polynomials of increasing degree, orthonormal on equally spaced samples, (samples, polynomials)."""
+    """Return polynomials of increasing degree, orthonormal on equally spaced samples, shape (samples, number)."""
     x = np.linspace(-1.0, 1.0, samples) if samples > 1 else np.zeros(1)
     return np.linalg.qr(np.polynomial.legendre.legvander(x, min(order, samples - 1)))[0]
 

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 # were chosen.
 _MOST_STANDARD_ERROR, _LEAST_SHARE = 0.1, 0.01
 
-# Spatial frequency κ of the phase 2πκh of light that a height h reflects [1/µm]. Aliasing is estimated at its largest
-# value, which light at 380 nm has if the directions to light and view are along the normal.
+# Spatial frequency κ of the phase 2πκh of light that a height h reflects [1/µm]. Aliasing is estimated at the largest
+# κ: that of light at 380 nm, if the directions to light and view are along the normal.
 _KAPPA = 2.0 / 0.38
 # Largest number of samples along each axis for the spectrum from which aliasing is estimated. Of larger fields, only
 # the first samples are used.

@@ -57,8 +57,8 @@ def fit_sine(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Fit a sine of a frequency near ``cycles`` [over the field]; return the sine's fitted frequency and its heights.
 
-    The fitted frequency maximises the Fourier integral of the heights with a Hann window. It is exact to 0.01 cycles.
-    `fit_wave` is more precise and takes several times as long.
+    The fitted frequency maximises the Fourier integral of the heights with a Hann window. The frequency is exact to
+    0.01 cycles. `fit_wave` is more precise and takes several times as long.
     """
     shape = heights.shape
     places = [np.arange(n) / n - 0.5 for n in shape]

@@ -46,8 +46,8 @@ _HARMONIC_BAND = 0.5
 # Number of the highest harmonic of a wave whose alias is excluded from the search for further waves. Higher harmonics
 # have little power, and the excluded bands around all aliases would cover the spectrum.
 _MOST_ALIASED = 5
-# Radius of the band of frequencies of a wavering wave, whose phase varies over the field. It is in standard deviations
-# of the frequencies in this band, weighted by their power.
+# Radius of the band of frequencies of a wavering wave, whose phase varies over the field. The radius is in standard
+# deviations of the frequencies in this band, which are weighted by power.
 _BAND_IN_DEVIATIONS = 2.5
 # A wavering wave is one whose phase varies over the field. The search for its mean frequency begins with a band of
 # frequencies of at most this radius [cycles over the field]. The value is the width of the widest boxes of the spectrum

@@ -17,8 +17,8 @@ the largest estimate is the verdict:
   samples. An undersampled step and the next step change the phase by more than half a cycle each, in the same
   direction.
 
-The first four estimates were fitted to rigorous solutions (bench/reproduce/theory_verdict.py). They are not upper
-bounds.
+The first four estimates were fitted to rigorous solutions (bench/reproduce/theory_verdict.py). These estimates are not
+upper bounds.
 """
 
 from __future__ import annotations
@@ -183,8 +183,8 @@ def verdict_on(
     errors["energy"] = (_PER_NORMALISED_ENERGY if conserves else _PER_ENERGY) * deviation
     reason = max(errors, key=errors.__getitem__)
     if reason == "deep" and errors["steep"] >= QUALITATIVE:
-        # The estimated error for deep relief also depends on the slope. If it is the largest error, but the error for
-        # steep relief is at least `QUALITATIVE`, the reported reason is "steep".
+        # The estimated error for deep relief also depends on the slope. If the error for deep relief is the largest,
+        # but the error for steep relief is at least `QUALITATIVE`, the reported reason is "steep".
         reason = "steep"
     if errors["undersampled"] >= INVALID:
         # If the samples are too far apart, the estimated errors for all other reasons are wrong too, because they use

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 # is below 1, because a pixel averages many directions. The value was fitted as the module's docstring describes.
 _MEAN_ERROR_PER_PLAN_ERROR = 0.32
 # A pixel has two independent errors: the error of the colours and the error of the subdivision into subpixel cells. The
-# root sum of their squares is multiplied by this factor, so that the product bounds 95 % of all errors. The value was
-# fitted as the module's docstring describes.
+# root of the sum of both squared errors is multiplied by this factor, so that the product bounds 95 % of all errors.
+# The value was fitted as the module's docstring describes.
 _BOUND_OF_BOTH = 1.1
 
 # Model of the probability that the true error of a pixel exceeds the tolerance. `_ODDS_AT_TOLERANCE` are the odds if
@@ -52,8 +52,8 @@ class ErrorParts:
 @np.errstate(under="ignore")
 def combined_errors(parts: ErrorParts, plan_error: float) -> NDArray[np.float64]:
     """Return the estimated errors ‖ΔXYZ‖ of pixels. ``plan_error`` is the relative error that the plan predicts."""
-    # The relative error that the plan predicts is an error of colours, from tables or from sums over wavelengths. It is
-    # proportional to the colour.
+    # The relative error that the plan predicts is an error of colours, from tables or from sums over wavelengths. This
+    # error is proportional to the colour.
     size = lengths(parts.xyz).astype(np.float64)
     errors = plan_error * size
     if parts.contrasts is not None:

@@ -24,8 +24,8 @@ def _names(*lines: str) -> frozenset[str]:
     return frozenset("|".join(lines).split("|"))
 
 
-# Keys that state a size, in lower case. They are the words of usual programs and languages; the words of the program
-# Gwyddion are complete.
+# Keys that state a size, in lower case. The keys are those of usual programs, in many languages. The list has all
+# translations of the program Gwyddion.
 _WIDTH = _names(
     "width|breite|largeur|larghezza|ancho|anchura|largura|bredd|bredde|szerokość|šířka|ширина|genişlik|szélesség",
     "leveys|幅|폭|宽度|field width|image width|scan width",

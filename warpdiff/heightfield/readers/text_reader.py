@@ -1,7 +1,7 @@
 """Reader of heights in text: matrices and points x, y, z on a grid, as programs of instruments export them.
 
-One procedure reads the exports of all programs. It tries several separators and decimal signs, and uses the pair that
-gives the most numbers. It takes units from the header and never guesses them.
+One procedure reads the exports of all programs. The procedure tries several separators and decimal signs, and uses the
+pair that gives the most numbers. Units come from the header and are never guessed.
 """
 
 from __future__ import annotations

@@ -173,7 +173,7 @@ class Statement:
         return Statement(self.text, rest, self.between[: len(rest) - 1], tail)
 
     def axes(self) -> list[Axis] | None:
-        """Return the axis of each number, an empty string for both axes; None if the line is not clear."""
+        """Return the axis of each number, an empty string if a number is for both axes; None if this is unclear."""
         named = self.key.axis
         if len(self.measures) == 1:
             behind = _LABEL_BEHIND.match(self.tail)

@@ -38,7 +38,7 @@ _MOST_TAGS = 1000
 _NANOSCOPE = (b"\\*File list", b"\\*Force file list", b"?*File list")
 _METROPRO = (b"\x88\x1b\x03\x6f", b"\x88\x1b\x03\x70", b"\x88\x1b\x03\x71")
 # Words in the names of channels that contain no heights. Some programs state a length as the unit of such channels, so
-# that the unit does not show that they contain no heights.
+# that only the name shows that a channel contains no heights.
 _OTHER_SIGNALS = ("amplitude", "error", "deflection", "phase", "friction", "lateral", "potential", "current")
 
 
