@@ -56,8 +56,8 @@ DIRECTIONS, PLANNED = 128, 40_000
 # Smallest cosine of the angle between random directions and the normal; the angle is at most 85°.
 LOWEST = math.cos(math.radians(85.0))
 KINDS = ("averaged", "centred", "source", "replicas")
-# Tolerances of configurations. Replicated patches are not tried at tolerances below 1e-2, because the float64 reference
-# of such patches would take too long.
+# Tolerances of the configurations, which combine a surface, a coherence, a tolerance and directions. Replicated patches
+# are not tried at tolerances below 1e-2, because the float64 reference of such patches would take too long.
 TOLERANCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3)
 REPLICAS_TOLERANCES = (1e-1, 3e-2, 1e-2)
 PITCH_UM = 0.09  # sample spacing of the synthetic surfaces [µm]
@@ -289,7 +289,7 @@ class Bandwidths:
         return None
 
     def plan(self, plan: wd.Plan, index: int) -> wd.Plan:
-        """Return a plan with the numbers of wavelengths of the assignment with this ``index``."""
+        """Return a plan whose numbers of wavelengths per direction are those of assignment ``index``."""
         top, shares = self.made[index]
         a, b, c = self.shares[shares]
         scale = self.sizes[top] / SPAN
@@ -414,7 +414,7 @@ def measure(call: Call, plans: list[wd.Plan], rounds: int) -> list[float]:
 
 
 class Result(NamedTuple):
-    """Automatic plan of one configuration: ratios to the cheapest setting, and of predicted to actual errors.
+    """Automatic plan for given inputs: ratios to the cheapest setting, and of predicted to actual errors.
 
     Attributes:
         ratio: Time of the automatic plan over the time of the cheapest setting.
@@ -433,7 +433,7 @@ class Result(NamedTuple):
 
 
 def compare(case: Configuration, *, rounds: int, threads: int | None) -> tuple[str, Result | None]:
-    """Plan one configuration, find and time its cheapest setting, and return a row of the table and the ratios."""
+    """Make the automatic plan, find and time the cheapest setting, and return a row of the table and the ratios."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:

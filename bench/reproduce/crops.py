@@ -52,8 +52,8 @@ FOV_DEG, RADII = 27.0, 4.6
 # Share of the picture's pixels that are brighter than white after exposure. Pictures are exposed in this way before
 # colour differences ΔE2000 are computed.
 CLIPPED = 1e-3
-# Distances of cameras that render crops, from the eye to the middle of the crop. The distances are relative to that of
-# the camera that shows the whole body.
+# Distances of cameras that render crops (parts of a picture), from the eye to the point in the middle of the crop. The
+# distances are relative to that of the camera that shows the whole body.
 DISTANCES = (1.0, 2.0, 0.25)
 
 
@@ -80,7 +80,7 @@ class Truth(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """Errors of the pixels of a crop: interior pixels, pixels at the silhouette, and pixels at edges of shadows."""
+    """Errors of a small picture (crop): of interior pixels, of pixels at the silhouette, and at edges of shadows."""
 
     interior: np.ndarray
     silhouette: np.ndarray
@@ -138,7 +138,7 @@ def surfaces(data: str | None) -> dict[str, Callable[[], wd.HeightField]]:
 def crop(
     name: str, mesh: Any, heightfield: wd.HeightField, distance: float, rng: np.random.Generator, least: float = 0.0
 ) -> Crop:
-    """Return a crop around a random illuminated pixel with Y of at least ``least`` times the reference luminance Y*."""
+    """Return the part of a picture around a random illuminated pixel with Y of at least ``least`` times Y*."""
     low, high = mesh.bounds
     centre, radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
     light, towards = LIGHTS[rng.integers(len(LIGHTS))], np.array(EYES[rng.integers(len(EYES))])
@@ -163,13 +163,13 @@ def crop(
 
 
 def truth(area: Crop, tolerance: float) -> Truth:
-    """Return the reference of a crop, with the difference of this reference from the coarser one."""
+    """Return the reference of a small picture (crop), and the difference of this reference from the coarser one."""
     fine, coarse = (filtered(area, tolerance, points) for points in (POINTS, FEWER))
     return fine._replace(settled=np.linalg.norm(fine.xyz - coarse.xyz, axis=2))
 
 
 def filtered(area: Crop, tolerance: float, points: int) -> Truth:
-    """Return the mean over ``points`` × ``points`` points per pixel of a crop, weighted by the pixel filter."""
+    """Return means over ``points`` × ``points`` points per pixel of a small picture, weighted by the pixel filter."""
     view = finer(area.view, points, MARGIN)
     image = wd.shade(
         area.mesh, area.heightfield, area.light, view, tolerance=max(OF_POINTS * tolerance, 1e-5), footprint=False,
@@ -199,7 +199,7 @@ def _filter(size: int, points: int) -> np.ndarray:
 
 
 def measured(area: Crop, exact: Truth, image: wd.Image) -> Errors:
-    """Return the errors of a picture of a crop relative to the crop's reference."""
+    """Return the errors of a small picture (crop) relative to its reference."""
     xyz, covered = image.xyz.astype(np.float64), np.maximum(image.coverage, 1e-6)[..., None]
     size = np.maximum(np.linalg.norm(exact.xyz, axis=2), FLOOR * area.white)
     error = np.linalg.norm(xyz / covered - exact.xyz, axis=2) / size
@@ -215,7 +215,7 @@ def measured(area: Crop, exact: Truth, image: wd.Image) -> Errors:
 
 
 def crops(names: dict[str, Any], fields: dict[str, Any], seed: int) -> Iterator[Crop]:
-    """Yield a crop of each body with each surface at each distance."""
+    """Yield a crop (part of a picture) of each body with each surface at each distance."""
     for body, make in names.items():
         mesh = make()
         for surface, field in fields.items():
@@ -226,7 +226,7 @@ def crops(names: dict[str, Any], fields: dict[str, Any], seed: int) -> Iterator[
 
 
 def pictured(area: Crop, view: wd.View, tolerance: float, samples: int = 1) -> tuple[wd.Image, bool]:
-    """Return a picture of a crop's scene, and whether rendering warned."""
+    """Render the scene of a crop (part of a picture); return the picture, and whether the library warned."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", wd.WarpdiffWarning)
         # Warnings about the limits of scalar diffraction are ignored, because here only errors of the computation are

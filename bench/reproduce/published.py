@@ -48,7 +48,7 @@ MOST_REACH = {"averaged": 3, "centred": 4}
 # Number of settings that are timed; these have the fewest multiply-adds of all settings that reach the target error.
 FINALISTS = 3
 TOLERANCE, TOLERANCES = 1e-2, sorted([1e-2, *(0.5 * 2.0 ** (-k) for k in range(9))], reverse=True)
-# Tolerance of the reference. It must be small compared with the errors of the compared settings.
+# Tolerance of the reference. The tolerance must be small compared with the errors of the compared methods.
 TRUTH = 1e-3
 # Width of the picture [pixels], number of pixels of a timed call, and number of rounds of timed calls.
 WIDTH, TIMED, ROUNDS = 640, 12_000, 9
@@ -126,7 +126,7 @@ def refined(error_of: Callable[[Setting], float], most: int, target: float) -> t
 
 
 def compare(scene: Scene, coherence: wd.Coherence, pixels: int) -> None:
-    """Measure and time all settings for one kind of coherence, and print a table of them.
+    """Measure and time all settings of the published algorithm for one kind of coherence, and print a table.
 
     Also print two comparisons of the library with the published algorithm: errors at equal time, and times at equal
     error.

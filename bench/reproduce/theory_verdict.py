@@ -49,7 +49,8 @@ SAMPLES = 512
 # Wavelength of all calls [nm]. Periods and depths are stored in units of the wavelength; at this wavelength these
 # numbers are also their lengths in µm.
 WAVELENGTH_NM = 1000.0
-# Limits that ``--rise`` compares: least cosine of the angle from the normal for which an order has its full weight.
+# Limits that ``--rise`` compares: least cosine of the angle from the normal for which the energy normalisation gives an
+# order its full weight.
 RISES = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0)
 
 
@@ -157,7 +158,7 @@ def judged(energy: str | None, *, step: int = 1) -> dict[str, Shares]:
 
 
 def mean_error_by_rise(cosine: float) -> float:
-    """Return the mean error of mirror gratings that are not held out, with normalised energy.
+    """Return the mean error of mirror gratings used for fitting, with normalised energy.
 
     The normalisation gives full weight to orders if the cosine of their angle from the normal exceeds a limit.
     ``cosine`` replaces this limit.

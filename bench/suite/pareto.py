@@ -119,7 +119,7 @@ def peers(coherence: wd.Coherence, setting: Setting) -> dict[str, tuple[Any, lis
 
 
 def best(peer: Any, settings: list[dict[str, Any]], heightfield: wd.HeightField, coherence: wd.Coherence) -> Shade:
-    """Return the function by which a peer computes colours at its most accurate supported setting."""
+    """Return the function by which a peer (another program) computes colours most accurately."""
     for setting in reversed(settings):
         with contextlib.suppress(ValueError):
             return cast("Shade", peer.prepare(heightfield, coherence, **setting))
@@ -265,8 +265,8 @@ def _draw(name: str, result: dict[str, Any], folder: Path) -> str:
         for method, curve in curves.items():
             colour, marker, title = style(method)
             top = method == AUTOMATIC
-            # The first setting of a peer is that of the publication (Single 2014). It is drawn as a separate point,
-            # outside of the peer's curve.
+            # The first setting of each program with the published algorithm is that of the publication (Single 2014).
+            # It is drawn as a separate point, outside of the program's curve.
             begin = int(method in PEERS.values())
             us = np.array(curve["us"])
             order = [*range(begin), *(begin + np.argsort(us[begin:, 0]))]
@@ -322,7 +322,7 @@ def _draw(name: str, result: dict[str, Any], folder: Path) -> str:
 
 
 def _at(curve: dict[str, Any], error: float) -> int | None:
-    """Return the index of a curve's fastest setting with a 99th percentile of at most ``error``, or None."""
+    """Return the index of a curve's fastest point whose 99th percentile of errors is at most ``error``, or None."""
     good = [k for k, p99 in enumerate(curve["p99"]) if p99 <= error]
     return min(good, key=lambda k: curve["us"][k][0]) if good else None
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 # Tolerance of the calls by which the automatic choice of the library is measured.
 TOLERANCE = 1e-2
-# Slice that selects all values on the x axis of a regime.
+# Slice that selects all values on the x axis of a panel.
 ALL = slice(None)
 # Tolerance of the calls by which the smallest error that a method can reach is measured.
 FINEST = 1e-5
@@ -56,7 +56,7 @@ FLOAT64 = ", float64"
 
 
 class Panel(NamedTuple):
-    """One panel of the stability chart: errors of several methods in one regime.
+    """One panel of the stability chart: errors of several methods over one parameter.
 
     Attributes:
         title: Title of the panel.
@@ -255,9 +255,9 @@ def grazing(which: slice = ALL) -> Panel:
     wavelengths, weights = methods.fixed_steps(1.0)
     for seed, elevation in enumerate(x):
         points.start()
-        # In directions near the mirror direction, bright colours raise the floor f of the errors and hide errors of
-        # darker colours. Views near the mirror direction and views in all directions are therefore two calls, and the
-        # larger error is drawn.
+        # In directions near the mirror direction, bright colours raise the floor f, a share of the largest luminances
+        # to which errors of dark colours are relative, and hide these errors. Views near the mirror direction and views
+        # in all directions are therefore two calls, and the larger error is drawn.
         for spread in (0.1, None):
             lights, views = methods.at_elevation(48, elevation, spread, seed)
             same = reference.reference_spectral(heightfield, lights, views, wavelengths * 1e-3, window)

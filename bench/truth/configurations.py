@@ -102,7 +102,7 @@ class Configuration(NamedTuple):
 
 
 def configuration(index, seed=0, scan=None, layouts=LAYOUTS):
-    """Return the configuration of an index. Its surface may be a crop of ``scan``, or fingers if ``scan`` is None."""
+    """Return the random call of an index. Its surface may be a part of ``scan``, or fingers if ``scan`` is None."""
     rng = np.random.default_rng([seed, index])
     kind, tolerance = STRATA[index % len(STRATA)]
     layout = layouts[rng.integers(len(layouts))]
@@ -232,7 +232,7 @@ def a_light(rng, count=1, steepest_deg=STEEPEST_DEG):
 
 
 def a_list(rng, case, most):
-    """Return a configuration with a list of pairs of directions, in random or sorted order."""
+    """Return a random call with a list of pairs of directions, in random or sorted order."""
     low, high = {"few": (16, 128), "some": (129, FEW - 1), "many": (FEW, most)}[case.layout]
     count = round(log_uniform(rng, low, high))
     way = WAYS[rng.integers(len(WAYS))]
@@ -306,7 +306,7 @@ def by_an_order(rng, lights, views, heightfield, coherence):
 
 
 def a_grid(rng, case, most):
-    """Return a configuration with a grid of views in row order under one light.
+    """Return a random call with a grid of views in row order under one light.
 
     Grid points are the x and y of the views. Points outside the unit disc become directions below the horizon.
     """

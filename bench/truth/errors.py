@@ -28,7 +28,7 @@ def percentile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
 
 
 def relative(xyz: np.ndarray, exact: np.ndarray) -> np.ndarray:
-    """Return relative errors (n,): ‖ΔXYZ‖ / max(‖XYZ‖, f), with the floor f."""
+    """Return relative errors (n,): ‖ΔXYZ‖ / max(‖XYZ‖, f), with the luminance f as the floor of the divisor."""
     size = np.maximum(np.linalg.norm(exact, axis=1), FLOOR * reference_luminance(exact[:, 1]))
     return np.asarray(np.linalg.norm(xyz - exact, axis=1) / size)
 

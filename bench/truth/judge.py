@@ -94,7 +94,7 @@ def witnessed() -> Iterator[list[np.ndarray]]:
 
 
 def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = True) -> Result:
-    """Make the call that a configuration describes, by public functions, and return its results."""
+    """Make the random call that ``case`` describes, by public functions, and return the results of the call."""
     arguments: dict[str, Any] = {
         "tolerance": case.tolerance, "coherence": case.coherence, "material": case.material, "threads": threads,
         "strict": strict,

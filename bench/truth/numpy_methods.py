@@ -71,7 +71,7 @@ def percentile_99(errors):
 
 
 def colour_error(xyz, truth):
-    """Return the 99th percentile of ‖ΔXYZ‖ / max(‖XYZ‖, f), with the floor f; both arguments are (n, 3)."""
+    """Return the 99th percentile of ‖ΔXYZ‖ / max(‖XYZ‖, f), with a floor f of luminance; both arguments are (n, 3)."""
     floor = max(FLOOR * reference_luminance(truth[:, 1]), DARK)
     with np.errstate(all="ignore"):
         moved = np.linalg.norm(np.asarray(xyz, dtype=np.float64) - truth, axis=1)

@@ -587,7 +587,7 @@ def reference_picture(
         sigma: Standard deviation of the coherence window [µm], if ``coherence`` is a name.
         tolerance: Tolerance of the reference; the integral over λ converges to a twentieth of the tolerance.
         ior: Index of refraction.
-        masking: Whether the masking term is applied.
+        masking: Whether the gain includes the factor for masking and shadowing by the relief.
         pigment: Strength of the pigment under the diffracting surface.
         shadows: Whether shadow rays are traced.
         smooth: Whether normals are interpolated.

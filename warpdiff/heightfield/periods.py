@@ -50,8 +50,8 @@ _MOST_ALIASED = 5
 # deviations of the frequencies in this band, which are weighted by power.
 _BAND_IN_DEVIATIONS = 2.5
 # A wavering wave is one whose phase varies over the field. The search for its mean frequency begins with a band of
-# frequencies of at most this radius [cycles over the field]. The value is the width of the widest boxes of the spectrum
-# in which lines are searched. If doubled, the bands of periods that are short compared with the field contain
+# frequencies of at most this radius [cycles over the field]. The value is the width of the widest boxes over which the
+# spectrum is averaged to search lines. If doubled, the bands of periods that are short compared with the field contain
 # neighbouring lines, which move the mean frequency.
 _FIRST_BAND = 31.0
 # Distance of two spectral lines [cycles over the field] below which they count as one line, because they are within one
@@ -346,7 +346,7 @@ class _Search:
         )
 
     def _is_beside_wavering(self, cycles: NDArray[np.float64]) -> bool:
-        """Return whether a frequency is so near to a wavering wave that its spectral line belongs to this wave."""
+        """Return whether a frequency is so near to a wave of varying phase that its line belongs to this wave."""
         return any(_distance(cycles, other) <= _SIDE_LINES * float(np.hypot(*other)) for other in self.wavering)
 
     def _fundamental(self, spectrum: WindowedSpectrum, line: Line) -> Line:
@@ -491,7 +491,7 @@ class _Search:
         return _Wave(q, error, (math.sqrt(2.0 * share),), min(share, 1.0), is_coherent=False)
 
     def _exclude_harmonics(self, cycles: NDArray[np.float64], radius: float) -> None:
-        """Exclude bands around a frequency, its harmonics and their aliases from the search for further lines."""
+        """Exclude bands around a frequency, its harmonics and their aliases from the search for spectral lines."""
         self._exclude(cycles, radius)
         shape = np.array(self.heights.shape)
         for order in range(2, MOST_HARMONICS + 1):
@@ -503,7 +503,7 @@ class _Search:
                 self._exclude(alias, radius)
 
     def _exclude(self, cycles: NDArray[np.float64], radius: float) -> None:
-        """Exclude bands around a frequency and around the opposite frequency from the search for further lines."""
+        """Exclude bands around a frequency and around the opposite frequency from the search for spectral lines."""
         ny, nx = self.excluded.shape
         for centre in (cycles, -cycles):
             rows, columns = (

@@ -311,7 +311,7 @@ def _excess(squares: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _from_sums(sums: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return Sa, Sq, Sdq and Sdr from the sums of `_sums`, shape (9,) or (9, n)."""
+    """Return Sa, Sq, Sdq and Sdr from the nine sums that `_sums` returns, shape (9,) or (9, n)."""
     samples, magnitudes, squares, pairs_x, squares_x, pairs_y, squares_y, cells, excess = sums
     gradient = np.where(pairs_x > 0.0, squares_x / pairs_x, 0.0) + np.where(pairs_y > 0.0, squares_y / pairs_y, 0.0)
     gradient = np.where(pairs_x + pairs_y > 0.0, gradient, np.nan)

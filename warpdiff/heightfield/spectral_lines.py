@@ -63,7 +63,7 @@ _EXPONENTS = (-4.0, 8.0)
 _FAN = np.arange(24) * (math.pi / 24.0)
 _FAN_COSINES, _FAN_SINES = np.cos(_FAN), np.sin(_FAN)
 # Quantile of the powers in a ring or sector of the frequency plane from which the coarse background is estimated. The
-# value is below the median, because at low frequencies a line covers most of a ring.
+# value is below the median, because at low frequencies a spectral line covers most of a ring.
 _QUANTILE = 0.15
 # For exponentially distributed powers: ratio of the mean to the median, and ratio of the mean to the quantile
 # `_QUANTILE`.
@@ -88,7 +88,7 @@ class Line:
     excess: float
 
     def background_at(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the background per Fourier coefficient at frequencies near the line [cycles over the field]."""
+        """Return the background per Fourier coefficient at frequencies [cycles over the field] near the line."""
         along = (rows * self.cycles[0] + columns * self.cycles[1]) / float(np.sum(self.cycles**2))
         return np.asarray(self.background * np.clip(np.abs(along), 0.3, 3.0) ** -self.exponent)
 
@@ -117,7 +117,7 @@ class WindowedSpectrum:
         return np.arange(ny)[:, None] - self.centre[0], np.arange(nx)[None, :] - self.centre[1]
 
     def excess(self, line: Line, radius: float) -> float:
-        """Return the power above the background, summed over all frequencies within ``radius`` cycles of a line."""
+        """Return the power above the background, summed over all frequencies within ``radius`` of a spectral line."""
         rows, columns = self._window(line.cycles, radius)
         power = self.power[np.ix_(rows + self.centre[0], columns + self.centre[1])]
         rows, columns = rows[:, None], columns[None, :]
@@ -178,10 +178,10 @@ class WindowedSpectrum:
         return max((line for line in lines if line is not None), key=lambda line: line.excess, default=None)
 
     def _coarse_background(self, sizes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return a coarse background for each coefficient, estimated in rings and sectors of the frequency plane.
+        """Return a coarse estimate of the spectrum's background at each coefficient, in rings and sectors of the plane.
 
-        The largest of several estimates counts. The coefficients on both axes of the plane have estimates of their own,
-        because steps between scan lines have their power on an axis.
+        The rings and sectors divide the frequency plane. The largest of several estimates counts. The coefficients on
+        both axes of the plane have separate estimates, because steps between scan lines have their power on an axis.
         """
         rows, columns = (k / size for k, size in zip(self._cycles, sizes, strict=True))
         # Frequency of each Fourier coefficient [cycles over the longer side of the field].
@@ -220,7 +220,7 @@ class WindowedSpectrum:
     def _strongest_of_width(
         self, white: NDArray[np.float64], allowed: NDArray[np.bool_], width: int, sizes: NDArray[np.float64]
     ) -> Line | None:
-        """Return the strongest significant line of the spectrum after averaging over boxes of ``width``, or None."""
+        """Return the strongest significant line of the spectrum after averaging over square boxes, or None."""
         from scipy import ndimage, special
 
         sides = tuple(width if n > 1 else 1 for n in white.shape)
@@ -240,8 +240,8 @@ class WindowedSpectrum:
         for _ in range(_MOST_CANDIDATES):
             row, column = np.unravel_index(int(np.argmax(values)), values.shape)
             value = float(values[row, column])
-            # The coarse background may contain the power of a line. It is therefore only used to decide which maxima
-            # are examined, and in which order.
+            # The coarse background, estimated over rings and sectors, may contain the power of a spectral line. It only
+            # decides which maxima are examined, and in which order.
             if special.gammaincc(independent, independent * value) > max(level, _EXAMINED):
                 break
             values[row, column] = 0.0

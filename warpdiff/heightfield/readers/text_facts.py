@@ -97,7 +97,7 @@ class Facts:
             self.unclear_size = f"{self._stated['aspect'][0][2]} states an aspect ratio"
 
     def line_of(self, name: str) -> str:
-        """Return the quoted line that states a size or a pitch."""
+        """Return the header line that states a size or a pitch, in quotes."""
         return next(line for _, length, line in self._stated[name] if length == getattr(self, name))
 
     def merge(self, first: Facts) -> None:

@@ -150,7 +150,7 @@ def _add_no_data(facts: Facts, statement: Statement, line: str, signs: Signs) ->
 
 
 def _add_lengths(facts: Facts, statement: Statement, line: str, signs: Signs) -> None:
-    """Add to ``facts`` the sizes or pitches that a line states, or the reason why the line is not clear."""
+    """Add to ``facts`` the sizes or pitches that a header line states, or the reason why the line is not clear."""
     key = statement.key
     # In a size such as "6 µm (12 px)" or "0.006 mm (6 µm)", the number in brackets is a number of samples or the same
     # size in another unit.

@@ -88,7 +88,7 @@ def _equal_blocks(file: Path, blocks: list[Block]) -> list[Block]:
     if min(shape) < 2:
         return [largest]
     same = [block for block in blocks if block.values.shape[1] == shape[1]]
-    # A block of a single row before the first matrix belongs to the header.
+    # A single row of numbers before the first matrix belongs to the header of the text.
     while len(same[0].values) == 1:
         del same[0]
     if any(block.values.shape != shape for block in same):
