@@ -115,7 +115,8 @@ def prepare(
 def order_powers(heightfield: wd.HeightField, period_um: float) -> NDArray[np.float64]:
     """Return powers |H_n0|² of the orders n = −7 … 7 at equal steps of κ = w/λ, 0 to −2/0.38 /µm, shape (NODES, 15).
 
-    The frequency of order n is n/d. If this is not a multiple of 1/Lx, the nearest multiple is used.
+    The frequency of order n is n/d, where d is the distance of the tracks. Orders of the height field of length Lx have
+    multiples of 1/Lx, of which the nearest is used.
     """
     orders = np.rint(np.arange(-ORDERS, ORDERS + 1) * heightfield.size_um[1] / period_um).astype(int)
     result = np.empty((NODES, len(orders)))

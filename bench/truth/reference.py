@@ -178,14 +178,15 @@ class Coefficients:
         across = scattering_vector[:2]
         length = math.sqrt(across @ self.metric(to_light) @ across)
         if self.step.kind == "source":
-            # The Gaussian of a coefficient has the standard deviation τ²·spread/|q| in τ, where q is the coefficient's
-            # frequency and spread that of the source. The standard deviation is smallest for the smallest τ and the
-            # largest |q| of a coefficient that contributes, |q| = τ (|(u, v)| + 4·spread).
+            # The Gaussian weight of a coefficient has the standard deviation τ²·spread/|q| in τ = 1/λ. Here q is the
+            # frequency of the coefficient, and spread is the angular spread of the light source. The standard deviation
+            # is smallest for the smallest τ and the largest |q| of a coefficient that contributes, |q| = τ (|(u, v)| +
+            # 4·spread).
             width = REDDEST * self.step.spread / (length + 4.0 * self.step.spread)
         else:
-            # For an averaged window, this is the standard deviation of a coefficient's Gaussian in τ. For a centred
-            # window, amplitudes have a Gaussian that is wider by √2. The power is a product of two amplitudes and has
-            # the same width as for an averaged window.
+            # For an averaged coherence window, this is the standard deviation in τ = 1/λ of the Gaussian weight of a
+            # coefficient. For a centred window, amplitudes have a Gaussian weight that is wider by √2. The power is a
+            # product of two amplitudes and has the same width as for an averaged window.
             width = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * self.step.sigma_um * max(length, 1e-9))
         turns = 2.0 * abs(scattering_vector[2]) * self.height
         return min(WIDTHS_PER_CELL * width, PERIODS_PER_CELL / max(turns, 1e-9)), LEAST
@@ -218,7 +219,8 @@ class Coefficients:
         r, s = (grid.ravel() for grid in np.meshgrid(*bounds))
         q = np.stack([r / self.lengths[1], s / self.lengths[0]], axis=1)
         # As τ = 1/λ changes, the frequency τ·(u, v) follows a straight path. `away` is the vector from the nearest
-        # point of this path to a coefficient's frequency. The length of `away` is measured in the metric A.
+        # point of this path to a coefficient's frequency. The length of `away` is measured in the metric A of the
+        # coefficient's Gaussian weight.
         square = across @ metric @ across
         nearest = np.clip(q @ metric @ across / max(square, 1e-30), tau[0], tau[-1])
         away = q - nearest[:, None] * across
@@ -226,9 +228,9 @@ class Coefficients:
         if not near.any():
             return np.zeros(len(tau))
         r, s, q = r[near], s[near], q[near]
-        # As τ changes, the frequency τU with U = (u, v) moves along a straight line. The exponent is the squared
-        # distance from q to τU in the metric A. This is the squared distance from q to the line plus the squared
-        # distance along the line.
+        # As τ = 1/λ changes, the frequency τU with U = (u, v) moves along a straight line. The exponent of the Gaussian
+        # weight of a coefficient of the frequency q is the squared distance from q to τU in the metric A. This is the
+        # squared distance from q to the line plus the squared distance along the line.
         foot = q @ metric @ across / max(square, 1e-30)
         away = q - foot[:, None] * across
         across_square = np.einsum("ki,ij,kj->k", away, metric, away)

@@ -84,7 +84,7 @@ def _plain(line: str, form: Form) -> str:
 
 
 def _add_statement(facts: Facts, statement: Statement, line: str, signs: Signs) -> float | None:
-    """Add to ``facts`` the numbers that a line states. If the key is not known, return the stated length [µm]."""
+    """Add to ``facts`` the numbers that a header line states. If the key is unknown, return the stated length [µm]."""
     if text_keys.states_no_data(statement.words):
         _add_no_data(facts, statement, line, signs)
         return None

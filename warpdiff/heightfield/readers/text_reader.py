@@ -105,9 +105,9 @@ def _facts_of(block: Block, form: Form, signs: Signs, first_header: list[str]) -
 
 
 def _check_signs(file: Path, use: str, sign: str, facts: Facts) -> None:
-    """Raise an error if it is not clear whether the sign in all numbers is a decimal sign or separates thousands.
+    """Raise an error if the comma or point in the numbers may be a decimal sign, but also separate thousands.
 
-    If all numbers have the sign, it is a decimal sign unless a number of the header has the other decimal sign.
+    If all numbers have this sign, it is a decimal sign unless a number of the header has the other decimal sign.
     """
     other = "," if sign == "." else "."
     if sign in facts.signs or use in ("none", "certain") or (use == "all" and other not in facts.signs):

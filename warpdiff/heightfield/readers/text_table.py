@@ -160,7 +160,7 @@ class Form(NamedTuple):
         return float(cell.replace(",", ".").upper().replace("D", "E"))
 
     def row(self, line: str) -> list[float] | None:
-        """Return the numbers of a line; None if a cell is no number, or if the only cell is a missing sample."""
+        """Return the numbers of a line; None if a cell is no number, or if the line is one missing sample."""
         if self.decimal == "." and not self.thousands and '"' not in line and "_" not in line:
             try:
                 fast = list(map(float, line.split(self.separator)))
