@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
 
 # Number of terms of a Fourier coefficient's Taylor series that are loaded at a time. The value is limited by the number
-# of vector registers; if doubled, registers are stored to memory.
+# of vector registers.
 PACKET = 8
 # Number of floats per cache line. The number is derived from cache lines of 64 bytes.
 LINE = 16

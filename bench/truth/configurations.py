@@ -24,7 +24,7 @@ GRATINGS = ("fingers", "sinusoidal", "lamellar", "blazed", "disc", "bumps")
 LAYOUTS = ("few", "some", "many", "many", "grid", "grid", "map", "map", "frame")
 WAYS = ("random", "mirror", "orders", "grazing", "mixed")
 ILLUMINANTS = ("D65", "D65", "D65", "A", "FL11", "HP1", "E")
-# Materials from which half of the calls draw theirs. The other calls use the default material.
+# Materials of half of the calls; one is drawn at random for each of them. The other calls use the default material.
 MATERIALS = (
     None, *map(wd.Material.metal, ("Al", "Au", "Cu", "Cr")), wd.Material.dielectric(1.5),
     wd.Material.metal("Ni").coated(wd.Material.dielectric(1.46), 220.0),

@@ -390,8 +390,8 @@ def quadrature(cells, illuminant):
     edges = np.linspace(REDDEST, BLUEST, cells + 1)
     half, middles = (edges[1] - edges[0]) / 2.0, (edges[:-1] + edges[1:]) / 2.0
     # The integrand is not smooth at the edges of cells and at wavelengths that are whole numbers of nm, where the
-    # tabulated colour products have kinks. The integral is therefore divided at all of these wavelengths. In each part
-    # the integrand is smooth, and a Gauss rule with 6 points integrates it.
+    # tabulated colour products have kinks. The integral is therefore divided at all of these places. In each part the
+    # integrand is smooth, and a Gauss rule with 6 points integrates it.
     pieces = np.unique(np.concatenate([1e3 / edges[1:-1], np.arange(380.0, 781.0)]))
     middle = (pieces[:-1] + pieces[1:]) / 2.0
     cell = np.clip(((1e3 / middle - REDDEST) / (2.0 * half)).astype(np.int64), 0, cells - 1)

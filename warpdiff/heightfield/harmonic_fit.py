@@ -22,8 +22,8 @@ OF_NYQUIST = 0.9
 # Number of values per period of the shortest harmonic of a wave. Samples that are closer together are averaged over
 # blocks before a fit, which saves time. With two values per period, harmonics would alias.
 _SAMPLES_PER_PERIOD = 4
-# Largest number of elements of the matrix of a least-squares fit. The value is limited by time and memory: both double
-# if it is doubled.
+# Largest number of elements of the matrix of a least-squares fit. The value is limited by time and memory: if doubled,
+# the largest fits require twice as much of both.
 _MOST_ELEMENTS = 2_000_000
 # Smallest amplitude of a significant harmonic of a wave, in standard deviations of the amplitudes that noise causes.
 _OVER_NOISE = 4.0

@@ -65,7 +65,7 @@ _MEANINGS = {
     "Str": "texture aspect ratio",
 }
 # Reasons for a standard error above `_LARGE_ERROR`, by the name of the parameter. Near its minimum, the autocorrelation
-# changes slowly with distance.
+# changes slowly with distance, so that the distance at which it falls to the threshold has a large error.
 _REASONS_OF_LARGE_ERRORS = {
     "Sal": f"the autocorrelation falls only just below {autocorrelation.THRESHOLD} there, or not at all in some parts",
     "Str": f"the autocorrelation falls only just below {autocorrelation.THRESHOLD}, or not at all in some parts",

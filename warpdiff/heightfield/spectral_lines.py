@@ -130,7 +130,7 @@ class WindowedSpectrum:
         return float(np.sum(self.power[self._main_lobe(place)])) if min(place) >= 0 else 0.0
 
     def line_at(self, cycles: NDArray[np.float64], sizes: NDArray[np.float64]) -> Line | None:
-        """Return the narrow line at a known frequency if it is significant, otherwise None."""
+        """Return the narrow spectral line at a known frequency if this line is significant, otherwise None."""
         return self._examined(self._place(cycles), (1, 1), 1.0, _SINGLE_FALSE_ALARM, sizes, 1.0)
 
     def _place(self, cycles: NDArray[np.float64]) -> tuple[int, int]:
@@ -348,7 +348,7 @@ class WindowedSpectrum:
         return np.asarray(self.power.ravel()[np.unique(row[inside] * nx + column[inside])])
 
     def _over_ridge(self, cycles: NDArray[np.float64], mean: float, width: int) -> tuple[float, float, int]:
-        """Compare a maximum with the rest of each straight line through it; return the smallest ratio of both powers.
+        """Return the smallest ratio of a maximum's power to the power on the rest of a straight line through it.
 
         Grinding marks and steps between scan lines make ridges in the spectrum, and noise makes many maxima along a
         ridge. Such a maximum hardly exceeds the rest of its ridge. Also return the number of independent coefficients
