@@ -61,8 +61,8 @@ def _opened_member(file: Path, name: str) -> Iterator[IO[bytes]]:
 def _read_array(file: Path, opened: Callable[[], AbstractContextManager[IO[bytes]]], writer: str) -> np.ndarray:
     """Read an array in NumPy's format from a stream.
 
-    The function ``opened`` opens the stream. It is called twice: for the shape, by which the memory is checked, and for
-    the numbers.
+    The function ``opened`` opens the stream. The function is called twice: first to read the shape, by which the memory
+    is checked, and then to read the numbers.
     """
     try:
         with opened() as stream:
