@@ -230,7 +230,7 @@ def table(records: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Test changes of the sources until all changes are tested or the time is over, and print the scores."""
+    """Test one-token changes of the source code until all are tested or the time is over, and print mutation scores."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("commits", nargs="+", help="commits whose sources and tests are used")
     parser.add_argument("--seed", default="HEAD", help="commit whose hash determines the changes (default: HEAD)")

@@ -140,7 +140,7 @@ def label(setting: dict[str, Any]) -> str:
 def plans(
     scene: Scene, coherence: wd.Coherence, directions: Directions, setting: Setting
 ) -> dict[tuple[str, str], wd.Plan]:
-    """Return plans for the illuminated pixels of a scene, by the pair (method, tolerance)."""
+    """Return a dictionary of plans for the illuminated pixels of a scene; its keys are pairs (method, tolerance)."""
     result = {}
     pairs = directions.to_lights, -directions.scattering_vectors - directions.to_lights
     options: dict[str, Any] = {"coherence": coherence, "device": setting.device, "threads": setting.threads}
@@ -237,7 +237,10 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return times and errors by name. Each entry is a list: median, minimum and maximum over the rounds, and unit."""
+    """Return times and errors by the name of the quantity.
+
+    Each entry is a list: median, minimum and maximum over the rounds, and unit.
+    """
     result: dict[str, list[Any]] = {}
     for chart_name, scene in results.items():
         for method, curve in scene["curves"].items():

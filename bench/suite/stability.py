@@ -86,7 +86,7 @@ class Points:
         self.warned: dict[str, list[int]] = {}
 
     def start(self) -> None:
-        """Begin a new value on the x axis."""
+        """Begin the points at the next value of the chart's x axis."""
         self._points.append({})
 
     def add(self, name: str, error: float) -> None:

@@ -76,7 +76,7 @@ class Figure(NamedTuple):
 
 @contextmanager
 def witnessed() -> Iterator[list[np.ndarray]]:
-    """Record the scattering vectors (u, v, w) of directions on which the planner tries plans in the ``with`` block."""
+    """Record the scattering vectors (u, v, w) for which the planner computes trial colours in the ``with`` block."""
     vectors: list[np.ndarray] = []
 
     class Witness(trial.Trial):

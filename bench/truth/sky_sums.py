@@ -55,7 +55,7 @@ def _find_occluded(
 
 
 class SkySums:
-    """Sums of reflected light for the pixels of a mesh with a height field."""
+    """Sums, over directions of a sky, of the light that a mesh with a height field reflects into pixels."""
 
     def __init__(
         self, mesh: Any, heightfield: wd.HeightField, view: wd.View, coherence: wd.Coherence, *, shadows: bool = True

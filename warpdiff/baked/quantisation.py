@@ -15,7 +15,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Number of exponents per factor of 2, so that neighbouring exponents differ by the factor 2^(1/8).
+# Scales of quantised numbers are powers of 2^(1/8): this is the number of scales per factor of 2.
 EIGHTHS = 8
 
 

@@ -94,7 +94,7 @@ def _jump(heights: NDArray[np.float64], axis: int) -> float:
 
 
 def _share(coherence: Coherence, size_um: float, axis: int, longest_um: float) -> float:
-    """Return the share of the interfering pairs of points that have an edge of the field between them, along one axis.
+    """Return the share of interfering pairs of points that have an edge of the field between them, if it is repeated.
 
     Points interfere within a Gaussian coherence window of standard deviation σ. Two points in the window have a mean
     distance of 2σ/√π along an axis. The share is this distance relative to the length of the field.

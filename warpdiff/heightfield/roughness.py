@@ -321,7 +321,7 @@ def _from_sums(sums: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 def _coarse_decay(heights: NDArray[np.float64], known: NDArray[np.bool_], pitch_um: tuple[float, float]) -> Decay:
     """Return the decay of the autocorrelation of a field; a large field is averaged over groups of samples first.
 
-    The extents of the result are in samples of the field before averaging.
+    The extents of the decay along y and x are in samples of the field before averaging.
     """
     factors = tuple(-(-n // _COARSE) for n in heights.shape)
     if max(factors) > 1:

@@ -327,8 +327,8 @@ def wave_azimuth_deg(heightfield: HeightField) -> float:
     try:
         periods = central_part(heightfield).periods()
     except (ValueError, MemoryError):
-        # If the periods cannot be computed, the page states the reason: `collect` computes the periods, too, and stores
-        # the error.
+        # If the periods cannot be computed, the error is ignored here. `collect` also computes them, and stores the
+        # same error, so that the page states the reason.
         periods = None
     if not periods:
         return 0.0 if heightfield.shape[1] > 1 else 90.0

@@ -290,7 +290,10 @@ def _texts(value: Any) -> Iterator[str]:
 
 
 def _flags(options: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    """Yield options as words of a command line. For a value that is a call, such as a material, yield its arguments."""
+    """Yield options as words of a command line.
+
+    A value that a function call makes, such as ``Material.dielectric(1.4)``, becomes the arguments of the call.
+    """
     for name, value in options.items():
         flag = COHERENCE_FLAGS.get(name, f"--{'no-' if value is False else ''}{prefix}{name.replace('_', '-')}")
         if isinstance(value, Call):

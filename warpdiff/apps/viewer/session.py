@@ -205,7 +205,7 @@ class Studio:
         return encoding.saved(image, suffix, display)
 
     def acknowledge(self, session: Session) -> None:
-        """Note that a page has shown another one of the pictures that were sent to it."""
+        """Count one more picture that a page reports as shown, of those that were sent to it."""
         with self._changed:
             session.in_flight = max(session.in_flight - 1, 0)
             self._changed.notify()

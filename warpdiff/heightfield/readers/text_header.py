@@ -84,7 +84,10 @@ def _plain(line: str, form: Form) -> str:
 
 
 def _add_statement(facts: Facts, statement: Statement, line: str, signs: Signs) -> float | None:
-    """Add to ``facts`` the numbers that a header line states. If the key is unknown, return the stated length [µm]."""
+    """Add to ``facts`` the numbers that a header line states, such as a size or a number of columns.
+
+    If the words before the number are no known key, and the number is a length, return it [µm]; otherwise None.
+    """
     if text_keys.states_no_data(statement.words):
         _add_no_data(facts, statement, line, signs)
         return None

@@ -45,7 +45,8 @@ _ORDER = re.compile(
     rf"[(\[]?\b(?:(?P<x>{_WORDS_X})\s*[x×*,/]\s*(?:{_WORDS_Y})|(?P<y>{_WORDS_Y})\s*[x×*,/]\s*(?:{_WORDS_X}))\b[)\]]?",
     re.IGNORECASE,
 )
-# Matches two other words in brackets, such as "(slow x fast)", that say which of two numbers is along which axis.
+# Matches two words in brackets that are not names of x and y, such as "(slow x fast)". They say which of two numbers is
+# along which axis.
 _OTHER_ORDER = re.compile(r"[(\[]\s*\w+\s*[x×*,/]\s*\w+\s*[)\]]", re.IGNORECASE)
 _CLOSE_PRODUCT = re.compile(r"(?<=\d)\s*([x×*])\s*(?=\d)", re.IGNORECASE)
 _TOLERANCE = re.compile(rf"(?:±|\+/-)\s*{NUMBER}\s*(?:{UNIT})?")

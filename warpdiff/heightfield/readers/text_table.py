@@ -246,7 +246,10 @@ def form_of(lines: Sequence[str]) -> Form | None:
 
 
 def _best_form(forms: Sequence[Form], sample: Sequence[str], *, has_quotes: bool) -> tuple[int, Form | None]:
-    """Return the largest number of numbers in equally long rows, and the form (separator, signs) that gives them."""
+    """Return the form of numbers that reads the most numbers in equally long rows, after the number of these.
+
+    A form has the separator of cells and the decimal and thousands signs.
+    """
     best, chosen = 0, None
     for form in forms:
         counts = dict[int, int]()
