@@ -5,7 +5,9 @@ import os
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 from trimesh.visual import TextureVisuals
+from trimesh.visual.material import SimpleMaterial
 
 import warpdiff as wd
 from warpdiff import meshes
@@ -159,7 +161,6 @@ def test_indices_of_singular_points_add_up_to_the_euler_characteristic(body, sum
     "mesh", [trimesh.creation.torus(1.0, 0.3), trimesh.creation.capsule(), meshes.tube(segments_along=24)],
     ids=["torus", "capsule", "tube"],
 )  # fmt: skip
-@pytest.mark.filterwarnings("ignore:tangents=.*no direction along the surface")
 def test_every_rule_gives_unit_tangential_vectors(mesh, rule):
     mesh = mesh.copy(include_cache=True).apply_transform(TURN)
     surface = prepare_surface(mesh, tangents=rule)
@@ -205,6 +206,14 @@ def test_faces_perpendicular_to_the_axis_get_another_direction_with_a_warning():
         surface = prepare_surface(flat, tangents="z")
     np.testing.assert_allclose(np.linalg.norm(surface.tangents, axis=1), 1.0, atol=1e-6)
     np.testing.assert_allclose(np.sum(surface.tangents * surface.normals, axis=1), 0.0, atol=1e-6)
+
+
+def test_poles_of_a_rule_are_filled_without_a_warning(recwarn):
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    surface = prepare_surface(ball, tangents="around-z")
+    assert not recwarn.list
+    np.testing.assert_allclose(np.sum(surface.tangents * surface.normals, axis=1), 0.0, atol=1e-6)
+    assert np.count_nonzero(np.linalg.norm(surface.tangents, axis=1) < 0.999) <= 2
 
 
 def test_smooth_fields_of_separate_parts_do_not_depend_on_each_other():
@@ -286,3 +295,12 @@ def test_pictures_with_plain_parts_need_no_texture_coordinates():
     np.testing.assert_array_equal(by_rule.xyz, expected.xyz)
     drawn = wd.Renderer(scene(disc=plate(uv=True), table=plate()), surfaces, light, view, **options)
     assert drawn.image().illuminated.any()
+
+
+def test_a_texture_without_texture_coordinates_is_named_in_a_warning():
+    image = SimpleMaterial(image=Image.new("RGB", (2, 2), (255, 0, 0)), name="paint")
+    body = plate()
+    body.visual = TextureVisuals(material=image)
+    with pytest.warns(WarpdiffWarning, match="not rendered: texture without texture coordinates of 'paint'"):
+        surface = prepare_surface(body, tangents="x")
+    np.testing.assert_array_equal(surface.texture.shape, (1, 1, 3))

@@ -234,7 +234,7 @@ def join_seams(
 
 def fill(
     field: NDArray[np.float64], normals: NDArray[np.float64], faces: NDArray[np.int64], welded: NDArray[np.int64],
-    is_needed: NDArray[np.bool_], name: str,
+    is_needed: NDArray[np.bool_], name: str, *, has_poles: bool = False,
 ) -> NDArray[np.float64]:  # fmt: skip
     """Return tangents at all vertices. Missing ones are means over neighbouring vertices, from known ones outwards.
 
@@ -245,11 +245,16 @@ def fill(
         welded: Number of each vertex's position, shape (n,).
         is_needed: Whether pictures need the tangent of each vertex, shape (n,). A warning counts only these vertices.
         name: Name of the source of the tangents for messages.
+        has_poles: Whether single vertices without a tangent are normal, as the poles of a direction field. The warning
+            then counts only the vertices of faces without a tangent at any corner.
     """
     missing = (field == 0.0).all(axis=0)
     if not missing.any():
         return field
-    lacking, needed = (int(np.count_nonzero(chosen)) for chosen in (missing & is_needed, is_needed))
+    counted = missing & is_needed
+    if has_poles:
+        counted &= np.isin(np.arange(len(missing)), faces[:, missing[faces].all(axis=0)])
+    lacking, needed = int(np.count_nonzero(counted)), int(np.count_nonzero(is_needed))
     if lacking:
         if lacking == needed:
             raise ArgumentValueError(f"{name} must define a direction along the surface, got none at any vertex")

@@ -278,7 +278,10 @@ def _build(
             in_file = np.nan_to_num(part.tangents.T.take(index, axis=1)[:3])
             field = np.where(in_file.any(axis=0), in_file, field)
         name = f"{ref('mesh')}'s texture coordinates"
-    field = fill(unit(tangential(field, normals)), normals, faces, welded, body.needs_directions, name)
+    field = fill(
+        unit(tangential(field, normals)), normals, faces, welded, body.needs_directions, name,
+        has_poles=isinstance(tangents, str),
+    )  # fmt: skip
 
     has_colour = part.texture is not None or part.colours is not None
     texture = np.zeros((1, 1, 3), np.float32) if part.texture is None else part.texture

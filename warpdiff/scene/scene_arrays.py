@@ -182,8 +182,11 @@ def warn_of_features(parts: list[ScenePart]) -> None:
             continue
         names = dict.fromkeys(part.appearance.not_rendered)
         texture = part.appearance.base_texture
-        if part.colours is not None and texture is not None and texture.image is not None:
-            names["vertex colours on a texture"] = None
+        if texture is not None and texture.image is not None:
+            if texture.uv_set not in part.uvs:
+                names["texture without texture coordinates"] = None
+            elif part.colours is not None:
+                names["vertex colours on a texture"] = None
         if names:
             features.setdefault(part.appearance.name, {}).update(names)
     if features:
