@@ -273,7 +273,7 @@ LINES = {
     "render … --illuminant 20K": "--illuminant must be a temperature of 500K to 100000K, got '20K'",
     "render … --illuminant x.csv": "--illuminant: there is no file 'x.csv'",
     "render … --light 0 0": "--light must be three numbers X Y Z, or KIND:name=value,…, got '0 0'",
-    "render … --light pont:power=3": "--light 'pont:power=3' must begin with 'directional:' or 'point:'; did you mean",
+    "render … --light pont:power=3": ".*'point:'; did you mean 'point'?",
     "render … --light point:power=3": "--light 'point:power=3' requires the parameter position",
     "render … --light point:powr=3": "--light 'point:powr=3' has 'powr=3', but its parameters are position, ",
     "render … --light point:position=0x0x1,power=-3": ".*power must be a finite number, at least 0 and at most 1e+12, ",

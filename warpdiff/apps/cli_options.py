@@ -110,9 +110,9 @@ class Flags:
             group.add_argument(self.words[how["dest"]], **how)
 
     def finish(self, **words: str) -> None:
-        """Store with the parsed arguments the flag of each Python argument, so that error messages name the flag.
+        """Store the flag of each Python argument with the parsed arguments, so that error messages can name the flag.
 
-        ``words`` has the flags of arguments whose flags are not generated.
+        ``words`` has the flags that are not generated from descriptions of options, by the arguments that they set.
         """
         self.parser.set_defaults(words=self.words | words, stored=frozenset(self._stored))
 
@@ -131,7 +131,7 @@ def _shape(option: Option) -> dict[str, Any]:
 
 
 def help_text(option: Option, default: Any, words: Mapping[str, str]) -> str:
-    """Return the help text of a flag: meaning, range or choices, and default. It calls options by their flags."""
+    """Return the help text of a flag: meaning, range or choices, and default. The text names options by their flags."""
 
     def code(match: re.Match[str]) -> str:
         name, equals, value = match[1].partition("=")

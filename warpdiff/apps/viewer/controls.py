@@ -1,7 +1,7 @@
 """Controls of the viewer's page: options of the library with labels, groups and sliders.
 
-Type, choices, unit and meaning come from the descriptions of options. An option of pictures or of their display gets a
-control from its description alone if it has no entry in :func:`controls`.
+Type, choices, unit and meaning come from the descriptions of options. Without an entry in :func:`controls`, an option
+of a picture or of its display gets a control that follows from the description alone.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ MATERIALS = {"dielectric": "dielectric", "mirror": "perfect mirror"} | METALS
 RULES = {rule: rule.replace("around-", "around world ") if len(rule) > 1 else f"world {rule}" for rule in TANGENT_RULES}
 # Options of pictures and of their display that have no control of the same name on the page.
 EXCLUDED = (
-    # Options that several other controls set together: controls of coherence, material, and the height field's x axis.
+    # Options of which each is set by several controls: the controls of coherence, of material, and of the height
+    # field's x axis.
     *("coherence", "material", "tangents"),
     # Options that the command line of ``warpdiff view`` sets.
     *("device", "threads"),
@@ -174,8 +175,8 @@ def controls(
     """
     bodies, surfaces, named_skies = _files(meshes) | BODIES, _files(heights) | GRATINGS, _files(environments)
     skies, none = named_skies | {CLEAR_SKY: "clear sky with a sun"}, {"none": "none"}
-    # The first choice of a control is its default. If the page offers environment files, it starts with the first file
-    # and no other light; otherwise it starts with a directional light.
+    # The first choice of a control is its default. If there are environment files, the page starts with the first file
+    # and no other light. Otherwise the page starts with a directional light.
     lights = (none if environments else {}) | {"directional": "directional", "point": "point"} | none
     others = tuple(name for name in bodies if name not in LONG_BODIES)
     picture, window, display = describe(PictureSettings), describe(Coherence), describe(DisplaySettings)
@@ -272,9 +273,9 @@ def _files(names: Sequence[str]) -> dict[str, str]:
 
 
 def _own(name: str, group: str, label: str, text: str, default: Any = None, unit: str = "", **more: Any) -> Control:
-    """Return a control for a value that is no option of the library: a choice, a flag or a number.
+    """Return a control for a value that is not an option of the library: a choice, a flag or a number.
 
-    It is a choice if ``labels`` are given, and the first of them is the default.
+    With the argument ``labels``, the control is a choice, and the first label is its default.
     """
     labels = more.get("labels")
     kind: Kind = "choice" if labels else "flag" if isinstance(default, bool) else "number"
@@ -289,7 +290,7 @@ def _of_gratings(argument: str, label: str, slider: Slider, *kinds: str, **more:
 
 
 def _further(settings: type, call: str, known: set[str]) -> list[Control]:
-    """Return controls for those flags, choices and bounded numbers of a class whose names are not in ``known``.
+    """Return controls for the options of a class that are flags, choices or bounded numbers, unless ``known`` has them.
 
     Args:
         settings: Class of settings.
