@@ -232,6 +232,20 @@ def test_both_sides_of_a_thin_sheet_have_a_field():
     np.testing.assert_allclose(surface.tangents[:, 0], 1.0, atol=1e-6)
 
 
+def test_flat_faces_have_the_smooth_field_turned_to_their_normals():
+    body = blob(3)
+    smooth = prepare_surface(body, tangents="smooth")
+    corners = body.faces.ravel()
+    normals = np.repeat(body.face_normals, 3, axis=0)
+    separate = trimesh.Trimesh(
+        body.vertices[corners], np.arange(len(corners)).reshape(-1, 3), vertex_normals=normals, process=False
+    )
+    flat = prepare_surface(separate, tangents="smooth")
+    inputs = smooth.tangents[corners].astype(float), smooth.normals[corners].astype(float), normals
+    expected = [moved_along(*row) for row in zip(*inputs, strict=True)]
+    np.testing.assert_allclose(flat.tangents, expected, atol=5e-3)
+
+
 def test_too_many_positions_are_refused(monkeypatch):
     monkeypatch.setattr(direction_fields, "MOST_POSITIONS", 48)
     with pytest.raises(ValueError, match="tangents='smooth' requires connected parts of at most 48 positions, got 49"):

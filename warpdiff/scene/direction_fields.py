@@ -84,7 +84,8 @@ def _around(axis: NDArray[np.float64], body: Body) -> NDArray[np.float64]:
     count = int(body.objects.max()) + 1
     middles = np.stack([component.take(body.faces).mean(axis=0) for component in body.vertices])
     centres = np.stack([sum_at(body.objects, areas * middle, count) for middle in middles])
-    centres /= sum_at(body.objects, areas, count)
+    # An object whose faces all have no area has no faces here.
+    centres /= np.maximum(sum_at(body.objects, areas, count), np.finfo(float).tiny)
     of_vertices = np.zeros(body.vertices.shape[1], np.int64)
     of_vertices[body.faces] = body.objects
     return np.cross(axis, body.vertices - centres.take(of_vertices, axis=1), axisb=0, axisc=0)
@@ -95,8 +96,8 @@ def _smooth(body: Body) -> NDArray[np.float64]:
 
     The field is the least eigenvector of the connection Laplacian, which minimises the integral of the squared
     derivative (Knöppel, Crane, Pinkall and Schröder, "Globally optimal direction fields", 2013, section 3). A vector is
-    transported along an edge by the smallest rotation between the normals at its ends. Meshes therefore need not be
-    manifolds, as for the angles of Sharp, Soliman and Crane, "The vector heat method", 2019.
+    transported along an edge by the smallest rotation between the normals at its ends. This also works on meshes that
+    are no manifolds, unlike the angles of Sharp, Soliman and Crane ("The vector heat method", 2019, section 5).
     """
     used, faces = compacted(body.faces.compress(body.is_used, axis=1), body.vertices.shape[1])
     result = np.zeros_like(body.vertices)
