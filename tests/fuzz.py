@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 import warpdiff as wd
 from warpdiff.core.options import SPELLINGS, Option, describe
 from warpdiff.lights.base import Light
-from warpdiff.request.settings import SinglePictureSettings
+from warpdiff.request.settings import TANGENT_RULES, SinglePictureSettings
 
 UP = (0.0, 0.0, 1.0)
 HEIGHTFIELD = wd.gratings.sinusoidal(1.0, 0.1)
@@ -244,7 +244,8 @@ OBJECTS = {
     **dict.fromkeys(("image", "reference"), _one_of(lambda: [picture(), picture().xyz, np.ones((2, 3, 3)), []])),
     **dict.fromkeys(("path", "folder", "animation", "compare"), _PATHS),
     **dict.fromkeys(("to_light", "to_view", "wavelengths_nm", "scattering_vectors", "angle_deg"), _VECTORS),
-    **dict.fromkeys(("eye", "target", "up", "direction", "sun_direction", "tangents", "background"), _VECTORS),
+    **dict.fromkeys(("eye", "target", "up", "direction", "sun_direction", "background"), _VECTORS),
+    "tangents": st.one_of(_VECTORS, st.sampled_from([*TANGENT_RULES, "radial"])),
     **dict.fromkeys(("n", "k", "values", "errors", "radiance_rgb", "pixels", "xyz"), _VECTORS),
     **dict.fromkeys(("theta_deg", "phi_deg", "angles_deg", "sigmas_um"), _VECTORS),
     "columns": st.dictionaries(_TEXTS, _VECTORS),

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import Material
 from warpdiff.request.plan import Plan
-from warpdiff.request.settings import Bits, Display, Energy, GamutName, Integration, Method
+from warpdiff.request.settings import Bits, Display, Energy, GamutName, Integration, Method, TangentRule
 '''
 
 

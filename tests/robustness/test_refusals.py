@@ -228,6 +228,8 @@ RULES = [
      "render … --device gpu", "--device must be 'cpu', or 'cuda' on a machine with a CUDA device, got 'gpu'"),
     (lambda: shade(tangents=(0, 0, 0)), "tangents must define a direction along the surface, got none at any vertex",
      "render … --tangents 0 0 0", "--tangents must define a direction along the surface, got none"),
+    (lambda: shade(tangents="smoth"), "tangents must be one of 'x', 'y', 'z', 'around-x', 'around-y', 'around-z', ",
+     "render … --tangents smoth", "--tangents must be one of x, y, z, around-x, around-y, around-z, smooth, or three"),
     (lambda: wd.DirectionalLight((0, 0, 0)), "to_light must not contain zero vectors, got 1",
      "render … --light 0 0 0", "--light must not contain zero vectors, got 1"),
     (lambda: wd.light_sweep(fuzz.LIGHT, fuzz.VIEW, (0, 0, 0)), "to_light must not contain zero vectors, got 1",

@@ -205,6 +205,13 @@ class PictureInputs:
         return [None if own.is_plain else own.evaluation.heightfield for own in self.surfaces.values()]
 
     @property
+    def plain(self) -> dict[str, bool] | None:
+        """Whether each surface is plain, by the key of its part; None for one height field."""
+        if not isinstance(self.heightfield, Mapping):
+            return None
+        return {key: own.is_plain for key, own in self.surfaces.items()}
+
+    @property
     def evaluation(self) -> Evaluation:
         """Evaluation of the first surface; device, threads and footprints are the same for all surfaces."""
         return next(iter(self.surfaces.values())).evaluation

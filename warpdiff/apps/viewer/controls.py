@@ -16,7 +16,7 @@ from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.lights.directional import ONE_LOBE_DEG, DirectionalLight
 from warpdiff.lights.environment import Environment
 from warpdiff.optics.coherence import DEFAULT_SIGMA_UM, Coherence
-from warpdiff.request.settings import DisplaySettings, PictureSettings
+from warpdiff.request.settings import TANGENT_RULES, DisplaySettings, PictureSettings
 from warpdiff.samples import gratings
 from warpdiff.scene.camera import View
 
@@ -38,7 +38,8 @@ METALS = {
     "Al": "aluminium", "Ag": "silver", "Au": "gold", "Cr": "chromium", "Cu": "copper", "Ni": "nickel",
 }  # fmt: skip
 MATERIALS = {"dielectric": "dielectric", "mirror": "perfect mirror"} | METALS
-AXES = {"x": "world x", "y": "world y", "z": "world z"}
+# Labels of the values of ``tangents`` that are rules.
+RULES = {rule: rule.replace("around-", "around world ") if len(rule) > 1 else f"world {rule}" for rule in TANGENT_RULES}
 # Options of pictures and of their display that have no control of the same name on the page.
 EXCLUDED = (
     # Options of which each is set by several controls: the controls of coherence, of material, and of the height
@@ -65,7 +66,10 @@ _DISPLAYS = {"aces": "ACES 2.0", "colorimetric": "colorimetric", "clip": "clippe
 # Picture heights that the page offers [pixels].
 _ROWS = {240: "240", 360: "360", 480: "480", 720: "720", 960: "960"}
 # Texts by which error messages on the page name the arguments of the library that no control sets.
-_WORDS = {"lights": "light", "heightfield": "height field", "to_light": "direction of the light", "view": "camera"}
+_WORDS = {
+    "lights": "light", "heightfield": "height field", "to_light": "direction of the light", "view": "camera",
+    "tangents": _X_AXIS[0],
+}  # fmt: skip
 _UNITS = {"um": "µm", "deg": "°"}
 # Lowest value, highest value and step of a slider; None is no slider.
 Slider = tuple[float, float, float] | None
@@ -186,8 +190,8 @@ def controls(
     entries = [
         _own("mesh", "Body", "mesh", "Mesh whose surface carries the height field.", labels=bodies),
         _own("along", "Body", *_X_AXIS, shown_if={"mesh": LONG_BODIES},
-             labels={"around": "around the body", "along": "along the body"} | AXES),
-        _own("tangent", "Body", *_X_AXIS, shown_if={"mesh": others}, labels={"texture": "texture's u"} | AXES),
+             labels={"around": "around the body", "along": "along the body"} | RULES),
+        _own("tangent", "Body", *_X_AXIS, shown_if={"mesh": others}, labels={"texture": "texture's u"} | RULES),
         Control(picture["pigment"], "Body", "pigment", (0.0, 2.0, 0.01), default=0.05, call="picture"),
         Control(picture["smooth"], "Body", "smooth normals", call="picture"),
         _own("surface", "Surface", "height field", "Height field on the body's surface.", labels=surfaces),

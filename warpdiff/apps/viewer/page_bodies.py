@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.apps.viewer.page_calls import Call, PageRequest
+    from warpdiff.request.settings import TangentRule
 
 # Vertical field of view of the initial camera [degrees]. A small angle was chosen because a wide one distorts the body.
 _FOV_Y_DEG = 25.0
@@ -27,14 +28,14 @@ _FOV_Y_DEG = 25.0
 _TOWARDS_EYE = (0.0, 0.6, 0.8)
 
 
-def surface_of(mesh: Call | Path, tangents: tuple[float, float, float] | None) -> Surface:
+def surface_of(mesh: Call | Path, tangents: TangentRule | None) -> Surface:
     """Return the prepared mesh (surface) of a mesh file or of a sample body.
 
     Sample bodies are stored in the disk cache, because making one requires more time than rendering a picture.
 
     Args:
         mesh: Path of a mesh file, or the call that makes a sample body.
-        tangents: Direction of the height field's x axis, world frame; None uses the texture coordinates.
+        tangents: Rule for the direction of the height field's x axis; None uses the texture coordinates.
     """
     if not hasattr(mesh, "make"):
         return prepare_surface(str(mesh), tangents=tangents)

@@ -13,7 +13,7 @@ import numpy as np
 
 import warpdiff as wd
 from warpdiff.apps.cli_options import CLEANING, COHERENCE_FLAGS
-from warpdiff.apps.viewer.controls import AXES, LONG_BODIES, METALS, arguments, controls
+from warpdiff.apps.viewer.controls import LONG_BODIES, METALS, RULES, arguments, controls
 from warpdiff.core import forks
 from warpdiff.core.options import REQUIRED, describe
 from warpdiff.core.wording import ArgumentValueError, ref
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from warpdiff.apps.viewer.controls import Control
+    from warpdiff.request.settings import TangentRule
 
 # Number of directions in which an environment light is sampled per pixel of an unrefined preview. With 16, the viewer
 # shows about 14 pictures per second while the user drags; with more, it shows fewer.
@@ -353,15 +354,14 @@ def _environment(values: Mapping[str, Any], files: NamedFiles) -> Call | None:
     return Call.of("Environment.clear_sky", _rounded(to_sun), **options)
 
 
-def _mesh(values: Mapping[str, Any], files: NamedFiles) -> tuple[Call | Path, tuple[float, float, float] | None]:
-    """Return the selected body, and the world direction of the height field's x axis.
+def _mesh(values: Mapping[str, Any], files: NamedFiles) -> tuple[Call | Path, TangentRule | None]:
+    """Return the selected body, and the rule for the direction of the height field's x axis.
 
-    The direction is None if the texture coordinates of the body determine it.
+    The rule is None if the texture coordinates of the body determine the direction.
     """
     name = values["mesh"]
     axis = values["along" if name in LONG_BODIES else "tangent"]
-    unit = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-    tangents = unit[axis] if axis in AXES else None
+    tangents = axis if axis in RULES else None
     if (path := _file(name, files.meshes)) is not None:
         return path, tangents
     return Call(f"meshes.{name}", options=(("tangent", "along"),) if axis == "along" else ()), tangents

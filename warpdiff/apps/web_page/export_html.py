@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
+    from warpdiff.request.settings import TangentRule
     from warpdiff.scene.mesh_import import Surface
 
 # Smallest distance of a point light from the centre of the mesh [radii of the mesh]. The distance is limited because
@@ -67,8 +68,8 @@ def export_html(
     lights: DirectionalLight | PointLight | Sequence[DirectionalLight | PointLight], view: View, *,
     ior: Annotated[float, Interval(gt=1.0, le=math.inf)] | None = None, masking: bool = True,
     pigment: Annotated[float, Ge(0.0)] = 1.0, shadows: bool = True, smooth: bool = True,
-    tangents: ArrayLike | None = None, exposure: Annotated[float, Ge(validation.LEAST)] | None = None,
-    title: str = "warpdiff",
+    tangents: TangentRule | ArrayLike | None = None,
+    exposure: Annotated[float, Ge(validation.LEAST)] | None = None, title: str = "warpdiff",
 ) -> Path:  # fmt: skip
     """Write one HTML file that shows a mesh whose surface carries baked lobes, in any browser with WebGL 2.
 
