@@ -1,6 +1,6 @@
-"""Command ``python -m bench``: charts of speed against accuracy, compared with other programs.
+"""Command ``python -m bench``: charts of speed against accuracy of the library and of other programs.
 
-Run it from a checkout.
+Run the command from a checkout of the repository.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Location of the folder of measured height fields.
 
-The first of these that is set is used: the option ``--data`` of a benchmark, the environment variable
-``WARPDIFF_DATA``, and ``shared/data`` in the folder that contains the repository.
+The option ``--data`` of a benchmark selects the folder. Without it, the environment variable ``WARPDIFF_DATA`` does. If
+neither is set, the folder is ``shared/data`` in the folder that contains the repository.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ HELP = "folder with the scan (default: WARPDIFF_DATA or ../shared/data next to a
 
 
 def folder(data: str | Path | None = None) -> Path:
-    """Return the folder of the measured height fields. The folder may be missing."""
+    """Return the path of the folder of measured height fields. The folder may not exist."""
     return data_folder(data) or Path("shared", "data")
 
 

@@ -1,8 +1,10 @@
 """Fuzzed arguments: Hypothesis strategies for all options, and calls of every public function with them."""
 
+import ast
 import contextlib
 import dataclasses
 import decimal
+import doctest
 import fractions
 import functools
 import inspect
@@ -17,7 +19,8 @@ from hypothesis import strategies as st
 
 import warpdiff as wd
 from warpdiff.core.options import SPELLINGS, Option, describe
-from warpdiff.request.settings import SinglePictureSettings
+from warpdiff.lights.base import Light
+from warpdiff.request.settings import TANGENT_RULES, SinglePictureSettings
 
 UP = (0.0, 0.0, 1.0)
 HEIGHTFIELD = wd.gratings.sinusoidal(1.0, 0.1)
@@ -241,7 +244,8 @@ OBJECTS = {
     **dict.fromkeys(("image", "reference"), _one_of(lambda: [picture(), picture().xyz, np.ones((2, 3, 3)), []])),
     **dict.fromkeys(("path", "folder", "animation", "compare"), _PATHS),
     **dict.fromkeys(("to_light", "to_view", "wavelengths_nm", "scattering_vectors", "angle_deg"), _VECTORS),
-    **dict.fromkeys(("eye", "target", "up", "direction", "sun_direction", "tangents", "background"), _VECTORS),
+    **dict.fromkeys(("eye", "target", "up", "direction", "sun_direction", "background"), _VECTORS),
+    "tangents": st.one_of(_VECTORS, st.sampled_from([*TANGENT_RULES, "radial"])),
     **dict.fromkeys(("n", "k", "values", "errors", "radiance_rgb", "pixels", "xyz"), _VECTORS),
     **dict.fromkeys(("theta_deg", "phi_deg", "angles_deg", "sigmas_um"), _VECTORS),
     "columns": st.dictionaries(_TEXTS, _VECTORS),
@@ -392,14 +396,28 @@ def public():
 PUBLIC = {name: (function, owner) for name, function, owner in public()}
 
 
+def example_of(function):
+    """Return the arguments of a class of lights in the first call of it in the example of its docstring."""
+    source = "\n".join(example.source for example in doctest.DocTestParser().get_examples(function.__doc__))
+    calls = (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call))
+    first = next(node for node in calls if ast.unparse(node.func) == f"wd.{function.__name__}")
+    arguments = [ast.literal_eval(value) for value in first.args]
+    named = {keyword.arg: ast.literal_eval(keyword.value) for keyword in first.keywords}
+    return inspect.signature(function).bind(*arguments, **named).arguments
+
+
 def call(name, fuzzed):
     """Call a public function with the fuzzed arguments, and with legal values for all other arguments."""
     function, owner = PUBLIC[name]
     if name == "Plan":
         fuzzed_plan = dataclasses.replace(plan(), **fuzzed)
         return [str(fuzzed_plan), wd.reflectance(HEIGHTFIELD, UP, (0.1, 0.2, 1.0), plan=fuzzed_plan)]
-    arguments = {}
-    for key, parameter in inspect.signature(function).parameters.items():
+    parameters = inspect.signature(function).parameters
+    required = {key for key, parameter in parameters.items() if parameter.default is parameter.empty}
+    is_light = inspect.isclass(function) and issubclass(function, Light)
+    # Required arguments of a new light have the values of its example.
+    arguments = example_of(function) if is_light and not required <= set(LEGAL) else {}
+    for key, parameter in parameters.items():
         # Gratings are called with their default arguments instead of the legal values, because the defaults are
         # computed quickly.
         if key in LEGAL and (parameter.default is parameter.empty or not name.startswith("gratings.")):

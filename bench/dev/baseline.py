@@ -6,8 +6,8 @@
     python -m bench.dev.baseline --folder head --commit HEAD --versions-of baseline
 
 The script exports the files of the commit to a temporary folder, and builds the wheel there, without uncommitted files.
-It prints the path of the environment's Python. With ``--versions-of``, libraries are installed in the versions of
-another environment. Other versions of libraries may change the last bit of results.
+The script prints the path of the environment's Python program. With ``--versions-of``, libraries are installed in the
+versions of another environment. With other versions of the libraries, results may differ in their last bit.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ BASELINE = "435cbd29d7812b4a0b884249204b87c1858a2e49"
 def build(folder: Path, commit: str, versions_of: Path | None) -> Path:
     """Build the wheel of a commit and install it into a new environment.
 
-    Return the path of the environment's Python.
+    Return the path of the Python program of the environment.
     """
     if folder.exists() and any(folder.iterdir()):
         raise SystemExit(f"error: --folder must be empty or not exist yet, got {folder}")

@@ -33,14 +33,15 @@ if TYPE_CHECKING:
 WIDTHS = (1280, 400)
 HEIGHT = 900
 SEARCHES = ("coherence", "glTF", "tolerance")
-# Time limit of each step [ms]. Limit: the machine may be busy; twice the value only delays the report of a failure.
+# Time limit of each step of the check [ms]. The value was chosen for busy machines; if doubled, failures are only
+# reported later.
 WAIT_MS = 120_000
 FLAGS = [
     *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"),
     *("--disable-component-update", "--disable-sync"),
 ]
 # JavaScript function that returns the faults of a page. Pictures that load only when they become visible are loaded
-# first, so that missing ones are found.
+# first, so that missing pictures are reported.
 FAULTS = """async () => {
     for (const image of document.images) image.loading = "eager";
     await Promise.all([...document.images].map(image => image.decode().catch(() => null)));
@@ -67,7 +68,7 @@ class _Quiet(http.server.SimpleHTTPRequestHandler):
 
 @contextmanager
 def served(folder: Path) -> Iterator[str]:
-    """Serve a folder by HTTP on this machine while the context lasts, and yield its address."""
+    """Serve a folder by HTTP on this machine within the ``with`` block, and yield the address of the folder."""
     handler = functools.partial(_Quiet, directory=os.fspath(folder))
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
@@ -76,7 +77,7 @@ def served(folder: Path) -> Iterator[str]:
 
 
 class Tab:
-    """Browser page of one width that collects console errors and requests to other hosts."""
+    """Browser page of a fixed width that collects console errors and requests to other hosts."""
 
     def __init__(self, browser: sync_api.Browser, address: str, width: int) -> None:
         self.address, self.width = address, width
@@ -98,7 +99,7 @@ class Tab:
         return [*self.page.evaluate(FAULTS), *self.messages]
 
     def results(self, word: str) -> int:
-        """Return the number of pages that the search box of the first page finds for a word."""
+        """Search for a word by the search box of the first page, and return the number of pages in the result."""
         self.page.goto(f"{self.address}/index.html")
         self.page.locator("button.search-button__button:visible, button.search-button:visible").first.click()
         self.page.keyboard.type(word)

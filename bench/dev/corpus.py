@@ -6,13 +6,13 @@
     python -m bench.dev.corpus --compare before.npz
 
 The script uses only public names, and imports the package that is installed for this Python. In an environment with the
-wheel of another version, it writes the arrays of that version. ``public_names`` maps names that have changed since
-version 0.1.0.
+wheel of another version, the script writes the arrays of that version. ``public_names`` maps public names that have
+changed since version 0.1.0.
 
 The cases cover all kinds of coherence, methods, sample counts, lights, materials, textures, cameras and files, with one
-thread and with two. The values of a case include the numbers of its plan. Of texts, only names of objects are compared.
-Surfaces are small and synthetic. Other processors or other versions of libraries may round differently. Write and
-compare the arrays on the same machine, in environments with the same versions of all libraries.
+thread and with two. The values of a case include the numbers of its plan. Texts are not compared, except for names of
+objects. Surfaces are small and synthetic. Other processors or other versions of libraries may round differently. Write
+and compare the arrays on the same machine, in environments with the same versions of all libraries.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     Values = dict[str, Any]
     Case = Callable[[int], Values]
 
-# Numbers of threads with which each case is computed.
+# Numbers of threads with which each test case is computed.
 THREADS = (1, 2)
 SIZE = {"width": 96, "height": 72}
 SMALL = {"width": 24, "height": 18}
@@ -54,7 +54,7 @@ ABOVE = wd.DirectionalLight((0.1, 0.9, 1.2))
 SIDE = wd.DirectionalLight((-1.0, 0.6, 0.9), power=0.5, illuminant="A")
 SOURCE = wd.Coherence("source", angular_diameter_deg=2.0)
 WAVELENGTHS_NM = np.linspace(400.0, 700.0, 7)
-# Methods that can sum over wavelength samples instead of using a colour table.
+# Methods that can sum over wavelength samples instead of using a colour table, which has colours by scattering vector.
 SAMPLED_METHODS = ("low-rank", "power", "jacobi-anger", "taylor", "taylor-uncentred")
 IMAGE_ARRAYS = ("xyz", "mask", "illuminated", "coverage", "error")
 SUMMARY_NUMBERS = (
@@ -67,11 +67,11 @@ PERIOD_NUMBERS = (
 )  # fmt: skip
 
 
-# Surfaces, bodies, cameras and lights that the cases use.
+# Surfaces, bodies, cameras and lights that the test cases use.
 
 
 def fingers() -> Any:
-    """Return a new height field of fingers, for which the package has no cached plans or tables."""
+    """Return a new height field of fingers as on a snake's skin, for which the package has cached nothing."""
     return wd.gratings.fingers(size_um=12.8, pitch_um=0.09, seed=5)
 
 
@@ -100,8 +100,8 @@ def two_geometries() -> trimesh.Scene:
     """
     scene = trimesh.Scene()
     body = tube()
-    # Without a base colour, trimesh would write a texture for this material. The file would then have two textures, and
-    # the package reads at most one per file.
+    # Without a base colour, trimesh would write a texture for this material. The file would then have two textures, but
+    # the package reads at most one texture per file.
     body.visual.material = trimesh.visual.material.PBRMaterial(baseColorFactor=(200, 120, 40, 255))
     scene.add_geometry(body, node_name="tube", geom_name="tube")
     at = trimesh.transformations.translation_matrix((0.0, 0.0, 0.9)) @ np.diag([0.5, 0.5, 0.5, 1.0])
@@ -147,22 +147,22 @@ def coated_metal() -> Any:
     return wd.Material.metal("Al").coated(wd.Material.dielectric(1.5), 300.0)
 
 
-# Functions that collect the values to compare from a result of the package, by name.
+# Functions that collect, by name, the values of a result that are compared.
 
 
 def image_values(image: Any) -> Values:
-    """Return the arrays and layers of a picture, the numbers of its plan, and those of its report."""
+    """Return the arrays and layers of a picture, and the numbers of its plan and of its report."""
     return map_values(image) | plan_values(image.plan, getattr(image, "report", None))
 
 
 def map_values(image: Any) -> Values:
-    """Return the arrays of a picture or of a reflectance map, with the numbers of its plan."""
+    """Return the arrays of a picture or of a reflectance map, with the numbers of the plan."""
     arrays = {name: getattr(image, name) for name in IMAGE_ARRAYS} | dict(image.layers or {})
     return arrays | plan_values(image.plan)
 
 
 def plan_values(plan: Any, report: Any = None) -> Values:
-    """Return the numbers of a plan, and those of a picture's report if there is a picture."""
+    """Return the numbers of a plan, and the numbers of a picture's report if there is a picture."""
     numbers = plan_numbers(plan, report)
     return {f"plan.{name}": str(value) if value is None else value for name, value in numbers.items()}
 
@@ -244,7 +244,7 @@ def sampled_picture(method: str) -> Case:
 
 
 def explicit_tangents(threads: int) -> Values:
-    """Render a sphere with explicit tangents and no texture coordinates, as a perfect mirror without masking."""
+    """Render a sphere, as a perfect mirror without masking, with explicit tangents instead of texture coordinates."""
     ball = trimesh.creation.icosphere(subdivisions=3)
     tangents = np.cross([0.0, 1.0, 0.0], ball.vertices + np.array([1e-3, 0.0, 0.0]))
     view = wd.View((0.0, 0.5, 4.0), (0.0, 0.0, 0.0), **SIZE)
@@ -254,7 +254,7 @@ def explicit_tangents(threads: int) -> Values:
 
 
 def explicit_plan(threads: int) -> Values:
-    """Render with an explicit plan: the automatic plan with two additional terms."""
+    """Render with an explicit plan: the automatic plan with two additional terms of the series."""
     surface = fingers()
     plan = wd.plan(heightfield=surface, tolerance=3e-2, threads=threads)
     changed = dataclasses.replace(plan, terms=plan.terms + 2)
@@ -262,7 +262,7 @@ def explicit_plan(threads: int) -> Values:
 
 
 def disc_view(**size: int) -> Any:
-    """Return a camera that looks at the mesh of a disc, and captures diffraction orders of its grating."""
+    """Return a camera that looks at the mesh of a disc from a position where diffraction orders are visible."""
     return wd.View((0.0, -1.9, 2.3), (0.0, 0.0, 0.0), **(size or SIZE))
 
 
@@ -277,7 +277,7 @@ def successive_pictures(threads: int) -> Values:
 
 
 def previews(threads: int) -> Values:
-    """Collect the previews that a renderer completes at tolerances of 0.3 and 0.1, and its final picture."""
+    """Collect the previews that a renderer completes at tolerances of 0.3 and 0.1, and the final picture."""
     renderer = wd.Renderer(tube(), fingers(), ABOVE, tube_view(**MEDIUM), tolerance=2e-2, threads=threads)
     completed: Values = {}
 
@@ -289,7 +289,7 @@ def previews(threads: int) -> Values:
 
 
 def resized_renderer(threads: int) -> Values:
-    """Render a smaller picture with the plan and the tables of a larger one."""
+    """Render a smaller picture with the plan and the tables of a larger picture."""
     renderer = wd.Renderer(tube(), fingers(), [ABOVE, SIDE], tube_view(), tolerance=1e-1, refine=False, threads=threads)
     return image_values(renderer.resized(tube_view(**MEDIUM), refine=True).image())
 
@@ -328,7 +328,7 @@ def loaded_sky(threads: int) -> Values:
 
 
 def materials_by_geometry(threads: int) -> Values:
-    """Render a coated metal and a dielectric on two geometries, under lights with different spectra."""
+    """Render a scene of a coated metal geometry and a dielectric geometry, under lights of different spectra."""
     materials = {"tube": coated_metal(), "box": wd.Material.dielectric(1.7)}
     lights = [ABOVE, wd.DirectionalLight((1.0, 1.0, 0.5), illuminant=wd.Spectrum.blackbody(2900.0))]
     image = wd.shade(
@@ -339,7 +339,7 @@ def materials_by_geometry(threads: int) -> Values:
 
 
 def normalised_energy(threads: int) -> Values:
-    """Compute spectra, colours and a map with normalised energy: perfect mirror, copper and default material."""
+    """Compute spectra, colours and a map with normalised energy, for a mirror, copper and the default material."""
     options: Values = {"energy": "normalised", "threads": threads}
     metal = wd.Material.metal("Cu")
     surface = fingers()
@@ -366,7 +366,7 @@ def direction_colours(count: int, coherence: Any, **options: Any) -> Case:
 
 
 def spectra(threads: int) -> Values:
-    """Compute relative and absolute spectra for all kinds of coherence, and the order efficiencies of a grating."""
+    """Compute relative and absolute reflectance spectra for all kinds of coherence, and order efficiencies."""
     coherences = (wd.Coherence(), wd.Coherence("centred"), SOURCE, wd.Coherence("replicas", periods=(2, 2)))
     values: Values = {}
     for coherence in coherences:
@@ -382,7 +382,7 @@ def spectra(threads: int) -> Values:
 def orders(_: int) -> Values:
     """Compute the order efficiencies of a metal, a coated metal and a mirror grating.
 
-    Those of the mirror have the energy normalisation; those of the coated metal have none.
+    The efficiencies of the mirror are computed with the energy normalisation, and those of the coated metal without it.
     """
     names = ("wavelengths_nm", "orders", "to_view", "efficiencies")
     light = (0.3, 0.1, 1.0)
@@ -411,7 +411,7 @@ def maps(threads: int) -> Values:
 
 
 def material_colours(threads: int) -> Values:
-    """Compute colours of a coated metal under two illuminants, its spectra, and the reflectance of a flat surface."""
+    """Compute a coated metal's colours under two illuminants, its spectra, and the reflectance of a flat surface."""
     lights, views = directions(60)
     material = coated_metal()
     options: Values = {"material": material, "threads": threads}
@@ -428,7 +428,7 @@ def material_colours(threads: int) -> Values:
 
 
 def surfaces(_: int) -> Values:
-    """Collect synthetic height fields and results of all cleaning methods.
+    """Collect synthetic height fields, and the results of all methods that clean them.
 
     For one cleaned height field, also collect the numbers of its summary and of a plan for its reflectance.
     """
@@ -449,7 +449,7 @@ def surfaces(_: int) -> Values:
 
 
 def repeats(_: int) -> Values:
-    """Find the periods of a noisy crossed grating with missing heights, and crop it to whole periods."""
+    """Find the periods of a noisy crossed grating with missing heights, and crop the grating to whole periods."""
     rng = np.random.default_rng(17)
     y, x = np.mgrid[:160, :200] * 0.1
     heights = 0.2 * np.cos(2.0 * np.pi * x / 2.3) + 0.1 * np.cos(2.0 * np.pi * (y + 0.2 * x) / 3.1)
@@ -519,7 +519,7 @@ def mesh_files(threads: int) -> Values:
 
 
 def saved_pictures(threads: int) -> Values:
-    """Collect the pixels of PNG and EXR files of one picture, and its display values for all displays and gamuts."""
+    """Collect the pixels of PNG and EXR files of a picture, and its display colours for all displays and gamuts."""
     layers = ("normal", "depth", "geometry")
     image = wd.shade(
         tube(), fingers(), ABOVE, tube_view(**MEDIUM), tolerance=1e-1, layers=layers, pigment=0.0, threads=threads
@@ -543,7 +543,7 @@ def saved_pictures(threads: int) -> Values:
 
 
 def baked_lobes(threads: int) -> Values:
-    """Bake lobes for an averaged window and for a light source on a metal, and collect their files and colours."""
+    """Bake lobes on a metal for two kinds of coherence, averaged and light source; collect their files and colours."""
     surface = wd.gratings.fingers(size_um=6.4, pitch_um=0.1, seed=4)
     lights, views = directions(200)
     calls: dict[str, Values] = {
@@ -682,13 +682,13 @@ CASES: dict[str, Case] = {
 }  # fmt: skip
 
 
-# Functions that write the values of all test cases to a file, or compare them with those of an earlier file.
+# Functions that write the values of all test cases to a file, or compare them with the values in an earlier file.
 
 
 def compute(names: list[str]) -> tuple[dict[str, np.ndarray], list[str]]:
     """Compute all values of the named test cases.
 
-    Keys of the values are "case/threads/name". The second result is a list of failures: exceptions, and values that
+    The keys of the values are "case/threads/name". The second result is a list of failures: exceptions, and values that
     depend on the number of threads.
     """
     values: dict[str, np.ndarray] = {}
@@ -722,7 +722,7 @@ def digest(values: dict[str, np.ndarray]) -> str:
 
 
 def differences(old: dict[str, np.ndarray], new: dict[str, np.ndarray]) -> list[str]:
-    """Return one line per value of the test cases whose old and new versions differ in at least one bit."""
+    """Return a line of text for each value of the test cases that differs in at least one bit from its old version."""
     lines = [f"{name}: only {'new' if name in new else 'old'}" for name in sorted(set(old) ^ set(new))]
     for name in sorted(set(old) & set(new)):
         a, b = old[name], new[name]
@@ -744,7 +744,7 @@ def _difference(a: np.ndarray, b: np.ndarray) -> str:
 
 
 def main() -> int:
-    """Write the values, or compare them with a written file. Return 1 if a value differs or a case fails."""
+    """Write the values, or compare them with an earlier file. Return 1 if a value differs or a test case fails."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     action = parser.add_mutually_exclusive_group(required=True)
     action.add_argument("--write", type=Path, metavar="FILE", help="write the reference to this .npz file")

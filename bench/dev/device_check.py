@@ -1,4 +1,4 @@
-"""Comparison of two devices: frame times, and differences between their pictures.
+"""Comparison of two devices: times of frames, and differences between the pictures of both devices.
 
 ::
 
@@ -7,9 +7,9 @@
 
 Frames have 640 × 480 pixels, and the light and the camera move from frame to frame. The compared pictures cover all
 kinds of light and coherence, and both devices use the same plan. Devices round differently, and may therefore subdivide
-different pixels. To show how large such differences may be, the CPU renders each picture again with the directions or
-positions of its lights changed by a relative amount of 2e-7, about the rounding error of float32. The differences of
-colours between the devices should be about as large as those that this change causes.
+different pixels. To show how large such differences may be, the CPU renders each picture twice. The second time, the
+directions or positions of the lights are changed by a relative amount of 2e-7, about the rounding error of float32. The
+colours of both devices should differ about as much as the two pictures of the CPU.
 """
 
 from __future__ import annotations
@@ -39,19 +39,21 @@ WAYS: dict[str, dict[str, Any]] = {
 ABOVE = wd.DirectionalLight((0.1, 0.9, 1.2))
 BESIDE = wd.DirectionalLight((-1.0, 0.6, 0.9), power=0.5, illuminant="A")
 NEAR = wd.PointLight((1.2, 1.4, 0.4), power=2.0)
-# Relative change of a light's direction or position. Derived: about the rounding error of float32.
+# Relative change of a light's direction or position. The value is derived from the rounding error of float32, which is
+# about as large.
 TURN = 2e-7
-# Reported quantiles of the differences between pictures.
+# Quantiles of the differences between pictures that the script reports.
 QUANTILES = (0.5, 0.99, 0.999)
 
 
 def frame_times(mesh: Any, surface: wd.HeightField, device: str, frames: int, **options: Any) -> dict[str, float]:
-    """Return times of frames [ms]: the first, which includes plan and tables, and median and maximum of the others."""
+    """Return the time of the first frame, including plan and tables, and median and maximum of the others [ms]."""
     seconds = []
     begin = time.perf_counter()
     renderer = wd.Renderer(mesh, surface, *moved(mesh, 0), device=device, pigment=0.0, **options)
     for index in range(frames + 1):
-        # A GPU works asynchronously. Without waiting for it, the measured time would end before the frame is complete.
+        # A GPU works asynchronously. If the script did not wait for it, the measured time would end before the frame is
+        # complete.
         wp.synchronize_device(renderer.draw(*moved(mesh, index)).device)
         end = time.perf_counter()
         seconds.append(end - begin)
@@ -61,7 +63,7 @@ def frame_times(mesh: Any, surface: wd.HeightField, device: str, frames: int, **
 
 
 def pictures(data: str | None) -> dict[str, tuple[Any, wd.HeightField, list[Any], dict[str, Any]]]:
-    """Return body, surface, lights and options of each compared picture, by its name."""
+    """Return body, height field, lights and options of each compared picture, by the name of the picture."""
     tube, fingers = wd.meshes.tube(), wd.gratings.fingers(size_um=12.8, pitch_um=0.09, seed=5)
     scan = inputs.levelled_scan(data)
     coarse: dict[str, Any] = {"tolerance": 1e-1}
@@ -82,15 +84,16 @@ def pictures(data: str | None) -> dict[str, tuple[Any, wd.HeightField, list[Any]
 
 
 def turned(light: Any) -> Any:
-    """Return the light with its direction or position changed by about its rounding error."""
+    """Return the light with its direction or position changed by about the rounding error of float32."""
     name = "position" if isinstance(light, wd.PointLight) else "to_light"
     return replace(light, **{name: tuple(np.array(getattr(light, name)) * (1.0 + TURN * np.array([1.0, -1.0, 0.0])))})
 
 
 def picture_differences(case: Any, device: str) -> dict[str, Any]:
-    """Return quantiles of the relative differences of two pictures from the CPU's picture of the same case.
+    """Return quantiles of the relative differences of two pictures from the CPU's picture of the same scene.
 
-    The two pictures are the device's, and the CPU's with slightly rotated lights.
+    The first picture is that of the other device. The second picture is one that the CPU renders with slightly changed
+    lights.
     """
     mesh, surface, lights, options = case
     view = replace(moved(mesh, 2)[1], width=320, height=240)
@@ -114,7 +117,7 @@ def picture_differences(case: Any, device: str) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print times and differences, and write them to a file."""
+    """Print times of frames and differences of pictures, and write both to a file."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--device", default="cuda", help="device to compare with the CPU (default: cuda)")
     parser.add_argument(

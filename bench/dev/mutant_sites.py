@@ -24,8 +24,8 @@ PACKAGES = {
 }  # fmt: skip
 NATIVE = "kernels/native"
 
-# Replacements of tokens, old to new. Where a token has several replacements, a hash of its line selects one. Names of
-# functions are replaced only where the function is called.
+# Replacements of tokens, old to new. If a token has several replacements, a hash of the line with the token selects one
+# of them. Names of functions are replaced only where the function is called.
 PAIRS = (
     "min max", "minimum maximum", "argmin argmax", "any all", "sin cos", "floor ceil", "== !=", "and or", "True False",
     "+ -", "* /", "& |", "<< >>", "+= -=", "*= /=", "|= &=", "break continue",
@@ -34,12 +34,13 @@ TOKENS = {old: (new,) for pair in PAIRS for old, new in (pair.split(), pair.spli
     "<": ("<=", ">="), "<=": ("<", ">"), ">": (">=", "<="), ">=": (">", "<"), "is": ("is not",), "is not": ("is",),
     "not": ("",), "~": ("",), "//": ("/",), "%": ("*",), "**": ("*",),
 }  # fmt: skip
-# Functions whose calls get no faults, because the calls only make messages or types, or set options of the compiler:
-# tests need not detect a change there.
+# Functions whose calls get no faults, because these calls only make messages or types, or set options of the compiler.
+# Tests need not detect a fault in such a call.
 UNTOUCHED = {"warn", "ref", "repr", "isinstance", "set_module_options", "options"}
 
 # File that lists the faults of headers, one per line: the name of a header, a colon, and a text that contains
-# «old|new». A fault replaces the old part by the new one. The text with the old part occurs exactly once in the header.
+# «old|new». A fault replaces the text «old» by the text «new». The whole text with «old» in it occurs exactly once in
+# the header.
 FAULTS = Path(__file__).with_name("header_faults.txt")
 
 
@@ -54,8 +55,8 @@ class Mutant:
         old: Text that is replaced.
         new: Replacement text.
         line: Line number of the change.
-        names: Function, method, class or variables in whose definition the changed line is. For a header, its file
-            name.
+        names: Function, method, class or variables whose definition contains the changed line; for a header, the name
+            of its file.
         identity: Text by which the same change is recognised in other commits. It contains no path and no line number.
     """
 
@@ -74,10 +75,7 @@ class Mutant:
 
 
 def definitions(tree: ast.Module) -> Iterator[tuple[tuple[str, ...], ast.stmt]]:
-    """Return each top-level statement of a module with the names that it defines.
-
-    The methods of a class follow the class.
-    """
+    """Return each top-level statement of a module with the names that it defines; methods follow their class."""
     for node in tree.body:
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
             yield (node.name,), node
@@ -132,7 +130,7 @@ def _token_changes(text: str, starts: list[int]) -> Iterator[tuple[int, str, str
 
 
 def changed_number(value: complex) -> str:
-    """Return a changed number: integers 0 and 1 are swapped, larger ones increase by 1, floats by 10 %."""
+    """Return a changed number: integers 0 and 1 are swapped, larger integers increase by 1, floats by 10 %."""
     if isinstance(value, int):
         return str(value + 1 if value > 1 else 1 - value)
     return repr(type(value)(f"{value * 1.1 if value else 1.0:.6g}"))
@@ -159,12 +157,12 @@ def mutants_of(root: Path, package: str) -> Iterator[Mutant]:
 
 
 def _span(node: ast.AST, starts: list[int]) -> tuple[int, int]:
-    """Return the byte range of a syntax node: positions of its first byte and of the byte after its last one."""
+    """Return the byte range of a syntax node: positions of its first byte and of the byte after its last byte."""
     return starts[node.lineno - 1] + node.col_offset, starts[node.end_lineno - 1] + node.end_col_offset
 
 
 def header_mutants(root: Path) -> Iterator[Mutant]:
-    """Return the faults of the C++ headers that the file lists. Each text must occur once in its header."""
+    """Return the faults of the C++ headers that the file lists. Each listed text must occur once in its header."""
     for fault in FAULTS.read_text(encoding="utf-8").splitlines():
         header, _, text = fault.partition(": ")
         before, old, new, after = re.split("[«|»]", text)
@@ -179,8 +177,9 @@ def header_mutants(root: Path) -> Iterator[Mutant]:
 def draw(root: Path, seed: str, packages: Iterable[str] = PACKAGES) -> list[Mutant]:
     """Return all possible changes of some packages in random order, so that the first n are a random sample.
 
-    The changes are sorted by a hash of the seed and of their identity. With the same seed, a change that exists in two
-    commits has the same hash in both, so that samples of two commits contain mostly the same changes.
+    The changes are sorted by a hash of the seed and of the text ``identity``, which recognises a change in other
+    commits. With the same seed, a change that exists in two commits has the same hash in both, so that samples of two
+    commits contain mostly the same changes.
     """
     mutants = (mutant for package in packages for mutant in mutants_of(root, package))
     return sorted(mutants, key=lambda mutant: hashlib.sha256((seed + mutant.identity).encode()).digest())

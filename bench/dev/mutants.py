@@ -1,10 +1,10 @@
 """Mutation score: share of one-token faults in the sources that the tests detect, for one commit or several.
 
-``python -m bench.dev.mutants COMMIT ... --seed COMMIT --minutes 60`` exports each commit into a folder. It records once
-which functions and kernels each test executes. It then makes one change at a time and runs the tests that execute the
-changed code; tests of the changed module come first. The seed determines the changes. ``--headers`` makes two faults in
-each C++ header instead. Changes of the commits alternate, so that the scores are comparable even if the run is
-interrupted. The same command continues an interrupted run.
+``python -m bench.dev.mutants COMMIT ... --seed COMMIT --minutes 60`` exports each commit into a folder. The command
+records once which functions and kernels each test executes. After that, the command makes one change at a time and runs
+the tests that execute the changed code; tests of the changed module come first. The seed determines the changes. With
+``--headers``, the changes are two faults per C++ header instead. Changes of the commits alternate, so that the scores
+are comparable even if the run is interrupted. The same command continues an interrupted run.
 """
 
 from __future__ import annotations
@@ -43,19 +43,20 @@ ROOT = Path(__file__).resolve().parents[2]
 # Test folders and files that mutation testing uses. Tests of interfaces, files and signals are excluded.
 TESTS = [*PACKAGES, "properties", "tables", "lights", "render", "baked", "device", "request", "scene"]
 TESTS += ["robustness/test_bad_input.py", "robustness/test_refusals.py", "robustness/test_memory.py"]
-# The tests of a changed program count as timed out after `PATIENCE` times their largest total time without a change,
-# plus `COMPILE_S` seconds for the compilation of kernels.
+# Time after which the tests of a changed program count as timed out: `PATIENCE` times the largest total time of these
+# tests without a change, plus `COMPILE_S` seconds for the compilation of kernels.
 PATIENCE, COMPILE_S = 4.0, 60.0
-# Largest address space of a test process [bytes]. Limit: a changed array size could otherwise exhaust the memory.
+# Largest address space of a test process [bytes]. The value is limited by the memory, which a changed array size could
+# otherwise exhaust.
 MEMORY = 12 << 30
 # Test processes are forks of a server process, which has already imported the slow packages. The server does not import
-# warpdiff: each fork imports it with its changed sources.
+# warpdiff, because each fork imports it from changed sources.
 PROCESSES = multiprocessing.get_context("forkserver")
 PROCESSES.set_forkserver_preload(["pytest", "hypothesis", "numpy.testing", "scipy.special", "trimesh", "warp"])
 
 
 class Recorder:
-    """Plugin of pytest that records each test function: time, failure, and the functions and kernels it executes."""
+    """Plugin of pytest that records of each test: time, failure, and the functions and kernels that it executes."""
 
     def __init__(self, tree: Path, output: Path) -> None:
         self._folders, self._output = (f"{tree}/warpdiff/", f"{tree}/kernels/"), output
@@ -93,7 +94,7 @@ class Recorder:
 
 
 def pytest_of_copy(tree: Path, tests: list[str], record: Path | None) -> None:
-    """Run tests in the exported copy of a commit until one fails. With ``record``, run all and record them.
+    """Run tests in the exported copy of a commit until a test fails. With ``record``, run all tests and record them.
 
     This function runs in a forked process, and ends this process when the tests end.
     """
@@ -131,7 +132,7 @@ def run_pytest(tree: Path, tests: list[str], limit_s: float | None, record: Path
 
 
 class Run:
-    """Exported copy of one commit, with its recorded tests and the results of the changes."""
+    """Exported copy of one commit, with its recorded tests and the results of the tried changes."""
 
     def __init__(self, commit: str, seed: str, most_s: float, output: Path) -> None:
         self.commit, self._most_s, self.tree = commit, most_s, output.resolve() / commit[:10]
@@ -151,9 +152,9 @@ class Run:
         self.records = [json.loads(line) for line in self._log.read_text(encoding="utf-8").splitlines()]
 
     def _used_names(self) -> Iterator[tuple[str, set[str]]]:
-        """Return each definition with the names that it uses.
+        """Return each definition of a module with the names that it uses.
 
-        Names used by statements that define nothing count as used by each definition of the module.
+        Names in statements that define nothing count as used by every definition of the module.
         """
         for path in (self.tree / NATIVE).glob("*.h"):
             yield path.name, set(re.findall(r'#include "(\w+\.h)"', path.read_text(encoding="utf-8")))
@@ -163,11 +164,11 @@ class Run:
             yield from ((name, _names_in(node) | shared) for defined, node in parts for name in defined)
 
     def tests_of(self, mutant: Mutant) -> list[str]:
-        """Return the test functions for a change: those of the module's own test file first, then fast ones.
+        """Return the tests for a change: tests of the module's own test file come first, and fast ones before slow.
 
         The list has the tests in the module's own test file and all tests that execute the changed definition. The
-        execution of constants, structs and functions of kernels is not recorded. For a change of one of these, the list
-        has the tests that execute code which uses it.
+        execution of constants, structs and functions of kernels is not recorded. For a change in one of these three,
+        the list has the tests that execute code which uses the constant, struct or function.
         """
         reached = newer = set(mutant.names)
         while newer := newer - self._executed:
@@ -185,15 +186,16 @@ class Run:
         return [name for (*_, seconds, name), end in zip(ranked, ends, strict=True) if end - seconds < self._most_s]
 
     def test(self, mutant: Mutant) -> None:
-        """Make one change, run its tests, record the result, and undo the change."""
+        """Make one change, run the tests for it, record the result, and undo the change."""
         begin, path, tests = time.perf_counter(), self.tree / mutant.path, self.tests_of(mutant)
         source = path.read_bytes()
         path.write_bytes(mutant.apply(source))
         changed = path.read_text(encoding="utf-8").splitlines()[mutant.line - 1].strip()
         result = run_pytest(self.tree, tests, COMPILE_S + PATIENCE * self._most_s) if tests else "survived"
         path.write_bytes(source)
-        # Python compares the size and the modification time, in whole seconds, of a source with those of its compiled
-        # file. Both may be equal after a change, so the compiled file is deleted.
+        # To decide whether a compiled file is current, Python compares the size and the modification time of its source
+        # with stored values. The time is in whole seconds, so that both values may be equal after a change. The
+        # compiled file is therefore deleted.
         Path(importlib.util.cache_from_source(str(path))).unlink(missing_ok=True)
         record = {
             "result": result, "package": mutant.package, "place": f"{mutant.path}:{mutant.line}", "changed": changed,
@@ -213,7 +215,7 @@ def _names_in(node: ast.AST) -> set[str]:
 
 
 def table(records: list[dict[str, Any]]) -> str:
-    """Return a Markdown report: scores by package and of the header faults, and a table of the undetected changes."""
+    """Return a Markdown report: scores by package and for faults of headers, and a table of undetected changes."""
     lines = ["| package | changes | detected | score | 95 % interval |", "| --- | --- | --- | --- | --- |"]
     for name in ("all", *PACKAGES, "native"):
         group = [r for r in records if r["package"] == name or (name == "all" and r["package"] != "native")]
@@ -228,7 +230,7 @@ def table(records: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Test changes of the sources until all are done or the time limit is reached, and print the scores."""
+    """Test one-token changes of the source code until all are tested or the time is over, and print mutation scores."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("commits", nargs="+", help="commits whose sources and tests are used")
     parser.add_argument("--seed", default="HEAD", help="commit whose hash determines the changes (default: HEAD)")

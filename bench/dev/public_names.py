@@ -1,4 +1,4 @@
-"""Import of the installed warpdiff under the public names of version 0.2, also where version 0.1.0 is installed.
+"""Import of the installed warpdiff under the public names of version 0.2, even if version 0.1.0 is installed.
 
 ``from bench.dev.public_names import wd`` imports the package that is installed for this Python, never the source folder
 next to ``bench``. If that package is version 0.1.0, the baseline, the new names are added to it. Newer versions are not
@@ -24,8 +24,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # Public functions that were renamed, new name to old name.
 FUNCTIONS = {"reflectance_map": "brdf_map"}
-# Keyword arguments that were renamed, new name to old name. All functions with an argument of the new name had an
-# argument of the old name.
+# Keyword arguments that were renamed, new name to old name. The mapping applies to every function that has an argument
+# of the new name.
 ARGUMENTS = {
     "heightfield": "hf",
     "lights": "light",
@@ -50,8 +50,8 @@ PLAN_FIELDS = {
     "split": "refined_share", "judged": "validation_size", "searched": "is_measured", "max_lateral": "max_order_rate",
 }  # fmt: skip
 COHERENCE_FIELDS = {"copies": "periods"}
-# Fields of a picture's report that were fields of the plan in version 0.1.0, with their values for a plan without a
-# picture.
+# Fields of a picture's report that were fields of the plan in version 0.1.0, with the values of these fields for a plan
+# without a picture.
 REPORT_FIELDS = {
     "light_sample_count": 0, "refined_share": 0.0, "unconverged_share": 0.0, "unconverged_edge_share": 0.0,
     "errors": (0.0, 0.0),
@@ -76,8 +76,8 @@ def plan_numbers(plan: Any, report: Any = None) -> dict[str, Any]:
 
 
 def _installed() -> Any:
-    # The root of the checkout is on the import path because ``bench`` lies in it. It is removed, so that its
-    # ``warpdiff`` folder is not imported instead of the installed package.
+    # The root of the checkout is on the import path because ``bench`` lies in it. The root is removed from the path, so
+    # that its ``warpdiff`` folder is not imported instead of the installed package.
     sys.path[:] = [entry for entry in sys.path if Path(entry).resolve() != ROOT]
     package = importlib.import_module("warpdiff")
     if is_baseline(package):
@@ -100,7 +100,7 @@ def _add_new_names(package: Any) -> None:
 
 
 def _with_new_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a wrapper of a function of version 0.1.0 that accepts keyword arguments by their present names, too."""
+    """Return a wrapper of a function of version 0.1.0 that also accepts the present names of keyword arguments."""
 
     @functools.wraps(function)
     def call(*positional: Any, **keywords: Any) -> Any:

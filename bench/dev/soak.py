@@ -1,4 +1,4 @@
-"""Endurance test: repeat the tests with the marker ``permanent`` for some time, and count failures.
+"""Endurance test: repeat the tests with the marker ``permanent`` for a number of minutes, and count failures.
 
 Run ``make soak MINUTES=5``, or ``python -m bench.dev.soak --minutes 5``.
 """
@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 ROOT = Path(__file__).resolve().parents[2]
-# Time [s] after the planned end for which tests may still be running. Limit: a test that exceeds it counts as hanging.
+# Time after the planned end for which tests may still be running [s]. The value was chosen: a test that is still
+# running after this time counts as hanging.
 GRACE_S = 900.0
 
 
@@ -36,7 +37,7 @@ class Row(NamedTuple):
 
 
 def rows(cases: Iterable[Xml.Element]) -> dict[str, Row]:
-    """Return the counts by row of the report's table, from the test cases of a JUnit file.
+    """Return the counts of a JUnit file's test cases, by row of the report's table.
 
     The property "row" of a test case contains the name of its row.
     """
@@ -66,7 +67,7 @@ def table(results: dict[str, Row]) -> str:
 def run(end: float, *, seed: int) -> dict[str, Row]:
     """Run all permanent tests once, but not longer than until ``end`` [seconds since the epoch].
 
-    Return their counts by row of the report's table.
+    Return the numbers of test cases, failures and skipped tests by row of the report's table.
     """
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.xml"

@@ -5,17 +5,18 @@ the first 128 of these directions. The automatic plan of a configuration is comp
 varies four things:
 
 - the method
-- the number of terms, in multiples of the vector width
-- the number of neighbours, by their least weight exp(−n/2); for replicated patches, instead, the number of
-  subdivisions, which is the number of samples of their interference factor per wavelength, in steps of a factor 2^(1/4)
-- the number of wavelengths per direction: equal for all directions, or dependent on (u, v) and w by the bandwidth of a
-  plan, in steps of a factor 2^(1/4)
+- the number of terms of the series, in multiples of the vector width of the processor
+- the number of neighbouring Fourier coefficients in a sum, by the least weight exp(−n/2) with which a coefficient is
+  included; for replicated patches, instead, the number of subdivisions, which is the number of samples of the periods'
+  interference factor per wavelength, in steps of a factor 2^(1/4)
+- the number of wavelengths per direction: equal for all directions, or dependent on the scattering vector (u, v, w) by
+  the bandwidth of a plan, in steps of a factor 2^(1/4)
 
-A setting is a candidate if it meets the tolerance on these 128 directions against the float64 reference, without a
-safety factor. Errors are relative to the brightness of all 40,000 directions. The candidates with the lowest predicted
-cost, in total and per method, are timed; the fastest is the cheapest setting. The colour of a direction depends only on
-its own wavelengths. Colours are therefore computed once for each number of wavelengths, and the errors of plans are
-combined from them.
+A setting is a candidate if its errors on these 128 directions, relative to the float64 reference, meet the tolerance
+without a safety factor. Errors are relative to the brightness of all 40,000 directions. The candidates with the lowest
+predicted cost are timed: the best of all, and the best of each method. The fastest candidate is the cheapest setting.
+The colour of a direction depends only on the wavelengths of this direction. Colours are therefore computed once for
+each number of wavelengths, and the errors of plans are combined from these colours.
 
 Times are processor times divided by the number of threads, as medians of rounds in which all plans are timed once.
 """
@@ -48,38 +49,42 @@ from warpdiff.planner import cost_model
 from warpdiff.request.directions import DirectionRange, order_rate
 from warpdiff.tables import coefficient_table
 
-# Width of the visible range in wavenumbers 1/λ [1/µm].
+# Width of the visible range, as a difference of wavenumbers 1/λ [1/µm].
 SPAN = 1e3 / LAMBDA_MIN_NM - 1e3 / LAMBDA_MAX_NM
-# Number of directions whose errors are evaluated, and number of directions for which the plan is made.
+# Number of directions whose errors are evaluated, and number of directions of a call for which the plan is made.
 DIRECTIONS, PLANNED = 128, 40_000
-# Smallest cosine of the angle between random directions and the normal. The angle is at most 85°.
+# Smallest cosine of the angle between random directions and the normal; the angle is at most 85°.
 LOWEST = math.cos(math.radians(85.0))
 KINDS = ("averaged", "centred", "source", "replicas")
-# Tolerances of configurations. Replicated patches are not tried at tolerances below 1e-2, because the time to compute
-# their reference would be too long.
+# Tolerances of the configurations, which combine a surface, a coherence, a tolerance and directions. Replicated patches
+# are not tried at tolerances below 1e-2, because the float64 reference of such patches would take too long.
 TOLERANCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3)
 REPLICAS_TOLERANCES = (1e-1, 3e-2, 1e-2)
 PITCH_UM = 0.09  # sample spacing of the synthetic surfaces [µm]
-# Numbers of wavelengths below 16, in steps of about a factor 2^(1/4). They are equal for all directions, because a plan
-# with different numbers per direction has at least 16.
+# Numbers of wavelengths below 16 that are tried, in steps of about a factor 2^(1/4). A plan with one of these numbers
+# uses it for all directions, because a plan with different numbers per direction has at least 16 wavelengths.
 FEWER = (8, 10, 11, 13)
-# The bandwidth of a plan has a constant part, a part that is proportional to the order rate, and a part that is
-# proportional to |w|. `CONSTANTS` are the tried shares of the constant part in the bandwidth, in steps of a factor
-# 2^(1/4). `SPLITS` are the tried shares of the part for the order rate in the sum of the other two parts.
+# The number of wavelengths of a direction is proportional to the bandwidth of its plan. The bandwidth has a constant
+# part, a part that is proportional to the order rate |(u, v)|, and a part that is proportional to |w|. `CONSTANTS` are
+# the tried shares of the constant part in the bandwidth, in steps of a factor 2^(1/4). `SPLITS` are the tried shares of
+# the part for the order rate in the sum of the other two parts.
 CONSTANTS = 2.0 ** (-np.arange(25) / 4.0)
 SPLITS = (1.0, 0.95, 0.9, 0.8, 0.7, 0.5, 0.25, 0.0)
-# How many values are tried for a number of a plan, from the smallest value on that meets the tolerance: `MORE_TERMS`
-# numbers of terms, and `MORE_EXPONENTS` exponents a of the least weight exp(−a) of neighbours.
+# How many values of a number in a plan are tried, from the smallest value on that meets the tolerance. `MORE_TERMS`
+# applies to the number of terms of the series. `MORE_EXPONENTS` applies to the exponent a of the least weight exp(−a)
+# of neighbouring Fourier coefficients.
 MORE_TERMS, MORE_EXPONENTS = 3, 5
-# Step and upper limit of the exponent a in the least weight exp(−a) of neighbours.
+# Step and upper limit of the exponent a in the least weight exp(−a) of neighbouring Fourier coefficients.
 EXPONENT_STEP, MOST_EXPONENT = 0.5, 24.0
-# Largest predicted cost of methods and settings that are tried, relative to the lowest predicted cost.
+# Methods and settings of plans are tried only if their predicted cost, relative to the lowest predicted cost, is at
+# most this number.
 HOPELESS = 1.6
 TIMED = 4  # number of candidates that are timed
-# Largest number of directions of one timed call. Limit: duration of a comparison.
+# Largest number of directions of one timed call. The value is limited by time: if doubled, the calls take twice as
+# long.
 MOST_TIMED = 4096
-# Number of variants of a plan that are evaluated at once, which differ in the number of wavelengths per direction.
-# Limit: memory.
+# Number of variants of a plan that are evaluated at once; the variants differ in the number of wavelengths per
+# direction. The value is limited by memory.
 CHUNK = 64
 
 
@@ -98,7 +103,7 @@ class Configuration(NamedTuple):
 
 
 def surfaces(data: Path | None) -> dict[str, wd.HeightField]:
-    """Return the height fields by name. They include crops of the scan if its file is available."""
+    """Return height fields by name; they include crops of the scan of a snake's skin if its file is available."""
     result = {
         f"fingers {size:g} µm": wd.gratings.fingers(size_um=size, pitch_um=PITCH_UM) for size in (6.4, 12.8, 25.6)
     }
@@ -120,7 +125,7 @@ def surfaces(data: Path | None) -> dict[str, wd.HeightField]:
 
 
 def configurations(data: Path | None, count: int, seed: int) -> list[Configuration]:
-    """Return random configurations. Kinds of coherence alternate; surfaces and tolerances occur equally often."""
+    """Return random inputs of plans. Kinds of coherence alternate; surfaces and tolerances occur equally often."""
     rng = np.random.default_rng(seed)
     fields = surfaces(data)
     # The float64 reference sums every height sample of a replicated patch, so that only small patches are used.
@@ -142,7 +147,8 @@ def configurations(data: Path | None, count: int, seed: int) -> list[Configurati
         if periods:
             most = 40 if fields[surface].shape[0] == 1 else 12
             pair = (1 if fields[surface].shape[0] == 1 else int(rng.integers(2, most)), int(rng.integers(2, most)))
-        # Half of the calls have one light direction, like a reflectance map. The others have many, like a picture.
+        # Half of the calls have one light direction, like a reflectance map. The other calls have many light
+        # directions, like a picture.
         one = _upper(rng, 1) if rng.random() < 0.5 else None
         light = _upper(rng, PLANNED) if one is None else np.repeat(one, PLANNED, axis=0)
         coherence = wd.Coherence(kind, periods=pair)
@@ -158,7 +164,7 @@ def _upper(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 class Call:
-    """Directions of one configuration, with their reference colours.
+    """Directions of one configuration (inputs of a plan), with the reference colours of these directions.
 
     Methods compute the colours and errors of these directions by a plan.
     """
@@ -183,7 +189,7 @@ class Call:
         )
         self.exact = exact
         # The floor f of errors is a share of the luminance of all planned directions. The few directions of this object
-        # do not represent that luminance, which is therefore an argument.
+        # do not represent this luminance. This luminance is therefore an argument.
         floor = FLOOR * luminance
         self._above = exact[:, 1] >= floor
         self._scale = np.where(self._above, np.maximum(np.linalg.norm(exact, axis=1), floor), floor)
@@ -221,23 +227,23 @@ class Call:
         return evaluate
 
     def errors(self, plan: wd.Plan) -> np.ndarray:
-        """Return the error of each direction's colour by a plan, relative to the reference or to the floor f."""
+        """Return errors of the directions' colours by a plan, relative to the reference, or to the floor f if dim."""
         self.prepared(plan)()
         xyz = self.load(1)[-1].numpy().astype(np.float64)
         return np.nan_to_num(np.linalg.norm(xyz - self.exact, axis=1) / self._scale, nan=1e9, posinf=1e9)
 
     def worst(self, errors: np.ndarray) -> np.ndarray:
-        """Return the larger P99 of errors (..., n): that of bright directions, or that of dim ones."""
+        """Return the larger 99th percentile (P99) of errors (..., n): that of bright or that of dim directions."""
         groups = [np.percentile(errors[..., mask], 99.0, axis=-1) for mask in (self._above, ~self._above) if mask.any()]
         return np.max(groups, axis=0)
 
     def error(self, plan: wd.Plan) -> float:
-        """Compute colours by a plan, and return the larger P99 of their errors: of bright or of dim directions."""
+        """Compute colours by a plan; return the larger 99th percentile of errors, of bright or dim directions."""
         return float(self.worst(self.errors(plan)))
 
 
 class Bandwidths:
-    """Assignments of wavelengths to directions. Each assignment states a number of wavelengths for every direction.
+    """Assignments of wavelengths to directions; an assignment states a number of wavelengths for every direction.
 
     The mean number of wavelengths of each assignment is stored, too.
     """
@@ -259,7 +265,8 @@ class Bandwidths:
         step = np.clip(step, 0, np.floor(-4.0 * np.log2(c) + 1e-9).astype(int))
         tops = np.arange(len(self.sizes))
         which = [np.maximum(top - step, first) for top in tops[first:]]
-        # An assignment with a number of wavelengths from ``FEWER`` has this number for all directions.
+        # An assignment states a number of wavelengths for every direction. The numbers in ``FEWER`` are used only for
+        # all directions alike.
         which = [np.full((1, len(call.w)), top) for top in tops[:first]] + which
         self.which = np.concatenate(which)
         self.made = [(top, 0) for top in tops[:first]]
@@ -270,7 +277,8 @@ class Bandwidths:
     def cheapest(self, call: Call, errors: np.ndarray, tolerance: float) -> int | None:
         """Return the index of the assignment with the fewest wavelengths that meets the tolerance, or None.
 
-        ``errors`` has the errors of all directions for all numbers of wavelengths, shape (sizes, n).
+        An assignment states a number of wavelengths for every direction. ``errors`` has the errors of n directions for
+        all numbers of wavelengths, shape (sizes, n).
         """
         columns = np.arange(errors.shape[1])
         for start in range(0, len(self.order), CHUNK):
@@ -281,7 +289,7 @@ class Bandwidths:
         return None
 
     def plan(self, plan: wd.Plan, index: int) -> wd.Plan:
-        """Return a plan with the numbers of wavelengths that one assignment states."""
+        """Return a plan whose numbers of wavelengths per direction are those of assignment ``index``."""
         top, shares = self.made[index]
         a, b, c = self.shares[shares]
         scale = self.sizes[top] / SPAN
@@ -291,18 +299,19 @@ class Bandwidths:
 
 
 class Setting(NamedTuple):
-    """A plan that meets the tolerance, one of the compared settings, with its predicted cost."""
+    """One of the compared settings: a plan that meets the tolerance, with its predicted cost."""
 
     cost: float
     plan: wd.Plan
 
 
 def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
-    """Return the sufficient setting with the fewest wavelengths for each combination of the other choices.
+    """Return, for each combination of the other choices, the sufficient setting with the fewest wavelengths.
 
-    A setting is sufficient if it meets the tolerance. The other choices are the method, the number of terms, and the
-    number of neighbours or, for replicas, the number of subdivisions of a plan. Combinations that are too costly even
-    with few wavelengths are excluded.
+    A setting is sufficient if it meets the tolerance. The other choices are the method, the number of terms of the
+    series, and the number of neighbouring Fourier coefficients. For replicated patches, the number of subdivisions of a
+    plan replaces the number of neighbouring coefficients. Combinations that are too costly even with few wavelengths
+    are excluded.
     """
     case = call.case
     tolerance = case.tolerance
@@ -318,9 +327,10 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
         return cost_model.sampling_multiply_adds(case.heightfield, many, call.order_rate, call.w) / 1000.0
 
     def is_promising(plan: wd.Plan) -> bool:
-        """Return whether a plan may be among the cheapest.
+        """Return whether a plan may be among the cheapest plans.
 
-        Its number of wavelengths is not known yet. The smallest number among the settings so far is assumed.
+        The number of wavelengths that the plan requires is not known yet. The smallest number among the settings so far
+        is assumed.
         """
         if not results:
             return True
@@ -363,9 +373,10 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
 
 
 def _neighbourhoods(call: Call, plan: wd.Plan, automatic: wd.Plan) -> list[wd.Plan]:
-    """Return variants of a plan with different numbers of neighbours or, for replicas, different ``subdivisions``.
+    """Return variants of a plan with different numbers of neighbouring coefficients or, for replicas, ``subdivisions``.
 
-    The smallest number of neighbours is the smallest with which the plan meets the tolerance.
+    The first variant has the smallest number of neighbouring Fourier coefficients with which the plan meets the
+    tolerance.
     """
     if plan.coherence.kind == "replicas":
         steps = 2.0 ** (np.arange(4, -13, -1) / 4.0)
@@ -403,14 +414,15 @@ def measure(call: Call, plans: list[wd.Plan], rounds: int) -> list[float]:
 
 
 class Result(NamedTuple):
-    """Ratios of the automatic plan of one configuration to its cheapest setting, and of predicted to actual errors.
+    """Automatic plan for given inputs: ratios to the cheapest setting, and of predicted to actual errors.
 
     Attributes:
         ratio: Time of the automatic plan over the time of the cheapest setting.
-        predicted: Error that the plan predicts over its actual error, on directions for which it was made.
-        fresh: The same ratio, with the actual error on 128 other directions of the call.
-        samples: Mean number of wavelengths per direction of the plan over that of the cheapest setting, both predicted.
-        kernel: Cost per wavelength and direction of the plan over that of the cheapest setting, both predicted.
+        predicted: Error that the plan predicts over the actual error, on directions for which the plan was made.
+        fresh: The ratio ``predicted``, with the actual error on 128 other directions of the call.
+        samples: Mean number of wavelengths per direction of the plan over the number of the cheapest setting, both
+            predicted.
+        kernel: Cost per wavelength and direction of the plan over the cost of the cheapest setting, both predicted.
     """
 
     ratio: float
@@ -421,7 +433,7 @@ class Result(NamedTuple):
 
 
 def compare(case: Configuration, *, rounds: int, threads: int | None) -> tuple[str, Result | None]:
-    """Plan one configuration, find and time its cheapest setting, and return a table row and its ratios."""
+    """Make the automatic plan, find and time the cheapest setting, and return a row of the table and the ratios."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -453,8 +465,8 @@ def compare(case: Configuration, *, rounds: int, threads: int | None) -> tuple[s
         times = measure(call, [automatic, *plans], rounds)
     at = int(np.argmin(times[1:]))
     best = plans[at]
-    # The ratio of predicted costs, of the automatic plan to the cheapest setting, is a product of two ratios: of the
-    # mean numbers of samples, and of the costs per sample.
+    # The ratio of the automatic plan's predicted cost to the cheapest setting's is a product of two ratios: that of the
+    # mean numbers of wavelength samples, and that of the costs per sample.
     costs = [
         cost_model.sampling_multiply_adds(case.heightfield, plan, call.order_rate, call.w) for plan in (automatic, best)
     ]
@@ -488,13 +500,13 @@ def _numbers(plan: wd.Plan) -> str:
 
 
 def quartiles(values: list[float]) -> str:
-    """Return a text with the median, quartiles and range of values."""
+    """Return a text with the median, the quartiles and the range of the values."""
     low, first, median, third, high = np.percentile(values, [0, 25, 50, 75, 100])
     return f"median {median:.2f}, quartiles {first:.2f} and {third:.2f}, range {low:.2f} to {high:.2f}"
 
 
 def main() -> None:
-    """Print the table of configurations and its summary."""
+    """Print the table of configurations and a summary of the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=40, help="number of configurations (default: 40)")
     parser.add_argument("--only", type=int, help="run only the configuration with this index")

@@ -7,11 +7,12 @@
     python -m bench.dev.wheel_times --before before/bin/python --after after/bin/python --output times.json
 
 The printed table has one row per task. Each round starts a new process for each wheel. For every task, the two
-processes execute the same call in turns; the wheel that begins alternates. The ratio of a round is the median over
-these pairs of calls of the time of the wheel ``--after`` divided by that of the wheel ``--before``. Tasks that start a
-process per call (cold start, import, help) are timed in the same manner. The ratio of a task is the median over rounds.
-Its confidence interval of at least 95 % is that of order statistics, which assumes no distribution. Rounds are added
-until the interval of each task is within ±``--half-width``, or until ``--most-rounds``.
+processes execute the same call in turns; the wheel that begins alternates. Each pair of calls gives a ratio: the time
+of the wheel ``--after`` divided by the time of the wheel ``--before``. The ratio of a round is the median over its
+pairs. Tasks that start a process per call (cold start, import, help) are timed in the same manner. The ratio of a task
+is the median over rounds. The confidence interval of this median, of at least 95 %, is that of order statistics, which
+assumes no distribution. Rounds are added until the interval of each task is within ±``--half-width``, or until their
+number is ``--most-rounds``.
 
 First, the wheel ``--before`` is compared with itself by the same procedure. The deviation of these ratios from 1 is the
 noise of the measurement. Kernels are compiled in advance, into a folder in each wheel's environment. Nothing else is
@@ -44,10 +45,11 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[2]
 CLOCKS = ("wall", "cpu")
-# Least number of rounds for which order statistics give a confidence interval of 95 %. Derived: all of 6 values lie on
-# the same side of the median with the probability 2 · 0.5⁶ < 5 %.
+# Least number of rounds for which order statistics give a confidence interval of 95 %. The number is derived: with the
+# probability 2 · 0.5⁶ < 5 %, all of 6 values lie on the same side of the median.
 FEWEST_ROUNDS = 6
-# Target of the total time of one wheel's calls per task and round [s], and smallest and largest number of these calls.
+# Time that all calls of one wheel should take together per task and round [s], and smallest and largest number of these
+# calls.
 SECONDS_PER_ROW, FEWEST_CALLS, MOST_CALLS = 0.6, 3, 25
 # Number of directions of a timed call.
 DIRECTIONS = 100_000
@@ -62,7 +64,7 @@ image.save("first.png")
 
 
 class Seconds(NamedTuple):
-    """Wall time and processor time of one call [s]."""
+    """Wall-clock time and processor time of one call [s]."""
 
     wall: float
     cpu: float
@@ -172,7 +174,7 @@ PROCESS_ROWS: dict[str, tuple[int, list[str]]] = {
 
 
 def timed(call: Call, k: int) -> Seconds:
-    """Return the wall time and the processor time of one call."""
+    """Return the wall-clock time and the processor time of one call."""
     wall, cpu = time.perf_counter(), time.process_time()
     call(k)
     return Seconds(time.perf_counter() - wall, time.process_time() - cpu)
@@ -181,9 +183,10 @@ def timed(call: Call, k: int) -> Seconds:
 def work(threads: int | None) -> None:
     """Run the worker process: write the names of its tasks, then time one call for each line of stdin.
 
-    A line is the name of a task to prepare, or the number of a call of this task.
+    Each line is the name of a task to prepare, or the number of the next call of the prepared task.
     """
-    # The answers of this process go to its stdout. Output of libraries is discarded, because it would mix with them.
+    # This process writes its answers to its stdout. Output of libraries is discarded, because it would mix with the
+    # answers.
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     with Path(os.devnull).open("w") as nowhere:
         os.dup2(nowhere.fileno(), 1)
@@ -221,13 +224,13 @@ class Wheel:
     def environment(self) -> dict[str, str]:
         """Environment variables of the wheel's processes.
 
-        Kernels have their own cache folder, and nothing else is cached on disk.
+        The wheel has its own cache folder for compiled kernels, and nothing else is cached on disk.
         """
         cache = self.python.parent.parent / "kernel_cache"
         return os.environ | {"WARP_CACHE_PATH": str(cache), "WARPDIFF_CACHE_DIR": "", "PYTHONPATH": ""}
 
     def run(self, arguments: Sequence[str]) -> Seconds:
-        """Return the times of a Python process from its start to its end. It runs in an empty folder."""
+        """Return the times of a Python process from its start to its end; the process runs in an empty folder."""
         with tempfile.TemporaryDirectory() as folder:
             wall, cpu = time.perf_counter(), _children_cpu()
             subprocess.run(
@@ -238,7 +241,7 @@ class Wheel:
 
 
 class Worker:
-    """A process that times calls of the library as one wheel installs it, until the ``with`` block ends.
+    """A process that times calls of the library from one wheel, until the ``with`` block ends.
 
     Attributes:
         rows: Names of the tasks that the process can time.
@@ -268,7 +271,7 @@ class Worker:
         return Seconds(*self._answer())
 
     def run(self, k: int) -> Seconds:
-        """Return the times of one call of the prepared task, which gets the number ``k`` of the call."""
+        """Return the times of one call of the prepared task; ``k`` is the number of the call."""
         self.ask(k)
         return self.receive()
 
@@ -291,27 +294,27 @@ class Row:
 
     Attributes:
         name: Name of the task.
-        pairs: Per round, pairs of times of neighbouring calls of both wheels, (before, after).
+        pairs: Per round, pairs of times (before, after), of two successive calls, one of each wheel.
     """
 
     name: str
     pairs: list[list[tuple[Seconds, Seconds]]] = field(default_factory=list)
 
     def ratios(self, clock: str) -> list[float]:
-        """Return the ratios of times, wheel ``after`` over wheel ``before``, one per round."""
+        """Return one ratio per round: the time of the wheel ``after`` over the time of the wheel ``before``."""
         return [
             float(np.median([getattr(after, clock) / getattr(before, clock) for before, after in pairs]))
             for pairs in self.pairs
         ]
 
     def interval(self, clock: str) -> tuple[float, float, float]:
-        """Return the median ratio over the rounds, and the ends of its confidence interval of at least 95 %."""
+        """Return the median over the rounds of the ratio of times, and the ends of its 95 % confidence interval."""
         ratios = sorted(self.ratios(clock))
         count = len(ratios)
         if count < FEWEST_ROUNDS:
             return float(np.median(ratios)), -math.inf, math.inf
-        # There are n ratios, one per round. Their true median lies outside of the interval from the i-th smallest to
-        # the i-th largest ratio with the probability 2 · Σ C(n, k) / 2ⁿ for k < i.
+        # There are n ratios, one per round. The true median of such ratios lies outside of the interval from the i-th
+        # smallest to the i-th largest ratio with the probability 2 · Σ C(n, k) / 2ⁿ, a sum over k < i.
         outside, i = 0.0, 0
         while 2.0 * (outside + math.comb(count, i) * 0.5**count) <= 0.05:
             outside += math.comb(count, i) * 0.5**count
@@ -369,7 +372,7 @@ def _process_pairs(before: Wheel, after: Wheel, name: str, first: int) -> list[t
 
 
 def compare(before: Wheel, after: Wheel, title: str, names: Sequence[str], options: argparse.Namespace) -> list[Row]:
-    """Compare two wheels until the interval of every task is narrow enough, and print the table."""
+    """Compare two wheels until the confidence interval of every task is narrow enough, and print the table."""
     rows = [Row(name) for name in names]
     for number in range(max(options.most_rounds, options.rounds)):
         measured = rows
@@ -396,7 +399,7 @@ def compare(before: Wheel, after: Wheel, title: str, names: Sequence[str], optio
 
 
 def raw(rows: Iterable[Row]) -> dict[str, Any]:
-    """Return all times [s] by task and round: for each pair of calls, wall and processor time of both wheels."""
+    """Return all times [s] by task and round: for each pair of calls, wall-clock and processor time of both wheels."""
     return {row.name: [[[*before, *after] for before, after in pairs] for pairs in row.pairs] for row in rows}
 
 
@@ -440,8 +443,8 @@ def main() -> None:
         return
     if options.before is None or options.after is None or options.rounds < FEWEST_ROUNDS:
         parser.error(f"--before and --after must be given, and --rounds must be at least {FEWEST_ROUNDS}")
-    # The Python of an environment is a link to the system's Python. If it were resolved, the packages of the
-    # environment would not be found.
+    # The Python program of an environment is a link to the Python program of the system. If the link were resolved,
+    # Python would not find the packages of the environment.
     before, after = (Wheel(python.absolute(), options.threads) for python in (options.before, options.after))
     names = warm(before, options.only)
     warm(after, options.only)

@@ -1,7 +1,7 @@
 """Generator of ``warpdiff/request/keywords.py``: the keyword arguments of public functions, for type checkers.
 
 ``python -m bench.dev.write_keywords`` makes a ``TypedDict`` from each class of ``warpdiff/request/settings.py``. A test
-compares the file with the classes.
+checks that the file corresponds to the classes.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import Material
 from warpdiff.request.plan import Plan
-from warpdiff.request.settings import Bits, Display, Energy, GamutName, Integration, Method
+from warpdiff.request.settings import Bits, Display, Energy, GamutName, Integration, Method, TangentRule
 '''
 
 

@@ -1,9 +1,10 @@
-"""The published algorithm in Dr.Jit (Jakob et al. 2022), compiled for the CPU by LLVM.
+"""The published algorithm (Single 2014), as a program in Dr.Jit that LLVM compiles for the CPU.
 
-Directions are vectorised, the loop over wavelengths is a loop in the compiled code, and those over neighbours and terms
-are unrolled. The terms of a coefficient are loaded in packets of contiguous floats, which LLVM transposes. Coefficients
-are stored with the factors 1/n!, so that Horner's rule can evaluate the series. This requires 10 % less time than the
-separate computation of each power.
+Dr.Jit is the compiler of Jakob et al. (2022). Directions are vectorised. The loop over wavelengths is a loop in the
+compiled code. The loops over neighbouring Fourier coefficients and over terms of the Taylor series are unrolled. The
+terms of a coefficient are loaded in packets of contiguous floats, which LLVM transposes. The terms are stored with the
+factors 1/n!, so that Horner's rule can evaluate the series. Horner's rule requires 10 % less time than a separate
+computation of each power.
 
 The module requires LLVM's shared library. Dr.Jit finds it by its usual names or through ``DRJIT_LIBLLVM_PATH``.
 """
@@ -26,9 +27,10 @@ if TYPE_CHECKING:
 
 __all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
 
-# Number of terms of a coefficient that are loaded at a time. Limit: number of vector registers.
+# Number of terms of a Fourier coefficient's Taylor series that are loaded at a time. The value is limited by the number
+# of vector registers.
 PACKET = 8
-# Number of floats per cache line. Derived: 64 bytes.
+# Number of floats per cache line. The number is derived from cache lines of 64 bytes.
 LINE = 16
 
 
@@ -44,11 +46,11 @@ def available() -> str | None:
 
 
 def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Callable[..., NDArray[np.float32]]:
-    """Return a function that shades directions at one setting of :func:`bench.peers.series.series`.
+    """Return a function that computes colours of directions, for one setting of :func:`bench.peers.series.series`.
 
     Args:
         heightfield: Height field.
-        coherence: An averaged or centred window.
+        coherence: Gaussian coherence window, of the kind averaged or centred.
         setting: One of ``SETTINGS``.
 
     Returns:
@@ -78,7 +80,7 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
 
 
 def _aligned(values: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return a float32 copy that starts at a cache line. Dr.Jit compiles again if the alignment changes."""
+    """Return a float32 copy of an array that starts at a cache line. Dr.Jit compiles again if the alignment changes."""
     memory = np.empty(len(values) + LINE, dtype=np.float32)
     first = -memory.ctypes.data // memory.itemsize % LINE
     memory[first : first + len(values)] = values
@@ -86,14 +88,14 @@ def _aligned(values: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 def _integral(made: Series, tables: list[Any], u: Any, v: Any, w: Any) -> tuple[Any, Any, Any]:
-    """Return XYZ of directions without their gains, as Dr.Jit arrays."""
+    """Return XYZ of directions without geometry factors (gains), as Dr.Jit arrays."""
     import drjit as dr
     from drjit.llvm import ArrayXf, Float, Int, UInt
 
     rows, wavenumbers, colours = tables
     packets = math.ceil(made.rows.shape[2] / PACKET)
-    # `factors` holds the factors of the Taylor series that depend on λ. Its second column is the linear factor 2πa/λ,
-    # where a is the scale of the heights. Division by 1/λ gives 2πa.
+    # `factors` has the factors of the Taylor series that depend on λ. The second column of `factors` is the linear
+    # factor 2πa/λ, where a is the scale of the heights. Division of this factor by 1/λ gives 2πa.
     scale = float(made.factors[0, 1] / made.wavenumbers[0])
     steps = range(-made.neighbour_extent, made.neighbour_extent + 1)
 
@@ -101,7 +103,7 @@ def _integral(made: Series, tables: list[Any], u: Any, v: Any, w: Any) -> tuple[
         return [dr.exp(-falloff * dr.square(near - q + step)) for step in steps]
 
     def coefficient(at: Any, x: Any) -> list[Any]:
-        """Return real and imaginary parts of the coefficients with the indices ``at``, for the argument x = 2πaw/λ."""
+        """Return real and imaginary parts of the Fourier coefficients ``at`` (indices), for the argument x = 2πaw/λ."""
         parts = []
         for part in (2 * at, 2 * at + 1):
             value = Float(0.0)

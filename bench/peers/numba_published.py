@@ -1,16 +1,16 @@
 """The published algorithm in Numba, the baseline of comparisons. Importing this module requires Numba.
 
-The sum is that of the published algorithm (Single 2014, eqs. 3.8, 3.20 and 3.24), at wavelengths equally spaced in λ
-from 380 to 780 nm. At each wavelength the Taylor series is evaluated for a square block of coefficients around
-(u, v)/λ, which are weighted by a Gaussian. The integral over λ is a rectangle rule.
+The sum is that of the published algorithm (Single 2014, eqs. 3.8, 3.20 and 3.24), over equally spaced wavelengths from
+380 to 780 nm. At each wavelength the Taylor series is evaluated for a square block of Fourier coefficients around the
+frequency (u, v)/λ. A Gaussian weights these coefficients. The integral over λ is a rectangle rule.
 
-The implementation is fast for these reasons. A coefficient is two vectors of floats (real and imaginary parts), padded
-to whole cache lines, so that sums over terms are SIMD loops of fixed length. The basis (2πκa)ⁿ/n! at a wavelength is a
-row of tabulated factors times powers of w, and these powers are computed once per direction. Positions of the
-neighbours and their first Gaussian weights are computed for all wavelengths at once. The other weights of a block
-follow by recurrence. For a centred window, coefficients are weighted and summed before multiplication by the basis.
-Coefficients are prefetched some wavelengths before their use; without this, half of the time would be spent on waiting
-for memory.
+The implementation is fast for these reasons. A coefficient is stored as two vectors with the terms of its series (real
+and imaginary parts), padded to whole cache lines, so that sums over terms are SIMD loops of fixed length. The basis
+functions (2πaw/λ)ⁿ/n! at a wavelength, for heights of the scale a, are a row of tabulated factors times powers of w,
+and these powers are computed once per direction. The positions of the square blocks and the first Gaussian weight of
+each block are computed for all wavelengths at once. The other weights of a block follow by recurrence. For a centred
+window, coefficients are weighted and summed before multiplication by the basis. Coefficients are prefetched four
+wavelengths before their use. Without prefetching, half of the time would be spent on waiting for memory.
 """
 
 from __future__ import annotations
@@ -40,15 +40,17 @@ __all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
 
 # Number of floats per cache line, and per AVX-512 register.
 LANES = 16
-# Smallest exponent whose exponential is a normal float32. Derived: ln(1.2e-38) = −87.3.
+# Smallest exponent whose exponential is a normal float32. The number is derived: ln(1.2e-38) = −87.3.
 LEAST_EXPONENT = -87.0
-# Number of directions that one thread computes in succession with the same temporary memory. Limit: with larger
-# numbers, threads finish at different times.
+# Number of directions that one thread computes in succession with the same temporary memory. The value was chosen: with
+# larger numbers, threads finish at different times.
 SLICE = 16
-# Number of wavelengths between the prefetch of coefficients and their use. Limit: latency of the memory.
+# Number of wavelengths between the prefetch of Fourier coefficients and their use. The value was chosen for the latency
+# of the memory.
 AHEAD = 4
-# Settings of this peer. Settings without neighbours, which use one coefficient per direction and wavelength, are
-# excluded: the kernel processes coefficients in groups of three, so that two of three would be wasted.
+# Settings of this program. Settings without neighbouring coefficients, which use one Fourier coefficient per direction
+# and wavelength, are excluded. The kernel processes coefficients in groups of three, so that two of three would be
+# wasted.
 SETTINGS = [setting for setting in series.SETTINGS if setting["neighbour_extent"] > 0]
 
 
@@ -58,7 +60,7 @@ def available() -> str | None:
 
 
 def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Callable[..., NDArray[np.float32]]:
-    """Return a function ``shade(scattering_vectors, gains, threads)`` that returns XYZ (n, 3) of directions."""
+    """Return a function ``shade(scattering_vectors, gains, threads)`` that computes XYZ (n, 3) of directions."""
     made = series.series(heightfield, coherence, **setting)
     across, along = map(np.float32, made.falloff)
     if -max(across, along) * (made.neighbour_extent + 1) ** 2 < LEAST_EXPONENT:
@@ -82,7 +84,7 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
 
 @functools.lru_cache(maxsize=4)
 def _lines(heightfield: wd.HeightField, terms: int, centred: bool) -> NDArray[np.float32]:
-    """Return the rows of coefficients, padded with zeros to whole cache lines, shape (n, 2, lanes)."""
+    """Return the rows of Fourier coefficients, padded with zeros to whole cache lines, shape (n, 2, lanes)."""
     rows = series.rows_of(heightfield, terms, centred)[0]
     lines = _aligned((len(rows), 2, LANES * math.ceil(terms / LANES)))
     lines[:, :, :terms] = rows
@@ -121,7 +123,7 @@ def _prefetch(_context, rows, row, part, lane):
 
 @numba.njit(fastmath=True)
 def _exp(x):
-    """Return e^x for |x| < 87 with a relative error of 1e-7 · (1 + |x|). The library's exp would prevent SIMD loops."""
+    """Return e^x for |x| < 87 with a relative error of 1e-7 · (1 + |x|). NumPy's exp would prevent SIMD loops."""
     turns = x * np.float32(1.4426950408889634)
     integer = np.floor(turns + np.float32(0.5))
     part = (turns - integer) * np.float32(0.6931471805599453)
@@ -133,16 +135,16 @@ def _exp(x):
 
 @functools.cache
 def _kernel(lanes: int, neighbour_extent: int, powers: bool) -> Any:  # noqa: PLR0915
-    """Return the compiled kernel for one number of terms and neighbours, which fix the lengths of its loops."""
+    """Return the compiled kernel for fixed numbers of terms of the series and of neighbouring coefficients."""
     side = 2 * neighbour_extent + 1
-    # Three neighbours are processed at a time. A loop with a shorter body would be unrolled before it could be
-    # vectorised. If the number of neighbours is no multiple of three, the last entries have the weight 0.
+    # Three neighbouring coefficients are processed at a time. A loop with a shorter body would be unrolled before it
+    # could be vectorised. If the number of coefficients is no multiple of three, the last entries have the weight 0.
     triples = math.ceil(side * side / 3)
     zero, one, two, reach_f = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(neighbour_extent)
 
     @numba.njit(fastmath=True, forceinline=True)
     def sum_of_powers(rows, at, weights, factors, w_powers):
-        """Return Σ weight · |coefficient|² over the neighbours ``at``."""
+        """Return Σ weight · |coefficient|² over the Fourier coefficients ``at``."""
         total = zero
         for t in range(0, 3 * triples, 3):
             re_0 = im_0 = re_1 = im_1 = re_2 = im_2 = zero
@@ -161,7 +163,7 @@ def _kernel(lanes: int, neighbour_extent: int, powers: bool) -> Any:  # noqa: PL
 
     @numba.njit(fastmath=True, forceinline=True)
     def power_of_sum(rows, at, weights, factors, w_powers):
-        """Return |Σ weight · coefficient|² over the neighbours ``at``."""
+        """Return |Σ weight · coefficient|² over the Fourier coefficients ``at``."""
         re = im = zero
         for t in range(0, 3 * triples, 3):
             for n in range(lanes):
@@ -178,10 +180,10 @@ def _kernel(lanes: int, neighbour_extent: int, powers: bool) -> Any:  # noqa: PL
 
     @numba.njit(parallel=True, fastmath=True, error_model="numpy")
     def kernel(
-        # Coefficients, quadrature and directions, read by this kernel.
+        # Arrays with Fourier coefficients, quadrature and directions, which this kernel reads.
         rows, count_x, origin_y, origin_x, length_y, length_x, across, along, factors, wavenumbers, colours, shift,
         scattering_vectors, gains,
-        # XYZ of the directions, (n, 3), written by this kernel.
+        # Array with XYZ of the directions, shape (n, 3), which this kernel writes.
         xyz_out,
     ):  # fmt: skip
         shrink_y = math.exp(-two * across)
@@ -201,8 +203,8 @@ def _kernel(lanes: int, neighbour_extent: int, powers: bool) -> Any:  # noqa: PL
                 for n in range(lanes):
                     w_powers[n] = power
                     power *= w
-                # This SIMD loop over wavelengths computes the positions of the neighbours, and the weight of the first
-                # one along each axis. The other weights follow from it by recurrence.
+                # This SIMD loop over wavelengths computes the positions of the neighbouring coefficients, and the
+                # weight of the first coefficient along each axis. The other weights follow from it by recurrence.
                 for k in range(wavelengths):
                     qy = v * wavenumbers[k]
                     qx = u * wavenumbers[k]

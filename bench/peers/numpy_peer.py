@@ -1,8 +1,8 @@
-"""The published algorithm in NumPy.
+"""The published algorithm (Single 2014) in NumPy.
 
-Operations are vectorised over directions and neighbours, with a loop over wavelengths. Directions are evaluated in
-chunks, which are large enough that the interpreter's overhead is negligible. Several chunks are evaluated in parallel
-by threads, because NumPy releases the interpreter's lock.
+Operations are vectorised over directions and neighbouring Fourier coefficients, with a loop over wavelengths.
+Directions are evaluated in chunks that are so large that the interpreter's overhead is negligible. Several chunks are
+evaluated in parallel by threads, because NumPy releases the interpreter's lock.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 __all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
 
-# Number of directions that a thread evaluates at once. Limit: larger arrays exceed the caches; smaller ones are
-# dominated by the interpreter's overhead.
+# Number of directions that a thread evaluates at once. The value was chosen: larger arrays exceed the caches, and for
+# smaller ones the interpreter's overhead dominates.
 CHUNK = 512
 
 
@@ -34,11 +34,11 @@ def available() -> str | None:
 
 
 def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any) -> Callable[..., NDArray[np.float32]]:
-    """Return a function that shades directions at one setting of :func:`bench.peers.series.series`.
+    """Return a function that computes colours of directions, for one setting of :func:`bench.peers.series.series`.
 
     Args:
         heightfield: Height field.
-        coherence: An averaged or centred window.
+        coherence: Gaussian coherence window, of the kind averaged or centred.
         setting: One of ``SETTINGS``.
 
     Returns:
@@ -61,9 +61,10 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
 
 
 def _chunk(made: Series, scattering_vectors: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return XYZ of one chunk of directions, without gains."""
+    """Return XYZ of one chunk of directions, without geometry factors (gains)."""
     terms = made.rows.shape[2]
-    # Arrays of positions and weights have the shape (directions, wavelengths, neighbours along one axis).
+    # Arrays of positions and weights of Fourier coefficients have the shape (directions, wavelengths, coefficients
+    # along one axis).
     offsets = np.arange(-made.neighbour_extent, made.neighbour_extent + 1, dtype=np.float32)
     near, gaussians = [], []
     for axis, (length, falloff) in enumerate(zip(made.lengths_um, made.falloff, strict=True)):

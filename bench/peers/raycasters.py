@@ -1,10 +1,10 @@
 """Camera rays of a picture by Mitsuba 3, Embree and warpdiff: rays per second, hits and normals.
 
 All programs trace the same rays to the same mesh, in the coordinates of warpdiff's prepared mesh, which has a radius of
-1. They compute only hits (face and barycentric coordinates), except for warpdiff's rasterization ("face by face"),
-which fills the whole G-buffer. Mitsuba's LLVM variant also uses Embree, with packets of rays. The package embreex
-passes single rays to Embree. It releases the interpreter's lock, so that several threads can trace parts of the rays.
-The reference tests every ray against every triangle in float64.
+1. The programs compute only hits (face and barycentric coordinates), except for warpdiff's rasterization ("face by
+face"), which fills the whole G-buffer (hits, normals, tangents and colours). Mitsuba's LLVM variant also uses Embree,
+with packets of rays. The package embreex passes single rays to Embree. embreex releases the interpreter's lock, so that
+several threads can trace parts of the rays. The reference tests every ray against every triangle in float64.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 
 wp.set_module_options(compile_options.options())
 
-# Least cosine between ray and normal at compared hits. Limit: warpdiff rotates normals with cosines below 0.01 towards
-# the viewer.
+# Least cosine between ray and normal at hits whose normals are compared. The value is limited by warpdiff, which
+# rotates normals with cosines below 0.01 towards the viewer.
 LEAST_COSINE = 0.02
 
 
 class Rays(NamedTuple):
-    """Rays of a picture, with mesh and camera. Origins (n, 3) lie near the mesh; directions have the shape (n, 3)."""
+    """Rays of a picture, with mesh and camera; ray origins, which are near the mesh, and directions are (n, 3)."""
 
     surface: Surface
     view: wd.View
@@ -65,7 +65,7 @@ class Caster(NamedTuple):
 
 
 def missing() -> list[str]:
-    """Return the reasons why programs are excluded, one sentence each."""
+    """Return the reasons why programs are excluded from the comparison, one sentence per program."""
     reasons = []
     try:
         import embreex  # noqa: F401
@@ -82,7 +82,7 @@ def missing() -> list[str]:
 
 
 def rays_of(mesh: Any, view: wd.View) -> Rays:
-    """Return one ray through the centre of each pixel. Its origin is moved close to the mesh in float64."""
+    """Return one ray through the centre of each pixel, with its origin moved close to the mesh in float64."""
     surface = prepare_surface(mesh)
     eye = np.asarray(view.eye, dtype=np.float64)
     size = {"width": view.width, "height": view.height, "fov_y_deg": view.fov_y_deg}
@@ -94,7 +94,7 @@ def rays_of(mesh: Any, view: wd.View) -> Rays:
 
 
 def casters(rays: Rays) -> dict[str, Caster]:
-    """Return the available programs by name."""
+    """Return the available programs that trace rays, by name."""
     result = {"warpdiff, bare hits": _warp_query(rays), "warpdiff, face by face": _faces(rays)}
     absent = " ".join(missing())
     if "Mitsuba" not in absent:
@@ -107,7 +107,7 @@ def casters(rays: Rays) -> dict[str, Caster]:
 def truth(rays: Rays, chosen: NDArray[np.int64]) -> tuple[Hits, NDArray[np.bool_]]:
     """Return the reference hits of the rays with the given indices, and a mask of rays whose hits are reliable.
 
-    The hit is reliable if the ray neither passes near an edge nor grazes a face.
+    The hit of a ray is reliable if the ray neither passes near an edge nor grazes a face.
     """
     surface = rays.surface
     origins, directions = (np.float64(vectors[chosen]) for vectors in (rays.origins, rays.directions))
@@ -120,9 +120,9 @@ def truth(rays: Rays, chosen: NDArray[np.int64]) -> tuple[Hits, NDArray[np.bool_
 
 
 def _interpolated(surface: Surface, face: Any, bary: Any) -> NDArray[np.float64]:
-    """Return the interpolated unit normals of hits in float64, from their faces (n,) and barycentric coordinates.
+    """Return interpolated unit normals of hits in float64, from the hits' faces (n,) and barycentric coordinates.
 
-    A miss has the face −1, and its normal is arbitrary.
+    The face of a miss is −1, and the normal of a miss is arbitrary.
     """
     normal = np.einsum("kc,kcd->kd", np.float64(bary), surface.normals[surface.faces[face]].astype(np.float64))
     return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
@@ -130,12 +130,12 @@ def _interpolated(surface: Surface, face: Any, bary: Any) -> NDArray[np.float64]
 
 @wp.kernel
 def query(
-    # Mesh and rays, read by this kernel. Thread 0 traces the ray with the index ``first``.
+    # Mesh and rays, which this kernel reads. Thread 0 traces the ray with the index ``first``.
     mesh_id: wp.uint64, origins: wp.array(dtype=wp.vec3f), directions: wp.array(dtype=wp.vec3f), first: wp.int32,
-    # Index of the face that each ray hits, and barycentric coordinates of the hit, written by this kernel.
+    # Index of the face that each ray hits, and barycentric coordinates of the hit, which this kernel writes.
     face_out: wp.array(dtype=wp.int32), bary_out: wp.array(dtype=wp.vec2f),
 ):  # fmt: skip
-    """Find the face that each ray hits, −1 for a miss, and the barycentric coordinates of its first two corners."""
+    """Find the face that each ray hits, −1 for a miss, and the first two barycentric coordinates of the hit."""
     i = first + wp.tid()
     hit = wp.mesh_query_ray(mesh_id, origins[i], directions[i], bvh.FAR)
     face_out[i] = -1
@@ -171,7 +171,7 @@ def _faces(rays: Rays) -> Caster:
 
     def hits() -> Hits:
         hit = pixels.hit.numpy() == 1
-        # The G-buffer has arbitrary normals at pixels without a hit, which are replaced by 0.
+        # At pixels without a hit, the normals in the G-buffer are arbitrary. They are replaced by 0.
         return Hits(hit, np.where(hit[:, None], pixels.normal.numpy(), 0.0).astype(np.float64))
 
     return Caster(trace, hits)
@@ -203,8 +203,8 @@ def _mitsuba(rays: Rays) -> Caster:
 
     def hits() -> Hits:
         hit = last[0].is_valid().numpy()
-        # Mitsuba's two barycentric coordinates belong to the second and third corner. That of the first corner follows,
-        # because the sum of all three is 1.
+        # Mitsuba's two barycentric coordinates belong to the second and third corner. The coordinate of the first
+        # corner is 1 minus their sum.
         b1, b2 = last[0].prim_uv.numpy()
         face = np.where(hit, last[0].prim_index.numpy(), 0)
         return Hits(hit, _interpolated(surface, face, np.stack([1.0 - b1 - b2, b1, b2], axis=1)))

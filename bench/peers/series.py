@@ -1,8 +1,8 @@
-"""Taylor series of Fourier coefficients and a quadrature in λ, shared by the peers of the published algorithm.
+"""Taylor series of Fourier coefficients and a quadrature in λ, for all programs with the published algorithm.
 
-All peers compute the same sum (Single 2014, eqs. 3.8, 3.20 and 3.24). Wavelengths are equally spaced in λ. At each
-wavelength the series is evaluated for a square block of coefficients around (u, v)/λ, which are weighted by a Gaussian.
-The integral over λ is a rectangle rule.
+The programs in NumPy, Numba and Dr.Jit compute the same sum (Single 2014, eqs. 3.8, 3.20 and 3.24). Wavelengths are
+equally spaced. At each wavelength the series is evaluated for a square block of Fourier coefficients around the
+frequency (u, v)/λ. A Gaussian weights these coefficients. The integral over λ is a rectangle rule.
 """
 
 from __future__ import annotations
@@ -24,19 +24,22 @@ if TYPE_CHECKING:
 
     import warpdiff as wd
 
-# Largest |(u, v)|/λ [1/µm]: light and view at the horizon on the same side, at 380 nm.
+# Largest spatial frequency |(u, v)|/λ [1/µm] for which coefficients are stored: light and view at the horizon on the
+# same side, at 380 nm.
 FREQUENCY = 2.0 / 0.38
-# Largest accepted ``neighbour_extent``: number of neighbours on each side of the central coefficient. Limit: the stored
-# block of coefficients extends by this number beyond the largest frequency.
+# Largest accepted ``neighbour_extent``, which is the number of neighbouring coefficients on each side of the central
+# one. The value is limited by memory: the stored block of coefficients extends by this number beyond the largest
+# frequency.
 MOST_REACH = 4
 
-# Published setting (Single 2014): 81 wavelengths, terms n = 0 … 36, the 3 × 3 coefficients around that found by
-# floor(), heights not centred.
+# Setting of the publication (Single 2014): 81 wavelengths, terms n = 0 … 36 of the Taylor series, the 3 × 3 Fourier
+# coefficients around the one that floor() selects, heights not centred.
 PUBLISHED: dict[str, Any] = {"wavelengths": 81, "terms": 37, "neighbour_extent": 1, "rounded": False, "centred": False}
-# Settings from cheap to accurate: numbers of wavelengths and terms, and neighbour extent. Heights are centred and
-# positions rounded, unlike in the published setting: the same error of the colours then requires fewer terms and
-# neighbours. The first setting uses only the coefficient nearest to the frequency (u, v)/λ. It suits patches that are
-# small compared with the window.
+# Settings from cheap to accurate: number of wavelengths, number of terms of the Taylor series, and number of
+# neighbouring coefficients on each side of the central one. Heights are centred and positions rounded, unlike in the
+# setting of the publication: the same error of the colours requires fewer terms and coefficients. The first setting
+# uses only the coefficient nearest to the frequency (u, v)/λ. This setting suits patches that are small compared with
+# the coherence window.
 _SHAPES = ((192, 12, 0), (41, 8, 1), (81, 12, 1), (136, 12, 1), (192, 12, 1), (272, 16, 1), (384, 16, 2))
 SETTINGS: list[dict[str, Any]] = [
     {"wavelengths": wavelengths, "terms": terms, "neighbour_extent": neighbour_extent, "rounded": True, "centred": True}
@@ -46,7 +49,7 @@ SETTINGS: list[dict[str, Any]] = [
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Taylor series of the Fourier coefficients of a height field, with the quadrature over λ, for one setting.
+    """Taylor series of a height field's Fourier coefficients, with the quadrature over λ, for one setting.
 
     The height h is written as offset + a·g, where a is the scale of the heights and |g| <= 1. There are m wavelengths.
 
@@ -54,12 +57,13 @@ class Series:
         rows: Real and imaginary parts of iⁿ DFT{gⁿ} for all n, with g = (h − offset)/a, shape (my·mx, 2, terms).
         columns: Number mx of columns of coefficients.
         origin: Row and column of the zeroth order, (y, x).
-        lengths_um: Lengths Ly and Lx [µm]; a frequency q is at the position q·L in coefficients.
-        falloff: Factors f of the Gaussian weight exp(−f d²) along y and x, where d is the distance in coefficients.
-        factors: (2πa/λ)ⁿ/n!, shape (m, terms); the basis is their product with wⁿ.
+        lengths_um: Lengths Ly and Lx [µm]; the position of a frequency q among the coefficients is q·L.
+        falloff: Factors f of the Gaussian weight exp(−f d²) along y and x, where d is the distance in numbers of
+            coefficients.
+        factors: (2πa/λ)ⁿ/n!, shape (m, terms); their products with wⁿ are the basis functions of the series.
         wavenumbers: 1/λ [1/µm], shape (m,).
         colours: Contribution of each wavelength to XYZ, shape (m, 3).
-        neighbour_extent: Number of neighbours on either side.
+        neighbour_extent: Number of neighbouring coefficients on either side of the central one.
         shift: Number that is added to a position before floor(): 0, or 0.5 to round.
         powers: Whether powers |H|² are summed (averaged window), instead of amplitudes H (centred window).
     """
@@ -85,10 +89,10 @@ def series(
 
     Args:
         heightfield: Height field.
-        coherence: An averaged or centred window.
+        coherence: Gaussian coherence window, of the kind averaged or centred.
         wavelengths: Number of wavelengths between 380 and 780 nm.
         terms: Number of terms of the Taylor series, n = 0 … terms − 1.
-        neighbour_extent: Number of neighbours on either side of the central coefficient, 0 to 4.
+        neighbour_extent: Number of neighbouring coefficients on either side of the central one, 0 to 4.
         rounded: Whether the central coefficient is found by rounding, instead of by floor().
         centred: Whether heights are relative to the middle of their range, instead of to the lowest height.
 
@@ -118,7 +122,7 @@ def series(
 def rows_of(
     heightfield: wd.HeightField, terms: int, centred: bool
 ) -> tuple[NDArray[np.float32], fourier_coefficients.Block, tuple[float, float], float]:
-    """Return the rows of a :class:`Series`, the block of stored coefficients, the lengths and the scale.
+    """Return the rows of a :class:`Series`, the block of stored Fourier coefficients, the lengths and the scale.
 
     The lengths are Ly and Lx [µm]. The scale is 2πa [µm], where a is the scale of the heights in :class:`Series`.
     """
@@ -128,8 +132,8 @@ def rows_of(
         raise ValueError(f"heightfield must be finer, got {heightfield!r}: use heightfield.resampled()")
     expansion = EXPANSIONS["taylor" if centred else "taylor-uncentred"]
     made = fourier_coefficients.series_coefficients(heightfield, expansion, terms, block, dtype=np.complex64)
-    # The coefficients have the phases of a window in the centre of the patch. Results of an averaged window do not
-    # depend on these phases.
+    # The coefficients have the phases of a coherence window in the centre of the patch. Results of an averaged window
+    # do not depend on these phases.
     s, r = block.orders()
     ny, nx = heightfield.shape
     turns = s[:, None] * (ny // 2 / ny) + r * (nx // 2 / nx)

@@ -4,16 +4,17 @@ The model of Stam, *Simulating Diffraction*, GPU Gems (2004), chapter 8, has par
 component u of the scattering vector across the tracks, only the wavelengths d|u|/n are reflected, n = 1 … 7. The module
 has two forms.
 
-- ``"rainbow"`` is the published form. Orders have equal strength for all v. Wavelengths from 0.5 to 1 µm are coloured
-  by three parabolas, max(0, 1 − x²). A white highlight exp(−(r u/w)²) is added. The chapter defines neither the
-  brightness of the orders nor r: here their mean luminance is that of exact colours in random directions, and the
-  highlight is as wide as the window's lobe.
-- ``"cie"`` has the same lines with the factors that the published form omits: the power |H_n0|² of each order, computed
-  from the heights; the dependence on v by the Gaussian of the window; CIE colours; and the gains.
+- ``"rainbow"`` is the form in Stam's chapter. Orders have equal strength for all components v along the tracks.
+  Wavelengths from 0.5 to 1 µm are coloured by three parabolas, max(0, 1 − x²). A white highlight exp(−(r u/w)²) is
+  added. The chapter defines neither the brightness of the orders nor r. In this module the mean luminance of the orders
+  is that of exact colours in random directions, and the highlight is as wide as the lobe of a Gaussian coherence
+  window.
+- ``"cie"`` has the same lines, with four factors that Stam's form omits: the power |H_n0|² of each order, computed from
+  the heights; the dependence on v by the Gaussian of the window; CIE colours; and the geometry factors (gains).
 
 With q = u/λ, order n contributes |H_n0|² λ²/(2√π σ|u|) exp(−(2πσv/λ)²) to the integral over λ. This is the integral of
 the averaged window's Gaussian exp(−(2πσ(q − n/d))²) with dλ = λ² dq/|u|. The order 0 reflects all wavelengths in the
-same direction and is summed at eight of them.
+same direction, and is summed at eight wavelengths.
 """
 
 from __future__ import annotations
@@ -42,15 +43,16 @@ if TYPE_CHECKING:
 SETTINGS: list[dict[str, Any]] = [{"colours": "rainbow"}, {"colours": "cie"}]
 # Number of diffraction orders to each side of the zeroth order.
 ORDERS = 7
-# Number of wavelengths at which the zeroth order is summed, and number of values of κ at which the power of an order is
-# tabulated.
+# Number of wavelengths at which the zeroth order is summed, and number of values of κ = w/λ at which the power of an
+# order is tabulated.
 MIRROR_WAVELENGTHS, NODES = 8, 128
-# Largest |κ| = |w|/λ [1/µm], at the shortest wavelength of 0.38 µm.
+# Largest |κ| = |w|/λ [1/µm], at the shortest wavelength of 0.38 µm and |w| = 2.
 LARGEST_KAPPA = 2.0 / 0.38
 # Positions of the maxima of the red, green and blue parabolas in 2λ − 1 (λ in µm), and inverse of the half-width of all
-# three. Origin: Stam's chapter.
+# three parabolas. The numbers are from Stam's chapter in GPU Gems.
 PARABOLAS, NARROWNESS = (0.75, 0.5, 0.25), 4.0
-# Number of random directions in which the brightness of the rainbow is determined. Limit: noise of the mean luminance.
+# Number of random directions in which the brightness of the rainbow is determined. The value was chosen; if halved, the
+# mean luminance has more noise.
 CALIBRATING = 2000
 
 
@@ -62,7 +64,7 @@ def available() -> str | None:
 def grating_um(heightfield: wd.HeightField) -> float:
     """Return the grating period d along x [µm], from the strongest order.
 
-    Powers are multiplied by the frequency, because scans have 1/f noise.
+    Powers of orders are multiplied by their frequency before the comparison, because scans have 1/f noise.
     """
     power = np.sum(np.abs(np.fft.rfft(heightfield.heights_um, axis=1)) ** 2, axis=0)
     return float(heightfield.size_um[1] / np.argmax(power * np.arange(len(power))))
@@ -71,11 +73,11 @@ def grating_um(heightfield: wd.HeightField) -> float:
 def prepare(
     heightfield: wd.HeightField, coherence: wd.Coherence, *, colours: str, period_um: float | None = None
 ) -> Callable[..., NDArray[np.float32]]:
-    """Return a function that shades directions.
+    """Return a function that computes colours of directions by Stam's shader.
 
     Args:
         heightfield: Height field of a grating along x.
-        coherence: An averaged window.
+        coherence: Gaussian coherence window of the kind averaged.
         colours: ``"rainbow"`` or ``"cie"``.
         period_um: Distance d of the tracks [µm]; None means the result of :func:`grating_um`.
 
@@ -89,8 +91,8 @@ def prepare(
     period = grating_um(heightfield) if period_um is None else period_um
     sigma = coherence.sigma_um
     if colours == "rainbow":
-        # The rainbow's highlight is exp(−(r u/w)²). The factor r is such that at 550 nm this is the window's Gaussian
-        # for |w| = 2, which is the value of |w| in the mirror direction at normal incidence.
+        # The rainbow's highlight is exp(−(r u/w)²). The factor r is chosen for 550 nm and |w| = 2, the mirror direction
+        # at normal incidence. There the highlight equals the Gaussian of the coherence window.
         roughness = 2.0 * 2.0 * math.pi * sigma / 0.55
         run = functools.partial(_kernels()[0], period, roughness, colorimetry.RGB_TO_XYZ)
         fixed: tuple[Any, ...] = (_brightness(heightfield, coherence, run),)
@@ -111,9 +113,10 @@ def prepare(
 
 
 def order_powers(heightfield: wd.HeightField, period_um: float) -> NDArray[np.float64]:
-    """Return |H_n0|² of the orders n = −7 … 7 at equally spaced κ = 0 … −2/0.38 /µm, shape (values of κ, 15).
+    """Return powers |H_n0|² of the orders n = −7 … 7 at equal steps of κ = w/λ, 0 to −2/0.38 /µm, shape (NODES, 15).
 
-    If n/d is not a multiple of 1/Lx, the nearest multiple is used.
+    The frequency of order n is n/d, where d is the distance of the tracks. Orders of the height field of length Lx have
+    multiples of 1/Lx, of which the nearest is used.
     """
     orders = np.rint(np.arange(-ORDERS, ORDERS + 1) * heightfield.size_um[1] / period_um).astype(int)
     result = np.empty((NODES, len(orders)))
@@ -126,8 +129,8 @@ def order_powers(heightfield: wd.HeightField, period_um: float) -> NDArray[np.fl
 def _brightness(heightfield: wd.HeightField, coherence: wd.Coherence, run: Callable[..., None]) -> float:
     """Return a factor by which the colours of the rainbow are multiplied.
 
-    With it, their mean luminance over random directions is that of :func:`warpdiff.reflectance` for the same
-    directions. The mean of the rainbow excludes its highlight.
+    With this factor, the mean luminance of the rainbow over random directions is that of :func:`warpdiff.reflectance`
+    for the same directions. The mean of the rainbow excludes its highlight.
     """
     rng = np.random.default_rng(0)
     z, phi = rng.uniform(0.05, 1.0, (2, CALIBRATING)), rng.uniform(0.0, 2.0 * math.pi, (2, CALIBRATING))
@@ -141,7 +144,7 @@ def _brightness(heightfield: wd.HeightField, coherence: wd.Coherence, run: Calla
 
 @functools.cache
 def _kernels() -> tuple[Any, Any]:
-    """Return the compiled functions of the two forms, ``"rainbow"`` and ``"cie"``."""
+    """Return the compiled functions of the shader's two forms, ``"rainbow"`` and ``"cie"``."""
 
     @numba.njit(parallel=True, fastmath=True, error_model="numpy")
     def rainbow(period, roughness, to_xyz, scale, scattering_vectors, gains, xyz_out):
@@ -181,8 +184,8 @@ def _kernels() -> tuple[Any, Any]:
                 rest = node - below
                 order = ORDERS + side * n
                 power = (1.0 - rest) * powers[below, order] + rest * powers[below + 1, order]
-                # The variable `length` is the integral of the window's Gaussian over λ [nm]. Its unit is nm, because
-                # the CIE functions are tabulated at steps of 1 nm.
+                # The variable `length` is the integral of the coherence window's Gaussian over λ. Its unit is nm,
+                # because the CIE functions are tabulated at steps of 1 nm.
                 length = 1e3 * wavelength * wavelength / (2.0 * math.sqrt(math.pi) * sigma * abs(u))
                 power *= length * math.exp(-exponent)
                 x += power * ((1.0 - share) * products[k, 0] + share * products[k + 1, 0])

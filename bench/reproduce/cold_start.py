@@ -1,4 +1,4 @@
-"""Cold start: time of a new process to import the package, and to its first picture.
+"""Cold start: time from the start of a process to the imported package, and to its first picture.
 
 A process imports the package, makes synthetic fingers of 25.6 µm and a tube, renders and saves a picture of 640 × 480
 pixels, and ends. Processes with an empty kernel cache and with a filled one are timed alternately. Plotting libraries
@@ -33,8 +33,8 @@ PROCESSES = {
     "Python alone": "pass", "from warpdiff import *": IMPORT, "first picture, no kernel compiled": PICTURE,
     "first picture, kernels compiled before": PICTURE,
 }  # fmt: skip
-# Program that times plan and tables of a scan and prints the peak memory. The imported libraries alone require about
-# 240 MiB.
+# Program that times the plan and the tables for a scan, and prints the peak memory. The imported libraries alone
+# require about 240 MiB.
 PRECOMPUTE = HIDE + (
     "import time, resource, warpdiff as wd; "
     "scan = wd.HeightField.load(sys.argv[1], extent_um=65.0, height_range_um=0.375).levelled(order=2); "
@@ -47,7 +47,7 @@ PRECOMPUTE = HIDE + (
 
 
 def precompute(scan: Path) -> None:
-    """Print the time and peak memory of plan and tables of a scan, in a process whose kernels are already compiled."""
+    """Print time and peak memory of the plan and tables for a scan, in a process whose kernels are already compiled."""
     print("\n| scan | s | peak memory [MiB] |\n| --- | --- | --- |", flush=True)
     environment = os.environ | {"WARPDIFF_CACHE_DIR": ""}
     for kind in ("averaged", "centred"):
@@ -59,7 +59,7 @@ def precompute(scan: Path) -> None:
 def seconds(code: str, cache: Path) -> tuple[float, float]:
     """Return the times [s] from the start of a process to its result and to its end.
 
-    If the process prints no result, both numbers are the time to its end.
+    If the process prints no result, both numbers are the time to the end of the process.
     """
     begin = time.monotonic()
     environment = os.environ | {"WARP_CACHE_PATH": str(cache), "WARPDIFF_CACHE_DIR": ""}
@@ -69,7 +69,7 @@ def seconds(code: str, cache: Path) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Time all kinds of processes and print a table of the times."""
+    """Time processes with an empty and with a filled kernel cache, and print a table of the times."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scan", type=Path, help="file of a scan with 1332 × 1332 samples to time")
     options = parser.parse_args()

@@ -1,10 +1,11 @@
-"""Errors of pictures on small crops of many bodies, relative to a grid of points per pixel under the pixel filter.
+"""Errors of pictures on small crops of many bodies, relative to means over a grid of points in each pixel.
 
 A crop has 24 × 18 pixels with the pixel size of a 640 × 480 picture, around a random illuminated pixel. Its reference
 is the mean of 96 × 96 points per pixel under the Gaussian pixel filter (σ = 0.5 pixels, truncated at 1.5). A second
-reference with 64 × 64 points shows whether the first has converged. The floor f of errors is that of the whole picture.
-Errors are evaluated on interior pixels, whose points all hit the body and are illuminated. Such pixels may contain
-edges between parts of a body, and may lie at the border of the crop. Use a seed that was not used to develop the code.
+reference with 64 × 64 points shows whether the first reference has converged. The error of a pixel is relative to its
+‖XYZ‖, or to a floor f if that is larger. The floor is that of the whole picture. Errors are evaluated on interior
+pixels, whose points all hit the body and are illuminated. Such pixels may contain edges between parts of a body, and
+may lie at the border of the crop. Use a seed that was not used to develop the code.
 """
 
 from __future__ import annotations
@@ -32,31 +33,32 @@ from warpdiff.scene.mesh_import import prepare_surface
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-# Size of a crop, and width of the margin [pixels] that the pixel filter requires around it.
+# Width and height of a crop, and width of the margin around the crop that the pixel filter requires [pixels].
 WIDTH, HEIGHT, MARGIN = 24, 18, 2
 # Size of the whole picture [pixels], of which a crop is a part.
 WHOLE = (640, 480)
-# Number of points along each axis of a pixel in the reference, and in the coarser reference that checks its
-# convergence.
+# Number of points along each axis of a pixel in the reference, and in the coarser reference that shows whether the
+# first one has converged.
 POINTS, FEWER = 96, 64
 # Standard deviation σ of the pixel filter, and radius at which the filter is truncated [pixels].
 DEVIATION, CUT = 0.5, 1.5
-# Tolerance of the colours of the reference's points, relative to the tolerance of the picture.
+# Tolerance of the colours at the points of the reference, relative to the tolerance of the picture.
 OF_POINTS = 1.0 / 3.0
 LIGHTS = (wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.7, 0.8, 0.4)))
-# Directions to the eye, from above and grazing, with the field of view [degrees] and the distance [radii of the body].
+# Directions to the eye: one from above and one at a grazing angle. Then the field of view [degrees] and the distance of
+# the eye [radii of the body].
 EYES = ((0.0, 1.6, 3.1), (2.4, 0.5, 1.9))
 FOV_DEG, RADII = 27.0, 4.6
 # Share of the picture's pixels that are brighter than white after exposure. Pictures are exposed in this way before
-# their colour differences ΔE2000 are computed.
+# colour differences ΔE2000 are computed.
 CLIPPED = 1e-3
-# Distances of cameras that render crops: from the eye to the middle of the crop, relative to the distance of the camera
-# that shows the whole body.
+# Distances of cameras that render crops (parts of a picture), from the eye to the point in the middle of the crop. The
+# distances are relative to that of the camera that shows the whole body.
 DISTANCES = (1.0, 2.0, 0.25)
 
 
 class Crop(NamedTuple):
-    """A crop: the mesh, height field, light and camera of a picture of a few pixels."""
+    """A crop: mesh, height field, light and camera of a picture that shows a few pixels of a whole picture."""
 
     name: str
     mesh: Any
@@ -78,7 +80,7 @@ class Truth(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """Errors of the pixels of a crop, by kind of pixel."""
+    """Errors of a small picture (crop): of interior pixels, of pixels at the silhouette, and at edges of shadows."""
 
     interior: np.ndarray
     silhouette: np.ndarray
@@ -88,7 +90,7 @@ class Errors(NamedTuple):
 
 
 def bodies(data: str | None) -> dict[str, Callable[[], Any]]:
-    """Return functions that make the bodies, by name."""
+    """Return functions that make the meshes of the bodies, by name."""
     result: dict[str, Callable[[], Any]] = {
         "snake": meshes.snake, "tube": meshes.tube, "disc": meshes.disc, "low-poly": lambda: lumpy(3),
         "327,680 faces": lambda: lumpy(7),
@@ -110,7 +112,7 @@ def lumpy(subdivisions: int) -> Any:
 def _unwrapped(mesh: Any, uv: np.ndarray) -> Any:
     """Return a mesh with texture coordinates, where u increases by 1 around the z-axis.
 
-    Faces that cross the seam get corners of their own, with u beyond 1.
+    The seam is the line where u jumps from 1 to 0. Faces that cross the seam get separate corners, with u beyond 1.
     """
     faces, vertices = np.array(mesh.faces), np.asarray(mesh.vertices)
     across = np.ptp(uv[faces, 0], axis=1) > 0.5
@@ -136,7 +138,7 @@ def surfaces(data: str | None) -> dict[str, Callable[[], wd.HeightField]]:
 def crop(
     name: str, mesh: Any, heightfield: wd.HeightField, distance: float, rng: np.random.Generator, least: float = 0.0
 ) -> Crop:
-    """Return a crop around a random illuminated pixel, whose Y is at least ``least`` times Y* of the picture."""
+    """Return the part of a picture around a random illuminated pixel with Y of at least ``least`` times Y*."""
     low, high = mesh.bounds
     centre, radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
     light, towards = LIGHTS[rng.integers(len(LIGHTS))], np.array(EYES[rng.integers(len(EYES))])
@@ -146,7 +148,8 @@ def crop(
     image = wd.shade(mesh, heightfield, light, view, tolerance=0.1, pigment=0.0)
     luminance = image.xyz[..., 1].astype(np.float64)
     white, brightest = reference_luminance(luminance[image.illuminated]), float(np.quantile(luminance, 1.0 - CLIPPED))
-    # A pixel is chosen only if it is completely covered: the central ray of a partly covered pixel may miss the body.
+    # A pixel is chosen only if the body covers it completely. The ray through the centre of a partly covered pixel may
+    # miss the body.
     pixel = rng.choice(np.flatnonzero(image.illuminated & (image.coverage > 0.999) & (luminance >= least * white)))
     size = {"width": width, "height": height, "fov_y_deg": FOV_DEG, "extent_y": None}
     origins, directions = (vectors[[pixel]] for vectors in pixel_rays(view.eye, view.target, view.up, **size))
@@ -160,13 +163,13 @@ def crop(
 
 
 def truth(area: Crop, tolerance: float) -> Truth:
-    """Return the reference of a crop, with its difference from the coarser reference."""
+    """Return the reference of a small picture (crop), and the difference of this reference from the coarser one."""
     fine, coarse = (filtered(area, tolerance, points) for points in (POINTS, FEWER))
     return fine._replace(settled=np.linalg.norm(fine.xyz - coarse.xyz, axis=2))
 
 
 def filtered(area: Crop, tolerance: float, points: int) -> Truth:
-    """Return the filtered mean of ``points`` × ``points`` points per pixel of a crop."""
+    """Return means over ``points`` × ``points`` points per pixel of a small picture, weighted by the pixel filter."""
     view = finer(area.view, points, MARGIN)
     image = wd.shade(
         area.mesh, area.heightfield, area.light, view, tolerance=max(OF_POINTS * tolerance, 1e-5), footprint=False,
@@ -188,7 +191,7 @@ def filtered(area: Crop, tolerance: float, points: int) -> Truth:
 
 
 def _filter(size: int, points: int) -> np.ndarray:
-    """Return filter weights of points along an axis, shape (size, (size + 2 MARGIN) · points); their sum is 1."""
+    """Return filter weights of points along an axis, shape (size, (size + 2 MARGIN) · points); each row adds to 1."""
     places = (np.arange((size + 2 * MARGIN) * points) + 0.5) / points
     away = places - (np.arange(size)[:, None] + MARGIN + 0.5)
     weights = np.where(np.abs(away) <= CUT, np.exp(-0.5 * (away / DEVIATION) ** 2), 0.0)
@@ -196,11 +199,12 @@ def _filter(size: int, points: int) -> np.ndarray:
 
 
 def measured(area: Crop, exact: Truth, image: wd.Image) -> Errors:
-    """Return the errors of a picture of a crop relative to the crop's reference."""
+    """Return the errors of a small picture (crop) relative to its reference."""
     xyz, covered = image.xyz.astype(np.float64), np.maximum(image.coverage, 1e-6)[..., None]
     size = np.maximum(np.linalg.norm(exact.xyz, axis=2), FLOOR * area.white)
     error = np.linalg.norm(xyz / covered - exact.xyz, axis=2) / size
-    # ``image.error`` is relative to the reference luminance of the crop, and is converted to that of the whole picture.
+    # ``image.error`` is relative to the reference luminance of the crop. It is converted here, so that it is relative
+    # to the reference luminance of the whole picture.
     own = np.maximum(
         np.linalg.norm(xyz, axis=2), FLOOR * reference_luminance(image.xyz[image.illuminated][:, 1].astype(np.float64))
     )
@@ -211,7 +215,7 @@ def measured(area: Crop, exact: Truth, image: wd.Image) -> Errors:
 
 
 def crops(names: dict[str, Any], fields: dict[str, Any], seed: int) -> Iterator[Crop]:
-    """Yield a crop of each body with each surface at each distance."""
+    """Yield a crop (part of a picture) of each body with each surface at each distance."""
     for body, make in names.items():
         mesh = make()
         for surface, field in fields.items():
@@ -222,7 +226,7 @@ def crops(names: dict[str, Any], fields: dict[str, Any], seed: int) -> Iterator[
 
 
 def pictured(area: Crop, view: wd.View, tolerance: float, samples: int = 1) -> tuple[wd.Image, bool]:
-    """Return a picture of a crop's scene, and whether rendering warned."""
+    """Render the scene of a crop (part of a picture); return the picture, and whether the library warned."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", wd.WarpdiffWarning)
         # Warnings about the limits of scalar diffraction are ignored, because here only errors of the computation are
@@ -235,7 +239,7 @@ def pictured(area: Crop, view: wd.View, tolerance: float, samples: int = 1) -> t
 
 
 def print_warned(names: dict[str, Any], fields: dict[str, Any], seed: int, tolerances: list[float]) -> None:
-    """Print whether pictures of whole bodies, from the eyes of the crops' cameras, cause a warning of the library.
+    """Print whether pictures of whole bodies, from the directions of the crops' cameras, cause a warning.
 
     Warnings that scalar diffraction is inaccurate do not count.
     """
@@ -306,7 +310,7 @@ def main() -> None:
 
 
 def _estimates(errors: Errors) -> str:
-    """Return two table cells: share of errors below the estimate, and sum of estimates over sum of errors."""
+    """Return two cells of the table: share of errors below their estimates, and sum of estimates over sum of errors."""
     actual, estimated = errors.interior, errors.estimated
     bounded = 100.0 * np.mean(actual <= estimated) if len(actual) else math.nan
     return f"{bounded:.0f} % | {estimated.sum() / max(actual.sum(), 1e-30):.1f}"

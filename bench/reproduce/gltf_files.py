@@ -4,12 +4,14 @@
 that are refused or differ. Test files are in the repositories KhronosGroup/glTF-Sample-Assets,
 KhronosGroup/glTF-Blender-IO (tests), donmccurdy/glTF-Transform, CesiumGS/gltf-pipeline and vpenades/SharpGLTF.
 
-The truth has a JSON object per line, with sums over all triangles in the world, for example by glTF-Transform:
+The file of the independent reading has a JSON object per line, with sums over all triangles in world coordinates, for
+example by glTF-Transform:
 
 - ``path``, and ``ok`` (whether the other program reads the file)
 - ``tri`` (number of triangles), ``pos`` (sum of their centres), ``area``, ``nrm`` (sum of unit normals)
-- ``uv`` and ``uvtri``: sum of texture coordinates of the base colour after its transform, v downwards, and number of
-  triangles that have them; ``uvraw`` and ``uvrawtri`` for TEXCOORD_0, ``col`` and ``coltri`` for COLOR_0
+- ``uv`` and ``uvtri``: sum of texture coordinates of the base colour after its texture transform, v downwards, and
+  number of triangles that have such coordinates; ``uvraw`` and ``uvrawtri`` for TEXCOORD_0, ``col`` and ``coltri`` for
+  COLOR_0
 - ``mats``: number of triangles by ``name#index`` of the material, or ``default``
 
 Sums over the corners of a triangle are divided by 3. Tolerances are relative to the size of each quantity.
@@ -31,13 +33,13 @@ from warpdiff.scene import mesh_files
 if TYPE_CHECKING:
     from warpdiff.scene.scene_parts import ScenePart
 
-# Share of the size of a quantity by which a reading may differ: positions are rounded to float32, and normals and
+# Largest relative difference of a quantity between both readings. Positions are rounded to float32, and normals and
 # colours may be quantised.
 POSITION_TOLERANCE, UV_TOLERANCE, VECTOR_TOLERANCE = 1e-3, 2e-3, 4e-3
 
 
 def sums_of(parts: list[ScenePart]) -> dict[str, Any]:
-    """Return the sums over the triangles of a scene that the truth has."""
+    """Return sums over the triangles of a scene: the same ones as in the file of the independent reading."""
     result: dict[str, Any] = {"tri": 0, "area": 0.0, "uvtri": 0, "uvrawtri": 0, "coltri": 0, "mats": Counter()}
     for name, width in (("pos", 3), ("uv", 2), ("uvraw", 2), ("col", 3), ("nrm", 3)):
         result[name] = np.zeros(width)
@@ -68,7 +70,7 @@ def sums_of(parts: list[ScenePart]) -> dict[str, Any]:
 
 
 def compared(sums: dict[str, Any], truth: dict[str, Any]) -> dict[str, bool]:
-    """Return whether each quantity agrees; quantities that the file does not have are absent."""
+    """Return for each quantity whether both readings agree; quantities that the file does not have are absent."""
     count = truth["tri"]
 
     def close(name: str, size: float, tolerance: float) -> bool:
@@ -92,7 +94,7 @@ def compared(sums: dict[str, Any], truth: dict[str, Any]) -> dict[str, bool]:
 
 
 def main() -> None:
-    """Print how many files of each subfolder are right, and which ones are not."""
+    """Print how many files of each subfolder are read correctly, and which files are not."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--truth", type=Path, help="file of independent readings, a JSON object per line")

@@ -1,12 +1,13 @@
 """Comparison of ``HeightField.load`` with independent programs, on a folder of files of instruments and text exports.
 
-``python -m bench.reproduce.instrument_files FOLDER`` prints a line for each file, and counts. It requires the extra
-``scans``. Test files are in the repositories ContactEngineering/SurfaceTopography (test/file_format_examples),
+``python -m bench.reproduce.instrument_files FOLDER`` prints a line for each file, and counts. The command requires the
+extra ``scans``. Test files are in the repositories ContactEngineering/SurfaceTopography (test/file_format_examples),
 AFM-SPM/AFMReader (tests/resources), fredericjs/surfalize (tests/test_files), heike/x3ptools and OpenFMC/x3p.
 
 Independent readings: Gwyddion's importers (package gwyddionpy with its extra converter, if it is installed) for binary
 files, a plain reading of the binary member for .x3p, and SurfaceTopography for texts. Shape, size (within 1e-4),
-missing samples and heights (within 1e-3 of their range, up to a constant) must be equal without a flip.
+missing samples and heights (within 1e-3 of the height range, up to a constant) must be equal, without a flip of an
+axis.
 """
 
 from __future__ import annotations
@@ -29,16 +30,17 @@ from warpdiff.heightfield.readers.length_units import factor_of
 
 TEXTS = (".txt", ".csv", ".asc", ".gz", ".hfm")
 # Suffixes of scans of heights that the package refuses. The other programs of this comparison cannot open such a file
-# and confirm that it is a scan. A file with such a suffix therefore counts as a scan without their confirmation.
+# and confirm that it is a scan. A file with such a suffix therefore counts as a scan without a confirmation by another
+# program.
 REFUSED_SCANS = (".nms", ".h5-jpk")
-# Suffixes of the files in the folder that are no files of instruments. They are skipped.
+# Suffixes of files in the folder that do not come from instruments. These files are skipped.
 OTHERS = (".yaml", ".npy", ".py", ".nc", ".list", ".log", ".sh")
 SIZE_TOLERANCE, HEIGHT_TOLERANCE = 1e-4, 1e-3
 _TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
 
 
 class Reading(NamedTuple):
-    """A map of heights [µm] in the order of the picture, NaN for missing samples, and its size (Ly, Lx) [µm]."""
+    """Heights [µm] in the order of the picture, NaN for missing samples, and the size (Ly, Lx) of the field [µm]."""
 
     heights_um: np.ndarray
     size_um: tuple[float, float]
@@ -89,7 +91,7 @@ def plain_x3p(path: Path) -> list[Reading]:
 
 
 def text_readings(path: Path) -> list[Reading]:
-    """Return the maps that SurfaceTopography reads from a text.
+    """Return the fields of heights that SurfaceTopography reads from a text.
 
     If the text states no unit, the unit is nm; if it states no size, the sample spacing is one unit.
     """
@@ -115,8 +117,8 @@ def text_readings(path: Path) -> list[Reading]:
 def agree(field: wd.HeightField, reading: Reading, *, is_text: bool) -> bool:
     """Whether a height field equals an independent reading."""
     heights = field.heights_um
-    # The picture of a file shows row 0 at the top. Where the file says that its rows go "up", the heights of the field
-    # are in the opposite order. A text with x, y and z has no picture, so that both orders are accepted.
+    # The picture of a file shows row 0 at the top. If the orientation of a file's rows is "up", the heights of the
+    # field are in the opposite order. A text with x, y and z has no picture, so that both orders are accepted.
     pictures = [heights[::-1] if field.source is not None and field.source.rows == "up" else heights]
     if is_text:
         pictures.append(heights)
@@ -126,8 +128,8 @@ def agree(field: wd.HeightField, reading: Reading, *, is_text: bool) -> bool:
         return False
     for picture in pictures:
         known = np.isfinite(picture) & np.isfinite(reading.heights_um)
-        # Gwyddion replaces missing samples by finite heights, and marks them in a separate channel. Such a reading is
-        # compared at all samples that are not missing in the field of the library.
+        # Gwyddion replaces missing samples by finite heights, and marks these samples in a separate channel. Such a
+        # reading is compared at all samples that are not missing in the field of the library.
         if not is_text and np.isfinite(reading.heights_um).all():
             known = np.isfinite(picture)
         elif not np.array_equal(np.isnan(picture), np.isnan(reading.heights_um)):

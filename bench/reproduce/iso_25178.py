@@ -1,8 +1,8 @@
 """ISO 25178 parameters of `HeightField.roughness`: comparison with surfalize, and coverage of the standard errors.
 
-surfalize changes fields with gaps when it reads them, and profiles, too. Both are therefore not compared here; the
-tests compare them with closed forms. The coverage is the share of random fields whose value is within two standard
-errors of the mean of all fields of the same kind.
+surfalize changes the heights of fields with gaps and of profiles when it reads them. Such fields are therefore not
+compared here; the tests compare them with closed forms. The coverage of a parameter is the share of random fields whose
+value is within two standard errors of the mean over all fields of the same kind.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 NAMES = ("Sa", "Sq", "Sdq", "Sdr", "Sal", "Str")
 # First seed of the random fields. To estimate standard errors, a field is split into blocks. The least size of these
-# blocks was fitted on random fields with seeds below 60,000, which are therefore not used here.
+# blocks was fitted on random fields with seeds below 60,000. These seeds are therefore not used here.
 SEED = 70_000
 # Number of samples along each axis of the random fields that are compared with surfalize.
 _SAMPLES = 300
@@ -53,7 +53,8 @@ def random_field(
     squares = (2.0 * np.pi) ** 2 * ((qy * lengths_um[0]) ** 2 + (qx * lengths_um[1]) ** 2)
     amplitude = (1.0 + squares) ** (-exponent / 4.0) if exponent else np.exp(-squares / 8.0)
     heights = np.fft.ifft2(np.fft.fft2(rng.normal(size=larger)) * amplitude).real[: shape[0], : shape[1]]
-    # The heights are scaled so that the standard deviation of the endless surface is 0.05 µm.
+    # The heights are scaled so that the standard deviation of the endless surface, of which the field is a part, is
+    # 0.05 µm.
     return wd.HeightField.of_known_scale(0.05 * heights / np.sqrt(np.mean(amplitude**2)), pitch_um)
 
 
@@ -78,19 +79,19 @@ def judged_fields(data: str | None) -> dict[str, wd.HeightField]:
 
 
 def of_surfalize(heightfield: wd.HeightField) -> dict[str, float]:
-    """Return the parameters that surfalize computes for a field after levelling; lengths are in µm."""
+    """Return the roughness parameters that surfalize computes for a field after levelling; lengths are in µm."""
     from surfalize import Surface
 
     dy, dx = heightfield.pitch_um
     with warnings.catch_warnings():
-        # surfalize warns if the pixels are not square, and if Str is not determined.
+        # surfalize warns if the pixels are not square, and if the texture aspect ratio Str cannot be determined.
         warnings.simplefilter("ignore")
         surface = Surface(heightfield.levelled().heights_um, dx, dy)
         return {name: float(getattr(surface, name)()) for name in NAMES}
 
 
 def compare(data: str | None) -> None:
-    """Print the parameters of each field with their differences from surfalize, and the largest differences."""
+    """Print the roughness parameters of each field, their differences from surfalize, and the largest differences."""
     print("| field | " + " | ".join(NAMES) + " |\n" + "| --- " * (len(NAMES) + 1) + "|")
     worst = dict.fromkeys(NAMES, 0.0)
     for title, field in judged_fields(data).items():
@@ -140,11 +141,11 @@ def _kinds() -> dict[str, Callable[[int], wd.HeightField]]:
 
 
 def coverage(count: int, seed: int) -> None:
-    """Print how well the standard errors of each roughness parameter describe its scatter over random fields.
+    """Print, for each roughness parameter, how well its standard errors describe its scatter over random fields.
 
-    A field counts if its parameter deviates from the mean over all fields by at most two of its own standard errors.
-    The share of such fields is printed, and the root mean square standard error over the standard deviation of the
-    fields.
+    A field is covered if its value deviates from the mean over all fields by at most two of the field's standard
+    errors. The share of covered fields is printed. The ratio of the root mean square standard error to the standard
+    deviation of the values over all fields is also printed.
     """
     print("| surface | " + " | ".join(NAMES) + " | without error |\n" + "| --- " * (len(NAMES) + 2) + "|")
     for title, make in _kinds().items():

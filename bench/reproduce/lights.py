@@ -1,4 +1,4 @@
-"""Errors of pictures under disc lights and environments, against sums over directions with shadows.
+"""Errors of pictures under disc lights and environments, relative to sums over directions, with shadows.
 
 ``--sizes`` compares pictures under disc lights in random cases with sums over points of the discs. ``--skies`` compares
 pictures under environments with sums over all directions. The sums (``bench/truth/sky_sums.py``) share no code with the
@@ -64,7 +64,7 @@ def random_sky(kind: str, rng: np.random.Generator) -> np.ndarray:
 
 
 def random_cases(seed: int) -> Iterator[tuple[str, np.ndarray, Any, wd.HeightField, wd.View, float]]:
-    """Yield random cases: name, environment, mesh, height field, view and σ of the window [µm]."""
+    """Yield random cases: name, environment, mesh, height field, view, and the coherence window's σ [µm]."""
     rng = np.random.default_rng(seed)
     scan = inputs.levelled_scan()
     bodies: dict[str, Callable[[], Any]] = {
@@ -99,9 +99,10 @@ def random_cases(seed: int) -> Iterator[tuple[str, np.ndarray, Any, wd.HeightFie
 
 
 def distances(xyz: np.ndarray, exact: np.ndarray, bright: float = 0.0) -> np.ndarray:
-    """Return errors of colours ``xyz`` (n, 3) compared with ``exact``, defined as for ``tolerance``.
+    """Return errors of colours ``xyz`` (n, 3) compared with ``exact``, by the error measure of ``tolerance``.
 
-    ``bright`` is the 99th percentile of Y over the whole picture, which determines the floor of the errors.
+    ``bright`` is the 99th percentile of Y over the whole picture. Errors of colours that are darker than a thousandth
+    of it are relative to this thousandth.
     """
     floor = 1e-3 * max(np.percentile(exact[:, 1], 99.0), bright, 1e-30)
     return np.asarray(np.linalg.norm(xyz - exact, axis=1) / np.maximum(np.linalg.norm(exact, axis=1), floor))
@@ -113,12 +114,12 @@ def percentiles(errors: np.ndarray, between: str = " | ") -> str:
 
 
 def against_sums(kind: str, seed: int, pixels: int, across: int, tolerances: list[float]) -> None:
-    """Print errors of pictures under disc lights ("light") or environments ("sky") in random cases, relative to sums.
+    """Print errors of pictures in random cases relative to sums over directions, for disc lights or environments.
 
     The sums have at least 32 times ``across`` rays along each axis of a pixel. The errors of the sums themselves are in
-    a separate row. Columns have the percentiles of the errors and of ``image.error``, the time of a frame, the number
-    of pixels with errors above the tolerance, and the number of these for which ``image.error`` is above the tolerance,
-    too.
+    a separate row. Columns are: percentiles of the errors and of the estimated errors ``image.error``; the time of a
+    frame; the number of pixels whose error exceeds the tolerance; and the number of those pixels whose estimated error
+    exceeds it, too.
     """
     rng = np.random.default_rng(seed + (2 if kind == "light" else 1))
     print(COLUMNS.format(kind))
@@ -132,7 +133,7 @@ def against_sums(kind: str, seed: int, pixels: int, across: int, tolerances: lis
             summed = functools.partial(sums.under_sky, sky=grey)
             _judge(name, inside, summed, 32 * across, seed, tolerances, options=options)
             continue
-        # The direction to the light is that to the eye plus a random vector with components from −0.7 to 0.7.
+        # The direction to the light is the direction to the eye plus a random vector with components from −0.7 to 0.7.
         towards = np.asarray(view.eye) - np.asarray(view.target)
         towards = towards / np.linalg.norm(towards) + rng.uniform(-0.7, 0.7, 3)
         degrees = DIAMETERS[index % len(DIAMETERS)]
@@ -145,7 +146,7 @@ def _judge(
     name: str, chosen: np.ndarray, summed: Callable[..., np.ndarray], across: int, seed: int, tolerances: list[float],
     *, options: dict[str, Any],
 ) -> None:  # fmt: skip
-    """Print the errors of pictures with ``options``, relative to sums over directions, and their estimated errors."""
+    """Print the errors of pictures with ``options``, relative to sums over directions, and the estimated errors."""
     if not len(chosen):
         print(f"| {name} | 0 | no pixel is completely covered by the mesh |" + " |" * 6)
         return
@@ -162,8 +163,8 @@ def _judge(
         begin = time.perf_counter()
         image = wd.shade(**options, tolerance=tolerance, pigment=0.0, strict=False)
         seconds = time.perf_counter() - begin
-        # The floor of the errors is derived from the luminance of the whole picture, because all chosen pixels may be
-        # darker.
+        # Errors of dark pixels are relative to a luminance floor. The floor is derived from the luminance of the whole
+        # picture, because all chosen pixels may be darker.
         bright = float(np.percentile(image.xyz[image.illuminated][:, 1], 99.0))
         errors, expected = distances(image.xyz[at], exact, bright), image.error[at]
         wrong = errors > tolerance
@@ -177,7 +178,7 @@ def _judge(
 def converged_means(
     summed: Callable[..., np.ndarray], chosen: np.ndarray, across: int, seed: int, bound: float
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return the mean colours of pixels, their standard errors, and the least number of rays per pixel.
+    """Return the mean colours of pixels, the standard errors of these means, and the least number of rays per pixel.
 
     The function ``summed`` computes a pixel's colour as a sum over directions, four times with different seeds. The
     mean and the standard error are those of the four results.

@@ -1,12 +1,13 @@
-"""Errors of a line light that is replaced by lobes or by point lights, for several numbers of them.
+"""Errors of pictures if a line light is replaced by several lobes or by several point lights.
 
 ::
 
     python -m bench.reproduce.line_lights
 
-The line light is that of ``docs/contributing/add_a_light.md``. The reference has 256 lobes and a tolerance of 0.03.
-Errors are in units of the tolerance of 0.1, relative to the colour of the pixel, but at least to 2 % of the bright
-pixels. The printed spacing is that of neighbouring lobes, as visible from the nearest point of the body.
+The line light is that of ``docs/contributing/add_a_light.md``. A lobe represents the light from a part of the line by
+one direction with a spread. The reference has 256 lobes and a tolerance of 0.03. The error of a pixel is relative to
+its colour, or to 2 % of the colour of bright pixels if that is larger. Errors are printed in units of the tolerance of
+0.1. The printed spacing is the angle between neighbouring lobes as viewed from the nearest point of the body.
 """
 
 from __future__ import annotations
@@ -25,16 +26,16 @@ import trimesh
 import warpdiff as wd
 
 PAGE = Path(__file__).parents[2] / "docs" / "contributing" / "add_a_light.md"
-# Tolerances of the pictures and of their reference.
+# Tolerance of the compared pictures, and tolerance of the reference picture.
 TOLERANCE, OF_REFERENCE = 0.1, 0.03
-# Numbers of lobes that are compared, and that of the reference.
+# Numbers of lobes that are compared, and number of lobes of the reference.
 COUNTS, MOST = (4, 8, 16, 32), 256
 # The divisor of relative errors is at least this share of the 99th percentile of ‖XYZ‖ over illuminated pixels.
 DARK = 0.02
 
 
 def line_light() -> Any:
-    """Return the class ``LineLight`` of the page for contributors."""
+    """Return the class ``LineLight`` from the code of the page ``docs/contributing/add_a_light.md``."""
     code = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)[0]
     module = types.ModuleType("line_light_of_the_page")
     sys.modules[module.__name__] = module
@@ -43,7 +44,7 @@ def line_light() -> Any:
 
 
 def cases() -> dict[str, tuple[Any, wd.View, tuple[Any, Any], float]]:
-    """Return bodies with a view, the ends of a line, and the least distance of the line from the body.
+    """Return bodies with a view, the ends of a line light, and the least distance of the line from the body.
 
     Two bodies are used: a square in the xy plane, and a tube. In the case ``sine``, the square has a sine grating with
     a period of 2 µm as its height field; in the other cases, the height field has fingers.
@@ -72,7 +73,7 @@ def errors(image: wd.Image, reference: wd.Image) -> np.ndarray:
 
 
 def main() -> int:
-    """Print a table with the errors of both kinds of approximation."""
+    """Print a table with the errors of both approximations: by lobes and by point lights."""
     warnings.simplefilter("ignore", wd.WarpdiffWarning)
     light, skins = line_light(), {"sine": wd.gratings.sinusoidal(2.0, 0.1)}
     print("| case | lobes | spacing | P50 / P90 / P99 | above the tolerance | reported |")

@@ -1,10 +1,11 @@
 """Errors and times of pictures under skies, disc lights and many lights, on bodies that shadow themselves.
 
 Each row is a scene, a surface and a light, such as ``whole_scan_sun``. The reference is a sum over directions with
-shadows (``bench/truth/sky_sums.py``). A row has the errors of a picture relative to its tolerance, its processor time
-relative to that with one directional light, the number of pixels with an error above the tolerance, and the number of
-these for which ``image.error`` is above the tolerance, too. The reference of pictures with many lights, such as
-``tube_scan_16lights``, is the sum of pictures with one light each, at an eighth of the tolerance.
+shadows (``bench/truth/sky_sums.py``). A row has: the errors of a picture relative to its tolerance; the processor time
+of this picture relative to that of a picture with one directional light; the number of pixels whose error exceeds the
+tolerance; and the number of those pixels whose estimated error ``image.error`` exceeds it, too. The reference of
+pictures with many lights, such as ``tube_scan_16lights``, is the sum of pictures with one light each, at an eighth of
+the tolerance.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from bench.reproduce.lights import converged_means, distances, sky
 from bench.truth.sky_sums import SkySums
 
 SIZE = {"width": 240, "height": 130}
-# Direction to the disc lights of all scenes except the plate.
+# Direction to the disc lights of all scenes except the scene of a plate above a floor.
 TOWARDS = (0.6, 1.0, -0.1)
 CASES = [
     *(f"{scene}_scan_{light}" for scene in ("whole", "close", "coils", "tube") for light in ("sun", "nosun", "room")),
@@ -35,7 +36,7 @@ CASES = [
 
 
 def plate() -> trimesh.Trimesh:
-    """Return a mesh of a horizontal plate above a larger floor, on which it casts a shadow."""
+    """Return a mesh of a horizontal plate above a larger floor; the plate casts a shadow on the floor."""
     parts = []
     for half, height in ((1.0, 0.0), (0.3, 0.4)):
         corners = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]], dtype=float)
@@ -111,7 +112,7 @@ def scene_of(case: str, tolerance: float) -> tuple[Any, wd.HeightField, list[Any
 def reference(
     sums: SkySums, light: wd.DirectionalLight | np.ndarray, pixels: int, across: int, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return random interior pixels, their reference XYZ under a disc light or sky, and a mask.
+    """Return random interior pixels, the reference XYZ of these pixels under a disc light or sky, and a mask.
 
     The mask selects pixels that are not black and whose reference has a standard error below a third of the tolerance.
     """
@@ -127,7 +128,7 @@ def reference(
 
 
 def judge(case: str, *, tolerance: float, pixels: int, across: int) -> None:
-    """Render one case, compare it with the reference, and print its row."""
+    """Render one case, compare it with the reference, and print its row of the table."""
     name = case.split("_")[2]
     make, heightfield, lights, view, options = scene_of(case, tolerance)
     body, window = make(), options["coherence"]
@@ -173,7 +174,7 @@ def flicker(case: str, *, tolerance: float, frames: int) -> None:
 
     Flicker is the error of the change of a pixel's colour from one frame to the next. The reference is the change
     between the same frames at a fifth of the tolerance. Only pixels that the body covers completely in both frames are
-    included. The camera moves by 1/48 of a turn per frame.
+    included. The camera moves by 1/48 of a turn around the body per frame.
     """
     make, heightfield, lights, view, options = scene_of(case, tolerance)
     body, differences = make(), []

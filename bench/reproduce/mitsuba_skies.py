@@ -1,10 +1,11 @@
 """Comparison of the library with its BSDF in Mitsuba 3, under skies and disc lights: processor time at equal errors.
 
-``python -m bench.reproduce.mitsuba_skies`` renders scenes of ``lit_scenes`` with both programs. Sums over directions
-(``bench/truth/sky_sums.py``) are the reference for both. Each row has the errors of the library's picture relative to
-its tolerance, and its processor time. Errors and times of Mitsuba follow, for several numbers of paths per pixel. The
-next columns are the ratio of Mitsuba's time to the library's at equal P90 and at equal P99 of the errors, interpolated
-between numbers of paths. The last column is the ratio of Mitsuba's sum of Y to the reference's. Times exclude the
+``python -m bench.reproduce.mitsuba_skies`` renders scenes of ``lit_scenes`` with the library and with Mitsuba. Sums
+over directions (``bench/truth/sky_sums.py``) are the reference for both pictures. Each row has the errors of the
+library's picture relative to the tolerance, and the processor time of this picture. Errors and times of Mitsuba follow,
+for several numbers of paths per pixel. The next columns are the ratio of Mitsuba's time to the library's time, at equal
+90th and at equal 99th percentiles (P90, P99) of the errors; Mitsuba's time is interpolated between numbers of paths.
+The last column is the sum of Y over Mitsuba's picture, divided by the same sum of the reference. Times exclude the
 preparation: plans and tables of the library, and for Mitsuba the baked spectrum and compilation.
 
 The script requires ``pip install 'warpdiff[mitsuba]'`` and LLVM 17 or newer, which ``DRJIT_LIBLLVM_PATH`` names.
@@ -31,12 +32,13 @@ from warpdiff.optics import colorimetry, reflectance_factors
 CASES = ["whole_sun", "whole_nosun", "whole_room", "close_sun", "close_room", "coils_sun", "tube_room", "whole_10"]
 COHERENCE = wd.Coherence(sigma_um=16.25)
 WAVELENGTHS_NM = np.arange(380.0, 781.0)
-# Reflectance at normal incidence for an index of refraction of 1.5. Mitsuba's pictures include it, while those of the
-# library are relative to it.
+# Reflectance at normal incidence for an index of refraction of 1.5. Mitsuba's pictures include this reflectance, while
+# pictures of the library are relative to it.
 NORMAL_REFLECTANCE = 0.04
-# Number of texels along each axis of the baked spectrum. Limit: memory; fewer texels blur the spectrum.
+# Number of texels along each axis of the baked spectrum. The value is limited by memory; fewer texels blur the
+# spectrum.
 SPECTRUM_SIZE = 1024
-# Largest number of paths per pixel in one call of Mitsuba. Limit: memory.
+# Largest number of paths per pixel in one call of Mitsuba. The value is limited by memory.
 PATHS_OF_LAUNCH = 16
 
 
@@ -75,7 +77,7 @@ def main() -> int:
 
 
 def compare(case: str, mi: Any, scan: wd.HeightField, spectrum: Path, options: argparse.Namespace) -> None:
-    """Render one case with both programs and print its row."""
+    """Render one case with the library and with Mitsuba, and print its row of the table."""
     scene, name = case.split("_")
     make, view = SCENES[scene]
     body = make()
@@ -125,7 +127,7 @@ def compare(case: str, mi: Any, scan: wd.HeightField, spectrum: Path, options: a
 
 
 def measured(draw: Any) -> float:
-    """Draw a picture three times. Return the median of the processor times [s]."""
+    """Draw a picture three times. Return the median of the processor times of the drawings [s]."""
     times = []
     for _ in range(3):
         begin = time.process_time()
@@ -137,7 +139,8 @@ def measured(draw: Any) -> float:
 def equal_error_time(rows: list[tuple[int, np.ndarray, float]], k: int, error: float) -> float:
     """Return the time in which Mitsuba reaches an error, by linear interpolation of the logarithms of time and error.
 
-    ``k`` selects the percentile of the errors. The time is infinite if no number of paths reaches the error.
+    ``k`` selects the percentile of the errors. The time is infinite if Mitsuba does not reach the error with any number
+    of paths.
     """
     errors, times = (np.log([row[1][k] for row in rows]), np.log([row[2] for row in rows]))
     reached = np.flatnonzero(errors <= np.log(error))
@@ -162,7 +165,7 @@ def sensor(mi: Any, view: wd.View) -> dict[str, Any]:
 
 
 def mesh(mi: Any, body: Any, spectrum: Path) -> Any:
-    """Return Mitsuba's mesh of a body, with its normals and texture coordinates."""
+    """Return Mitsuba's mesh of a body, with the normals and texture coordinates of the body."""
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict({"type": "warpdiff", "filename": str(spectrum)})
     result = mi.Mesh(
@@ -182,7 +185,7 @@ def mesh(mi: Any, body: Any, spectrum: Path) -> Any:
 def sky_emitter(mi: Any, sky: np.ndarray) -> dict[str, Any]:
     """Return Mitsuba's environment emitter for a sky.
 
-    The map is rotated by half a turn to the orientation of the library.
+    The environment map is rotated by half a turn, because Mitsuba's orientation differs from the library's.
     """
     rgb = np.broadcast_to(sky, (*sky.shape[:2], 3)).astype(np.float32)
     return {"type": "envmap", "bitmap": mi.Bitmap(np.ascontiguousarray(np.roll(rgb, rgb.shape[0], axis=1)))}

@@ -1,8 +1,8 @@
 """Tests `HeightField.periods` on synthetic fields of known period, on noise, and on the quarters of the real scan.
 
 Each synthetic field is a part of an endless surface whose mean period is known: a sine, a groove with soft walls or a
-ridge. Its local period varies at random. Noise, a tilt, waviness, gaps and steps between scan lines are added. The
-search for periods was tuned on other seeds than those below.
+ridge. The local period of the surface varies at random. Noise, a tilt, waviness, gaps and steps between scan lines are
+added. The search for periods was tuned on other seeds than those below.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Judged:
 
     Attributes:
         heightfield: The field.
-        period_um: Mean period of the surface of which it is a part [µm].
+        period_um: Mean period of the endless surface of which the field is a part [µm].
         variation: Relative standard deviation of the local period.
     """
 
@@ -49,7 +49,7 @@ def correlated(
 ) -> NDArray[np.float64]:
     """Return Gaussian noise of variance 1 with the spectrum ``power``, a function of frequencies in cycles per sample.
 
-    The noise is a part of a larger field, so that its edges do not match.
+    The noise is a part of a larger field, so that opposite edges do not match.
     """
     larger = tuple(1 if n == 1 else 2 * n for n in shape)
     fy, fx = np.fft.fftfreq(larger[0])[:, None], np.fft.rfftfreq(larger[1])[None, :]
@@ -65,7 +65,7 @@ def _phase(
 ) -> NDArray[np.float64]:
     """Return a random variation of the phase [rad] with mean 0.
 
-    Its derivative along ``unit``, a unit vector (y, x), has a variance of 1 per squared sample spacing.
+    The derivative of the phase along ``unit``, a unit vector (y, x), has a variance of 1 per squared sample spacing.
     """
     larger = tuple(1 if n == 1 else 4 * n for n in shape)
     fy, fx = np.fft.fftfreq(larger[0])[:, None], np.fft.rfftfreq(larger[1])[None, :]
@@ -79,7 +79,7 @@ def _phase(
 
 
 def wavering(seed: int) -> Judged:
-    """Return a synthetic field with a known mean period; every fourth one is a profile of a single row."""
+    """Return a synthetic field with a known mean period; every fourth field is a profile of a single row."""
     rng = np.random.default_rng(seed)
     is_profile = seed % 4 == 3
     shape = (1, int(rng.integers(300, 1500))) if is_profile else tuple(rng.integers(100, 300, 2).tolist())
@@ -112,7 +112,7 @@ def wavering(seed: int) -> Judged:
 
 
 def noise_field(seed: int) -> wd.HeightField:
-    """Return a field of noise without a period: one of ten kinds."""
+    """Return a field of noise without a period, of one of ten kinds."""
     rng = np.random.default_rng(seed)
     shape = tuple(rng.integers(60, 300, 2).tolist())
     y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
@@ -160,7 +160,7 @@ def noise_field(seed: int) -> wd.HeightField:
 
 
 def noise_profile(seed: int) -> wd.HeightField:
-    """Return a profile of noise without a period: one of seven kinds."""
+    """Return a profile of noise without a period, of one of seven kinds."""
     rng = np.random.default_rng(seed)
     count = int(rng.integers(100, 2000))
     white, length, exponent = rng.normal(size=count), rng.uniform(1.0, 30.0), rng.uniform(0.5, 3.0)
@@ -177,7 +177,7 @@ def noise_profile(seed: int) -> wd.HeightField:
 
 
 def score(judged: Judged) -> float | None:
-    """Return the error of the strongest period, divided by its standard error; None if no period is found."""
+    """Return the error of a field's strongest period, divided by its standard error; None if there is no period."""
     periods = judged.heightfield.periods(1)
     return (periods[0].period_um - judged.period_um) / periods[0].standard_error_um if periods else None
 
@@ -185,7 +185,7 @@ def score(judged: Judged) -> float | None:
 def quarters(scan: wd.HeightField) -> tuple[list[wd.Period], float]:
     """Return the strongest period of each quarter of a scan, and the largest difference between two quarters.
 
-    The difference is in units of its standard error.
+    The difference is in units of the standard error of a difference.
     """
     half = scan.size_um[0] / 2.0, scan.size_um[1] / 2.0
     periods = [scan.cropped(half, offset_um=(y, x)).periods(1)[0] for y in (0.0, half[0]) for x in (0.0, half[1])]

@@ -1,15 +1,17 @@
-"""Comparison of the published algorithm with the automatic plan on one picture, at equal time and at equal error.
+"""Comparison of the algorithm of Single (2014) with the automatic plan on a picture, at equal time or equal error.
 
 The picture shows the tube with the levelled 65 µm scan. Both methods evaluate the same directions, those of a
-stratified sample of its illuminated pixels. Errors are relative to the float64 reference: P99 of ‖ΔXYZ‖ / max(‖XYZ‖, f)
-over the pixels with Y >= f, where f is a thousandth of the reference luminance (``bench.truth.errors``). Times are
-those of calls with prepared tables on a larger sample of pixels, as medians of interleaved rounds.
+stratified sample of the picture's illuminated pixels. Errors are relative to the float64 reference: the 99th percentile
+(P99) of ‖ΔXYZ‖ / max(‖XYZ‖, f) over the pixels with Y >= f, where f is a thousandth of the reference luminance
+(``bench.truth.errors``). Times are those of calls with prepared tables on a larger sample of pixels, as medians of
+interleaved rounds.
 
-The published setting is 81 wavelengths equally spaced in λ (380 to 780 nm, 5 nm), 37 Taylor terms (n = 0 … 36) of
-heights that are not centred, 3 × 3 coefficients around the one that floor() selects, and a rectangle rule, in Numba.
-Finer settings of the algorithm reach the error of the automatic plan. Two of them are compared: the cheapest with the
-published 37 terms, and the cheapest of all combinations of wavelengths, neighbours and terms, with heights centred or
-not. The printed table also has the published setting with rounding instead of floor().
+The setting of the publication is 81 equally spaced wavelengths (380 to 780 nm, 5 nm), 37 Taylor terms (n = 0 … 36) of
+heights that are not centred, 3 × 3 Fourier coefficients around the one that floor() selects, and a rectangle rule. The
+algorithm is computed in Numba. Finer settings of the algorithm reach the error of the automatic plan. Two of these are
+compared: the cheapest setting with the publication's series (37 terms, heights not centred), and the cheapest of all
+combinations of wavelengths, neighbouring coefficients and terms, with heights centred or not. The printed table also
+has the setting of the publication with rounding instead of floor().
 """
 
 from __future__ import annotations
@@ -34,25 +36,26 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 LANES = numba_published.LANES
-# Settings of the published algorithm that are searched: numbers of wavelengths in steps of a factor 2^(1/4), and
-# numbers of terms.
+# Settings of the published algorithm among which the search selects: numbers of wavelengths in steps of a factor
+# 2^(1/4), and numbers of terms of the Taylor series.
 MORE_WAVELENGTHS = [round(81 * 2 ** (k / 4)) for k in range(-4, 21)]
 MORE_TERMS = (8, 16, 24, 32, 37, 48)
-# Largest neighbour extent by kind of coherence. Limit: the published algorithm computes the Gaussian weights of
-# neighbours by recurrence, from that of the outermost one. With larger extents, this weight would be below the smallest
-# float32. Coefficients at that distance contribute less than rounding errors.
+# Largest number of neighbouring coefficients on each side of the central one, by kind of coherence. The values are
+# limited by float32: the published algorithm computes Gaussian weights by recurrence from the weight of the outermost
+# coefficient. With larger numbers, this weight would be below the smallest float32. Coefficients at that distance
+# contribute less than rounding errors.
 MOST_REACH = {"averaged": 3, "centred": 4}
-# Number of settings that are timed, those with the fewest multiply-adds.
+# Number of settings that are timed; these have the fewest multiply-adds of all settings that reach the target error.
 FINALISTS = 3
 TOLERANCE, TOLERANCES = 1e-2, sorted([1e-2, *(0.5 * 2.0 ** (-k) for k in range(9))], reverse=True)
-# Tolerance of the reference. It must be small compared with the errors of the compared settings.
+# Tolerance of the reference. The tolerance must be small compared with the errors of the compared methods.
 TRUTH = 1e-3
-# Width of the picture [pixels], number of timed pixels, and number of timed rounds.
+# Width of the picture [pixels], number of pixels of a timed call, and number of rounds of timed calls.
 WIDTH, TIMED, ROUNDS = 640, 12_000, 9
 
 
 class Setting(NamedTuple):
-    """Setting of the published algorithm: numbers of wavelengths, terms and neighbours, centring and rounding."""
+    """Setting of the published algorithm: wavelengths, terms, neighbouring coefficients, centring and rounding."""
 
     wavelengths: int = 81
     terms: int = 37
@@ -62,15 +65,15 @@ class Setting(NamedTuple):
 
     @property
     def as_published(self) -> bool:
-        """Return whether terms and centring, which define the series, are those of the published setting."""
+        """Return whether the series, defined by its terms and by centring, is that of the publication."""
         return self.terms == Setting().terms and not self.centred
 
     @property
     def multiply_adds(self) -> float:
-        """Return the number of multiply-adds per pixel for the real parts of the amplitudes of all neighbours.
+        """Return the number of multiply-adds per pixel for the real parts of all amplitudes, as the cost of a setting.
 
-        It measures the cost of a setting. The imaginary parts require the same number, and the sum over neighbours is
-        excluded.
+        The amplitudes are those of all neighbouring coefficients. The imaginary parts require the same number. The sum
+        over the coefficients is excluded.
         """
         return self.wavelengths * LANES * math.ceil(self.terms / LANES) * (2 * self.neighbour_extent + 1) ** 2
 
@@ -79,13 +82,14 @@ class Setting(NamedTuple):
 
 
 def refined(error_of: Callable[[Setting], float], most: int, target: float) -> tuple[list[Setting], float]:
-    """Return settings that reach a target error with the fewest multiply-adds, and the least error of all tried.
+    """Return settings that reach a target error with the fewest multiply-adds, and the least error that was measured.
 
-    A setting has three numbers: terms of the series, neighbours and wavelengths. The search assumes that the error
-    decreases if one number grows and the others are constant. For centred and for uncentred heights, it tries the
-    published number of terms, and the two smallest numbers that can reach the target with the most neighbours and
-    wavelengths. For each of them it tries all numbers of neighbours that can reach the target. Bisection then finds the
-    smallest number of wavelengths. The returned settings include the cheapest one with the published number of terms.
+    A setting has three numbers: terms of the series, neighbouring coefficients and wavelengths. The search assumes that
+    the error decreases if one number grows and the others are constant. The two smallest numbers of terms are tried
+    that reach the target with the most coefficients and wavelengths. For uncentred heights, the number of terms of the
+    publication is tried, too. For each number of terms, all numbers of coefficients that can reach the target are
+    tried, and bisection finds the smallest number of wavelengths. The returned settings include the cheapest setting
+    whose series is that of the publication.
     """
     successes: list[Setting] = []
     found: list[float] = []
@@ -122,10 +126,10 @@ def refined(error_of: Callable[[Setting], float], most: int, target: float) -> t
 
 
 def compare(scene: Scene, coherence: wd.Coherence, pixels: int) -> None:
-    """Measure and time all settings for one kind of coherence, and print a table of them.
+    """Measure and time all settings of the published algorithm for one kind of coherence, and print a table.
 
-    Also print two comparisons of the library with the published algorithm: of errors at equal time, and of times at
-    equal error.
+    Also print two comparisons of the library with the published algorithm: errors at equal time, and times at equal
+    error.
     """
     heightfield, device, threads = scene.heightfield, resolve_device(None), resolve_threads(None)
     whole, _ = scene.directions(coherence, WIDTH)

@@ -10,12 +10,12 @@ The grade of a verdict is reliable, qualitative or invalid, by the error that it
 
 The 748 gratings of ``bench/suite/rigorous.json`` are sines, square grooves and sawteeth of perfect mirrors and sines of
 glass. The error of a grating is that of its worst order for light from 0°, 30° and 60°, relative to the reflected power
-of a flat surface. Its verdict is the worst of those that ``order_efficiencies`` returns for the three angles, or the
-verdict on its heights alone. Every third period and every third depth was never used for fitting; gratings with such a
-period or depth are held out.
+of a flat surface. The verdict on a grating is the worst verdict that ``order_efficiencies`` returns for the three
+angles; the verdict on the heights alone is judged separately. Every third period and every third depth was never used
+for fitting. Gratings with such a period or depth are held out.
 
-The energy normalisation gives an order its full weight from some elevation above the horizon on. ``--rise`` compares
-several of these elevations.
+The energy normalisation gives an order its full weight only if its direction is high enough above the horizon.
+``--rise`` compares several limits of this elevation.
 """
 
 from __future__ import annotations
@@ -34,19 +34,23 @@ from bench.suite.validity import CASES, GRATINGS, STORED, UNIT, flat_reflectance
 from warpdiff.diffraction import energy_normalisation
 from warpdiff.heightfield.theory_verdict import INVALID, QUALITATIVE, verdict_on
 
-# Error of an order above which its grating counts as wrong, as a share of the reflected power.
+# Error of an order's efficiency above which its grating counts as wrong, as a share of the reflected power.
 WRONG = 0.1
-# Targets: largest share of wrong gratings among those with the grade reliable; least share of the grade reliable among
-# the gratings that are not wrong; and largest share of gratings with the grade qualitative.
+# Targets for the verdicts. `MOST_WRONG` is the largest share of wrong gratings among the gratings with the grade
+# reliable. `LEAST_RELIABLE` is the least share of the grade reliable among the gratings that are not wrong.
+# `MOST_QUALITATIVE` is the largest share of gratings with the grade qualitative.
 MOST_WRONG, LEAST_RELIABLE, MOST_QUALITATIVE = 0.02, 0.8, 0.3
-# Periods and depths are held out if their index, divided by three, leaves this remainder.
+# Gratings are held out, so that no fit uses them, if the index of their period or depth, divided by three, leaves this
+# remainder.
 HELD_OUT = 2
-# Number of height samples per period. Limit: it must be well above 80, twice the largest number of orders of the
-# gratings.
+# Number of height samples per period. The value is limited by the number of orders of a grating: it must be well above
+# 80, twice the largest number of orders.
 SAMPLES = 512
-# Wavelength of all calls [nm]. Periods and depths are stored in units of the wavelength, which are µm at this value.
+# Wavelength of all calls [nm]. Periods and depths are stored in units of the wavelength; at this wavelength these
+# numbers are also their lengths in µm.
 WAVELENGTH_NM = 1000.0
-# Values that ``--rise`` compares: cosines of the angle from the normal, from which on an order has its full weight.
+# Limits that ``--rise`` compares: least cosine of the angle from the normal for which the energy normalisation gives an
+# order its full weight.
 RISES = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0)
 
 
@@ -54,8 +58,9 @@ class Grating(NamedTuple):
     """Errors and verdicts of one grating.
 
     Attributes:
-        is_held_out: Whether its period or its depth was never used for fitting.
-        error: Largest difference of an order's efficiency from the rigorous one, as a share of the reflected power.
+        is_held_out: Whether the period or the depth of the grating was never used for fitting.
+        error: Largest difference of an order's efficiency from the rigorous efficiency, as a share of the reflected
+            power.
         of_calls: Largest error that the verdicts of the calls predict, one call per angle of incidence.
         of_heights: Error that the verdict on the heights alone predicts.
     """
@@ -67,7 +72,7 @@ class Grating(NamedTuple):
 
 
 class Shares(NamedTuple):
-    """Counts and shares of gratings by the grade of their verdict.
+    """Counts and shares of gratings by the grade of the verdict on them.
 
     Three of the shares have targets, see ``meets_targets``.
     """
@@ -81,7 +86,7 @@ class Shares(NamedTuple):
 
     @classmethod
     def of(cls, errors: np.ndarray, verdicts: np.ndarray) -> Shares:
-        """Compute counts and shares from the actual errors of gratings and the errors that their verdicts predict."""
+        """Compute counts and shares from the actual errors of gratings and from the errors that verdicts predict."""
         wrong, reliable, invalid = errors > WRONG, verdicts < QUALITATIVE, verdicts >= INVALID
         return cls(
             len(errors), int(reliable.sum()), _share(wrong[reliable]), _share(reliable[~wrong]),
@@ -99,14 +104,14 @@ class Shares(NamedTuple):
 
 
 def _share(values: np.ndarray) -> float:
-    """Return the share of true values, or 0 if there are no values."""
+    """Return the share of values that are True, or 0 if there are no values."""
     return float(np.mean(values)) if len(values) else 0.0
 
 
 def gratings(energy: str | None, *, step: int = 1) -> list[Grating]:
     """Return every ``step``-th grating of each profile.
 
-    ``energy`` is that argument of `order_efficiencies`; with None, it is not given, and its default applies.
+    ``energy`` is passed to `order_efficiencies` as the argument of this name. If it is None, the default applies.
     """
     stored, result = json.loads(STORED.read_text()), []
     for case, (shape, index) in CASES.items():
@@ -136,7 +141,7 @@ def gratings(energy: str | None, *, step: int = 1) -> list[Grating]:
 
 
 def judged(energy: str | None, *, step: int = 1) -> dict[str, Shares]:
-    """Return the shares for verdicts on calls and on heights, each for all, for fitted and for held-out gratings."""
+    """Return shares for verdicts on calls and on heights, and for all, fitted and held-out gratings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
         population = gratings(energy, step=step)
@@ -153,10 +158,10 @@ def judged(energy: str | None, *, step: int = 1) -> dict[str, Shares]:
 
 
 def mean_error_by_rise(cosine: float) -> float:
-    """Return the mean error of mirror gratings that are not held out, with normalised energy.
+    """Return the mean error of mirror gratings used for fitting, with normalised energy.
 
-    The normalisation gives full weight to orders whose direction has at least a certain cosine of the angle from the
-    normal. ``cosine`` replaces this limit.
+    The normalisation gives full weight to orders if the cosine of their angle from the normal exceeds a limit.
+    ``cosine`` replaces this limit.
     """
     before = energy_normalisation.RISEN
     energy_normalisation.RISEN = cosine
@@ -176,7 +181,7 @@ def _glass_cells() -> list[tuple[float, float]]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the shares; return 1 if a target is missed."""
+    """Print the shares of gratings by grade; return 1 if a target is missed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rise", action="store_true", help="compare heights of the full weight above the horizon")
     if parser.parse_args(arguments).rise:

@@ -1,13 +1,14 @@
-"""The figures of the publication, reproduced: periods measured by diffraction, reflectance maps and renderings.
+"""The figures of Single (2014), reproduced: periods measured by diffraction, reflectance maps and renderings.
 
 Single, *An Interactive Shader for Natural Diffraction Gratings* (Bern 2014), is compared with this library. The tables
-contain the published numbers next to those of this library and of the published methods, which ``variants`` computes.
-The report ``report.md`` is the text of ``thesis.md`` with the tables inserted. Below each figure it explains the
-differences.
+contain the numbers of that publication, the numbers of this library, and those of the published methods, which
+``variants`` computes. The report ``report.md`` is the text of ``thesis.md`` with the tables inserted. The text below
+each figure explains the differences.
 
 Periods are measured at an angle of incidence of 75°. At each of 401 wavelengths, the view angle at which the first
 order is brightest is searched on a grid of angles. The grating equation then gives a period, d = λ/(sin θi + sin θr).
-The tables contain its mean and variance over the wavelengths. Masking is off, because it shifts the brightest angle.
+The tables contain the mean and the variance of the period over the wavelengths. Masking is off, because it shifts the
+brightest angle.
 """
 
 from __future__ import annotations
@@ -40,25 +41,25 @@ if TYPE_CHECKING:
 WAVELENGTHS = np.arange(380.0, 781.0)
 # Text of the report, into which the tables are inserted.
 TEXT = Path(__file__).with_suffix(".md")
-# Angle of incidence from the normal [degrees]. Origin: as published.
+# Angle of incidence from the normal [degrees]. The value is that of the publication (Single 2014).
 INCIDENCE_DEG = 75.0
 # Step of the view angles [degrees]. A step changes the measured period by 0.4 nm at a wavelength of 380 nm.
 GRID_DEG = 0.0025
-# Factor by which a measured period may differ from the expected one. Limit: with a factor of 2, the second order would
-# be found as the first order of half the period.
+# Largest ratio of a measured period to the expected period, and of the expected to the measured period. The value is
+# limited by the second order: with a ratio of 2, it would be found as the first order of half the period.
 SOUGHT = 1.3
-# Period of the blazed grating, and expected period of the scan [µm].
+# Period of the blazed grating, and expected period of the scan of a snake's skin [µm].
 BLAZED_UM, SCAN_PERIOD_UM = 2.5, 1.1
-# Published periods by surface and by the summation from which they were measured: over all coefficients of one patch
-# ("full"), or over several repeated periods of the patch ("periods"). Each text has the mean over the wavelengths [nm]
-# and, in parentheses, the variance [nm²].
+# Periods in the publication (Single 2014), by surface and by the summation from which they were measured: over all
+# coefficients of one patch ("full"), or over several repeated periods of the patch ("periods"). Each text has the mean
+# over the wavelengths [nm] and, in parentheses, the variance [nm²].
 PUBLISHED = {
     ("blazed", "full"): "2499.997 (0.377)",
     ("blazed", "periods"): "2502.428 (0.390); in the author's log 2491.862 (248.044)",
     ("scan", "full"): "1144.262 (0.401)",
     ("scan", "periods"): "1052.308 (49.678)",
 }
-# Published period of the scan [nm].
+# Period of the scan in the publication (Single 2014) [nm].
 PUBLISHED_SCAN_NM = 1144.262
 CENTRED, SEAM = wd.Coherence("centred"), wd.Coherence("centred", centre_um=(0.0, 0.0))
 FLOOR = "3 × 3 by floor, on the seam"
@@ -84,7 +85,7 @@ class Setup:
         return None if self.raw is None else self.raw.levelled(order=2)
 
     def pixels(self, count: int) -> int:
-        """Return an odd size of a picture near ``count`` pixels, or near a third of it if quick.
+        """Return an odd width of a picture: near ``count`` pixels, or near a third of ``count`` if ``quick`` is True.
 
         With an odd size, the middle row of a map lies in the plane of incidence.
         """
@@ -92,14 +93,14 @@ class Setup:
 
     @functools.cached_property
     def natural(self) -> wd.HeightField:
-        """The scan, a crop of its middle if quick, or synthetic fingers if its file is absent."""
+        """The scan, or its middle part if ``quick`` is True, or synthetic fingers if the file of the scan is absent."""
         if self.scan is None:
             return wd.gratings.fingers(size_um=32.0, pitch_um=0.08)
         return self.scan.cropped(32.0) if self.quick else self.scan
 
     @property
     def natural_name(self) -> str:
-        """Name of the natural surface in figures."""
+        """Name in figures of the natural surface: the scan, or the fingers that replace it."""
         return "fingers" if self.scan is None else "Elaphe"
 
 
@@ -110,7 +111,7 @@ def at_angle(degrees: ArrayLike) -> Floats:
 
 
 def view_angles(longest_nm: float, shortest_nm: float, count: int, wavelength_nm: Floats) -> Floats:
-    """Return view angles [degrees] of first orders at one wavelength, for ``count`` periods between two limits [nm]."""
+    """Return view angles [degrees] of the first order at one wavelength, for ``count`` periods in a range [nm]."""
     sines = wavelength_nm / np.linspace(longest_nm, shortest_nm, count) - math.sin(math.radians(INCIDENCE_DEG))
     return np.degrees(np.arcsin(sines))
 
@@ -127,13 +128,15 @@ def first_order(
     """Find the view angle at which the first order is brightest, at each wavelength.
 
     Args:
-        reflectance: Function of ``to_light``, ``to_view`` and ``wavelengths_nm`` that returns ρ, shape (n, m).
+        reflectance: Function of ``to_light``, ``to_view`` and ``wavelengths_nm`` that returns the reflectance ρ, shape
+            (n, m).
         expected_um: Expected period [µm].
         wavelengths_nm: Wavelengths [nm], shape (m,).
         grid_deg: Step of the view angles [degrees].
 
     Returns:
-        View angles of the grid [degrees], (n,); ρ, (n, m); view angles with the largest ρ [degrees], (m,).
+        View angles of the grid [degrees], shape (n,). Reflectances ρ at these angles, shape (n, m). View angle with the
+        largest ρ at each wavelength [degrees], shape (m,).
     """
     sines = wavelengths_nm[[0, -1]] * 1e-3 / expected_um * (1.0 / SOUGHT, SOUGHT)
     low, high = np.degrees(np.arcsin(sines - math.sin(math.radians(INCIDENCE_DEG))))
@@ -147,7 +150,7 @@ def first_order(
 def library(
     heightfield: wd.HeightField, *, opposite: bool = False, **options: Any
 ) -> Callable[[Floats, Floats, Floats], Floats]:
-    """Return a function that computes ρ by the library, which :func:`first_order` accepts.
+    """Return a function that computes the reflectance by the library, as :func:`first_order` expects it.
 
     With ``opposite``, light and views are rotated by 180° about the normal.
     """
@@ -158,12 +161,12 @@ def library(
 
 
 def blazed() -> wd.HeightField:
-    """Return the published blazed grating, with a period of 2.5 µm."""
+    """Return the blazed grating of the publication (Single 2014), with a period of 2.5 µm."""
     return wd.gratings.blazed(BLAZED_UM, 0.25)
 
 
 def blazed_period(**options: Any) -> Floats:
-    """Return the measured periods of the blazed grating [nm]. ``options`` are those of ``wd.spectral_reflectance``."""
+    """Return measured periods of the blazed grating [nm]. ``options`` are arguments of ``wd.spectral_reflectance``."""
     return periods_at(first_order(library(blazed(), **options), BLAZED_UM)[2], WAVELENGTHS)
 
 
@@ -178,7 +181,7 @@ def written(periods: Floats) -> str:
 def methods_of(
     heightfield: wd.HeightField, raw: wd.HeightField | None, *, periods: tuple[int, int]
 ) -> dict[str, tuple[str, Any, float]]:
-    """Return the compared methods by name: key in ``PUBLISHED``, function for ρ, and step of angles [degrees]."""
+    """Return the compared methods by name: key in ``PUBLISHED``, reflectance function, step of angles [degrees]."""
     repeated = wd.Coherence("replicas", periods=periods)
     many = f"{periods[0]} × {periods[1]} periods"
     other = library(heightfield, opposite=True, strict=False)
@@ -207,7 +210,7 @@ def period_figure(
     setup: Setup, name: str, heightfield: wd.HeightField, expected_um: float, shown: list[str], *,
     counts: tuple[int, int], raw: wd.HeightField | None = None,
 ) -> Table:  # fmt: skip
-    """Draw ρ over wavelength and view angle for the methods in ``shown``. Return a table of periods of all methods."""
+    """Draw reflectance over wavelength and view angle for the methods ``shown``; return a table of all periods."""
     from matplotlib import pyplot as plt
 
     wavelengths = WAVELENGTHS[::20] if setup.quick else WAVELENGTHS
@@ -244,13 +247,13 @@ def blazed_periods(setup: Setup) -> Table:
 
 
 def scan_periods(setup: Setup) -> Table:
-    """Draw the measurement of the scan's period. Return a table of the periods by all methods."""
+    """Draw the measurement of the period of the scan. Return a table of the periods by all methods."""
     shown = ["averaged, low-rank", "centred on the middle", "centred on the seam", FLOOR, "1 × 1 periods, linear"]
     return period_figure(setup, "scan", setup.scan, SCAN_PERIOD_UM, shown, counts=(1, 1), raw=setup.raw)
 
 
 def scan_windows(setup: Setup) -> Table:
-    """Draw the periods measured under one centred window at many positions. Return a table of their quantiles."""
+    """Draw the periods measured under a centred window at many positions. Return a table of the periods' quantiles."""
     from matplotlib import pyplot as plt
 
     heightfield, wavelengths = setup.scan, WAVELENGTHS[:: 100 if setup.quick else 10]
@@ -305,12 +308,12 @@ def scan_windows(setup: Setup) -> Table:
 
 
 # Exposures of reflectance maps: `LINE` for gratings that reflect all light into few lines or points of the map, `AREA`
-# for other surfaces. Limit: larger values clip more pixels to white.
+# for other surfaces. The values were chosen; larger values clip more pixels to white.
 LINE, AREA = 0.04, 3.0
 
 
 def mean_map(setup: Setup, heightfield: wd.HeightField) -> Floats:
-    """Return XYZ of a map, NaN outside of the unit disc. A pixel is the mean of 9 directions, or of one if quick."""
+    """Return XYZ of a map, NaN outside of the unit disc. A pixel is a mean of 9 directions, or 1 direction if quick."""
     samples = 1 if setup.quick else 9
     image = wd.reflectance_map(heightfield, (0.0, 0.0, 1.0), size=setup.pixels(300), samples_per_pixel=samples)
     return np.where(image.coverage[..., None] == 1.0, image.xyz.astype(np.float64), np.nan)
@@ -322,7 +325,7 @@ def exposure(xyz: Floats) -> float:
 
 
 def mosaic(setup: Setup, name: str, rows: list[list[tuple[str, Floats, float]]], *, inch: float) -> Table:
-    """Draw rows of pictures. A picture has a label, XYZ with NaN where it is transparent, and an exposure."""
+    """Draw rows of pictures. A picture has a label, XYZ (NaN at transparent pixels) and an exposure."""
     from matplotlib import pyplot as plt
 
     height, width = rows[0][0][1].shape[:2]
@@ -358,10 +361,10 @@ def map_gratings(setup: Setup) -> Table:
 # Functions that draw rendered bodies.
 
 
-# Exposure of rendered bodies, relative to that of reflectance maps.
+# Exposure of rendered bodies, relative to the exposure of reflectance maps.
 RENDERED = 10.0
 LIGHT = wd.DirectionalLight((0.5, 0.75, -0.8))
-# Point on the snake's back at which a diffraction order is visible.
+# Point on the snake's back at which a diffraction order is visible; the camera looks at it.
 COLOURED = (-0.453, 0.190, -0.137)
 
 
@@ -390,7 +393,7 @@ def save(setup: Setup, figure: Any, name: str) -> None:
     plt.close(figure)
 
 
-# Functions that draw a figure and return its table. `OF_THE_SCAN` has those that require the scan.
+# Functions that draw a figure and return its table. `OF_THE_SCAN` has the functions that require the scan.
 FIGURES: tuple[Callable[[Setup], Table], ...] = (blazed_periods, scan_periods, scan_windows, map_gratings, render_zoom)
 OF_THE_SCAN = (scan_periods, scan_windows)
 

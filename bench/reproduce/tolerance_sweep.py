@@ -1,9 +1,10 @@
-"""Errors of random calls against the float64 reference, on directions that were not used to make their plans.
+"""Errors of random calls relative to the float64 reference, on directions that were not used to make their plans.
 
 Calls are grouped in strata: a stratum is a kind of coherence at one tolerance, or a kind of call (a list of few, some
 or many directions; a grid of directions in row order; a reflectance map; a frame). The error of a call is the larger of
-two 99th percentiles of the relative error: over all its directions, and over the bright ones (Y >= f). A call that
-raises an exception counts as one that misses its tolerance. Use a seed that was not used to develop the code.
+two 99th percentiles of the relative error: over all directions of the call, and over its bright directions, whose
+luminance Y is at least the floor f. A call that raises an exception counts as one that misses its tolerance. Use a seed
+that was not used to develop the code.
 """
 
 from __future__ import annotations
@@ -26,10 +27,11 @@ import warpdiff as wd
 from bench import inputs
 from bench.truth import configurations, judge
 
-# Targets of the sweep. `SHARE` and `STRATUM_SHARE` are the least shares of calls that meet the tolerance: of all calls,
-# and of each stratum. `BEYOND` is the largest accepted ratio of error to tolerance, and `WARNED` the largest share of
-# calls that warn. In at least `PREDICTED_SHARE` of the calls, the ratio of predicted to measured error must be between
-# the two values of `PREDICTED`. Calls with an error below `COUNTS_FROM` tolerances are excluded from this share.
+# Targets of the sweep. `SHARE` is the least share of all calls that must meet their tolerance, and `STRATUM_SHARE` the
+# least share in each stratum (kind of call or coherence). `BEYOND` is the largest accepted ratio of error to tolerance,
+# and `WARNED` the largest share of calls that warn. In at least `PREDICTED_SHARE` of the calls, the ratio of predicted
+# to measured error must be between the two values of `PREDICTED`. Calls with an error below `COUNTS_FROM` tolerances
+# are excluded from this share.
 SHARE, STRATUM_SHARE, BEYOND, WARNED = 0.99, 0.95, 3.0, 0.02
 PREDICTED, PREDICTED_SHARE, COUNTS_FROM = (0.5, 10.0), 0.95, 0.01
 
@@ -54,12 +56,12 @@ class Outcome(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Ratio of the call's error to its tolerance; the error is the larger P99 of all and of bright directions."""
+        """Ratio of the call's error (the larger 99th percentile, over all or bright directions) to its tolerance."""
         return max(self.overall, self.bright)
 
     @property
     def margin(self) -> float | None:
-        """Ratio of predicted to measured error, or None if the measured error is below ``COUNTS_FROM`` tolerances."""
+        """Ratio of predicted to measured error; None if the latter is below ``COUNTS_FROM`` times the tolerance."""
         measured = max(self.bright, self.dim)
         return self.predicted / measured if COUNTS_FROM <= measured < np.inf else None
 
@@ -99,7 +101,7 @@ def work(index: int) -> Outcome:
 
 
 def strata(outcomes: list[Outcome]) -> list[tuple[str, list[Outcome]]]:
-    """Return groups of outcomes by name: kinds of coherence at tolerances, kinds of call, and all calls."""
+    """Return groups of outcomes by name: a kind of coherence at a tolerance, a kind of call, and all calls."""
     by_form = [
         (f"{k} at {t:g}", [outcome for outcome in outcomes if outcome.stratum == (k, t)])
         for k, t in configurations.STRATA
@@ -121,7 +123,7 @@ def share_predicted(outcomes: list[Outcome]) -> float:
 
 
 def table(outcomes: list[Outcome]) -> list[str]:
-    """Return the lines of a Markdown table with one row per stratum and one for all calls."""
+    """Return the lines of a Markdown table with a row per stratum (group of calls) and a row for all calls."""
     low, high = PREDICTED
     columns = (
         "stratum", "calls", "within", "refused", "warned", "worst error / tolerance: all", "bright", "dim",
@@ -145,7 +147,7 @@ def table(outcomes: list[Outcome]) -> list[str]:
 
 
 def failures(outcomes: list[Outcome]) -> list[str]:
-    """Return the failing calls with all their parameters.
+    """Return the failing calls with all parameters.
 
     A call fails if it misses the tolerance, is refused or warns, or if its ratio of predicted to measured error is
     outside of the range ``PREDICTED``.
@@ -181,7 +183,7 @@ def shortfalls(outcomes: list[Outcome]) -> list[str]:
 
 
 def explain(index: int, seed: int, scan: wd.HeightField | None, layouts: tuple[str, ...]) -> None:
-    """Print one call with its plan and errors, and its errors with finer settings of the plan."""
+    """Print one call with its plan and errors, and the errors of the same call with finer settings of the plan."""
     case = configurations.configuration(index, seed, scan, layouts)
     print(case)
     try:

@@ -1,13 +1,13 @@
-"""Published methods with known defects, which ``thesis.py`` compares with the library.
+"""Methods of Single (2014) with known defects, which ``thesis.py`` compares with the library.
 
-- ``neighbours``: the power under a Gaussian window, as a sum over the 3 × 3 coefficients that floor() selects. The sum
-  lacks a phase factor (Single 2014, eq. 3.34) that would move the window from the corner of the patch to its middle.
-  The window therefore lies on the seam between periods of the patch.
+- ``neighbours``: the power under a Gaussian coherence window, as a sum over the 3 × 3 Fourier coefficients around the
+  one that floor() selects. The sum lacks a phase factor (Single 2014, eq. 3.34) that would move the window from the
+  corner of the patch to its middle. The window therefore lies on the seam between two repeated patches.
 - ``periods``: interference of whole periods of the patch (eq. 3.50). Coefficients are interpolated linearly or by a
-  truncated sinc (eq. 3.51). The sinc also lacks a phase factor: its result is that of the patch with its halves
-  swapped, which has the seam in its middle.
+  truncated sinc (eq. 3.51). The interpolation by the sinc also lacks a phase factor: its result is that of a patch with
+  swapped halves, which has the seam in its middle.
 
-The module uses NumPy. Errors of the coefficients by the truncation of their series are at most 1e-6.
+The module uses NumPy. The series of the coefficients are truncated, which causes errors of at most 1e-6.
 """
 
 from __future__ import annotations
@@ -32,19 +32,20 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 SERIES = EXPANSIONS["jacobi-anger"]
-# Largest error of a coefficient by the truncation of its series. It must be small compared with the differences between
-# variants.
+# Largest error of a Fourier coefficient by the truncation of its series. The error must be small compared with the
+# differences between the methods.
 ACCURACY = 1e-6
-# Number of coefficients on either side of the nearest one, at which the sinc is truncated. Origin: as published.
+# Number of coefficients on either side of the nearest one over which the sinc interpolation extends. The value is that
+# of the publication (Single 2014).
 SINC_REACH = 3
-# Standard deviation of the window [µm]. Origin: as published.
+# Standard deviation of the coherence window [µm]. The value is that of the publication (Single 2014).
 SIGMA_UM = 16.25
-# Number of pairs of direction and wavelength that are evaluated at once. Limit: memory.
+# Number of pairs of direction and wavelength that are evaluated at once. The value is limited by memory.
 CHUNK = 1 << 15
 
 
 def neighbours(heightfield: wd.HeightField, to_light: Floats, to_view: Floats, wavelengths_nm: Floats) -> Floats:
-    """Return ρ by the 3 × 3 coefficients around that found by floor(), for the default window, without masking.
+    """Return the reflectance ρ by the 3 × 3 coefficients around the one that floor() selects, without masking.
 
     Args:
         heightfield: Height field.
@@ -68,14 +69,15 @@ def periods(
     heightfield: wd.HeightField, to_light: Floats, to_view: Floats, wavelengths_nm: Floats, *,
     count: tuple[int, int], interpolation: str,
 ) -> Floats:  # fmt: skip
-    """Return ρ of ``count`` periods (y, x), with "linear" or "sinc" interpolation of the coefficients.
+    """Return the reflectance ρ of ``count`` periods (y, x), with "linear" or "sinc" interpolation of coefficients.
 
     The other arguments are those of :func:`neighbours`.
     """
 
     def weights(position: Floats, axis: int) -> tuple[Floats, Floats]:
         if heightfield.shape[axis] == 1:
-            # Along an axis with one sample, the coefficients do not depend on the frequency, and are not interpolated.
+            # Along an axis with one sample, the Fourier coefficients do not depend on the frequency, and are not
+            # interpolated.
             order = np.zeros((len(position), 1))
             weight = order + 1.0
         elif interpolation == "linear":
@@ -84,8 +86,8 @@ def periods(
         else:
             order = _spread(np.rint(position), -SINC_REACH, SINC_REACH, heightfield.shape[axis])
             weight = np.sinc(order - position[:, None])
-        # The amplitude of N periods has the factor sin(πNt) / (N sin(πt)), where t is the distance of the position from
-        # the nearest integer.
+        # The amplitude of N repeated patches has the factor sin(πNt) / (N sin(πt)), where t is the distance of a
+        # position among the coefficients from the nearest integer.
         away = position - np.rint(position)
         return order, weight * (np.sinc(count[axis] * away) / np.sinc(away))[:, None]
 
@@ -93,9 +95,9 @@ def periods(
 
 
 def _spread(order: Floats, first: int, last: int, samples: int) -> Floats:
-    """Return indices of the orders around each of the given orders, shape (orders, neighbours).
+    """Return indices of the orders around each order in ``order``, shape (orders, neighbours).
 
-    The neighbours are those from ``first`` to ``last``, relative to the given order. An axis with one sample has only
+    The neighbours have the numbers from ``first`` to ``last``, relative to the order. An axis with one sample has only
     the order 0.
     """
     return order[:, None] + np.arange(first, last + 1) if samples > 1 else np.zeros((len(order), 1))
@@ -105,9 +107,10 @@ def _reflectance(
     heightfield: wd.HeightField, to_light: Floats, to_view: Floats, wavelengths_nm: Floats,
     weights: Callable[[Floats, int], tuple[Floats, Floats]],
 ) -> Floats:  # fmt: skip
-    """Return ρ = C·|Σ weight_s weight_r H_rs|² for all views and wavelengths, shape (n, m).
+    """Return the reflectance ρ = C·|Σ weight_s weight_r H_rs|² for all views and wavelengths, shape (n, m).
 
-    ``weights(position, axis)`` returns the orders and their weights along an axis, at positions uLx/λ or vLy/λ.
+    ``weights(position, axis)`` returns the orders (r or s) and their weights along an axis, at positions uLx/λ or
+    vLy/λ.
     """
     lights = np.broadcast_to(to_light, to_view.shape)
     gains = reflectance_factors.gain(lights, to_view, normal=reflectance_factors.normal_reflectance(1.5), masking=False)
@@ -127,8 +130,8 @@ def _reflectance(
         basis = SERIES.basis(scale * w[part], rows.shape[2]).astype(np.float32)
         amplitude = np.zeros(len(basis), dtype=np.complex64)
         for j in range(places[0].shape[1]):
-            # In the plane of incidence, interpolation gives all rows of coefficients except the middle one the weight
-            # 0. These rows are skipped.
+            # In the plane of incidence, the interpolation gives the weight 0 to all rows of coefficients except the
+            # middle row. Rows of weight 0 are skipped.
             for k in range(places[1].shape[1]) if factors[0][:, j].any() else ():
                 coefficients = np.einsum("pt,pt->p", rows[places[0][:, j], places[1][:, k]], basis)
                 amplitude += factors[0][:, j] * factors[1][:, k] * coefficients
@@ -140,9 +143,9 @@ def _reflectance(
 def _coefficients(
     heightfield: wd.HeightField, frequency: int
 ) -> tuple[NDArray[np.complex64], fourier_coefficients.Block, float]:
-    """Return coefficients up to a frequency [1/µm], the block that states their indices, and a scale [µm].
+    """Return Fourier coefficients up to a frequency [1/µm], the block that states their indices, and a scale [µm].
 
-    The series' argument x is the scale times |κ|.
+    The argument x of the series is the scale times |κ|, where κ = w/λ.
     """
     scale = 2.0 * math.pi * SERIES.offset_and_scale(heightfield)[1]
     terms = SERIES.term_count(scale * 2.0 / 0.38, ACCURACY)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 GREY = "#555555"
-# Colours of Okabe and Ito, which colour-blind readers can distinguish. Black and brown are added.
+# Colours of Okabe and Ito, which colour-blind readers can distinguish. Black and brown are added to the palette.
 BLACK, ORANGE, SKY, GREEN, BLUE, VERMILION, PURPLE, BROWN = (
     "#000000", "#e69f00", "#56b4e9", "#009e73", "#0072b2", "#d55e00", "#cc79a7", "#8c510a",
 )  # fmt: skip
@@ -46,7 +46,7 @@ def save(figure: Any, folder: Path, name: str) -> Path:
 
 
 def label_ends(axis: Any, ends: Sequence[tuple[float, float, str, str]], *, gap: float = 0.052) -> None:
-    """Write labels at the right edge of logarithmic axes, without overlap, with leader lines.
+    """Write the labels of curves at the right edge of logarithmic axes, without overlap, with leader lines.
 
     Args:
         axis: Axes with their limits set.

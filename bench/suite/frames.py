@@ -1,9 +1,10 @@
-"""Frames: time against error for point samples, footprints and refined footprints, with one panel per body.
+"""Frames: time against error of three ways to sample a pixel, with one panel per body.
 
 A frame has 640 × 480 pixels, and the light and the camera move from frame to frame. Errors are those of interior pixels
-of crops, relative to 96 × 96 points per pixel (see ``bench.reproduce.crops``). The compared methods are: point samples
-with 1 to 64 rays per pixel under the pixel filter; footprints without refinement ("means"); and footprints with
-refinement at several tolerances.
+of small parts (crops) of pictures, relative to means over 96 × 96 points per pixel (see ``bench.reproduce.crops``). The
+compared ways are: point samples with 1 to 64 rays per pixel under the pixel filter; footprints ("means"), which average
+colours over the area of a pixel without subdivision; and footprints that are refined by subdivision at several
+tolerances.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ if TYPE_CHECKING:
 
 SURFACE = "fingers 25.6 µm"
 SUBJECTS = ("snake", "tube", "low-poly", "disc", "bottle")
-# Seed of the random positions of crops, and number of crops per body.
+# Seed of the random positions of crops (small parts of pictures), and number of crops per body.
 SEED, CROPS = 90, 4
-# Tolerance of the plans for point samples. Derived: half of the smallest tolerance of the refined frames. The reference
-# has a third of this tolerance.
+# Tolerance of the plans for point samples. The value is derived: half of the smallest tolerance of the refined frames.
+# The reference has a third of this tolerance.
 TABLE = 1e-2
 
 
@@ -48,7 +49,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def ways(quick: bool) -> dict[str, dict[str, Any]]:
-    """Return the arguments of ``Renderer`` for each compared method, by name."""
+    """Return the arguments of ``Renderer`` for each compared way to sample a pixel, by name."""
     result: dict[str, dict[str, Any]] = {"means": {"tolerance": 3e-2, "refine": False}}
     for tolerance in (1e-1, 3e-2) if quick else (2e-1, 1e-1, 5e-2, 3e-2, 2e-2):
         result[f"refined to {tolerance:g}"] = {"tolerance": tolerance}
@@ -81,7 +82,8 @@ def _measured(mesh: Any, body: str, setting: Setting) -> dict[str, Any]:
     number = iter(range(1, 10_000))
 
     def draw(renderer: wd.Renderer) -> None:
-        # A GPU works asynchronously. Without waiting for it, the measured time would end before the frame is complete.
+        # A GPU works asynchronously. If the script did not wait for it, the measured time would end before the frame is
+        # complete.
         wp.synchronize_device(renderer.draw(*moved(mesh, next(number))).device)
 
     times = interleaved({name: functools.partial(draw, one) for name, one in renderers.items()}, setting.rounds)
@@ -109,7 +111,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw one panel per body. Return the chart's name with a sentence that compares refined frames with points."""
+    """Draw one panel per body. Return the chart's name and a sentence that compares refined frames with points."""
     plt = figures.pyplot()
     figure, axes = plt.subplots(1, len(results), figsize=(3.4 * len(results) + 0.6, 3.9), sharey=True, squeeze=False)
     kinds = (("points", figures.GREY, "s"), ("refined", figures.BLUE, "o"), ("means", figures.SKY, "^"))
@@ -133,8 +135,8 @@ def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
 def _ratios(results: dict[str, Any]) -> str:
     """Return a text that compares frames refined to a tolerance of 0.1 with point samples, for each body.
 
-    It states the time and the P99 error with the largest number of point samples per pixel, divided by those of the
-    refined frame.
+    The text states two ratios: of times, and of 99th percentiles (P99) of errors. Each ratio divides the value with the
+    largest number of point samples per pixel by the value of the refined frame.
     """
     texts = []
     for body, by_method in results.items():

@@ -1,10 +1,11 @@
-"""Speed against accuracy: each method and peer at several settings, and the automatic choice, on a scene's pixels.
+"""Speed against accuracy on a scene's pixels: methods and peers (other programs) at several settings.
 
-Errors are relative to the float64 reference: ‖ΔXYZ‖ / max(‖XYZ‖, f), where f is a thousandth of the reference luminance
-(``bench.truth.errors``), and ΔE2000 with an exposure that maps the 99th percentile of Y to 1. Timed calls have arrays
-as inputs and outputs, and repeat an earlier call, so that they include neither compilation nor preparation. The number
-of pixels of a call is such that it takes about a tenth of a second. The preparation of a new height field (plan,
-coefficients, table) is timed separately, without compilation.
+The charts also show the automatic choice of the library. Errors are relative to the float64 reference: ‖ΔXYZ‖ /
+max(‖XYZ‖, f), where f is a thousandth of the reference luminance (``bench.truth.errors``), and ΔE2000 with an exposure
+that maps the 99th percentile of Y to 1. Timed calls have arrays as inputs and outputs, and repeat an earlier call, so
+that they include neither compilation nor preparation. A call has so many pixels that it takes about a tenth of a
+second. The preparation for a new height field (plan, Fourier coefficients, colour table) is timed separately, without
+compilation.
 """
 
 from __future__ import annotations
@@ -35,13 +36,14 @@ if TYPE_CHECKING:
 
     Shade = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
 
-# Number of directions for which errors are measured; a quarter of it with ``--quick``. Limit: time of the reference.
+# Number of directions for which errors are measured; a quarter of this number with ``--quick``. The value is limited by
+# the time of the reference.
 JUDGED = 300
-# Approximate duration of a timed call [s], and least number of its pixels.
+# Approximate duration of a timed call [s], and least number of pixels of a timed call.
 TARGET_S, FEWEST = 0.08, 1000
 TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)
-# Numbers of frames n for which the time per frame is charted: the time of a frame plus the time of the preparation over
-# n.
+# Numbers of frames n for which the charts show the time per frame: the time of a frame plus one n-th of the time of the
+# preparation.
 FRAMES = (1, 10, 100, 1000)
 AUTOMATIC = "automatic"
 # Methods of warpdiff that the charts compare, by kind of coherence.
@@ -62,7 +64,7 @@ STYLES = {
 
 
 def ours(heightfield: wd.HeightField, plan: wd.Plan, directions: Directions, device: Any) -> Shade:
-    """Return a function that shades directions by a plan of warpdiff, with the arguments of the peers' functions."""
+    """Return a function that computes colours of directions by a plan of warpdiff, with the arguments of the peers."""
     import warp as wp
 
     direction_range = DirectionRange.of(
@@ -93,7 +95,7 @@ def style(method: str) -> tuple[str, str, str]:
 
 
 def peers(coherence: wd.Coherence, setting: Setting) -> dict[str, tuple[Any, list[dict[str, Any]]]]:
-    """Return the available peers that support a kind of coherence, with their settings."""
+    """Return the available peers (other programs) that support a kind of coherence, with the settings of each peer."""
     result: dict[str, tuple[Any, list[dict[str, Any]]]] = {
         name: (SimpleNamespace(__name__=name, prepare=prepare), [{}]) for name, prepare in setting.user_peers.items()
     }
@@ -109,15 +111,15 @@ def peers(coherence: wd.Coherence, setting: Setting) -> dict[str, tuple[Any, lis
         elif name == "stam_analytic":
             result |= {"Stam, rainbow": (peer, peer.SETTINGS[:1]), "Stam, CIE": (peer, peer.SETTINGS[1:])}
         else:
-            # The peer in NumPy requires a hundred times the time of the others, so that only two of its settings are
-            # measured.
+            # The program in NumPy requires a hundred times the time of the other programs, so that only two of its
+            # settings are measured.
             settings = [peer.SETTINGS[2], peer.SETTINGS[-2]] if name == "numpy_peer" else peer.SETTINGS
             result[PEERS[name]] = peer, [peer.PUBLISHED, *settings]
     return result
 
 
 def best(peer: Any, settings: list[dict[str, Any]], heightfield: wd.HeightField, coherence: wd.Coherence) -> Shade:
-    """Return the shading function of a peer at its most accurate supported setting."""
+    """Return the function by which a peer (another program) computes colours most accurately."""
     for setting in reversed(settings):
         with contextlib.suppress(ValueError):
             return cast("Shade", peer.prepare(heightfield, coherence, **setting))
@@ -125,7 +127,7 @@ def best(peer: Any, settings: list[dict[str, Any]], heightfield: wd.HeightField,
 
 
 def label(setting: dict[str, Any]) -> str:
-    """Return a short description of a peer's setting."""
+    """Return a short description of a setting of a peer (another program)."""
     if not setting:
         return "default"
     if "colours" in setting:
@@ -138,7 +140,7 @@ def label(setting: dict[str, Any]) -> str:
 def plans(
     scene: Scene, coherence: wd.Coherence, directions: Directions, setting: Setting
 ) -> dict[tuple[str, str], wd.Plan]:
-    """Return plans for the illuminated pixels of a scene, by (method, tolerance)."""
+    """Return a dictionary of plans for the illuminated pixels of a scene; its keys are pairs (method, tolerance)."""
     result = {}
     pairs = directions.to_lights, -directions.scattering_vectors - directions.to_lights
     options: dict[str, Any] = {"coherence": coherence, "device": setting.device, "threads": setting.threads}
@@ -150,7 +152,7 @@ def plans(
             try:
                 plan = wd.plan(scene.heightfield, *pairs, tolerance=tolerance, **chosen, **options)
             except ValueError:
-                # A method that cannot meet the tolerance has no point at this tolerance.
+                # If a method cannot meet the tolerance, its curve has no point at this tolerance.
                 continue
             result[method, f"{tolerance:g}"] = plan
     return result
@@ -206,7 +208,7 @@ def measure_scene(scene: Scene, coherence: wd.Coherence, setting: Setting) -> di
 
 
 def _before(scene: Scene, coherence: wd.Coherence, directions: Directions, setting: Setting) -> Any:
-    """Yield methods of warpdiff with their time [s] to prepare a new height field. Kernels are already compiled."""
+    """Yield methods of warpdiff with the time [s] to prepare a new height field; kernels are already compiled."""
     few = directions.subset(FEWEST)
     for method in ("low-rank, table", "low-rank"):
         if method in METHODS[coherence.kind]:
@@ -235,7 +237,10 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return times and errors by name. Each entry is a list: median, minimum and maximum over the rounds, and unit."""
+    """Return times and errors by the name of the quantity.
+
+    Each entry is a list: median, minimum and maximum over the rounds, and unit.
+    """
     result: dict[str, list[Any]] = {}
     for chart_name, scene in results.items():
         for method, curve in scene["curves"].items():
@@ -250,7 +255,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw one chart per scene and coherence. Return each chart's name with a sentence about its methods."""
+    """Draw one chart per scene and coherence. Return each chart's name and a sentence about its methods."""
     return {f"pareto_{name}": _draw(f"pareto_{name}", result, folder) for name, result in results.items()}
 
 
@@ -263,7 +268,8 @@ def _draw(name: str, result: dict[str, Any], folder: Path) -> str:
         for method, curve in curves.items():
             colour, marker, title = style(method)
             top = method == AUTOMATIC
-            # The first setting of a peer is the published one. It is a separate point outside of the peer's curve.
+            # The first setting of each program with the published algorithm is that of the publication (Single 2014).
+            # It is drawn as a separate point, outside of the program's curve.
             begin = int(method in PEERS.values())
             us = np.array(curve["us"])
             order = [*range(begin), *(begin + np.argsort(us[begin:, 0]))]
@@ -319,13 +325,13 @@ def _draw(name: str, result: dict[str, Any], folder: Path) -> str:
 
 
 def _at(curve: dict[str, Any], error: float) -> int | None:
-    """Return the index of a curve's fastest setting whose P99 error is at most ``error``, or None."""
+    """Return the index of a curve's fastest point whose 99th percentile of errors is at most ``error``, or None."""
     good = [k for k, p99 in enumerate(curve["p99"]) if p99 <= error]
     return min(good, key=lambda k: curve["us"][k][0]) if good else None
 
 
 def finding(result: dict[str, Any]) -> str:
-    """Return a sentence that compares the automatic choice with the fastest peer at an error of 1e-2."""
+    """Return a sentence that compares the automatic choice with the fastest other program at an error of 1e-2."""
     curves = result["curves"]
     ours_at = _at(curves[AUTOMATIC], 1e-2)
     if ours_at is None:

@@ -1,4 +1,4 @@
-"""Previews: pictures of each scene by warpdiff and by every peer at its best setting, with their differences."""
+"""Previews: pictures of each scene by warpdiff and by every peer (other program) at its most accurate setting."""
 
 from __future__ import annotations
 
@@ -20,12 +20,13 @@ if TYPE_CHECKING:
 
 # Width of a preview [pixels].
 WIDTH = 320
-# Exposure of previews: it maps the 99th percentile of Y to this value. Limit: larger values clip more pixels to white.
+# Luminance to which the exposure of previews maps the 99th percentile of Y. The value was chosen; larger values clip
+# more pixels to white.
 EXPOSURE = 5.0
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Return sRGB pictures (height, width, 3) of all scenes, and their errors.
+    """Return sRGB pictures (height, width, 3) of all scenes, and the errors of these pictures.
 
     Errors are relative to the picture by warpdiff with a tolerance of 1e-3.
     """
@@ -47,8 +48,8 @@ def measure(setting: Setting) -> dict[str, Any]:
             xyz = np.float64(shade(directions.scattering_vectors, directions.gains, setting.threads))
             reference_xyz = xyz if reference_xyz is None else reference_xyz
             error = errors.relative(xyz, reference_xyz)
-            # The brightness of the published rainbow is not defined. Its exposure is therefore relative to its own
-            # luminance, and that of the other pictures to warpdiff's luminance.
+            # Stam's chapter does not define the brightness of its rainbow. The exposure of the rainbow is therefore
+            # relative to its own luminance, and the exposure of the other pictures is relative to warpdiff's luminance.
             by, exposure = (xyz, 1.0) if "rainbow" in name else (reference_xyz, EXPOSURE)
             image = np.zeros((3 * WIDTH // 4 * WIDTH, 3))
             image[illuminated] = srgb_encode(exposure / np.percentile(by[:, 1], 99.0) * xyz_to_rgb(xyz))
@@ -62,10 +63,11 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return errors of the peers, relative to warpdiff, by name.
+    """Return errors of the peers (other programs), relative to warpdiff, by name.
 
-    The values are the median and the P99 over the pixels of a scene. Each entry is a list that has the form of the
-    other charts' entries: the value, the value twice more instead of a minimum and a maximum, and the unit.
+    The values are the median and the 99th percentile (P99) over the pixels of a scene. Each entry is a list that has
+    the form of the other charts' entries: the value, the value twice more instead of a minimum and a maximum, and the
+    unit.
     """
     return {
         f"previews/{name}/{by}/{quantity}": [picture[quantity]] * 3 + ["error against ours"]
@@ -77,7 +79,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw the pictures of all scenes on one sheet. Return the chart's name with a sentence about their differences."""
+    """Draw the pictures of all scenes on one sheet. Return the chart's name and a sentence about differences."""
     plt = figures.pyplot()
     columns = max(len(scene["pictures"]) for scene in results.values())
     figure, axes = plt.subplots(

@@ -16,12 +16,13 @@ if TYPE_CHECKING:
 
     from bench.suite.runner import Setting
 
-# Number of random rays whose hits are compared with the brute-force reference. Limit: time and memory of the reference.
+# Number of random rays whose hits are compared with the brute-force reference. The value is limited by the time and the
+# memory of the reference.
 JUDGED = 1000
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Return rays per second of all programs, with one thread and with all threads, and their errors."""
+    """Return rays per second of all programs, with one thread and with all threads, and the errors of their hits."""
     from bench.peers import raycasters
 
     setting.say("rays")
@@ -71,7 +72,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw one bar per program and number of threads. Return the chart's name with a sentence about the rates."""
+    """Draw one bar per program and number of threads. Return the chart's name and a sentence about the rates."""
     plt = figures.pyplot()
     casters = results["casters"]
     figure, axis = plt.subplots(figsize=(9.5, 0.62 * len(casters) + 1.7))

@@ -26,15 +26,15 @@ from warpdiff.device.devices import resolve_device, resolve_threads
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-# Modules of the charts in the order of the report. Each has measure(setting), numbers(results) and chart(results,
-# folder).
+# Modules of the charts in the order of the report. Each module has the functions measure(setting), numbers(results) and
+# chart(results, folder).
 PARTS = ("previews", "pareto", "frames", "rays", "scaling", "stability", "validity")
 PACKAGES = (
     "warp-lang", "numpy", "trimesh", "colour-science", "OpenImageIO", "matplotlib", "numba", "drjit", "mitsuba",
     "embreex", "gratinglab",
 )  # fmt: skip
-# Least relative change of a number between two runs that is listed. The change must also exceed the spread over the
-# timed rounds of both runs. Limit: smaller changes are noise of the machine.
+# A number that changes between two runs is listed from this relative change on. The change must also exceed the spread
+# over the timed rounds of both runs. The value was chosen because smaller changes are noise of the machine.
 LEAST_CHANGE = 0.1
 
 
@@ -43,9 +43,9 @@ class Setting:
     """Settings of a run of ``python -m bench``.
 
     Attributes:
-        quick: Whether charts have few points.
+        quick: Whether charts have few points, so that a run takes about two minutes.
         device: ``"cpu"`` (None) or a CUDA device.
-        threads: Number of CPU threads, for warpdiff and peers.
+        threads: Number of CPU threads, for warpdiff and for peers (other programs).
         data: Folder of the measured height fields; None means the default folder.
         rounds: Number of timed rounds, in each of which every call is timed once.
         user_peers: Methods that the user supplies, by name: functions ``prepare(heightfield, coherence)``, see
@@ -89,7 +89,7 @@ def run(
     if importlib.util.find_spec("matplotlib") is None:
         raise ValueError("charts require matplotlib, which is not installed: pip install -e '.[bench]'")
     resolve_device(device)
-    # The disk cache is disabled, because it would shorten the preparation of a first frame.
+    # The disk cache of the library is disabled, because it would shorten the preparation of a first frame.
     os.environ["WARPDIFF_CACHE_DIR"] = ""
     warnings.simplefilter("ignore", wd.WarpdiffWarning)
     setting = Setting(quick, device, resolve_threads(threads), data, 3 if quick else 5, user_peer(peer))
@@ -113,13 +113,14 @@ def run(
 
 
 def user_peer(text: str | None) -> dict[str, Callable[..., Any]]:
-    """Import a method that the user supplies, for comparison with the peers.
+    """Import a method that the user supplies, for comparison with the peers (other programs).
 
     Args:
         text: ``"module:function"``. The function takes a height field and a coherence, and returns a function
-            ``shade(scattering_vectors, gains, threads)``. Its arguments are (u, v, w) of shape (n, 3), gains (n,) and
-            the number of threads. It returns linear XYZ (n, 3): ``gains`` times the colours that
-            ``warpdiff.reflectance`` would return for gains of 1. It raises ``ValueError`` for an unsupported coherence.
+            ``shade(scattering_vectors, gains, threads)``. The arguments of ``shade`` are scattering vectors (u, v, w)
+            of shape (n, 3), geometry factors (gains) of shape (n,) and the number of threads. ``shade`` returns linear
+            XYZ (n, 3): ``gains`` times the colours that ``warpdiff.reflectance`` would return for gains of 1. The
+            function raises ``ValueError`` for an unsupported coherence.
 
     Returns:
         The function by its name.
@@ -185,7 +186,7 @@ def write(path: Path, text: str) -> None:
 
 
 def write_csv(path: Path, numbers: dict[str, list[Any]]) -> None:
-    """Write the numbers of a run to a CSV file, one per line."""
+    """Write the numbers of a run to a CSV file, one number per line."""
     with atomic_write(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(("figure", "value", "least", "most", "unit"))
@@ -193,7 +194,7 @@ def write_csv(path: Path, numbers: dict[str, list[Any]]) -> None:
 
 
 def report(results: dict[str, Any]) -> str:
-    """Return the text of the report: charts, each with a sentence about its result."""
+    """Return the text of the report: the charts, with a sentence about the result below each chart."""
     machine = results["machine"]
     seconds = ", ".join(f"{name} {s:.0f} s" for name, s in results["seconds"].items())
     made_by = f"warpdiff {machine['warpdiff']}" + (f" at {machine['commit']}" if machine["commit"] else "")
@@ -205,7 +206,7 @@ def report(results: dict[str, Any]) -> str:
 
 
 def compare(old: Path, new: Path) -> list[str]:
-    """Return the numbers that differ between two runs by more than their noise, the largest change first.
+    """Return the numbers that differ between two runs by more than the noise, the largest change first.
 
     Args:
         old: Path of the first ``results.json``.

@@ -1,8 +1,9 @@
-"""Scaling of time and memory with pixels, samples, patch, heights, window, lights, mesh and threads.
+"""Scaling of time and memory with the numbers of pixels, samples, lights, faces and threads, and with lengths.
 
-Each point of the chart is measured in its own process, which renders fingers on a tube with one parameter changed. The
-measured quantities are the time of the preparation before the first frame (plan, coefficients, table), the times of
-frames under a moving light, and the increase of the process's peak memory.
+The lengths are the size of the patch, the range of the heights and the width of the coherence window. Each point of the
+chart is measured in its own process. The process renders fingers on a tube with one parameter changed. The measured
+quantities are the time of the preparation before the first frame (plan, Fourier coefficients, colour table), the times
+of frames under a moving light, and the increase of the process's peak memory.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 BASE: dict[str, Any] = {
     "width": 320, "pitch_um": 0.1, "size_um": 25.6, "height_um": 0.3, "sigma_um": 16.25, "lights": 1, "along": 64,
 }  # fmt: skip
-# Series of points in the scaling chart by name: varied parameter, its values, and title of the x axis.
+# Curves of the scaling chart by name: varied parameter, its values, and title of the x axis.
 SERIES: dict[str, tuple[str, tuple[Any, ...], str]] = {
     "pixels": ("width", (80, 160, 320, 640, 1280), "pixels of the picture"),
     "samples": ("pitch_um", (0.13, 0.1, 0.05, 0.025), "samples of the height field"),
@@ -57,8 +58,8 @@ def most_memory() -> float:
     """Return the peak memory of this process [MB]."""
     status = Path("/proc/self/status")
     if status.is_file():
-        # getrusage is used only where /proc/self/status is missing, because its value includes the memory of the parent
-        # process.
+        # The function getrusage is used only where /proc/self/status is missing, because its result includes the memory
+        # of the parent process.
         return float(status.read_text().split("VmHWM:")[1].split()[0]) / 1024.0
     import resource
 
@@ -75,13 +76,14 @@ def point(parameters: dict[str, Any], device: str | None) -> dict[str, Any]:
     options = {"device": device, "threads": p["threads"]}
     small = wd.gratings.fingers(size_um=6.4, pitch_um=0.1)
     few = wd.View((0.0, 0.6, 1.15), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=32, height=24)
-    # A first small picture loads the libraries and most kernels. Neither time nor memory of it is included.
+    # A first small picture loads the libraries and most kernels. The time and the memory of this picture are not
+    # included.
     tiny = wd.meshes.tube(segments_along=16, segments_around=8)
     wd.shade(tiny, small, wd.DirectionalLight((0.0, 1.0, 1.0)), few, **options)
     before = most_memory()
     begin = time.perf_counter()
-    # If no table meets the tolerance, as for patches that are small compared with the window, the plan samples
-    # wavelengths. Frames then have no footprints, because these require a table.
+    # If no colour table meets the tolerance, as for patches that are small compared with the coherence window, the plan
+    # samples wavelengths. Frames then have no footprints, because footprints require a table.
     plan = wd.plan(heightfield, coherence=wd.Coherence(sigma_um=p["sigma_um"]), **options)
 
     def frame(k: int) -> float:
@@ -101,7 +103,7 @@ def point(parameters: dict[str, Any], device: str | None) -> dict[str, Any]:
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Measure all series. A quick run has three values of two series."""
+    """Measure all curves of the chart. A quick run has three values of two curves."""
     results = {}
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     for name, (parameter, values, _) in SERIES.items():
@@ -115,8 +117,8 @@ def measure(setting: Setting) -> dict[str, Any]:
         setting.say(f"scaling: {name}")
         points = []
         for value in chosen:
-            # Some parameters change the number of terms of the plan, so that other kernels must be compiled. Such
-            # points are measured twice, and the second run is used.
+            # Some parameters change the number of terms of the series, so that other kernels must be compiled. Such
+            # points are measured twice, and the second measurement is used.
             for _ in range(2 if name in ("heights", "window", "patch") else 1):
                 result = _in_process({"threads": setting.threads} | {parameter: value}, setting)
             points.append({"x": x_of(name, value), **result})
@@ -150,9 +152,9 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw times and memory of each series, with fitted exponents.
+    """Draw times and memory over each varied parameter, with fitted exponents.
 
-    Return the chart's name with a sentence about them.
+    Return the chart's name and a sentence about the exponents.
     """
     plt = figures.pyplot()
     columns = min(len(results), 4)

@@ -21,16 +21,16 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-# Refractive index of the surface.
+# Refractive index of the surfaces of all scenes.
 IOR = 1.5
-# Width of the pictures whose pixels are timed.
+# Width of the pictures whose pixels are timed [pixels].
 WIDTH = 960
-# Number of illuminated pixels of a frame. A time per pixel is multiplied by this number to estimate the time per frame.
+# Number of illuminated pixels of a frame. The time per frame is estimated as the time per pixel times this number.
 FRAME_PIXELS = 150_000
 
 
 class Directions(NamedTuple):
-    """Directions to the light and scattering vectors (u, v, w), shapes (n, 3), and gains (n,), in the local frame."""
+    """Directions to the light, scattering vectors (u, v, w), both (n, 3), and geometry factors (gains), (n,)."""
 
     to_lights: np.ndarray
     scattering_vectors: np.ndarray
@@ -49,10 +49,11 @@ class Scene:
     Attributes:
         name: Name in files.
         title: Title in charts.
-        make: Function that returns a new object of the height field, for which nothing is cached.
+        make: Function that returns a new object of the height field, for which the library has cached nothing.
         mesh: Mesh of the body.
         light: Light.
-        eye, target, fov_y_deg: Position, target and vertical field of view [degrees] of the camera.
+        eye, target, fov_y_deg: Position, target and vertical field of view [degrees] of the camera, as three
+            attributes.
         coherences: Kinds of coherence in the charts of the scene.
     """
 
@@ -114,7 +115,7 @@ def scenes(data: Path | None) -> list[Scene]:
 
     def disc() -> wd.HeightField:
         # The patch of the synthetic disc is 64 µm long, about as long as the measured scan. In a shorter patch, the
-        # window would extend over several periods of the same pits.
+        # coherence window would contain several repetitions of the same pits.
         return wd.gratings.disc("CD", tracks=40, length_um=64.0, pitch_um=0.08)
 
     measured = inputs.scan(data)

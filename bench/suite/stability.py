@@ -1,10 +1,10 @@
-"""Errors of methods where they reach their limits, and of the automatic choice: eight regimes, one panel each.
+"""Errors of methods at the limits of their validity, and of the automatic choice: eight regimes, one panel each.
 
-A regime varies one parameter, the x axis, over the range in which methods fail. Errors are 99th percentiles over
-directions of ‖ΔXYZ‖ / max(‖XYZ‖, f), or of |Δρ| / max(ρ, f) in panels of spectra. The floor f is a thousandth of the
-99th percentile of Y or ρ. Float32 curves of a series are computed by the library's kernels, float64 curves by the same
-series in NumPy. Colours and spectra are compared with those of ``bench.truth.reference``, of the direct sum, or of a
-closed form.
+A regime is a range of one parameter in which methods fail; the parameter is the x axis of a panel. Errors are 99th
+percentiles over directions of ‖ΔXYZ‖ / max(‖XYZ‖, f), or of |Δρ| / max(ρ, f) in panels of spectra. The floor f is a
+thousandth of the 99th percentile of Y or ρ. For a series expansion in float32, the errors are those of the library's
+kernels; for float64, they are those of the same series in NumPy. Colours and spectra are compared with those of
+``bench.truth.reference``, of the direct sum, or of a closed form.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
     from bench.suite.runner import Setting
 
-# Tolerance of the calls that measure the automatic choice.
+# Tolerance of the calls by which the automatic choice of the library is measured.
 TOLERANCE = 1e-2
-# Slice that selects all values on the x axis of a regime.
+# Slice that selects all values on the x axis of a panel.
 ALL = slice(None)
-# Tolerance of the calls that measure the smallest error that a method can reach.
+# Tolerance of the calls by which the smallest error that a method can reach is measured.
 FINEST = 1e-5
 WAVELENGTHS_UM = np.array([0.4, 0.45, 0.55, 0.65, 0.75])
 AUTOMATIC = "automatic, tolerance 1e-2"
@@ -56,17 +56,17 @@ FLOAT64 = ", float64"
 
 
 class Panel(NamedTuple):
-    """One panel of the stability chart: errors of several methods in one regime.
+    """One panel of the stability chart: errors of several methods over one parameter.
 
     Attributes:
         title: Title of the panel.
         axis: Label of the x axis.
         x: Values on the x axis.
         curves: Errors at each x, by the name of the curve; NaN where a method is not evaluated.
-        note: Text in the panel: surface and window.
+        note: Text in the panel: surface and coherence window.
         ticks: Values with a tick on the x axis.
         warned: Indices of the values on the x axis at which the automatic choice refuses or warns, by the name of the
-            curve. Its result is still drawn.
+            curve. The error at these values is drawn nevertheless.
     """
 
     title: str
@@ -79,25 +79,25 @@ class Panel(NamedTuple):
 
 
 class Points:
-    """Errors by curve and value on the x axis, and the values at which the automatic choice refuses or warns."""
+    """Errors by curve and x value, and the x values at which the library's automatic choice refuses or warns."""
 
     def __init__(self) -> None:
         self._points: list[dict[str, float]] = []
         self.warned: dict[str, list[int]] = {}
 
     def start(self) -> None:
-        """Begin a new value on the x axis."""
+        """Begin the points at the next value of the chart's x axis."""
         self._points.append({})
 
     def add(self, name: str, error: float) -> None:
-        """Set the error of a curve at the present value on the x axis. If it already has one, the larger one counts."""
+        """Set the error of a curve at the present value on the x axis. The larger of several errors counts."""
         self._points[-1][name] = max(error, self._points[-1].get(name, 0.0))
 
     def automatic(
         self, heightfield: wd.HeightField, lights: np.ndarray, views: np.ndarray, coherence: wd.Coherence,
         exact: np.ndarray, name: str = AUTOMATIC,
     ) -> None:  # fmt: skip
-        """Evaluate the library's automatic choice, and add its error at the present value on the x axis."""
+        """Evaluate the library's automatic choice, and add the error of its colours at the present x value."""
         arguments = {"coherence": coherence, "tolerance": TOLERANCE}
         xyz, message = methods.outcome(wd.reflectance, heightfield, lights, views, **arguments)
         if message:
@@ -112,7 +112,7 @@ class Points:
         self, heightfield: wd.HeightField, lights: np.ndarray, views: np.ndarray, coherence: wd.Coherence,
         exact: np.ndarray,
     ) -> None:  # fmt: skip
-        """Add the errors of sums over wavelengths with steps of 5 nm and 1 nm."""
+        """Add the errors of sums over wavelengths at steps of 5 nm, and at steps of 1 nm."""
         for step, label in STEPS.items():
             xyz = methods.fixed_step_colour(heightfield, lights, views, step, coherence)
             self.add(label, methods.colour_error(xyz, exact))
@@ -120,9 +120,9 @@ class Points:
     def neighbourhoods(
         self, heightfield: wd.HeightField, lights: np.ndarray, views: np.ndarray, sigma: float, step_nm: float
     ) -> None:
-        """Add the errors of colours from 3 × 3 coefficients; colours from all coefficients are the reference.
+        """Add the errors of colours from 3 × 3 Fourier coefficients; the reference is colours from all coefficients.
 
-        The wavelengths are the same for both.
+        Both colours use the same wavelengths.
         """
         wavelengths, weights = methods.fixed_steps(step_nm)
 
@@ -144,7 +144,7 @@ class Points:
 
 
 def height_range(which: slice = ALL) -> Panel:
-    """Return the panel of the height range: errors of every series in float32 and in float64."""
+    """Return the panel of the height range: errors of all series expansions in float32 and in float64."""
     sigma, (lights, views) = 2.0, methods.hemisphere_pairs(48)
     flat, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=3), wd.Coherence(sigma_um=sigma)
     x, points = np.geomspace(0.05, 5.0, 13)[which], Points()
@@ -180,9 +180,9 @@ def height_range(which: slice = ALL) -> Panel:
 
 
 def window_width(which: slice = ALL) -> Panel:
-    """Return the panel of the window width.
+    """Return the panel of the width of the coherence window.
 
-    3 × 3 coefficients are too few for short windows, and fixed wavelengths too coarse for long ones.
+    3 × 3 Fourier coefficients are too few for short windows, and fixed wavelengths are too coarse for long windows.
     """
     heightfield, (lights, views) = methods.finger_rows(25.6), methods.in_plane(48, 1.8)
     x, points = np.geomspace(1.0, 1000.0, 13)[which], Points()
@@ -199,9 +199,9 @@ def window_width(which: slice = ALL) -> Panel:
 
 
 def patch_size(which: slice = ALL) -> Panel:
-    """Return the panel of the patch size. 3 × 3 coefficients are too few for large patches.
+    """Return the panel of the patch size. 3 × 3 Fourier coefficients are too few for large patches.
 
-    Fixed wavelengths with a step of 5 nm miss orders of patches of any size.
+    Sums over fixed wavelengths at steps of 5 nm miss diffraction orders, whatever the size of the patch is.
     """
     lights, views = (tilted_up(directions) for directions in methods.hemisphere_pairs(48))
     window, x, points = wd.Coherence(), (2.0, 3.0, 5.0, 8.0, 12.5, 20.0, 32.0, 50.0, 70.0, 100.0)[which], Points()
@@ -216,7 +216,7 @@ def patch_size(which: slice = ALL) -> Panel:
 
 
 def tilted_up(directions: np.ndarray) -> np.ndarray:
-    """Return directions tilted to within 30° of the normal. This limits the number of coefficients of large patches."""
+    """Return directions within 30° of the normal. This limits the number of Fourier coefficients of large patches."""
     moved = directions * [0.5, 0.5, 1.0]
     moved[:, 2] = np.sqrt(1.0 - moved[:, 0] ** 2 - moved[:, 1] ** 2)
     return moved
@@ -226,7 +226,7 @@ def order_rate(which: slice = ALL) -> Panel:
     """Return the panel of the distance from the mirror direction.
 
     Fixed wavelengths are too coarse far from the mirror direction. The method with one wavelength per Fourier
-    coefficient fails near it, where one coefficient dominates at all visible wavelengths.
+    coefficient fails near the mirror direction, where one coefficient dominates at all visible wavelengths.
     """
     x = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 1.4, 1.8, 1.98)[which]
     heightfield, window, points = wd.gratings.fingers(size_um=25.6, pitch_um=0.09, seed=4), wd.Coherence(), Points()
@@ -243,10 +243,11 @@ def order_rate(which: slice = ALL) -> Panel:
 
 
 def grazing(which: slice = ALL) -> Panel:
-    """Return the panel of grazing light and view: errors over their elevation above the horizon.
+    """Return the panel of grazing directions: errors over the elevation of light and view above the horizon.
 
-    In float32, the sum 1 + ωi·ωr loses digits near the horizon. The method that omits the foreshortening of a source by
-    cos θi has an error that grows towards the horizon without limit.
+    In float32, the sum 1 + ωi·ωr of the unit vectors ωi to the light and ωr to the viewer loses digits near the
+    horizon. One method omits the factor cos θi, by which a light source is foreshortened. The error of this method
+    grows towards the horizon without limit.
     """
     window, source = wd.Coherence(), wd.Coherence("source")
     heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=4)
@@ -254,8 +255,9 @@ def grazing(which: slice = ALL) -> Panel:
     wavelengths, weights = methods.fixed_steps(1.0)
     for seed, elevation in enumerate(x):
         points.start()
-        # In directions near the mirror direction, bright colours raise the floor f and hide errors of darker ones.
-        # Views near the mirror direction and views anywhere are therefore two calls, and the larger error is drawn.
+        # In directions near the mirror direction, bright colours raise the floor f, a share of the largest luminances
+        # to which errors of dark colours are relative, and hide these errors. Views near the mirror direction and views
+        # in all directions are therefore two calls, and the larger error is drawn.
         for spread in (0.1, None):
             lights, views = methods.at_elevation(48, elevation, spread, seed)
             same = reference.reference_spectral(heightfield, lights, views, wavelengths * 1e-3, window)
@@ -274,7 +276,7 @@ def grazing(which: slice = ALL) -> Panel:
 
 
 def sine_colour(period: float, depth: float, lights: np.ndarray, views: np.ndarray, sigma: float) -> np.ndarray:
-    """Return XYZ of a continuous sine grating in the plane of incidence; order m has |H_m|² = J_m(πκ·depth)²."""
+    """Return XYZ of a continuous sine grating in the plane of incidence; order m has the power J_m(πκ·depth)²."""
     tau, weights = reference.quadrature(512, "D65")
     scattering_vectors = -(lights + views)
     total = np.zeros((len(lights), len(tau)))
@@ -288,7 +290,7 @@ def sine_colour(period: float, depth: float, lights: np.ndarray, views: np.ndarr
 
 
 def pitch(which: slice = ALL) -> Panel:
-    """Return the panel of the sample spacing.
+    """Return the panel of the sample spacing (pitch) of the heights.
 
     If the pitch is too coarse, methods that use the height samples unchanged have large errors by aliasing. Resampling
     to 0.02 µm before the call reduces the error.
@@ -311,7 +313,7 @@ def pitch(which: slice = ALL) -> Panel:
 
 
 def periods(which: slice = ALL) -> Panel:
-    """Return the panel of replicas: a thousand periods, with phases between periods that are nearly whole turns."""
+    """Return the panel of replicated patches: a thousand periods whose phases differ by nearly whole turns."""
     count, wavelength = 1000, 0.5
     heightfield, coherence = methods.finger_rows(6.4, pitch_um=0.08), wd.Coherence("replicas", periods=(1, count))
     x, points = 10.0 ** np.arange(-9.0, -0.4, 0.5)[which], Points()
@@ -319,8 +321,8 @@ def periods(which: slice = ALL) -> Panel:
         points.start()
         lights, views = methods.near_resonance(heightfield, away, wavelength)
         scattering_vectors, gain = -(lights + views), reference.gain(lights, views)
-        # The phase between neighbouring periods is computed from the same vectors as in the reference, so that both
-        # have the same rounding errors.
+        # The phase between neighbouring periods is computed from the same vectors as in the reference. Both phases
+        # therefore have the same rounding errors.
         turns = scattering_vectors[:, 0] / wavelength * heightfield.size_um[1]
         exact, patch = (
             direct_sum.window_power(heightfield, kind, scattering_vectors, np.array([wavelength]))[:, 0]
@@ -345,7 +347,7 @@ def periods(which: slice = ALL) -> Panel:
 
 
 def wavelength_steps(which: slice = ALL) -> Panel:
-    """Return the panel of wavelength steps: plain sums with equal steps, compared with the library's quadrature."""
+    """Return the panel of wavelength steps: plain sums over equal steps, compared with the library's quadrature."""
     lights, views = methods.hemisphere_pairs(64)
     x, points, cases = (1.0, 2.0, 4.0, 5.0, 8.0, 10.0, 16.0, 20.0, 25.0, 40.0, 50.0)[which], Points(), []
     for name, size, sigma in (("", 25.6, 16.25), (SMALL, 3.2, 2.0)):
@@ -358,8 +360,8 @@ def wavelength_steps(which: slice = ALL) -> Panel:
             equal = methods.wavenumber_colour(heightfield, lights, views, round(400.0 / step) + 1, window)
             points.add(EQUAL + name, methods.colour_error(fixed, exact))
             points.add(CUBICS + name, methods.colour_error(equal, exact))
-            # The automatic choice does not depend on the wavelength step. Its curve is constant, and shows the larger
-            # error of the panel's two surfaces.
+            # The automatic choice does not depend on the wavelength step. The curve of the automatic choice is
+            # constant, and shows the larger error of the panel's two surfaces.
             points.automatic(heightfield, lights, views, window, exact)
     return points.panel(
         "wavelength steps", "step [nm]", x, "fingers, 25.6 µm, σ 16.25 µm; small: 3.2, 2", (1, 2, 5, 10, 20, 50)
@@ -368,7 +370,7 @@ def wavelength_steps(which: slice = ALL) -> Panel:
 
 REGIMES = (height_range, window_width, patch_size, order_rate, grazing, pitch, periods, wavelength_steps)
 
-# Colours similar to those of ColorBrewer. Related methods have similar hues.
+# Colours of curves, similar to those of ColorBrewer. Related methods have similar hues.
 RED, ORANGE, BLUE, TEAL, PURPLE = "#b2182b", "#e08214", "#1b6cb5", "#1a9879", "#7b4fa3"
 BROWN, SAND, GREEN, LIME, CYAN, PINK, ROSE, GREY = (
     "#8c510a", "#d8a657", "#1b7837", "#7fbf7b", "#0096b4", "#c51b7d", "#ee9cca", "#555555",
@@ -406,7 +408,7 @@ TINT = "#fbe3e0"
 
 
 def style_of(name: str) -> dict[str, object]:
-    """Return the style of a curve, by its name. Float64 curves of a series are dashed."""
+    """Return the style of a curve, by its name. Curves of a series expansion in float64 are dashed."""
     styles = {label: style for group in STYLES.values() for label, style in group.items()}
     if name in styles:
         return {"linewidth": 1.9, **styles[name]}
@@ -496,7 +498,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the errors of the automatic choice by name, one per value of the x axis.
+    """Return the errors of the automatic choice by name, one error per value of the x axis.
 
     Each entry is a list that has the form of the other charts' entries: the error, the error twice more instead of a
     minimum and a maximum, and the unit.
@@ -512,7 +514,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
     """Draw all panels in one chart.
 
-    Return the chart's name with a sentence about the errors of the automatic choice.
+    Return the chart's name and a sentence about the errors of the automatic choice.
     """
     panels = [Panel(**{**panel, "x": np.array(panel["x"])}) for panel in results.values()]
     draw(panels, folder)

@@ -1,4 +1,4 @@
-"""Interleaved timing: in each round, every call runs once. Results are medians over the rounds with their range."""
+"""Interleaved timing: in each round, every call runs once. Results are medians and ranges over the rounds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class Times(NamedTuple):
-    """Times of a call [s]: median, minimum and maximum over the rounds, and first call minus median."""
+    """Times of a call [s]: median, minimum and maximum over the rounds, and time of the first call minus the median."""
 
     median: float
     least: float

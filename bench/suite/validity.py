@@ -1,14 +1,14 @@
-"""Validity of scalar diffraction: errors of order efficiencies relative to rigorous ones, over period and depth.
+"""Validity of scalar diffraction: errors of order efficiencies relative to rigorous solutions, by period and depth.
 
 The plane of incidence is perpendicular to the grooves, at three angles; both polarisations are averaged. The reference
-is a published solver by boundary integrals (gratinglab; Goray and Schmidt 2010, J. Opt. Soc. Am. A 27, 585). It
-requires minutes, so its efficiencies are stored in ``rigorous.json``, which ``python -m bench.suite.validity`` writes.
-The file also has two estimates of the solver's own error: the violation of the energy balance, and changes of the
-efficiencies on finer meshes.
+is a published solver by boundary integrals (gratinglab; Goray and Schmidt 2010, J. Opt. Soc. Am. A 27, 585). The solver
+requires minutes. Its efficiencies are therefore stored in ``rigorous.json``, which ``python -m bench.suite.validity``
+writes. The file also has two estimates of the error of the solver: the violation of the energy balance, and the changes
+of the efficiencies if its mesh is refined.
 
-Errors are shares of the power that a flat surface reflects. For glass, the library computes this reflectance by
-Schlick's formula, and the solver by Fresnel's equations. The efficiencies of both are divided by their own reflectance,
-which excludes the error of Schlick's formula.
+Errors are shares of the power that a flat surface reflects. For glass, the library computes the reflectance of a flat
+surface by Schlick's formula, and the solver computes it by Fresnel's equations. The library's efficiencies are divided
+by the former, and the solver's by the latter. This excludes the error of Schlick's formula.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from bench.suite.runner import Setting
 
 STORED = Path(__file__).with_name("rigorous.json")
-# Gratings by title: profile and index of refraction (None: a perfect conductor).
+# Gratings by title: profile and index of refraction (None is a perfect conductor).
 CASES = {
     "Sine, perfect mirror": ("sine", None), "Square grooves, perfect mirror": ("square", None),
     "Sawtooth, perfect mirror": ("sawtooth", None), "Sine, n = 1.5": ("sine", 1.5),
@@ -40,39 +40,40 @@ CASES = {
 GRATINGS = {"sine": wd.gratings.sinusoidal, "square": wd.gratings.lamellar, "sawtooth": wd.gratings.blazed}
 # Angles of incidence [degrees].
 ANGLES = (0.0, 30.0, 60.0)
-# Periods and depths [wavelengths]. For these values no order is within 4° of the horizon, neither in air nor in glass.
-# Nearer to the horizon, rigorous efficiencies jump (Rayleigh anomalies).
+# Periods and depths [wavelengths]. The values were chosen so that no order is within 4° of the horizon, neither in air
+# nor in glass. Nearer to the horizon, rigorous efficiencies jump (Rayleigh anomalies).
 PERIODS = np.geomspace(0.502, 19.16, 17)
 DEPTHS = np.geomspace(0.02, 1.0, 11)
 # Number of height samples per period.
 SAMPLES = 2048
-# Unit in which efficiencies are stored as integers. Limit: this rounding is small compared with the errors in the
-# chart.
+# Unit in which efficiencies are stored as integers. The value was chosen so that the rounding is small compared with
+# the errors in the chart.
 UNIT = 1e-5
-# Largest error of an order that counts as correct, as a share of the power that a flat surface reflects.
+# Largest error of an order's efficiency that counts as correct, as a share of the power that a flat surface reflects.
 LIMIT = 0.1
-# Errors at which contour lines are drawn.
+# Errors of order efficiencies at which contour lines are drawn.
 LEVELS = (0.02, 0.05, 0.1)
-# Wavelength [nm]; periods and depths are relative to it. Limit: the spectral range of the solver's material files.
+# Wavelength of the solver [nm]; periods and depths are relative to it. The value is limited by the spectral range of
+# the solver's material files.
 WAVELENGTH_NM = 500.0
 
 
 class Integral:
-    """Reference solver by boundary integrals. Its periods and depths are relative to the wavelength."""
+    """Reference solver by boundary integrals. Periods and depths of gratings are relative to the wavelength."""
 
     def __init__(self) -> None:
         from gratinglab import Illumination, problem, profiles, solvers
 
         self._illumination, self._problem, self._profiles = Illumination.classical, problem.Problem, profiles
         self._solver = solvers.get_solver("integral")
-        # The solver reads indices of refraction from files. An environment variable states their folder.
+        # The solver reads indices of refraction from files. An environment variable states the folder of these files.
         self._folder = tempfile.TemporaryDirectory()
         os.environ["GRATINGLAB_MATERIALS"] = self._folder.name
 
     def __call__(
         self, shape: str, period: float, depth: float, angle: float, index: float | None, *, finer: float = 1.0
     ) -> tuple[np.ndarray, np.ndarray, float]:  # fmt: skip
-        """Return the diffraction orders of a grating, their efficiencies, and the error of the energy balance."""
+        """Return the diffraction orders of a grating with their efficiencies, and the error of the energy balance."""
         profile = {
             "sine": lambda: self._profiles.Sinusoidal(depth_fraction=depth / period),
             "square": lambda: self._profiles.Lamellar(depth_fraction=depth / period),
@@ -82,8 +83,8 @@ class Integral:
         if index is not None:
             name = f"n{index:g}"
             Path(self._folder.name, f"{name}.txt").write_text(f"2.0 {1.0 - index} 0.0\n3.0 {1.0 - index} 0.0\n")
-        # The mesh is finer towards corners. Where it is coarsest, it has 6 points per wavelength, by the solver's
-        # definition.
+        # The mesh of the profile is finer towards its corners. Where the mesh is coarsest, it has 6 points per
+        # wavelength, by the solver's definition.
         points = 24.0 * (period + 2.0 * depth) * max(1.0, (index or 1.0) / 1.5)
         scan = self._solver.solve(
             self._problem(period=WAVELENGTH_NM * period, profile=profile, coating=name),
@@ -97,7 +98,7 @@ class Integral:
 
 
 def recompute() -> None:
-    """Solve all cases with the reference solver, and write the efficiencies to ``rigorous.json``."""
+    """Solve all gratings with the reference solver, and write the efficiencies to ``rigorous.json``."""
     solve, stored = Integral(), {}
     for case, (shape, index) in CASES.items():
         begin, rows, energy, finer = time.perf_counter(), [], [], []
@@ -148,15 +149,15 @@ def error(shape: str, index: float | None, period: float, depth: float, angle: f
     rigorous = np.array(row[1:]) * UNIT / flat
     heightfield = GRATINGS[shape](period, depth, samples=SAMPLES)
     light = (math.sin(math.radians(angle)), 0.0, math.cos(math.radians(angle)))
-    # Periods and depths are stored in units of the wavelength. In this call the wavelength is 1 µm, so that both are in
-    # µm.
+    # Periods and depths are stored in units of the wavelength. In this call the wavelength is 1 µm, so that the stored
+    # numbers are lengths in µm.
     scalar = wd.order_efficiencies(heightfield, light, 1000.0, ior=index or math.inf, energy="stam")
     efficiencies = np.array([scalar[0, row[0] + n][0] for n in range(len(rigorous))]) / ours
     return float(np.max(np.abs(efficiencies - rigorous)))
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Return maps of the error and of the verdict on the heights, and counts of the gratings by their verdict."""
+    """Return maps of the error and of the verdict on the heights, and counts of gratings by the verdict."""
     stored, step = json.loads(STORED.read_text()), 2 if setting.quick else 1
     periods, depths = np.array(stored["periods"][::step]), np.array(stored["depths"][::step])
     results: dict[str, Any] = {"periods_in_wavelengths": periods.tolist(), "depths_in_wavelengths": depths.tolist()}
@@ -171,7 +172,8 @@ def measure(setting: Setting) -> dict[str, Any]:
                     every = zip(ANGLES, angles, strict=True)
                     worst.append(max(error(shape, index, period, depth, angle, row) for angle, row in every))
         errors = np.array(worst).reshape(len(periods), len(depths)).round(5)
-        # Periods and depths are stored in units of the wavelength. At a wavelength of 1 µm, as here, both are in µm.
+        # Periods and depths are stored in units of the wavelength. Here the wavelength is 1 µm, so that the stored
+        # numbers are lengths in µm.
         expected = [[verdict_on(GRATINGS[shape](p, d, samples=SAMPLES), 1000.0).error for d in depths] for p in periods]
         maps[case], verdicts[case], rules[case] = errors.tolist(), expected, rule(errors, np.array(expected))
     return results | {"maps": maps, "verdicts": verdicts, "rule": rules}
@@ -180,7 +182,8 @@ def measure(setting: Setting) -> dict[str, Any]:
 def rule(error: np.ndarray, expected: np.ndarray) -> dict[str, float]:
     """Return counts of gratings by grade and error, and the errors of reliable and of invalid gratings.
 
-    For gratings with the grade reliable the largest error is returned, for invalid ones the median.
+    For gratings with the grade reliable, the largest error is returned; for gratings with the grade invalid, the
+    median.
     """
     reliable, invalid = expected < QUALITATIVE, expected >= INVALID
     return {
@@ -193,7 +196,7 @@ def rule(error: np.ndarray, expected: np.ndarray) -> dict[str, float]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw the maps of the error. Return the chart's name with sentences about the gratings with the grade reliable."""
+    """Draw the maps of the error. Return the chart's name and sentences about gratings of the grade reliable."""
     from matplotlib.colors import LogNorm
 
     plt = figures.pyplot()

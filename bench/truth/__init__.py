@@ -1,9 +1,9 @@
-"""References for measurements and tests, which share no code with the kernels.
+"""References for measurements and tests, which share no code with the Warp kernels.
 
 - ``reference``: colours of directions and pixels, in float64
 - ``brute_force``: intersections of rays with triangles, by tests of all pairs
 - ``numpy_methods``: series expansions and sums over wavelengths in NumPy
-- ``configurations``: random calls of the library, which test plans
+- ``configurations``: random calls of the library, by which plans are tested
 - ``judge``: errors of such calls, on directions that were not used to make their plans
 - ``errors``: error measures for colours
 """

@@ -30,9 +30,9 @@ def pixel_rays(eye, target, up, *, width, height, fov_y_deg=None, extent_y=None,
 def intersect(origins, directions, vertices, faces, chunk=256):
     """Find the nearest hits of rays by the Möller-Trumbore test of all pairs of rays and triangles.
 
-    Return t (inf for a miss), face index (−1 for a miss), barycentric coordinates (k, 3), and the margin to the nearest
-    edge. The margin is the least |barycentric coordinate| over the hit face and over faces in front of it that the ray
-    misses; it is small where rounding may change the hit.
+    Return the distance t along the ray (inf for a miss), face index (−1 for a miss), barycentric coordinates (k, 3),
+    and the margin to the nearest edge. The margin is the least |barycentric coordinate| over the hit face and over
+    faces in front of it that the ray misses. A small margin means that rounding may change the hit.
     """
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     e1, e2 = b - a, c - a
@@ -78,8 +78,8 @@ def shading_frame(face, bary, directions, vertices, faces, *, normals, tangents,
     n = rotated * n / np.linalg.norm(n, axis=1, keepdims=True)
     cosine = np.sum(n * away, axis=1, keepdims=True)
     sine = np.sqrt(np.maximum(1.0 - cosine**2, 1e-30))
-    # Normals that are perpendicular to the view direction or point away from it are rotated towards it, until the
-    # cosine of the angle between normal and view direction is 0.01.
+    # A normal that is perpendicular to the view direction or points away from it is rotated towards the view direction,
+    # until the cosine of the angle between both is 0.01.
     tilted = 0.01 * away + np.sqrt(1.0 - 1e-4) * (n - cosine * away) / sine
     n = np.where(cosine < 0.01, tilted, n)
     t = np.einsum("kc,kcd->kd", bary, tangents[corners])

@@ -16,15 +16,15 @@ import numpy as np
 import warpdiff as wd
 
 KINDS = ("averaged", "centred", "source", "replicas")
-# Combinations of coherence and tolerance. Replicas have only two tolerances, because many wavelengths are necessary to
-# resolve their narrow lobes.
+# Combinations of coherence and tolerance. Replicated patches have only two tolerances, because many wavelengths are
+# necessary to resolve their narrow lobes.
 STRATA = [(kind, t) for kind in KINDS for t in (1e-1, 1e-2, 1e-3, 1e-4) if kind != "replicas" or t >= 1e-2]
 SURFACES = ("scan", "fingers", "diagonal", "sinusoidal", "lamellar", "blazed", "disc", "bumps", "sparse", "rough")
 GRATINGS = ("fingers", "sinusoidal", "lamellar", "blazed", "disc", "bumps")
 LAYOUTS = ("few", "some", "many", "many", "grid", "grid", "map", "map", "frame")
 WAYS = ("random", "mirror", "orders", "grazing", "mixed")
 ILLUMINANTS = ("D65", "D65", "D65", "A", "FL11", "HP1", "E")
-# Materials of half of the calls. The other calls use the default material.
+# Materials of half of the calls; one is drawn at random for each of them. The other calls use the default material.
 MATERIALS = (
     None, *map(wd.Material.metal, ("Al", "Au", "Cu", "Cr")), wd.Material.dielectric(1.5),
     wd.Material.metal("Ni").coated(wd.Material.dielectric(1.46), 220.0),
@@ -36,23 +36,24 @@ MAP_SIZES = (48, 70, 128, 256, 512)
 FRAMES = ((320, 240), (640, 480), (640, 512), (512, 512))
 # Number of directions below which all directions of a call are evaluated.
 FEW = 4096
-# Largest number of directions of a call. Limit: computing time.
+# Largest number of directions of a call. The value is limited by computing time.
 MOST = 262_144
-# Largest numbers of directions of calls that sample wavelengths instead of using a table, and of calls with replicas.
-# Limit: computing time, because each of these directions takes at least 0.1 ms.
+# Largest numbers of directions of two kinds of calls: calls that sample wavelengths instead of using a colour table,
+# and calls with replicated patches. The values are limited by computing time, because each of these directions takes at
+# least 0.1 ms.
 MOST_SAMPLED = 32_768
 MOST_REPLICAS = 8_192
-# Largest angle of directions from the normal [degrees], and its cosine.
+# Largest angle of directions from the normal [degrees], and the cosine of this angle.
 STEEPEST_DEG = 85.0
 LOWEST = math.cos(math.radians(STEEPEST_DEG))
-# Largest sample spacing [µm] of resampled surfaces. Derived: slightly below 95 nm, half of the period of 190 nm whose
-# first order at 380 nm has |(u, v)| = 2.
+# Largest sample spacing [µm] of resampled surfaces. The value is derived: slightly below 95 nm, which is half of the
+# period of 190 nm whose first order at 380 nm has |(u, v)| = 2.
 COARSEST_PITCH_UM = 0.0945
-# Largest number of samples of a replicated patch, and largest total length of its periods [µm]. Limits: the reference
-# sums every sample, and resolves every lobe in the wavelength.
+# Largest number of samples of a replicated patch, and largest total length of its periods [µm]. The values are limited
+# by the time of the reference, which sums every sample and resolves every lobe in the wavelength.
 MOST_PATCH_SAMPLES = 1 << 14
 MOST_IN_STEP_UM = 3000.0
-# Largest angle of incidence of a reflectance map's light [degrees].
+# Largest angle of incidence of the light of a reflectance map [degrees].
 MAP_LIGHT_DEG = 75.0
 
 
@@ -101,7 +102,7 @@ class Configuration(NamedTuple):
 
 
 def configuration(index, seed=0, scan=None, layouts=LAYOUTS):
-    """Return the configuration of an index. Crops of ``scan`` are used, or fingers if it is None."""
+    """Return the random call of an index. Its surface may be a part of ``scan``, or fingers if ``scan`` is None."""
     rng = np.random.default_rng([seed, index])
     kind, tolerance = STRATA[index % len(STRATA)]
     layout = layouts[rng.integers(len(layouts))]
@@ -109,8 +110,8 @@ def configuration(index, seed=0, scan=None, layouts=LAYOUTS):
     heightfield, name = surface(rng, names[rng.integers(len(names))], scan, small=kind == "replicas")
     coherence = a_coherence(rng, kind, heightfield)
     illuminant = ILLUMINANTS[rng.integers(len(ILLUMINANTS))]
-    # The material is drawn from a random generator of its own, so that the other parameters of a seed do not depend on
-    # it.
+    # The material is drawn from a separate random generator, so that the other parameters of a seed do not depend on
+    # the material.
     apart = np.random.default_rng([seed, index, 26])
     material = MATERIALS[apart.integers(len(MATERIALS))] if apart.random() < 0.5 else None
     case = Configuration(
@@ -131,10 +132,10 @@ def log_uniform(rng, low, high):
 
 
 def surface(rng, name, scan, *, small=False):
-    """Return a random height field of the named kind, and a more precise name.
+    """Return a random height field of the named kind, and a name that describes it in more detail.
 
-    Without a scan, fingers replace it. Height ranges are 0.001 to 3 µm. With ``small``, the height field has at most
-    ``MOST_PATCH_SAMPLES`` samples.
+    Without a scan, fingers replace crops of the scan. Height ranges are 0.001 to 3 µm. With ``small``, the height field
+    has at most ``MOST_PATCH_SAMPLES`` samples.
     """
     seed = int(rng.integers(1 << 30))
     if name == "scan" and scan is not None:
@@ -183,7 +184,7 @@ def surface(rng, name, scan, *, small=False):
 
 
 def diagonal(rng, heightfield):
-    """Return a square periodic height field with its ridges along the diagonal, with some roughness added."""
+    """Return a square periodic height field with ridges along the diagonal and with added roughness."""
     n = min(heightfield.shape)
     rows, columns = np.mgrid[:n, :n]
     ridges = heightfield.heights_um[rows, (columns + rows) % n]
@@ -202,7 +203,7 @@ def rough(rng):
 
 
 def fewer(heights):
-    """Return one corner of an array of heights, which has at most ``MOST_PATCH_SAMPLES`` samples."""
+    """Return a corner of an array of heights that has at most ``MOST_PATCH_SAMPLES`` samples."""
     ny, nx = heights.shape
     while ny * nx > MOST_PATCH_SAMPLES:
         ny, nx = (ny - ny // 8, nx) if ny >= nx else (ny, nx - nx // 8)
@@ -210,7 +211,7 @@ def fewer(heights):
 
 
 def a_coherence(rng, kind, heightfield):
-    """Return a random coherence of a kind: a window, a light source or numbers of periods."""
+    """Return a random coherence of a kind: with a random window, light source or numbers of periods."""
     if kind == "source":
         return wd.Coherence(kind, angular_diameter_deg=log_uniform(rng, 0.1, 3.0))
     if kind == "replicas":
@@ -219,19 +220,19 @@ def a_coherence(rng, kind, heightfield):
     centre = None
     if kind == "centred" and rng.random() < 0.5:
         centre = tuple(float(rng.uniform(0.0, length)) for length in heightfield.size_um)
-    # Half of the windows have the default width of 16.25 µm.
+    # Half of the coherence windows have the default width of 16.25 µm.
     sigma = 16.25 if rng.random() < 0.5 else log_uniform(rng, 3.0, 65.0)
     return wd.Coherence(kind, sigma, centre_um=centre)
 
 
 def a_light(rng, count=1, steepest_deg=STEEPEST_DEG):
-    """Return random light directions (count, 3), uniform in the angle of incidence."""
+    """Return random directions to the light (count, 3); the angle of incidence is distributed uniformly."""
     theta, phi = np.radians(rng.uniform(0.0, steepest_deg, count)), rng.uniform(0.0, 2.0 * np.pi, count)
     return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
 
 
 def a_list(rng, case, most):
-    """Return a configuration with a list of pairs of directions, in random or sorted order."""
+    """Return a random call with a list of pairs of directions, in random or sorted order."""
     low, high = {"few": (16, 128), "some": (129, FEW - 1), "many": (FEW, most)}[case.layout]
     count = round(log_uniform(rng, low, high))
     way = WAYS[rng.integers(len(WAYS))]
@@ -269,9 +270,9 @@ def some_views(rng, way, lights, spread, heightfield, coherence):
         s = np.sqrt(1.0 - z * z)
         candidates = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
         if way == "mirror":
-            # Views are normally distributed around the mirror direction, and views beyond the largest angle from the
-            # normal are drawn again. These are about half of all draws if the mirror direction is at the largest angle,
-            # and fewer otherwise, so that the loop ends soon.
+            # Views are normally distributed around the mirror direction. Views beyond the largest angle from the normal
+            # are drawn again. If the mirror direction is at the largest angle, about half of all views are drawn again,
+            # otherwise fewer, so that the loop ends soon.
             candidates = light * [-1.0, -1.0, 1.0] + spread * rng.normal(size=(len(pending), 3))
             candidates /= np.linalg.norm(candidates, axis=1, keepdims=True)
         elif way == "orders":
@@ -283,15 +284,15 @@ def some_views(rng, way, lights, spread, heightfield, coherence):
 
 
 def by_an_order(rng, lights, views, heightfield, coherence):
-    """Return for each view a direction near the diffraction order that is nearest to it at a random wavelength.
+    """Return, for each view, a direction near the diffraction order that is nearest to the view at a random wavelength.
 
-    Deviations from the order are normally distributed with the standard deviation of its peak in (u, v). If no
-    direction has the resulting x and y, because x² + y² > 1, the returned vector has these x and y, and z = −1.
+    Deviations from the order are normally distributed with the standard deviation of the order's peak in (u, v). A
+    result with x² + y² > 1 is no direction; the returned vector then has these x and y, and z = −1.
     """
     wavelength = rng.uniform(0.38, 0.78, (len(lights), 1))
     lengths = np.array([heightfield.size_um[1], heightfield.size_um[0]])
     orders = np.rint(-(lights + views)[:, :2] / wavelength * lengths)
-    # An axis with one sample is constant, so that only its order 0 exists.
+    # Along an axis with one sample, the heights are constant, so that only the diffraction order 0 exists.
     orders[:, [heightfield.shape[1] == 1, heightfield.shape[0] == 1]] = 0.0
     if coherence.kind == "replicas":
         width = wavelength / (lengths * np.array(coherence.periods[::-1]))
@@ -305,7 +306,7 @@ def by_an_order(rng, lights, views, heightfield, coherence):
 
 
 def a_grid(rng, case, most):
-    """Return a configuration with a grid of views in row order under one light.
+    """Return a random call with a grid of views in row order under one light.
 
     Grid points are the x and y of the views. Points outside the unit disc become directions below the horizon.
     """

@@ -7,19 +7,19 @@ import warnings
 
 import numpy as np
 
-# Floor f of relative errors, as a share of the reference luminance Y*. For darker colours, the absolute error counts.
-# If doubled, errors of dim directions would be hidden.
+# Floor f of relative errors, as a share of the reference luminance Y*. For colours that are darker than the floor, the
+# error is relative to the floor. If doubled, errors of dim directions would be hidden.
 FLOOR = 1e-3
 
 
 def reference_luminance(luminance: np.ndarray, weights: np.ndarray | None = None) -> float:
-    """Return the reference luminance Y*: the larger of percentile 99 of Y and the luminance-weighted median of Y."""
+    """Return the reference luminance Y*: the larger of the 99th percentile of Y and the median of Y weighted by Y."""
     weights = np.ones(len(luminance)) if weights is None else weights
     return max(percentile(luminance, weights, 0.99), percentile(luminance, weights * luminance, 0.5))
 
 
 def percentile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    """Return the value below which ``share`` of the total weight of the values lies, or 0 without values."""
+    """Return the weighted percentile: the value below which ``share`` of the total weight lies; 0 without values."""
     if not len(values) or not weights.sum() > 0.0:
         return 0.0
     order = np.argsort(values)
@@ -28,13 +28,13 @@ def percentile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
 
 
 def relative(xyz: np.ndarray, exact: np.ndarray) -> np.ndarray:
-    """Return relative errors (n,): ‖ΔXYZ‖ / max(‖XYZ‖, f)."""
+    """Return relative errors (n,): ‖ΔXYZ‖ / max(‖XYZ‖, f), with the luminance f as the floor of the divisor."""
     size = np.maximum(np.linalg.norm(exact, axis=1), FLOOR * reference_luminance(exact[:, 1]))
     return np.asarray(np.linalg.norm(xyz - exact, axis=1) / size)
 
 
 def colour_difference(xyz: np.ndarray, exact: np.ndarray, brightest: float | None = None) -> float:
-    """Return P99 of ΔE2000 under D65 over colours with Y <= ``brightest``. The exposure scales ``brightest`` to 1."""
+    """Return the 99th percentile of ΔE2000 under D65 over colours with Y <= ``brightest``, which is exposed to 1."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import colour

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-# Quotients of complex NaN set NumPy's flag for invalid operations. The warning that this causes is disabled.
+# Quotients of complex NaN set NumPy's flag for invalid operations. The warning of NumPy that follows is disabled.
 @np.errstate(invalid="ignore")
 def reflectance(material: Any, wavelengths_um: Any, cosines: Any, polarisations: str = "sp") -> NDArray[np.float64]:
     """Return the reflectance R of a material in air, as a mean over polarisations.
@@ -31,8 +31,8 @@ def reflectance(material: Any, wavelengths_um: Any, cosines: Any, polarisations:
             index = np.interp(1e3 * wavelengths, layer.wavelengths_nm, layer.n) + 1j * np.interp(
                 1e3 * wavelengths, layer.wavelengths_nm, layer.k
             )
-            # Component of the wave vector normal to the surface, relative to 2π/λ. Of the two roots, the one whose wave
-            # decays with depth is used.
+            # `normal` is the component of the wave vector normal to the surface, relative to 2π/λ. Of the two square
+            # roots, the one is used whose wave decays with depth.
             normal = np.sqrt(index**2 - along**2 + 0j)
             normal = np.where(normal.imag < 0.0, -normal, normal)
             normals.append(normal)
@@ -40,9 +40,9 @@ def reflectance(material: Any, wavelengths_um: Any, cosines: Any, polarisations:
         load = admittances[-1]
         if len(layers) > 1:
             phase = 2.0 * np.pi * normals[0] * material.film_nm * 1e-3 / wavelengths
-            # Electric and magnetic fields at the top of the film, both divided by the electric field at its bottom.
-            # Their quotient, magnetic over electric field, is the admittance of film and substrate together. It becomes
-            # the new ``load``: the admittance of everything below the air.
+            # Electric and magnetic fields at the top of the film, both divided by the electric field at the bottom of
+            # the film. The quotient, magnetic over electric field, is the admittance of film and substrate together.
+            # This quotient becomes the new ``load``: the admittance of everything below the air.
             electric = np.cos(phase) - 1j * np.sin(phase) * load / admittances[0]
             load = (np.cos(phase) * load - 1j * np.sin(phase) * admittances[0]) / electric
         air = cosines if polarisation == "s" else 1.0 / np.maximum(cosines, 1e-300)

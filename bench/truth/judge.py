@@ -2,7 +2,7 @@
 
 A call with fewer directions than ``configurations.FEW`` is evaluated on all illuminated directions. For a larger call,
 about ``COUNT`` illuminated directions are sampled, none of which the planner's trials used. If bright directions are
-rare, they are sampled more often and have smaller weights.
+rare in the call, they are sampled more often and have smaller weights.
 """
 
 from __future__ import annotations
@@ -25,22 +25,25 @@ from warpdiff.planner import trial
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-# Number of illuminated directions that are sampled from a larger call. Limit: computing time of the reference.
+# Number of illuminated directions that are sampled from a larger call. The value is limited by the computing time of
+# the reference.
 COUNT = 2000
-# Least number of bright directions (Y >= f) in the sample, if the call has as many. With fewer, their P99 is noisy.
+# Least number of bright directions in the sample, if the call has as many; a direction is bright if its luminance Y is
+# at least the floor f of relative errors. With fewer directions, the 99th percentile of their errors is noisy.
 BRIGHT = 600
-# The reference has half of this tolerance, or half of the tolerance of the call if that is smaller.
+# The reference is computed with half of this tolerance, or with half of the tolerance of the call if that is smaller.
 TRUTH_TOLERANCE = 1e-3
-# Least cosine between the normal and the direction to a light source. Limit: nearer to the horizon, the foreshortened
-# spread of the source in (u, v) is so narrow that the reference requires half a million wavelengths.
+# Least cosine between the normal and the direction to a light source. The value is limited by the reference: nearer to
+# the horizon, the foreshortened spread of the source in (u, v) is so narrow that the reference requires half a million
+# wavelengths.
 LOWEST_SOURCE = 0.02
-# Lower limit of the floor f of relative errors, as a share of the Y of a mirror. The reference does not converge for
-# smaller Y.
+# Lower limit of the floor f of relative errors, as a share of the luminance Y of a mirror. For smaller Y the reference
+# does not converge.
 LEAST = 1e-10
 
 
 class Result(NamedTuple):
-    """Results of a call for its illuminated directions. ``read`` marks directions that the planner's trials used."""
+    """Results of a call for its illuminated directions. ``read`` marks directions on which the planner tried plans."""
 
     xyz: np.ndarray  # colours of the directions, shape (n, 3)
     to_light: np.ndarray  # directions to the light, shape (n, 3)
@@ -51,12 +54,12 @@ class Result(NamedTuple):
 
     @property
     def white(self) -> float:
-        """Reference luminance Y* of all directions, by the colours that the call returned."""
+        """Reference luminance Y* of all directions, computed from the colours that the call returned."""
         return reference_luminance(np.nan_to_num(self.xyz[:, 1].astype(np.float64)), np.ones(len(self.xyz)))
 
 
 class Figure(NamedTuple):
-    """Error of a call: P99 of the relative error over all directions, over bright ones (Y >= f), and over dim ones."""
+    """Error of a call: 99th percentiles of relative errors over all, over bright (Y >= f) and over dim directions."""
 
     overall: float
     bright: float
@@ -67,13 +70,13 @@ class Figure(NamedTuple):
 
     @property
     def value(self) -> float:
-        """Error that must not exceed the tolerance: the larger P99 of all and of bright directions."""
+        """Error that must not exceed the tolerance: the larger 99th percentile, over all or over bright directions."""
         return max(self.overall, self.bright)
 
 
 @contextmanager
 def witnessed() -> Iterator[list[np.ndarray]]:
-    """Record the scattering vectors (u, v, w) of directions that the planner's trials use in the ``with`` block."""
+    """Record the scattering vectors (u, v, w) for which the planner computes trial colours in the ``with`` block."""
     vectors: list[np.ndarray] = []
 
     class Witness(trial.Trial):
@@ -91,7 +94,7 @@ def witnessed() -> Iterator[list[np.ndarray]]:
 
 
 def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = True) -> Result:
-    """Make the call that a configuration describes, by public functions, and return its results."""
+    """Make the random call that ``case`` describes, by public functions, and return the results of the call."""
     arguments: dict[str, Any] = {
         "tolerance": case.tolerance, "coherence": case.coherence, "material": case.material, "threads": threads,
         "strict": strict,
@@ -137,7 +140,7 @@ def evaluate(case: Configuration, *, threads: int | None = None, strict: bool = 
 
 
 def sampled(result: Result, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Return indices of a sample of a call's directions, and for each the number of directions it represents."""
+    """Return a sample of a call's directions: indices, and for each the number of directions that it represents."""
     count = len(result.xyz)
     if count < FEW:
         return np.arange(count), np.ones(count)
@@ -159,7 +162,7 @@ def sampled(result: Result, rng: np.random.Generator) -> tuple[np.ndarray, np.nd
 
 
 def truth(case: Configuration, result: Result, chosen: np.ndarray, *, closer: float = 1.0) -> np.ndarray:
-    """Return XYZ of the chosen directions by the reference."""
+    """Return XYZ of the chosen directions, computed by the reference."""
     tolerance = 0.5 * min(case.tolerance, TRUTH_TOLERANCE) / closer
     return np.asarray(
         reference.reference_reflectance(
@@ -172,8 +175,9 @@ def truth(case: Configuration, result: Result, chosen: np.ndarray, *, closer: fl
 def figure(xyz: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None, *, white: float = math.inf) -> Figure:
     """Return the error of XYZ (n, 3) relative to the reference ``exact``, for illuminated directions.
 
-    The floor f is at least ``LEAST``. Y* is the smaller of two values: that of the sampled directions, and that of the
-    whole call, ``white``. The sample may contain mirror reflections more often than the call does.
+    The floor f is a share of the reference luminance Y*, and at least ``LEAST``. Two values of Y* are known: that of
+    the sampled directions, and that of the whole call, ``white``. The smaller value is used, because the sample may
+    contain mirror reflections more often than the call.
     """
     weights = np.ones(len(exact)) if weights is None else weights
     distances = np.linalg.norm(xyz - exact, axis=1)

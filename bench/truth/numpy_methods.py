@@ -1,8 +1,8 @@
 """NumPy implementations of the methods that the stability suite compares.
 
-The methods are series expansions in float32 and float64, sums over wavelengths with fixed steps, and fixed numbers of
-neighbours. The Fourier coefficients are computed by ``fourier_coefficients`` and ``phase_series`` of
-``warpdiff.diffraction``; their sums are computed here, in NumPy.
+The methods are series expansions in float32 and float64, sums over wavelengths at fixed steps, and sums over fixed
+numbers of neighbouring Fourier coefficients. The coefficients are computed by ``fourier_coefficients`` and
+``phase_series`` of ``warpdiff.diffraction``. The sums over coefficients are computed here, in NumPy.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ from warpdiff.optics import colorimetry
 
 SERIES = ("taylor-uncentred", "taylor", "jacobi-anger")
 METHODS = (*SERIES, "power", "low-rank")
-# Number of terms of the published Taylor series (n = 0 … 36).
+# Number of terms of the Taylor series in the publication (Single 2014), n = 0 … 36.
 PUBLISHED_TERMS = 37
-# Exponent at which a window's Gaussian is truncated. Derived: exp(−36) = 2e-16, the rounding error of float64.
+# Exponent at which the Gaussian of a coherence window is truncated. The value is derived: exp(−36) = 2e-16 is the
+# rounding error of float64.
 DEPTH = 36.0
-# Luminance, relative to a mirror, below which the library treats a direction as dark.
+# Luminance, relative to that of a mirror, below which the library treats a direction as dark.
 DARK = 1e-10
-# Largest number of values in a temporary array. Limit: memory.
+# Largest number of values in a temporary array. The value is limited by memory.
 CHUNK = 1 << 21
 
 
@@ -62,7 +63,7 @@ def outcome(call, *args, **keywords):
 
 
 def percentile_99(errors):
-    """Return the 99th percentile. It is infinite if it lies at or between values that are infinite or not a number."""
+    """Return the 99th percentile; infinity if the percentile lies at or between values that are infinite or NaN."""
     finite = np.where(np.isfinite(errors), errors, np.inf)
     with np.errstate(invalid="ignore"):
         percentile = float(np.percentile(finite, 99.0))
@@ -70,7 +71,7 @@ def percentile_99(errors):
 
 
 def colour_error(xyz, truth):
-    """Return the 99th percentile of the relative error ‖ΔXYZ‖ / max(‖XYZ‖, f); both arguments are (n, 3)."""
+    """Return the 99th percentile of ‖ΔXYZ‖ / max(‖XYZ‖, f), with a floor f of luminance; both arguments are (n, 3)."""
     floor = max(FLOOR * reference_luminance(truth[:, 1]), DARK)
     with np.errstate(all="ignore"):
         moved = np.linalg.norm(np.asarray(xyz, dtype=np.float64) - truth, axis=1)
@@ -78,7 +79,7 @@ def colour_error(xyz, truth):
 
 
 def spectral_error(rho, truth):
-    """Return the 99th percentile of |Δρ| / max(ρ, f). The floor f is a thousandth of the 99th percentile of ρ."""
+    """Return the 99th percentile of |Δρ| / max(ρ, f) for reflectances ρ; f is a thousandth of ρ's 99th percentile."""
     floor = max(1e-3 * np.percentile(truth, 99.0), DARK)
     with np.errstate(all="ignore"):
         moved = np.abs(np.asarray(rho, dtype=np.float64) - truth)
@@ -91,8 +92,8 @@ def spectral_error(rho, truth):
 def finger_rows(length_um, height_um=0.3, pitch_um=0.05):
     """Return a height field with a single row across fingers.
 
-    Its diffraction orders lie in one plane. A view that moves in the plane of incidence crosses them one after the
-    other.
+    The diffraction orders of the field lie in one plane. A view that moves in the plane of incidence crosses one order
+    after the other.
     """
     heightfield = wd.gratings.fingers(
         size_um=(3.2, length_um), pitch_um=(0.2, pitch_um), period_um=min(1.1, length_um), seed=5
@@ -102,10 +103,11 @@ def finger_rows(length_um, height_um=0.3, pitch_um=0.05):
 
 
 def in_plane(count, largest, seed=0):
-    """Return lights and views (count, 3) in the xz-plane with 0.02 <= |u| <= largest. |u| is log-uniform."""
+    """Return directions to light and view (count, 3) in the xz-plane, with |u| log-uniform from 0.02 to ``largest``."""
     rng = np.random.default_rng(seed)
     u = np.exp(rng.uniform(math.log(0.02), math.log(largest), count))
-    # In this function u is sin θi + sin θr. Both sines must be between −0.97 and 0.97.
+    # Here u is sin θi + sin θr, with the angles θi of light and θr of view from the normal. Both sines must be between
+    # −0.97 and 0.97.
     light = rng.uniform(np.maximum(-0.97, u - 0.97), np.minimum(0.97, u + 0.97))
     x = np.stack([light, u - light]) * rng.choice([-1.0, 1.0], count)
     pair = np.stack([x, np.zeros_like(x), np.sqrt(1.0 - x**2)], axis=-1)
@@ -113,7 +115,7 @@ def in_plane(count, largest, seed=0):
 
 
 def hemisphere_pairs(count, lowest=0.1, seed=0):
-    """Return random lights and views (count, 3) on the hemisphere with z >= lowest."""
+    """Return random directions to light and view (count, 3) on the hemisphere, with z >= lowest."""
     rng = np.random.default_rng(seed)
     z, phi = rng.uniform(lowest, 1.0, (2, count)), rng.uniform(0.0, 2.0 * np.pi, (2, count))
     s = np.sqrt(1.0 - z * z)
@@ -122,12 +124,13 @@ def hemisphere_pairs(count, lowest=0.1, seed=0):
 
 
 def with_lateral(count, order_rate, seed=0):
-    """Return random lights and views (count, 3) whose |(u, v)| equals ``order_rate``, which is below 2."""
+    """Return random lights and views (count, 3) with |(u, v)| equal to ``order_rate``, which must be below 2."""
     rng = np.random.default_rng(seed)
     lights = []
     while len(lights) < count:
-        # The components of light and view along the surface lie in the unit disc, and their sum is fixed. The component
-        # of the light therefore lies in the intersection of this disc and a second one, which is moved by the sum.
+        # Projected onto the surface, the direction to the light lies in the unit disc, and so does the view. The sum of
+        # both projections is fixed. The projection of the light therefore lies in the intersection of the unit disc and
+        # a second disc, whose centre is this sum.
         x = -order_rate / 2.0 + (1.0 - order_rate / 2.0) * rng.uniform(-1.0, 1.0)
         y = math.sqrt(1.0 - order_rate**2 / 4.0) * rng.uniform(-1.0, 1.0)
         if max(math.hypot(x, y), math.hypot(x + order_rate, y)) < 1.0 - 1e-4 * (2.0 - order_rate):
@@ -157,10 +160,10 @@ def at_elevation(count, elevation_deg, spread_deg=None, seed=0):
 
 
 def near_resonance(heightfield, away, wavelength_um, seed=7):
-    """Return lights and views (n, 3) in the xz-plane, near resonances of a replicated row of heights.
+    """Return directions to light and view (n, 3) in the xz-plane, near resonances of a replicated row of heights.
 
-    At a resonance, the phase between neighbouring periods is a whole number of turns. Here it differs by up to ``away``
-    turns.
+    At a resonance, the phase between neighbouring periods is a whole number of turns. Here the phase differs from a
+    whole number by up to ``away`` turns.
     """
     rng = np.random.default_rng(seed)
     orders = np.tile([-12, -7, -5, -3, -2, -1, 1, 2, 3, 4, 6, 9], 4)
@@ -172,11 +175,11 @@ def near_resonance(heightfield, away, wavelength_um, seed=7):
     return np.broadcast_to(light, views.shape), views
 
 
-# Series of the power spectrum under an averaged window.
+# Series of the power spectrum under an averaged Gaussian coherence window.
 
 
 class Rows(NamedTuple):
-    """Fourier coefficients or their powers as products: one row of numbers per coefficient, and a common basis in κ."""
+    """Fourier coefficients or their powers as products of a row of numbers per coefficient and basis functions of κ."""
 
     values: np.ndarray  # complex amplitudes or real powers, shape (my, mx, terms)
     basis: object  # function of κ (m,) that returns the basis functions, shape (m, terms)
@@ -184,9 +187,9 @@ class Rows(NamedTuple):
 
 
 def rows_for(heightfield, method, terms, *, kappas, dtype=np.float64):
-    """Return all Fourier coefficients of a height field, or their powers, for a range of κ, in float32 or float64.
+    """Return all Fourier coefficients of a height field, or their powers, for a range of κ = w/λ.
 
-    With the method "exact", they are accurate to rounding errors.
+    The results are in float32 or float64. With the method "exact", the results are accurate to rounding errors.
     """
     block = fourier_coefficients.Block(heightfield.shape, (0, 0), heightfield.shape)
     complex_type = np.complex64 if dtype == np.float32 else np.complex128
@@ -195,9 +198,9 @@ def rows_for(heightfield, method, terms, *, kappas, dtype=np.float64):
         scale = 2.0 * math.pi * expansion.offset_and_scale(heightfield)[1]
         values = fourier_coefficients.series_coefficients(heightfield, expansion, terms, block, dtype=complex_type)
         return Rows(values, lambda kappa: expansion.basis(scale * kappa, terms).astype(dtype), block.origin)
-    # The methods "power", "low-rank" and "exact" interpolate between samples of the coefficients at Chebyshev nodes in
-    # κ. For "power", the number of nodes is the number of terms. For "exact" and "low-rank", it is so large that
-    # interpolation errors are rounding errors.
+    # The methods "power", "low-rank" and "exact" interpolate between values of the Fourier coefficients at Chebyshev
+    # nodes in κ. For "power", the number of nodes is the number of terms of the series. For "exact" and "low-rank",
+    # there are so many nodes that interpolation errors are rounding errors.
     middle, half = (kappas[0] + kappas[1]) / 2.0, max((kappas[1] - kappas[0]) / 2.0, 1e-9)
     argument = math.pi * half * heightfield.height_range_um * (1.0 if method == "exact" else 2.0)
     count = terms if method == "power" else reference.chebyshev_terms(argument) + 6
@@ -214,7 +217,8 @@ def rows_for(heightfield, method, terms, *, kappas, dtype=np.float64):
         values, to_series = values @ functions, functions.T @ to_series
 
     def basis(kappa):
-        # By rounding, values of κ may lie slightly outside of the interpolation range. They are moved to its ends.
+        # By rounding, values of κ may lie slightly outside of the interpolation range. Such values are moved to the
+        # ends of the range.
         position = np.clip((kappa - middle) / half, -1.0, 1.0)
         chebyshev = np.polynomial.chebyshev.chebvander(position, count - 1)
         return (chebyshev @ to_series.T).astype(dtype)
@@ -227,19 +231,20 @@ def windowed_powers(
     heightfield, lights, views, wavelengths_um, *, sigma, method="exact", terms=None, dtype=np.float64,
     neighbour_extent=None, floor=False,
 ):  # fmt: skip
-    """Return ⟨|P|²⟩ of directions and wavelengths, averaged over all positions of a Gaussian window, shape (n, m).
+    """Return powers ⟨|P|²⟩, averaged over all positions of a Gaussian coherence window, shape (n, m).
 
     Args:
         heightfield: Height field.
         lights: Unit vectors to the light (n, 3).
         views: Unit vectors to the viewer (n, 3).
         wavelengths_um: Wavelengths [µm], shape (m,).
-        sigma: Standard deviation of the window [µm].
+        sigma: Standard deviation of the coherence window [µm].
         method: One of ``METHODS`` or "exact".
         terms: Number of terms of the series; ignored by "exact".
         dtype: Floating-point type of coefficients and sums. Positions among the coefficients are computed in the type
             of ``lights``.
-        neighbour_extent: Number of coefficients on either side of the central one; None means all that contribute.
+        neighbour_extent: Number of Fourier coefficients on either side of the central one; None means all coefficients
+            that contribute.
         floor: Whether the central coefficient is found by floor(), instead of by rounding.
     """
     scattering_vectors = -(lights + views)
@@ -254,7 +259,7 @@ def windowed_powers(
         position = np.outer(across, tau).ravel() * length
         near = np.floor(position) if floor else np.rint(position)
         most = math.ceil(math.sqrt(DEPTH / falloff) * length + 0.5) if neighbour_extent is None else neighbour_extent
-        # Along an axis with one sample, the heights are constant, and only the order 0 exists.
+        # Along an axis with one sample, the heights are constant, and only the diffraction order 0 exists.
         order = near[:, None] + np.arange(-most, most + 1, dtype=near.dtype) if n > 1 else np.zeros((len(near), 1))
         distance = (order - position[:, None]) / length if n > 1 else np.zeros((len(near), 1))
         axes.append((order.astype(np.int64) % n, np.exp(-falloff * distance**2).astype(dtype)))
@@ -272,14 +277,14 @@ def windowed_powers(
 
 
 def series_reflectance(heightfield, lights, views, wavelengths_um, **keywords):
-    """Return the reflectance ρ, shape (n, m). ``keywords`` are arguments of ``windowed_powers``."""
+    """Return reflectances ρ, shape (n, m), by a series expansion. ``keywords`` are arguments of ``windowed_powers``."""
     return reference.gain(lights, views)[:, None] * windowed_powers(
         heightfield, lights, views, wavelengths_um, **keywords
     )
 
 
 def most_terms(heightfield, method, kappa, tolerance=1e-13):
-    """Return the number of terms that a series requires for a tolerance, at most the library's limit."""
+    """Return the number of terms that a series requires for a tolerance, but at most the library's limit."""
     if method in SERIES:
         expansion = EXPANSIONS[method]
         return expansion.term_count(2.0 * math.pi * kappa * expansion.offset_and_scale(heightfield)[1], tolerance)
@@ -287,7 +292,7 @@ def most_terms(heightfield, method, kappa, tolerance=1e-13):
 
 
 def single_precision(heightfield, lights, views, wavelengths_um, *, sigma):
-    """Return ρ computed in float32 throughout, as in a shader: directions, gain, positions and sums."""
+    """Return the reflectance ρ, computed in float32 throughout, as in a shader."""
     i, r = lights.astype(np.float32), views.astype(np.float32)
     return series_reflectance(heightfield, i, r, wavelengths_um, sigma=sigma, dtype=np.float32)
 
@@ -298,8 +303,8 @@ def single_precision(heightfield, lights, views, wavelengths_um, *, sigma):
 def fixed_steps(step_nm):
     """Return wavelengths [nm] at fixed steps from 380 nm on, and colour weights (m, 3).
 
-    The weights are samples of the illuminant times the CIE functions, as in the published method, which does not use
-    quadrature weights.
+    The weights are samples of the illuminant times the CIE functions, as in the method of Single (2014), which does not
+    use quadrature weights.
     """
     wavelengths = np.arange(380.0, 780.0 + 1e-9, step_nm)
     table = reference.products("D65")
@@ -308,13 +313,13 @@ def fixed_steps(step_nm):
 
 
 def fixed_step_colour(heightfield, lights, views, step_nm, coherence):
-    """Return XYZ as a plain sum over wavelengths with a fixed step, with ρ from the float64 reference."""
+    """Return XYZ as a plain sum over wavelengths at a fixed step; reflectances are those of the float64 reference."""
     wavelengths, weights = fixed_steps(step_nm)
     return reference.reference_spectral(heightfield, lights, views, wavelengths * 1e-3, coherence) @ weights
 
 
 def wavenumber_colour(heightfield, lights, views, count, coherence):
-    """Return XYZ as a sum over equally spaced wavenumbers 1/λ, with the library's weights and ρ from the reference."""
+    """Return XYZ as a sum over equal steps of 1/λ, with the library's weights and the reference's reflectances."""
     wavenumbers, weights = colorimetry.uniform_quadrature(count, "D65")
     return reference.reference_spectral(heightfield, lights, views, 1.0 / wavenumbers, coherence) @ weights
 
@@ -322,7 +327,8 @@ def wavenumber_colour(heightfield, lights, views, count, coherence):
 def unforeshortened_colour(heightfield, lights, views, source):
     """Return XYZ under a light source without foreshortening, as a sum with steps of 1 nm.
 
-    The spread of the source in (u, v) is a disc for every direction of the light, instead of an ellipse.
+    The spread of the source in (u, v) is then a disc for every direction to the light. With foreshortening, it would be
+    an ellipse.
     """
     wavelengths, weights = fixed_steps(1.0)
     sums = reference.sum_for(heightfield, source, -(lights + views), 0.38, 0.78)
@@ -334,8 +340,9 @@ def unforeshortened_colour(heightfield, lights, views, source):
 def order_wise_colour(heightfield, lights, views, *, sigma):
     """Return XYZ as a sum over Fourier coefficients, with one wavelength per coefficient.
 
-    As λ changes, (u, v)/λ moves along a ray of the frequency plane. The wavelength is that at which it is nearest to
-    the coefficient. The summand is the coefficient's power there times the integral of its Gaussian over λ.
+    As λ changes, the frequency (u, v)/λ moves along a straight line of the frequency plane. The wavelength of a
+    coefficient is the one at which this frequency is nearest to the coefficient's frequency. The summand is the power
+    of the coefficient at this wavelength, times the integral of the coefficient's Gaussian over λ.
     """
     table = reference.products("D65")
     scattering_vectors = -(lights + views)
@@ -369,7 +376,7 @@ def order_wise_colour(heightfield, lights, views, *, sigma):
             "pt,pt->p", rows.values[s % heightfield.shape[0], r % heightfield.shape[1]], rows.basis(w * tau)
         )
         width = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * sigma * math.sqrt(square))
-        # The interval dλ = dτ/τ² is in nm here, because the CIE functions are tabulated at steps of 1 nm.
+        # The interval dλ = dτ/τ² is in nm, because the CIE functions are tabulated at steps of 1 nm.
         area = np.abs(values) ** 2 * np.exp(-4.0 * (math.pi * sigma) ** 2 * across)
         area *= math.sqrt(2.0 * math.pi) * width / tau**2 * 1e3
         curves = np.stack([np.interp(1e3 / tau, np.arange(380.0, 781.0), table[:, c]) for c in range(3)], axis=1)
@@ -377,14 +384,14 @@ def order_wise_colour(heightfield, lights, views, *, sigma):
     return result
 
 
-# Factors of replicated periods: ratio of |P|² of N periods to |P|² of one.
+# Factors of replicated patches: ratio of |P|² of N periods to |P|² of one period.
 
 
 def published_replicas(turns, periods, dtype=np.float64):
-    """Return the factor |(p + iq)/N|² of N periods, with p + iq in the published form (Single 2014, eq. 3.47).
+    """Return the factor |(p + iq)/N|² of N periods, with p + iq in the form of Single (2014, eq. 3.47).
 
-    The published sum over n = 0 … N has N + 1 terms. Here it ends at N − 1, so that it has one term per period.
-    ``turns`` is the phase between neighbouring periods, in turns.
+    In the publication, the sum p + iq is over n = 0 … N and has N + 1 terms. Here the sum ends at N − 1, so that it has
+    one term per period. ``turns`` is the phase between neighbouring periods, in turns.
     """
     angle = (2.0 * math.pi * np.asarray(turns)).astype(dtype)
     last, one, half = dtype(periods - 1), dtype(1), dtype(0.5)
@@ -396,10 +403,10 @@ def published_replicas(turns, periods, dtype=np.float64):
 
 
 def plain_replicas(turns, periods, dtype=np.float64):
-    """Return the factor [sin(πNt)/(N sin(πt))]² of N periods by direct evaluation, for a phase of t turns.
+    """Return the factor [sin(πNt)/(N sin(πt))]² of N periods by direct evaluation, for a phase of t turns per period.
 
-    t is not reduced to its distance from an integer, and integers, where the quotient is 0/0, are not treated
-    separately.
+    The number t is not reduced to its distance from an integer. Integers t, for which the quotient is 0/0, are not
+    treated separately.
     """
     angle = (math.pi * np.asarray(turns)).astype(dtype)
     with np.errstate(all="ignore"):
@@ -407,7 +414,7 @@ def plain_replicas(turns, periods, dtype=np.float64):
 
 
 def nearest_orders_power(heightfield, scattering_vector, wavelength_um, neighbour_extent):
-    """Return |P|² of one patch with one row, by interpolation between its 2·neighbour_extent + 1 nearest orders."""
+    """Return |P|² of a patch with one row, by interpolation between the 2·neighbour_extent + 1 nearest orders."""
     n, length = heightfield.shape[1], heightfield.size_um[1]
     coefficients = np.fft.ifft(np.exp(2j * np.pi * scattering_vector[2] / wavelength_um * heightfield.heights_um[0]))
     t = scattering_vector[0] / wavelength_um * length

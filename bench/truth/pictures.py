@@ -1,6 +1,7 @@
-"""Pictures for judging: cameras with several pixels for each pixel of another camera, and the white-furnace test.
+"""Pictures for tests: cameras with several pixels for each pixel of another camera, and the white-furnace test.
 
-The white-furnace test renders a mirror sphere under a uniform sky.
+The white-furnace test renders a mirror sphere under a uniform sky. If energy is conserved, the sphere is as bright as
+the sky.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ import warpdiff as wd
 
 
 def scaled(fov_deg: float, factor: float) -> float:
-    """Return the vertical field of view [degrees] of a picture that is ``factor`` times as high, with equal pixels."""
+    """Return the vertical field of view [degrees] of a picture with ``factor`` times as many rows of equal pixels."""
     return 2.0 * math.degrees(math.atan(math.tan(math.radians(fov_deg) / 2.0) * factor))
 
 
 def finer(view: wd.View, points: int, margin: int) -> wd.View:
-    """Return a view with ``points`` × ``points`` pixels for each pixel of a view and of a margin around it."""
+    """Return a view with ``points`` × ``points`` pixels for each pixel of another view, and of a margin around this."""
     width, height = view.width + 2 * margin, view.height + 2 * margin
     fov = scaled(view.fov_y_deg, height / view.height)
     return dataclasses.replace(view, fov_y_deg=fov, width=points * width, height=points * height)
@@ -31,7 +32,7 @@ def furnace_picture(
 ) -> tuple[wd.Image, np.ndarray]:
     """Render a perfect mirror sphere under a uniform sky of radiance 1.
 
-    Return the picture and the distance of each pixel from the sphere's centre, in radii.
+    Return the picture and the distance of each pixel from the centre of the sphere [radii of the sphere].
     """
     ball = trimesh.creation.icosphere(4)
     radius = 1.01 * np.hypot(*np.meshgrid(*2 * [(2.0 * np.arange(size) + 1.0) / size - 1.0]))

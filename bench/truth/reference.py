@@ -1,12 +1,13 @@
 """Reference colours of directions and pixels in NumPy and float64; shares no code with the library.
 
-For a window or a light source, the coefficients H_rs(κ) are computed by FFTs of exp(2πiκh) at Chebyshev nodes in κ. The
-nodes are dense enough that interpolation errors are rounding errors. All coefficients within nine standard deviations
-of (u, v)/λ are included.
+For a coherence window or a light source, the Fourier coefficients H_rs(κ) of exp(2πiκh), with heights h, are computed
+by FFTs at Chebyshev nodes in κ = w/λ. The nodes are dense enough that interpolation errors are rounding errors. All
+coefficients within nine standard deviations of the frequency (u, v)/λ are included.
 
-For a replicated patch, the height samples of one patch are summed at Chebyshev nodes in 1/λ, with interpolation between
-them. The factor of the periods has a closed form. In both cases, the integral over λ is refined until it converges.
-Tests compare this reference with the direct sum (``warpdiff.diffraction.direct_sum``), which is too slow for pictures.
+For a replicated patch, the height samples of one patch are summed at Chebyshev nodes in 1/λ, and the sums are
+interpolated between the nodes. The factor by which several periods differ from one has a closed form. In both cases,
+the integral over λ is refined until it converges. Tests compare this reference with the direct sum
+(``warpdiff.diffraction.direct_sum``), which is too slow for pictures.
 """
 
 from __future__ import annotations
@@ -21,33 +22,36 @@ from bench.truth import flat_materials
 from bench.truth.brute_force import intersect, pixel_rays, shading_frame
 from bench.truth.errors import FLOOR, reference_luminance
 
-# Distance in standard deviations of the Gaussian within which coefficients contribute. Limit: exp(−9²/2) = 3e-18 is
-# negligible.
+# Distance within which Fourier coefficients contribute, in standard deviations of the Gaussian that weights them. The
+# value was chosen because exp(−9²/2) = 3e-18 is negligible.
 WIDTHS = 9.0
-# Exponent at which the Gaussian is truncated. Derived: the exponent at the distance `WIDTHS`.
+# Exponent at which the Gaussian weight of Fourier coefficients is truncated. The value is derived: the exponent at the
+# distance `WIDTHS`.
 DEPTH = WIDTHS**2 / 2.0
 # Range of wavenumbers 1/λ [1/µm] of all integrals, from 780 nm to 380 nm.
 REDDEST, BLUEST = 1.0 / 0.78, 1.0 / 0.38
-# Size of the cells of the quadrature over τ = 1/λ. `POINTS` is the number of Gauss-Legendre nodes per cell. The initial
-# length of a cell is at most `WIDTHS_PER_CELL` standard deviations of a coefficient's Gaussian in τ, and at most
-# `PERIODS_PER_CELL` periods of exp(2πiτwh). Cells are halved until the integral converges.
+# The quadrature over τ = 1/λ divides the range into cells. `POINTS` is the number of Gauss-Legendre nodes per cell. The
+# initial length of a cell is at most `WIDTHS_PER_CELL` standard deviations in τ of the Gaussian weight of a Fourier
+# coefficient, and at most `PERIODS_PER_CELL` periods of exp(2πiτwh). Cells are halved until the integral converges.
 POINTS = 8
 WIDTHS_PER_CELL = 6.0
 PERIODS_PER_CELL = 1.2
-# Smallest number of quadrature cells.
+# Smallest number of cells of the quadrature over τ = 1/λ.
 FEWEST_CELLS = 8
-# Largest number of quadrature cells. Limit: memory; a reference that requires more is refused.
+# Largest number of cells of the quadrature over τ = 1/λ. The value is limited by memory; a reference that requires more
+# cells is refused.
 MOST_CELLS = 1 << 19
-# Number of wavenumbers τ that are evaluated together. Coefficients that are near the frequency τ·(u, v) for any of
-# these wavenumbers are evaluated for all of them. Limit: with more wavenumbers, most of these coefficients contribute
-# only to a few wavenumbers.
+# Number of wavenumbers τ = 1/λ that are evaluated together. Fourier coefficients near the frequency τ·(u, v) at any of
+# these wavenumbers are evaluated at all of them. The value was chosen: with more wavenumbers, most of these
+# coefficients contribute at only a few.
 BLOCK = 128
-# Largest number of wavenumbers that are evaluated at once for a replicated patch, and largest number of height samples
-# per partial sum. Limit: memory.
+# For a replicated patch: largest number of wavenumbers that are evaluated at once, and largest number of height samples
+# per partial sum. Both values are limited by memory.
 MOST_NODES = 1 << 16
 MOST_SAMPLES = 1 << 14
-# Least Y that must converge, relative to a mirror. Limit: the truncation at nine standard deviations causes steps of
-# about this size, at which no quadrature converges.
+# Least luminance Y, relative to a mirror, for which the integral over λ must converge. The value is limited by the
+# truncation at nine standard deviations. The truncation causes steps of about this size, at which no quadrature
+# converges.
 LEAST = 1e-10
 # Matrix from XYZ to linear sRGB (IEC 61966-2-1).
 XYZ_TO_RGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
@@ -67,12 +71,12 @@ class Step(NamedTuple):
 
 
 def step_of(coherence, sigma, centre):
-    """Return a coherence from its kind, σ [µm] and centre (y, x) [µm]. A coherence object is returned unchanged."""
+    """Return a coherence from its kind and its window's σ [µm] and centre (y, x) [µm]; return an object unchanged."""
     return Step(coherence, sigma, centre_um=centre) if isinstance(coherence, str) else coherence
 
 
 def sum_for(heightfield, step, scattering_vectors, shortest, longest):
-    """Return an object that computes ⟨|P|²⟩ of scattering vectors (n, 3) at wavelengths between two limits [µm]."""
+    """Return an object that computes powers ⟨|P|²⟩ of scattering vectors (n, 3) at wavelengths in a range [µm]."""
     return (
         Replicas(heightfield, step)
         if step.kind == "replicas"
@@ -86,9 +90,9 @@ def chebyshev_nodes(count):
 
 
 def chebyshev_cardinals(position, count):
-    """Return the cardinal polynomials of the Chebyshev nodes at positions (m,), shape (m, count).
+    """Return the cardinal polynomials of ``count`` Chebyshev nodes at positions (m,), shape (m, count).
 
-    A cardinal polynomial is 1 at one node and 0 at all others.
+    A cardinal polynomial is 1 at one node and 0 at all other nodes.
     """
     order = np.arange(count)
     transform = np.cos(np.outer(order, math.pi * (order + 0.5) / count)) * (2.0 / count)
@@ -102,7 +106,7 @@ def chebyshev_terms(argument):
 
 
 class Coefficients:
-    """Coefficients H_rs(κ) of a height field, and ⟨|P|²⟩ under a window or a light source."""
+    """Fourier coefficients H_rs(κ) of a height field, and powers ⟨|P|²⟩ for a coherence window or a light source."""
 
     def __init__(self, heightfield, step, scattering_vectors, shortest, longest):
         self.step = step
@@ -114,13 +118,13 @@ class Coefficients:
         self.low = kappas.min()
         self.half = max(np.ptp(kappas) / 2.0, 1e-9)
         heights = np.asarray(heightfield.heights_um, dtype=np.float64)
-        # The mid-range height is subtracted. This changes only a phase that is common to all coefficients, and reduces
-        # the number of nodes in κ.
+        # The middle of the height range is subtracted. This changes only a phase that is common to all Fourier
+        # coefficients, and reduces the necessary number of Chebyshev nodes in κ.
         heights = heights - (heights.max() + heights.min()) / 2.0
         self.height = np.abs(heights).max()
         self.terms = chebyshev_terms(2.0 * math.pi * self.half * self.height)
-        # Only coefficients near at least one of the directions are stored. For the index of an order, `places` has the
-        # position of its coefficient in the stored array.
+        # Only coefficients near the frequency (u, v)/λ of at least one direction are stored. For the index of an order,
+        # `places` has the position of its coefficient in the stored array.
         radius = math.sqrt(DEPTH / self.rate(1.0 / shortest))
         indices, self.places = [], []
         for n, length, across in zip(
@@ -130,7 +134,8 @@ class Coefficients:
             indices.append(np.arange(n) if 2 * most + 1 >= n else np.arange(-most, most + 1) % n)
             self.places.append(np.zeros(n, dtype=np.int64))
             self.places[-1][indices[-1]] = np.arange(len(indices[-1]))
-        # `rows` has the real and imaginary parts of each coefficient at all nodes, shape (my, mx, 2, nodes).
+        # `rows` has the real and imaginary parts of each coefficient at all Chebyshev nodes in κ, shape (my, mx, 2,
+        # nodes).
         self.rows = np.empty((len(indices[0]), len(indices[1]), 2, self.terms))
         for node, at in enumerate(chebyshev_nodes(self.terms)):
             sampled = np.fft.ifft2(np.exp(2j * math.pi * (self.low + self.half * (1.0 + at)) * heights))[
@@ -143,18 +148,21 @@ class Coefficients:
         self.centre = centre
 
     def metric(self, to_light):
-        """Return the matrix A in the exponent −a(τ) · (q − q_rs)ᵀ A (q − q_rs) of a coefficient's Gaussian around its
-        frequency q_rs.
+        """Return the matrix A in the Gaussian weight exp(−a(τ) · (q − q_rs)ᵀ A (q − q_rs)) of a Fourier coefficient.
+
+        The coefficient has the frequency q_rs, and q is the frequency at which the weight is evaluated.
         """
         if self.step.kind != "source":
             return np.eye(2)
-        # A disc in the sky is an ellipse in (u, v): its axis towards the light is shorter by the factor cos θi.
+        # A disc light in the sky is an ellipse in (u, v): the axis of the ellipse towards the light is shorter by the
+        # factor cos θi.
         across = to_light[:2]
         return np.eye(2) + np.outer(across, across) / to_light[2] ** 2
 
     def rate(self, tau):
-        """Return the factor a(τ) [µm²] in the exponent −a(τ) · (q − q_rs)ᵀ A (q − q_rs) of the Gaussian around the
-        frequency q_rs.
+        """Return the factor a(τ) [µm²] in the Gaussian weight exp(−a(τ) · (q − q_rs)ᵀ A (q − q_rs)) of a coefficient.
+
+        The Fourier coefficient has the frequency q_rs, and q is the frequency at which the weight is evaluated.
         """
         if self.step.kind == "source":
             return 1.0 / (2.0 * (self.step.spread * tau) ** 2)
@@ -162,26 +170,29 @@ class Coefficients:
         return np.full(np.shape(tau), falloff)
 
     def resolution(self, scattering_vector, to_light):
-        """Return the largest quadrature cell in τ for one direction, and the least Y for which the integral must
-        converge.
+        """Return the largest quadrature cell in τ = 1/λ, and the least luminance for which the integral must converge.
 
-        The cell is small enough to resolve the Gaussian of each coefficient that τ·(u, v) passes as τ changes.
+        The cell is small enough to resolve the Gaussian of each Fourier coefficient that the frequency τ·(u, v) passes
+        as τ changes.
         """
         across = scattering_vector[:2]
         length = math.sqrt(across @ self.metric(to_light) @ across)
         if self.step.kind == "source":
-            # The Gaussian of a coefficient has the standard deviation τ²·spread/|q| in τ. It is smallest for the
-            # smallest τ and the largest |q| of a coefficient that contributes, |q| = τ (|(u, v)| + 4·spread).
+            # The Gaussian weight of a coefficient has the standard deviation τ²·spread/|q| in τ = 1/λ. Here q is the
+            # frequency of the coefficient, and spread is the angular spread of the light source. The standard deviation
+            # is smallest for the smallest τ and the largest |q| of a coefficient that contributes, |q| = τ (|(u, v)| +
+            # 4·spread).
             width = REDDEST * self.step.spread / (length + 4.0 * self.step.spread)
         else:
-            # This is the Gaussian's standard deviation in τ for an averaged window. For a centred window, amplitudes
-            # have a Gaussian that is wider by √2, but the power is a product of two amplitudes and has the same width.
+            # For an averaged coherence window, this is the standard deviation in τ = 1/λ of the Gaussian weight of a
+            # coefficient. For a centred window, amplitudes have a Gaussian weight that is wider by √2. The power is a
+            # product of two amplitudes and has the same width as for an averaged window.
             width = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * self.step.sigma_um * max(length, 1e-9))
         turns = 2.0 * abs(scattering_vector[2]) * self.height
         return min(WIDTHS_PER_CELL * width, PERIODS_PER_CELL / max(turns, 1e-9)), LEAST
 
     def power(self, scattering_vector, to_light, tau):
-        """Return ⟨|P|²⟩ of one scattering vector (u, v, w) at wavenumbers τ = 1/λ [1/µm], shape (m,)."""
+        """Return powers ⟨|P|²⟩ of a scattering vector (u, v, w) at wavenumbers τ = 1/λ [1/µm], shape (m,)."""
         order = np.argsort(tau)
         result = np.empty(len(tau))
         for start in range(0, len(tau), BLOCK):
@@ -190,9 +201,9 @@ class Coefficients:
         return result
 
     def _power(self, scattering_vector, metric, tau):
-        """Return ⟨|P|²⟩ of one scattering vector at a few wavenumbers in ascending order, shape (m,).
+        """Return powers ⟨|P|²⟩ of a scattering vector at a few ascending wavenumbers τ = 1/λ, shape (m,).
 
-        Coefficients that are near τ·(u, v) at any of the wavenumbers are evaluated at all of them.
+        Fourier coefficients near the frequency τ·(u, v) at any of the wavenumbers are evaluated at all of them.
         """
         across = scattering_vector[:2]
         radius = math.sqrt(DEPTH / self.rate(tau).min())
@@ -203,12 +214,13 @@ class Coefficients:
             length, low, high = self.lengths[1 - axis], ends[:, axis].min(), ends[:, axis].max()
             first = math.ceil((low - radius * along_axis[axis]) * length)
             last = math.floor((high + radius * along_axis[axis]) * length)
-            # Along an axis with one sample, the heights are constant, and only the order 0 exists.
+            # Along an axis with one sample, the heights are constant, and only the diffraction order 0 exists.
             bounds.append(np.arange(first, last + 1) if self.shape[1 - axis] > 1 else np.arange(first <= 0 <= last))
         r, s = (grid.ravel() for grid in np.meshgrid(*bounds))
         q = np.stack([r / self.lengths[1], s / self.lengths[0]], axis=1)
-        # `away` is the vector to each coefficient from the nearest point of the path τ·(u, v). Its length is measured
-        # in the metric A.
+        # As τ = 1/λ changes, the frequency τ·(u, v) follows a straight path. `away` is the vector from the nearest
+        # point of this path to a coefficient's frequency. The length of `away` is measured in the metric A of the
+        # coefficient's Gaussian weight.
         square = across @ metric @ across
         nearest = np.clip(q @ metric @ across / max(square, 1e-30), tau[0], tau[-1])
         away = q - nearest[:, None] * across
@@ -216,8 +228,9 @@ class Coefficients:
         if not near.any():
             return np.zeros(len(tau))
         r, s, q = r[near], s[near], q[near]
-        # As τ changes, τU with U = (u, v) moves along a line. In the metric A, the squared distance from q to τU, which
-        # is the exponent, is the squared distance from q to the line plus the squared distance along the line.
+        # As τ = 1/λ changes, the frequency τU with U = (u, v) moves along a straight line. The exponent of the Gaussian
+        # weight of a coefficient of the frequency q is the squared distance from q to τU in the metric A. This is the
+        # squared distance from q to the line plus the squared distance along the line.
         foot = q @ metric @ across / max(square, 1e-30)
         away = q - foot[:, None] * across
         across_square = np.einsum("ki,ij,kj->k", away, metric, away)
@@ -234,13 +247,13 @@ class Coefficients:
 
 
 class Replicas:
-    """Replicated height field with coherent periods, and its |P|²."""
+    """Replicated height field with coherent periods, and the powers |P|² of scattering vectors."""
 
     def __init__(self, heightfield, step):
         (ny, nx), (dy, dx) = heightfield.shape, (float(d) for d in heightfield.pitch_um)
         heights = np.asarray(heightfield.heights_um, dtype=np.float64)
         # The origin is moved to the middle of the patch. This changes only a phase that is common to all samples, and
-        # reduces the number of nodes in τ.
+        # reduces the necessary number of Chebyshev nodes in τ = 1/λ.
         x = np.broadcast_to((np.arange(nx) - (nx - 1) / 2.0) * dx, heights.shape)
         y = np.broadcast_to(((np.arange(ny) - (ny - 1) / 2.0) * dy)[:, None], heights.shape)
         z = heights - (heights.max() + heights.min()) / 2.0
@@ -250,8 +263,7 @@ class Replicas:
         self.latest = None, None
 
     def resolution(self, scattering_vector, to_light):  # noqa: ARG002
-        """Return the largest quadrature cell in τ for one direction, and the least Y for which the integral must
-        converge.
+        """Return the largest quadrature cell in τ = 1/λ, and the least luminance for which the integral must converge.
 
         The cell is small enough to resolve the lobes of the replicated periods.
         """
@@ -262,7 +274,7 @@ class Replicas:
         return PERIODS_PER_CELL / max(turns, 1e-9), LEAST**2 / math.prod(self.periods) ** 2
 
     def power(self, scattering_vector, to_light, tau):  # noqa: ARG002
-        """Return |P|² of one scattering vector (u, v, w) at wavenumbers τ = 1/λ [1/µm], shape (m,)."""
+        """Return powers |P|² of a scattering vector (u, v, w) at wavenumbers τ = 1/λ [1/µm], shape (m,)."""
         low, high = tau.min(), tau.max()
         span = max(high - low, 1e-9)
         key = (*scattering_vector, low, high)
@@ -279,9 +291,10 @@ class Replicas:
         return result
 
     def _patch(self, position):
-        """Return the mean of exp(2πiτ(ux + vy + wh)) over the patch, except for a phase common to all samples.
+        """Return the mean of exp(2πiτ(ux + vy + wh)) over samples (x, y, h) of the patch, except for a common phase.
 
-        ``position`` is relative to the range of τ: 0 at its lower end, 1 at its upper end.
+        ``position`` is the position in the range of wavenumbers τ = 1/λ: 0 at the lower end of the range, 1 at the
+        upper end.
         """
         at_nodes = self.latest[1]
         panels, terms = at_nodes.shape
@@ -292,7 +305,8 @@ class Replicas:
     def _panels(self, scattering_vector, low, span):
         """Return the mean of exp(2πiτ(ux + vy + wh)) over the patch at Chebyshev nodes in τ, shape (panels, nodes).
 
-        The range of τ, which begins at ``low`` and has the length ``span``, is divided into panels of equal length.
+        The range of wavenumbers τ = 1/λ, which begins at ``low`` and has the length ``span``, is divided into parts
+        (panels) of equal length.
         """
         argument = math.pi * span * (np.abs(scattering_vector) @ self.extent)
         panels = max(1, math.ceil(argument / 5.0))
@@ -302,9 +316,10 @@ class Replicas:
         at_nodes = np.zeros((panels, terms), dtype=complex)
         turns = scattering_vector @ self.samples
         for part in np.array_split(turns, math.ceil(len(turns) / MOST_SAMPLES)):
-            # The position of a node is the middle of its panel plus an offset, so that exp(i…) at the node is a product
-            # of two factors. Middles have equal distances, which gives their factors by recurrence. Offsets are
-            # symmetric, so that the factors of the second half are complex conjugates.
+            # The position of a Chebyshev node is the middle of its panel plus an offset, so that the exponential at the
+            # node is a product of two factors. The middles are equally spaced, so that the factors of the middles
+            # follow by recurrence. The offsets are symmetric, so that the factors of the second half are complex
+            # conjugates of the first half.
             to_middles, to_next = exp_i(2.0 * math.pi * (low + step / 2.0) * part), exp_i(2.0 * math.pi * step * part)
             middles = np.empty((panels, len(part)), dtype=complex)
             for panel in range(panels):
@@ -325,7 +340,7 @@ def exp_i(phase):
 
 
 def gain(to_light, to_view, *, ior=1.5, masking=True, source=False):
-    """Return the gain C·M of unit vectors (n, 3) in the local frame; with ``source``, it is divided by cos θi.
+    """Return the geometry factor (gain) C·M of unit vectors (n, 3) in the local frame, over cos θi for ``source``.
 
     The gain is 0 where one of the vectors is below the surface.
     """
@@ -352,7 +367,7 @@ def fresnel(cosine, ior):
 
 @functools.cache
 def products(illuminant):
-    """Return the products S·x̄ȳz̄ at 380, 381, … 780 nm, divided by ΣSȳ, shape (401, 3), from colour-science."""
+    """Return the products S·x̄ȳz̄ of an illuminant S and the CIE functions, over ΣSȳ, at 380 to 780 nm, (401, 3)."""
     import colour
 
     shape = colour.SpectralShape(380, 780, 1)
@@ -365,17 +380,18 @@ def products(illuminant):
 def quadrature(cells, illuminant):
     """Return wavenumbers τ [1/µm] and weights (m, 3) of a quadrature with cells of equal length in τ.
 
-    In each cell the integrand is a product: a polynomial in τ through the values at the nodes, times the colour
-    products, which are interpolated linearly between integer wavelengths. The weights integrate this product over λ
-    exactly. Colours are defined as sums over integer wavelengths, in which the first and the last wavelength count
-    fully; in the integral they count half. The two ends of the range are therefore additional nodes, whose weights are
-    half of the colour products at these wavelengths.
+    In each cell the integrand is a product: a polynomial in τ through the values at the nodes, times the tabulated
+    colour products. The colour products are interpolated linearly between wavelengths that are whole numbers of nm. The
+    weights integrate the product over λ exactly. Colours are defined as sums over wavelengths that are whole numbers of
+    nm, in which the first and the last wavelength count fully. In the integral these two count half. The two ends of
+    the range are therefore additional nodes, and the weights of these nodes are half of the colour products.
     """
     x, _ = np.polynomial.legendre.leggauss(POINTS)
     edges = np.linspace(REDDEST, BLUEST, cells + 1)
     half, middles = (edges[1] - edges[0]) / 2.0, (edges[:-1] + edges[1:]) / 2.0
-    # The integrand is not smooth at the edges of cells and at integer wavelengths. Between two neighbouring ones of
-    # these points it is smooth, and a Gauss rule with 6 points integrates it.
+    # The integrand is not smooth at the edges of cells and at wavelengths that are whole numbers of nm, where the
+    # tabulated colour products have kinks. The integral is therefore divided at all of these places. In each part the
+    # integrand is smooth, and a Gauss rule with 6 points integrates it.
     pieces = np.unique(np.concatenate([1e3 / edges[1:-1], np.arange(380.0, 781.0)]))
     middle = (pieces[:-1] + pieces[1:]) / 2.0
     cell = np.clip(((1e3 / middle - REDDEST) / (2.0 * half)).astype(np.int64), 0, cells - 1)
@@ -398,7 +414,7 @@ def reference_spectral(
     heightfield, to_light, to_view, wavelengths_um, coherence="averaged", sigma=16.25, *, ior=1.5, material=None,
     masking=True, centre=None,
 ):  # fmt: skip
-    """Return ρ of unit vectors (n, 3) in the local frame, shape (n, m).
+    """Return reflectances ρ of unit vectors (n, 3) in the local frame at m wavelengths, shape (n, m).
 
     The coherence is a name, such as "averaged", with ``sigma`` [µm], or a coherence object.
     """
@@ -419,7 +435,7 @@ def reference_spectral(
 
 
 def reflected(material, to_light, to_view, wavelengths_um):
-    """Return the Fresnel reflectance of one pair of directions, or 1 without a material.
+    """Return the Fresnel reflectance for one pair of directions to light and view, or 1 without a material.
 
     The angle of incidence is half of the angle between the two directions.
     """
@@ -430,7 +446,7 @@ def reflected(material, to_light, to_view, wavelengths_um):
 
 
 def colours(heightfield, scattering_vectors, to_light, step, *, tolerance, illuminant="D65", material=None):
-    """Return XYZ of scattering vectors (n, 3): ∫ ⟨|P|²⟩ S x̄ȳz̄ dλ / ∫ S ȳ dλ, shape (n, 3).
+    """Return XYZ of scattering vectors (n, 3): ∫ ⟨|P|²⟩ S x̄ȳz̄ dλ / ∫ S ȳ dλ for the illuminant S, shape (n, 3).
 
     The cells of the quadrature are halved until XYZ changes by less than a twentieth of the tolerance.
     """
@@ -439,8 +455,8 @@ def colours(heightfield, scattering_vectors, to_light, step, *, tolerance, illum
         return result
     sums = sum_for(heightfield, step, scattering_vectors, 0.38, 0.78)
     for index, (scattering_vector, light) in enumerate(zip(scattering_vectors, to_light, strict=True)):
-        # Two quadratures, the second with cells of half the size, must agree, because a narrow peak may lie between the
-        # nodes of one. Numbers of cells are powers of 2, so that few different quadratures are computed.
+        # A narrow peak may lie between the nodes of a quadrature. Two quadratures must therefore agree, the second with
+        # cells of half the size. Numbers of cells are powers of 2, so that few different quadratures are computed.
         largest, least = sums.resolution(scattering_vector, light)
         cells = 1 << math.ceil(math.log2(max((BLUEST - REDDEST) / largest, FEWEST_CELLS)) - 1.0)
         before = None
@@ -485,8 +501,8 @@ def reference_reflectance(
 class Body(NamedTuple):
     """A mesh in world coordinates with normals, tangents, handedness and texture coordinates at its vertices.
 
-    The handedness is −1 where the texture mapping is mirrored, and else 1. The texture is sRGB with 8 bits, and its row
-    0 is at v = 1.
+    The handedness is −1 where the texture mapping is mirrored, and 1 elsewhere. The texture is sRGB with 8 bits, and
+    row 0 of the texture is at v = 1.
     """
 
     vertices: np.ndarray
@@ -499,7 +515,7 @@ class Body(NamedTuple):
 
     @classmethod
     def of(cls, surface, texture=None):
-        """Return the arrays of a mesh that the library has prepared. They are inputs of the reference."""
+        """Return the arrays of a mesh that the library has prepared, which are inputs of the reference."""
         fields = (getattr(surface, name) for name in ("normals", "tangents", "handedness", "uvs"))
         place = surface.vertices.astype(np.float64) * surface.radius + surface.centre
         return cls(place, surface.faces, *(field.astype(np.float64) for field in fields), texture)
@@ -510,7 +526,7 @@ class Pixels(NamedTuple):
 
     Attributes:
         xyz: XYZ, shape (k, 3).
-        hit: Whether the pixel's ray hits the mesh.
+        hit: Whether the ray through the centre of the pixel hits the mesh.
         illuminated: Whether at least one light illuminates the hit.
         unsure: Whether rounding to float32 may change whether the pixel is hit or in shadow.
         cos_geometric: Cosine between the last light and the face normal on the viewer's side.
@@ -524,7 +540,7 @@ class Pixels(NamedTuple):
 
 
 def bilinear(texture, uv):
-    """Return linear RGB of an sRGB texture (h, w, 3) at texture coordinates (k, 2), by bilinear interpolation."""
+    """Return linear RGB of an sRGB texture (h, w, 3) at texture coordinates (k, 2), bilinearly interpolated."""
     encoded = np.asarray(texture, dtype=np.float64) / 255.0
     linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
     height, width = linear.shape[:2]
@@ -548,7 +564,8 @@ def pigment_colour(base, to_light, to_view, heightfield, step, illuminant, ior):
         weight = grid**2 / (math.pi * patch * math.prod(step.periods))
     else:
         weight = grid**2 / (4.0 * math.pi**2 * step.sigma_um**2)
-    # A white pigment has the chromaticity of the illuminant; its luminance is the mean of the weights.
+    # A white pigment has the chromaticity of the illuminant. The luminance of this pigment is the mean of `weight` over
+    # the wavelengths, with the colour product for Y as weight.
     spectrum = products(illuminant)
     white = (weight @ spectrum[:, 1]) * spectrum.sum(axis=0)
     xyz = (base * (XYZ_TO_RGB @ white)) @ np.linalg.inv(XYZ_TO_RGB).T
@@ -568,12 +585,12 @@ def reference_picture(
         lights: Objects with ``to_light``, ``illuminant`` and ``power``.
         view: Camera.
         pixels: Indices of pixels, shape (k,).
-        coherence: Kind of coherence by name, or a coherence object.
-        sigma: Standard deviation of the window [µm] for a coherence by name.
-        tolerance: Tolerance; the integral over λ converges to a twentieth of it.
+        coherence: Name of a kind of coherence, or a coherence object.
+        sigma: Standard deviation of the coherence window [µm], if ``coherence`` is a name.
+        tolerance: Tolerance of the reference; the integral over λ converges to a twentieth of the tolerance.
         ior: Index of refraction.
-        masking: Whether the masking term is applied.
-        pigment: Strength of the pigment.
+        masking: Whether the gain includes the factor for masking and shadowing by the relief.
+        pigment: Strength of the pigment under the diffracting surface.
         shadows: Whether shadow rays are traced.
         smooth: Whether normals are interpolated.
         chunk: Number of rays that are intersected with all faces at a time.
@@ -596,8 +613,8 @@ def reference_picture(
     side = np.where(np.sum(geometric * directions, axis=1) > 0.0, -1.0, 1.0)[:, None]
     start = point
     if smooth:
-        # Where the surface is convex, shadow rays start from a point outside of the flat face, interpolated between
-        # tangent planes at its corners (Hanika 2021, "Hacking the shadow terminator").
+        # Where the surface is convex, shadow rays start outside of the flat face. The starting point is interpolated
+        # between the tangent planes at the corners of the face (Hanika 2021, "Hacking the shadow terminator").
         outward = side[:, :, None] * body.normals[corners]
         below = np.minimum(np.sum((point[:, None] - places) * outward, axis=2), 0.0)
         start = np.einsum("kc,kcd->kd", bary, point[:, None] - below[:, :, None] * outward)
@@ -654,7 +671,7 @@ class PictureError(NamedTuple):
 
 
 def stratified(mask, count, seed=0):
-    """Return indices of ``count`` random pixels of a mask, evenly distributed over its rows.
+    """Return indices of ``count`` random pixels of a mask, evenly distributed over the rows of the mask.
 
     The pixels of the mask, in row order, are divided into ``count`` equal parts. One pixel is drawn from each part.
     """
@@ -665,7 +682,7 @@ def stratified(mask, count, seed=0):
 
 
 def picture_error(xyz, truth):
-    """Return the error of a picture's XYZ (k, 3) relative to reference ``Pixels``, over illuminated pixels."""
+    """Return the error of a picture's XYZ (k, 3) relative to the reference ``truth``, over illuminated pixels."""
     use = truth.illuminated & ~truth.unsure
     exact, moved = truth.xyz[use], np.linalg.norm(xyz[use] - truth.xyz[use], axis=1)
     floor = FLOOR * reference_luminance(exact[:, 1])

@@ -2,11 +2,12 @@
 
 The sums use none of the library's code for environments, disc lights, shadows or footprints.
 
-The rays of a pixel are distributed over its filter, a Gaussian with σ = 0.5 pixels, truncated at 1.5 pixels. Each ray
-has one direction to the light: half of these directions are drawn from the light, and half around the mirror direction
-(multiple importance sampling with the balance heuristic). Shadow rays are traced through a hierarchy of the mesh that
-is built here. An element of solid angle dω from the radiance L adds 4πσ²/λ² · ρ L dω. The spectrum of L is that of its
-RGB under D65 (Mallett and Yuksel 2019).
+The rays of a pixel are distributed over the pixel filter, a Gaussian with σ = 0.5 pixels, truncated at 1.5 pixels. Each
+ray has one direction to the light: half of these directions are drawn from the light, and half around the mirror
+direction (multiple importance sampling with the balance heuristic). Shadow rays are traced through a hierarchy of the
+mesh that is built here. An element dω of solid angle with the radiance L adds 4πσ²/λ² · ρ L dω to a colour. Here ρ is
+the reflectance and σ the standard deviation of the coherence window. The spectrum of L is derived from the RGB of the
+sky under D65 (Mallett and Yuksel 2019).
 """
 
 from __future__ import annotations
@@ -31,15 +32,16 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Number of traced rays along each axis of a pixel. Samples of the pixel filter use the nearest traced ray. Limit: a
-# smaller number distorts the filter.
+# Number of traced rays along each axis of a pixel. Samples of the pixel filter use the nearest traced ray. The value
+# was chosen; a smaller number distorts the filter.
 _ACROSS = 16
-# Share of the directions drawn around the mirror direction whose |(u, v)| is within the first value of `_mirror`, the
-# radius within which their density is uniform. The mean of the sums does not depend on it, only their noise does.
+# Half of the directions to the light are drawn around the mirror direction. The number is the share of these directions
+# for which |(u, v)| is within the first value of `_mirror`, a radius within which the density is uniform. The mean of
+# the sums does not depend on this share, only their noise does.
 _CORE = 0.25
-# Number of directions whose colours are computed in one call. Limit: memory.
+# Number of directions whose colours are computed in one call. The value is limited by memory.
 _DIRECTIONS = 1 << 17
-# Length of shadow rays, in mesh radii. Derived: larger than any distance between two points of a mesh.
+# Length of shadow rays [mesh radii]. The value is derived: it is larger than any distance between two points of a mesh.
 _FAR = 4.0
 
 
@@ -53,7 +55,7 @@ def _find_occluded(
 
 
 class SkySums:
-    """Sums of reflected light for the pixels of a mesh with a height field."""
+    """Sums, over directions of a sky, of the light that a mesh with a height field reflects into pixels."""
 
     def __init__(
         self, mesh: Any, heightfield: wd.HeightField, view: wd.View, coherence: wd.Coherence, *, shadows: bool = True
@@ -76,7 +78,7 @@ class SkySums:
         self._plan = wd.plan(heightfield, tolerance=1e-2, coherence=coherence)
 
     def interior(self) -> NDArray[np.int64]:
-        """Return rows and columns (n, 2) of the pixels whose filter rays all hit the mesh."""
+        """Return rows and columns (n, 2) of pixels for which all rays of the pixel filter hit the mesh."""
         margin = 3 * _ACROSS // 2
         edges = np.pad(~self._hit, margin, constant_values=True).cumsum(axis=0).cumsum(axis=1)
         edges = np.pad(edges, ((1, 0), (1, 0)))
@@ -85,10 +87,10 @@ class SkySums:
         return np.argwhere(windows[::_ACROSS, ::_ACROSS] == 0)
 
     def under_disc(self, pixels: NDArray[np.int64], light: wd.DirectionalLight, across: int, seed: int) -> NDArray[Any]:
-        """Return XYZ of pixels under a disc light, by ``across``² rays per pixel, (n, 3).
+        """Return XYZ of pixels under a disc light, by ``across``² rays per pixel, shape (n, 3).
 
         Rays and light directions are stratified independently. Half of the light directions are drawn around the mirror
-        direction, because nearly all samples of the disc alone would miss a narrow mirror lobe.
+        direction, because nearly all directions that are drawn from the disc would miss a narrow mirror lobe.
         """
         axis = np.asarray(light.to_light)
         aside = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
@@ -120,7 +122,7 @@ class SkySums:
         return light.power * self._sums(pixels, draw, density, colours, across, seed)
 
     def under_sky(self, pixels: NDArray[np.int64], sky: NDArray[np.float64], across: int, seed: int) -> NDArray[Any]:
-        """Return XYZ of pixels under a sky, by ``across``² rays per pixel, (n, 3).
+        """Return XYZ of pixels under a sky, by ``across``² rays per pixel, shape (n, 3).
 
         ``sky`` has the shape (height, width), or (height, width, 3) with RGB.
         """
@@ -131,15 +133,16 @@ class SkySums:
         cumulative = np.cumsum(share_of)
 
         def draw(share: NDArray[np.float64]) -> NDArray[np.float64]:
-            # Between pixel centres the sky is interpolated linearly. The contribution of a sky pixel therefore extends
-            # to the centres of its neighbours, and is triangular along each axis.
+            # Between the centres of its pixels, the sky is interpolated linearly. The contribution of a sky pixel
+            # therefore extends to the centres of neighbouring pixels, and is triangular along each axis.
             pixel = np.minimum(np.searchsorted(cumulative, share[:, 0]), cumulative.size - 1)
             within = (share[:, 0] - np.append(0.0, cumulative)[pixel]) / share_of.ravel()[pixel]
             down, right = (_triangular(number) for number in (within, share[:, 1]))
             polar = (pixel // width + 0.5 + down) / height * math.pi
             azimuth = ((pixel % width + 0.5 + right) / width - 0.5) * 2.0 * math.pi
             along = [np.sin(polar) * np.sin(azimuth), np.cos(polar), -np.sin(polar) * np.cos(azimuth)]
-            # Samples beyond a pole become zero vectors, which do not contribute because their probability density is 0.
+            # Samples beyond a pole of the sky become zero vectors. They do not contribute, because a zero vector does
+            # not count as above the surface.
             return np.where((polar > 0.0) & (polar < math.pi), along, 0.0).T
 
         def density(along: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -167,8 +170,8 @@ class SkySums:
     ) -> NDArray[np.float64]:  # fmt: skip
         """Return sums over directions, half of them drawn from the light and half around the mirror direction.
 
-        ``draw`` returns directions to the light from random numbers, ``density`` their probability per solid angle, and
-        ``colours`` the reflected XYZ per solid angle.
+        ``draw`` returns directions to the light from random numbers. ``density`` returns the probability of directions
+        per solid angle, and ``colours`` the reflected XYZ per solid angle.
         """
         rng = np.random.default_rng(seed)
         cells = np.stack(np.meshgrid(np.arange(across), np.arange(across)), axis=-1).reshape(-1, 2)
@@ -201,7 +204,7 @@ class SkySums:
         return result
 
     def _occluded(self, origins: NDArray[np.float64], towards: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return for each ray whether the mesh occludes it."""
+        """Return, for each shadow ray, whether the mesh occludes the light."""
         if self._mesh is None:
             return np.zeros(len(origins), dtype=np.bool_)
         arrays = [wp.array(values, dtype=wp.vec3f, device=self._device) for values in (origins, towards)]
@@ -213,14 +216,15 @@ class SkySums:
     def _mirror(self) -> tuple[float, float]:
         """Parameters of the distribution over (u, v) from which directions around the mirror direction are drawn.
 
-        The first value is a radius |(u, v)| within which the density is uniform; beyond it the logarithm of |(u, v)| is
-        uniform. The second value is the logarithm of the ratio of the largest |(u, v)|, 2, to this radius.
+        The first value is a radius |(u, v)| within which the density is uniform. Beyond this radius, the logarithm of
+        |(u, v)| is distributed uniformly. The second value is the logarithm of 2 over this radius, where 2 is the
+        largest |(u, v)|.
         """
         within = 0.05 / (self._coherence.sigma_um or math.inf)
         return within, math.log(2.0 / within)
 
     def _far_from_mirror(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (u, v) of directions around the mirror direction, (n, 2), for pairs of uniform random numbers."""
+        """Return (u, v), shape (n, 2), of directions around the mirror direction, for pairs of random numbers."""
         within, digits = self._mirror
         radius = np.where(
             share[:, 0] < _CORE,
@@ -240,7 +244,7 @@ class SkySums:
     def _rays(
         pixel: NDArray[np.int64], cells: NDArray[np.int64], across: int, rng: np.random.Generator
     ) -> NDArray[np.int64]:
-        """Return indices of traced rays that sample a pixel's filter, one in each of the ``across``² strata."""
+        """Return indices of traced rays that sample the filter of a pixel, one ray in each of ``across``² strata."""
         share = ndtr(-3.0) + (1.0 - 2.0 * ndtr(-3.0)) * (cells + rng.random(cells.shape)) / across
         return ((pixel + 0.5 + 0.5 * ndtri(share)) * _ACROSS).astype(np.int64)
 
@@ -251,9 +255,10 @@ def _triangular(number: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _primaries(sigma_um: float) -> list[tuple[wd.Spectrum, float]]:
-    """Return the spectra of red, green and blue light under D65, divided by λ², each with a factor for its brightness.
+    """Return the spectra of red, green and blue light under D65, divided by λ², with a factor for the brightness.
 
-    The factor is 4πσ² times Y of the spectrum (λ in µm), relative to Y of D65.
+    The factor is 4πσ² times the luminance Y of the divided spectrum (λ in µm), relative to Y of D65; σ is the standard
+    deviation of the coherence window.
     """
     colour: Any = colour_science()
     nm = np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1, dtype=np.float64)

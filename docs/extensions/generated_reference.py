@@ -115,6 +115,16 @@ def names_page() -> str:
     return "\n".join([*lines, *(f"   {name}" for name in EXTENSION_POINTS), "```", ""])
 
 
+def lights_page() -> str:
+    """Return the table of all lights, with their required arguments and the first sentences of their docstrings."""
+    lines = ["| light | what it is |", 2 * "| --- " + "|"]
+    for name in LIGHTS:
+        parameters = inspect.signature(getattr(wd, name)).parameters.values()
+        required = ", ".join(one.name for one in parameters if one.default is one.empty)
+        lines.append(f"| `{name}({required})` | {cell(inspect.getdoc(getattr(wd, name)).partition('.')[0])} |")
+    return "\n".join([*lines, ""])
+
+
 def formats_page() -> str:
     """Return the table of file formats of height fields, from the registry of readers."""
     lines = ["| format | suffixes | the file states, and you state | extra |", 4 * "| --- " + "|"]
@@ -141,6 +151,7 @@ def write(app, _config) -> None:
             FORMATS,
             formats_page(),
         ),
+        "lights": ("Lights", "Pages of the [public names](api.md) list all arguments.", lights_page()),
         "command_line": ("Command line", "`warpdiff COMMAND --help` prints these texts.", command_line_page()),
     }
     for name, (title, first, text) in pages.items():

@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
 import pytest
+import trimesh
 from conftest import slow, write_image
 from small_pictures import rough
 
@@ -268,6 +269,19 @@ def test_render_writes_layers_and_spectra(tmp_path):
     image = wd.Image.load(tmp_path / "a.exr")
     assert list(image.layers) == ["normal", "light.0"]
     assert image.wavelengths_nm.tolist() == [450.0, 550.0]
+
+
+def test_a_mesh_without_texture_coordinates_is_rendered_with_directions_by_a_rule(tmp_path, capsys):
+    mesh, output = tmp_path / "ball.ply", tmp_path / "ball.exr"
+    trimesh.creation.icosphere(subdivisions=2).export(mesh)
+    words = ["render", mesh, *["--heightfield", "blazed", "--width", "16", "--height", "9"], *SMALL, "-o", output]
+    assert run(*words) == 2
+    message = "has neither texture coordinates nor tangents; give --tangents smooth, another rule (x, y, "
+    assert message in capsys.readouterr().err
+    assert run(*words, "--tangents", "smooth") == 0
+    assert wd.Image.load(output).xyz.max() > 0.0
+    assert run(*words, "--tangents", "smooth", "0") == 2
+    assert "--tangents must be one of x, y, z, around-x, " in capsys.readouterr().err
 
 
 def test_omitted_options_have_the_defaults_of_the_library():

@@ -2,7 +2,6 @@
 
 import contextlib
 import importlib.util
-import inspect
 import io
 import os
 import re
@@ -19,7 +18,6 @@ from warpdiff.apps import cli
 from warpdiff.core.options import describe
 from warpdiff.diffraction.phase_series import EXPANSIONS
 from warpdiff.heightfield.readers import reader_registry
-from warpdiff.lights.base import Light
 from warpdiff.request import settings
 
 ROOT = Path(__file__).parents[2]
@@ -155,13 +153,6 @@ def run(folder, *command):
         check=False,
     )  # fmt: skip
     assert result.returncode == 0, result.stdout + result.stderr
-
-
-def test_the_page_of_lights_for_users_has_every_public_light():
-    text = (ROOT / "docs" / "how-to" / "lights_and_skies.md").read_text(encoding="utf-8")
-    lights = [name for name in wd.__all__ if inspect.isclass(kind := getattr(wd, name)) and issubclass(kind, Light)]
-    assert len(lights) >= 3
-    assert not [name for name in lights if f"`{name}" not in text]
 
 
 def test_the_reader_of_the_page_about_readers_works(module_of, tmp_path, monkeypatch):

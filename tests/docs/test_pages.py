@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from small_pictures import draw_roughly
 
+import warpdiff as wd
 from warpdiff.heightfield.readers import reader_registry
 
 ROOT = Path(__file__).parents[2]
@@ -14,7 +15,14 @@ BLOCK = re.compile(r"(<!-- requires [^\n]*-->\n)?```python\n(.*?)```", re.DOTALL
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 HOW_TO = [path for path in sorted((DOCS / "how-to").glob("*.md")) if "```python" in path.read_text(encoding="utf-8")]
 # Pages that are generated when the documentation is built.
-BUILT = ("reference/api", "reference/options", "reference/command_line", "reference/formats", "gallery/index")
+BUILT = (
+    "reference/api",
+    "reference/options",
+    "reference/command_line",
+    "reference/formats",
+    "reference/lights",
+    "gallery/index",
+)
 
 
 @pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
@@ -32,11 +40,25 @@ def test_python_blocks_run_one_after_the_other(page, tmp_path, monkeypatch):
             exec(compile(code, str(page), "exec"), names)  # noqa: S102 (the tested code)
 
 
-def test_the_table_of_formats_is_the_registry():
+@pytest.fixture(scope="module")
+def generator():
     code = (DOCS / "extensions" / "generated_reference.py").read_text(encoding="utf-8")
     names: dict = {"__name__": "generated_reference"}
     exec(compile(code, "generated_reference.py", "exec"), names)  # noqa: S102 (the generator)
-    table = names["formats_page"]()
+    return names
+
+
+def test_the_table_of_lights_has_every_public_light(generator):
+    table = generator["lights_page"]()
+    assert "| `PointLight(position)` | Light from a point in the scene, equal in all directions;" in table
+    lights = [name for name in wd.__all__ if name.endswith("Light")] + ["Environment"]
+    assert len(lights) >= 3
+    assert all(f"| `{name}(" in table for name in lights)
+    assert len(table.splitlines()) == 2 + len(lights)
+
+
+def test_the_table_of_formats_is_the_registry(generator):
+    table = generator["formats_page"]()
     assert len(table.splitlines()) == 2 + len(reader_registry.registered())
     for suffix in (".png", ".npy", ".npz", ".txt", ".x3p", ".sur"):
         assert f"`{suffix}`" in table

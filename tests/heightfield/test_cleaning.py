@@ -183,7 +183,9 @@ def test_each_step_stands_in_the_history(tmp_path: Path) -> None:
     # A further step enters the history of the new field, but not that of the field it was made from.
     assert len(steps.levelled().history) == len(words) + 1
     assert len(steps.history) == len(words)
-    with np.load(steps.save(tmp_path / "a.npz")) as arrays:
+    path = steps.save(tmp_path / "a.npz")
+    assert HeightField.load(path).history == steps.history
+    with np.load(path) as arrays:
         assert tuple(arrays["history"].tolist()) == steps.history
     x = 0.05 * np.arange(300)
     waves = HeightField(0.1 * np.cos(2.0 * np.pi * x / 1.7)[None], 0.05).whole_periods()

@@ -262,6 +262,8 @@ def test_archives_may_state_one_pitch_for_both_axes(tmp_path: Path) -> None:
     ({"heights_um": [[0.1]], "pitch_um": 0.0}, "pitch_um must be a finite number, more than 0"),
     ({"heights_um": [[0.1]], "pitch_um": [1.0, 2.0, 3.0]}, "pitch_um must be one number or a pair"),
     ({"heights_um": [[0.1]], "pitch_um": ["a", "b"]}, r"pitch_um\[0\] must be a number, got str"),
+    ({"heights_um": [[0.1]], "pitch_um": 0.1, "history": [1, 2]}, r"must have a list of sentences as history"),
+    ({"heights_um": [[0.1]], "pitch_um": 0.1, "history": "Cut."}, r"must have a list of sentences as history"),
 ])  # fmt: skip
 def test_archives_without_valid_heights_are_refused_by_their_path(tmp_path: Path, arrays: Any, message: str) -> None:
     np.savez(tmp_path / "a.npz", **arrays)

@@ -59,7 +59,8 @@ SHARED = [
     ("illuminant", 6500, TypeError, "illuminant must be the name of a CIE illuminant, such as 'D65', or a .* got int"),
     ("illuminant", "ISO 7589 Photographic Daylight", ValueError, "illuminant must cover 380 to 780 nm"),
     ("tangents", np.ones((3, 3)), ValueError, r"tangents must have shape \(\d+, 3\).* got \(3, 3\)"),
-    ("tangents", "radial", TypeError, "tangents must be an array of real numbers, got str"),
+    ("tangents", "radial", ValueError, "tangents must be one of 'x', 'y', 'z', 'around-x'.*, got 'radial'"),
+    ("tangents", b"x", TypeError, "tangents must be an array of real numbers, got bytes"),
     ("tangents", np.zeros_like(MESH.vertices), ValueError, "tangents must define a direction along the surface"),
     ("tangents", np.full_like(MESH.vertices, math.nan), ValueError, "tangents must be finite"),
 ]

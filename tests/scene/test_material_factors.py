@@ -16,7 +16,7 @@ OBJ = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl a
 
 
 def factors(path):
-    return prepare_surface(path).material_factors
+    return prepare_surface(path, plain={"*": True}).material_factors
 
 
 def test_the_defaults_of_gltf_materials_are_those_of_the_specification(tmp_path):

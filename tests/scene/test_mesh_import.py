@@ -338,7 +338,7 @@ def test_scenes_with_two_textures_are_refused():
     with pytest.raises(ValueError, match="got a scene with 2, of 'geometry_0', 'geometry_1'; render"):
         prepare_surface(scene)
     mixed = trimesh.Scene([square(), mesh_of()])
-    with pytest.raises(ValueError, match="geometry 'geometry_1' has no texture coordinates; give tangents "):
+    with pytest.raises(ValueError, match="geometry 'geometry_1' has no texture coordinates; give tangents="):
         prepare_surface(mixed)
 
 
@@ -427,7 +427,7 @@ def test_convex_and_nearly_convex_meshes_are_distinguished(mesh, convex):
      (mesh_of(SQUARE * [1, math.nan, 1]), None, ValueError, "mesh must have finite vertices, got 4"),
      (mesh_of(faces=[[0, 1, 4]]), None, ValueError, "face indices within 0 to 3 .* got 0 to 4"),
      (mesh_of(faces=[[0, 1, -1]]), None, ValueError, "face indices within 0 to 3 .* got -1 to 1"),
-     (mesh_of(), None, ValueError, "neither texture coordinates nor tangents; give tangents .*or a mesh with"),
+     (mesh_of(), None, ValueError, "neither texture coordinates nor tangents; give tangents=.*or a mesh with"),
      (mesh_of(SQUARE * [1, 0, 0], uv=SQUARE[:, :2]), None, ValueError, "mesh must have a face with an area, got 2"),
      (mesh_of(SQUARE * 0, uv=SQUARE[:, :2]), None, ValueError, "mesh must have a face with an area, got 2"),
      (mesh_of(uv=SQUARE[:, :2] * 0), None, ValueError, "texture coordinates must define a direction"),

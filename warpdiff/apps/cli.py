@@ -98,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
-    """Return the parser of the command line. Only the command in ``arguments`` gets its flags, for a fast start."""
+    """Return the parser of the command line. To start fast, only the command in ``arguments`` gets its flags."""
     parser = _Parser(
         prog="warpdiff",
         description="Iridescent colours of diffraction gratings given as measured height fields.",

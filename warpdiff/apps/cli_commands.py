@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-# Largest number of a port, by the protocol TCP.
+# Largest port number of the protocol TCP.
 _MOST_PORT = 65_535
 
 
@@ -86,8 +86,8 @@ def sequence(options: argparse.Namespace) -> None:
             f"--lights-turn is for --turns, not for {'--path' if options.path else '--light-to'}: give one of them"
         )
     saving = given(options, describe(wd.sequence))
-    # Files are checked here, because the renderer below draws the first picture before ``warpdiff.sequence`` checks
-    # them.
+    # Files are checked here, because a ``Renderer`` is made before ``warpdiff.sequence`` checks the files. A new
+    # renderer already draws a picture, for which an error about files should not wait.
     check_files(tuple(saving.get("formats", FORMATS[:1])), saving.get("animation"))
     files.check_new_folder(options.output)
     environment = cli_inputs.environment_of(options)
@@ -119,7 +119,7 @@ def sequence(options: argparse.Namespace) -> None:
 
 
 def export_html(options: argparse.Namespace) -> None:
-    """Write a web page that shows a body, which visitors rotate."""
+    """Write a web page that shows a body, which visitors can rotate."""
     from warpdiff.apps.web_page.export_html import SUFFIXES
 
     target = files.check_output(options.output, SUFFIXES)

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-# Synthetic height fields by their name on the command line. Each has the name of a function of ``wd.gratings`` and
-# default arguments for it.
+# Synthetic height fields by their name on the command line. An entry consists of the name of a function of
+# ``wd.gratings`` and of default arguments for this function.
 GRATINGS: dict[str, tuple[str, dict[str, Any]]] = {
     "sinusoidal": ("sinusoidal", {"period_um": 2.0, "depth_um": 0.25}),
     "lamellar": ("lamellar", {"period_um": 2.0, "depth_um": 0.25}),
@@ -106,9 +106,13 @@ def height_field_of(options: argparse.Namespace) -> wd.HeightField:
 
 
 def surfaces_of(options: argparse.Namespace) -> wd.HeightField | dict[str, wd.HeightField | None]:
-    """Return the height field, or the surfaces of the parts that ``--surface`` names and of all other parts."""
+    """Return the height field of the whole mesh; with ``--surface``, return a dictionary of height fields by part.
+
+    The dictionary has an entry for all parts that ``--surface`` does not name. The value None is a surface without a
+    height field.
+    """
     heightfield = height_field_of(options)
-    # Pages show one surface, so that the command ``export-html`` has no flag ``--surface``.
+    # A page shows one height field, so that the command ``export-html`` has no flag ``--surface``.
     texts = getattr(options, "surface", None)
     if not texts:
         return heightfield
@@ -127,7 +131,7 @@ def surfaces_of(options: argparse.Namespace) -> wd.HeightField | dict[str, wd.He
 
 
 def _height_field(text: str, flag: str, options: argparse.Namespace) -> wd.HeightField:
-    """Return the height field of a file or of a synthetic grating, after cleaning; ``flag`` is for messages."""
+    """Return the height field of a file or of a synthetic grating, after cleaning; ``flag`` is the name in messages."""
     made = _named(text, GRATINGS, wd.gratings, flag)
     if made is None:
         if not validation.path(text, flag).is_file():
@@ -171,7 +175,7 @@ def coherence_of(options: argparse.Namespace) -> Coherence | None:
 
 
 def settings_of(options: argparse.Namespace, settings: Any) -> dict[str, Any]:
-    """Return the keyword arguments of an evaluation that the flags set, including ``material`` and ``coherence``."""
+    """Return the settings of a computation that the flags set, including ``material`` and ``coherence``, by name."""
     return given(options, describe(settings)) | {"coherence": coherence_of(options), "material": material_of(options)}
 
 
@@ -290,10 +294,10 @@ def environment_of(options: argparse.Namespace) -> wd.Environment | None:
 
 
 def scene_of(options: argparse.Namespace, *, turning: bool = False) -> tuple[Any, Any, wd.View]:
-    """Return mesh, surfaces and camera (`View`) that the command line names.
+    """Return the mesh, the height fields of its surfaces, and the camera (`View`) that the command line names.
 
     Unless the user gives the position of the camera, the camera is placed so that the whole mesh fits into the picture.
-    With ``turning``, the mesh fits into all pictures while it rotates.
+    With ``turning``, the mesh fits into all pictures of a rotation.
     """
     heightfield = surfaces_of(options)
     mesh = _named(options.mesh, BODIES, wd.meshes, "mesh")

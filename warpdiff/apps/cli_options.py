@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import itertools
 import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from warpdiff.core.options import REQUIRED
-from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.core.wording import ArgumentValueError, did_you_mean, ref
+from warpdiff.request.settings import TANGENT_RULES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -108,9 +110,9 @@ class Flags:
             group.add_argument(self.words[how["dest"]], **how)
 
     def finish(self, **words: str) -> None:
-        """Store with the parsed arguments the flag of each Python argument, so that error messages name the flag.
+        """Store the flag of each Python argument with the parsed arguments, so that error messages can name the flag.
 
-        ``words`` has the flags of arguments whose flags are not generated.
+        ``words`` has the flags that are not generated from descriptions of options, by the arguments that they set.
         """
         self.parser.set_defaults(words=self.words | words, stored=frozenset(self._stored))
 
@@ -118,8 +120,7 @@ class Flags:
 def _shape(option: Option) -> dict[str, Any]:
     """Return the arguments of ``add_argument`` of argparse for a flag: type, number and placeholder of its values."""
     if option.name == "tangents":
-        # The Python option ``tangents`` is an array of vectors, but its flag accepts one vector, as three numbers.
-        return {"type": number, "nargs": 3, "metavar": ("X", "Y", "Z")}
+        return {"type": str, "nargs": "+", "metavar": ("RULE or X", "Y Z")}
     kind = integer if isinstance((option.choices or [""])[0], int) else _TYPES.get(option.kind, str)
     placeholder: Any = _METAVARS.get(option.kind, "X")
     if option.kind not in ("numbers", "integers", "pair", "choices"):
@@ -130,7 +131,7 @@ def _shape(option: Option) -> dict[str, Any]:
 
 
 def help_text(option: Option, default: Any, words: Mapping[str, str]) -> str:
-    """Return the help text of a flag: meaning, range or choices, and default. It calls options by their flags."""
+    """Return the help text of a flag: meaning, range or choices, and default. The text names options by their flags."""
 
     def code(match: re.Match[str]) -> str:
         name, equals, value = match[1].partition("=")
@@ -168,6 +169,8 @@ def given(options: argparse.Namespace, described: Mapping[str, Option], prefix: 
         key = f"{prefix.replace('-', '_')}{option.name}"
         if key in values and key in options.stored:
             value = values[key]
+            if option.name == "tangents":
+                value = _tangents(value)
             if option.kind == "pair":
                 value = list(itertools.chain.from_iterable(value))
                 if len(value) > 2:
@@ -176,6 +179,21 @@ def given(options: argparse.Namespace, described: Mapping[str, Option], prefix: 
             value = tuple(value) if isinstance(value, list) else value
             result[option.name] = replace(option, name=key).check(value)
     return result
+
+
+def _tangents(texts: list[str]) -> str | list[float]:
+    """Return the rule or the vector that ``--tangents`` has. Its Python option also accepts an array of vectors."""
+    if len(texts) == 1 and texts[0] in TANGENT_RULES:
+        return texts[0]
+    vector = []
+    with contextlib.suppress(ValueError):
+        vector = [float(text) for text in texts]
+    if len(vector) != 3:
+        raise ArgumentValueError(
+            f"{ref('tangents')} must be one of {', '.join(TANGENT_RULES)}, or three numbers X Y Z, got "
+            f"{' '.join(texts)!r}{did_you_mean(texts[0], TANGENT_RULES)}"
+        )
+    return vector
 
 
 def word(name: str, value: str | None, words: Mapping[str, str]) -> str:

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 # Angle of the horizon from the normal [degrees]. Directions at or beyond the horizon are refused.
 _GRAZING_DEG = 90.0
-# Maximum number of steps between the wavelengths of a spectrum. Limit: more steps are likely a mistake of the unit.
+# Maximum number of steps between the wavelengths of a spectrum. It was chosen because a user who asks for more steps
+# has probably mistaken the unit.
 _MOST_WAVELENGTHS = 100_000
 
 
@@ -97,7 +98,7 @@ def _check_csv(options: argparse.Namespace) -> None:
 def _print(table: Table, options: argparse.Namespace, whole: Table | None = None) -> None:
     """Print a table, and write it to the file of ``--csv``.
 
-    If the printed table is shortened, ``whole`` is the table with all rows, which is written instead.
+    If the printed table is shortened, ``whole`` is the table with all rows, and the file contains ``whole``.
     """
     print(table)
     if options.csv is not None:

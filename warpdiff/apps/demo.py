@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 _SCAN = info("corn_snake_scan")
 SCAN = _SCAN.local_name
 MESH = "fuze.obj"
-# Tolerance of the pictures. Limit: with this value, the whole demonstration requires about 30 s. If doubled, the
-# pictures have twice the error.
+# Tolerance of the pictures. It was chosen so that the whole demonstration requires about 30 s. If doubled, the pictures
+# have twice the error.
 _TOLERANCE = 5e-2
 
 
@@ -62,8 +62,8 @@ class DemoPicture:
 def data_folder(data: str | os.PathLike[str] | None = None) -> Path | None:
     """Return the folder of the real scan and mesh, or None if there is no such folder.
 
-    The first of these that is set is used: the argument ``data``, the environment variable ``WARPDIFF_DATA``, and
-    ``../shared/data`` next to a checkout.
+    The argument ``data`` names the folder. Without it, the environment variable ``WARPDIFF_DATA`` names the folder.
+    Without both, the folder is ``../shared/data`` next to a checkout of the repository.
 
     Raises:
         FileNotFoundError: The folder that ``data`` or ``WARPDIFF_DATA`` names does not exist.
@@ -88,7 +88,8 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[DemoPicture]:
     """Return the pictures of the demonstration.
 
     Args:
-        data: Folder with the real scan and mesh; without it the list has only the synthetic gratings.
+        data: Folder with the real scan and mesh. Pictures that need a file which the folder lacks are omitted; None
+            omits all of these.
         scale: Factor on the width and height of each picture.
     """
 

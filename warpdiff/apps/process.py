@@ -93,8 +93,8 @@ class Interruption:
         """Delete unfinished files and temporary folders, and end the process without waiting for other threads."""
         try:
             files.discard_unfinished()
-            # Another thread, such as a compilation, may write into a folder while it is deleted. The deletion is then
-            # repeated.
+            # Another thread, such as a compilation, may write into a folder while the folder is deleted. The deletion
+            # is then repeated.
             for _ in range(_SWEEPS):
                 folders = self._folders()
                 for folder in folders:
@@ -108,8 +108,8 @@ class Interruption:
     def _folders(self) -> list[Path]:
         """Return the temporary folders of this process that still exist."""
         folders = [Path(self._temporary.name)] if self._temporary is not None else []
-        # Warp compiles kernels in temporary folders. Their names contain the process id, by which this process finds
-        # its own.
+        # Warp compiles kernels in temporary folders. The names of the folders contain the process id, by which this
+        # process finds its own folders.
         kernels = getattr(getattr(sys.modules.get("warp"), "config", None), "kernel_cache_dir", None)
         if kernels:
             folders += Path(kernels).glob(f"*_p{os.getpid()}_t*")

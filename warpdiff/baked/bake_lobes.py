@@ -39,37 +39,39 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
     from warpdiff.optics.spectra import Spectrum
 
-# Sizes of tables in ascending order: rings per octave, and azimuth samples per standard deviation of a lobe.
+# Sizes of tables in ascending order. Each pair contains the rings per octave of |(u, v)|, and the azimuth samples per
+# standard deviation of a lobe, which is the peak of a diffraction order over (u, v).
 _TABLE_SIZES = ((8, 0.7), (12, 0.8), (16, 0.9), (24, 1.0), (32, 1.2), (48, 1.5), (64, 1.8))
-# Wavelength at which the grid of a table must resolve a lobe [µm]. Lobes of shorter wavelengths are narrower, but
-# contribute little to the visible colour.
+# Wavelength [µm] whose lobes (the peaks of diffraction orders over (u, v)) the grid of a table must resolve. Lobes of
+# shorter wavelengths are narrower, but contribute little to the visible colour.
 _BLUE_UM = 0.43
-# First number: largest error from the truncated set of functions of w, as a share of the tolerance. Second number:
-# relative tolerance of XYZ at the sampled directions, per unit of the accepted ΔE2000.
+# `_FUNCTIONS_SHARE` is the part of the accepted ΔE2000 that the truncation of the set of functions of w may cause.
+# `_RELATIVE_ERROR` is the relative tolerance of the sampled colours XYZ, per unit of the accepted ΔE2000. If doubled,
+# the errors of these colours cause a larger part of the ΔE2000.
 _FUNCTIONS_SHARE, _RELATIVE_ERROR = 0.6, 5e-3
-# First number: typical number of colours that are computed for a table. Second number: maximum of the estimated time
-# for them [s on one core]. Estimates are too long: with a source of 2° and a patch of 12.8 µm, 83 s were estimated and
-# 25 s measured.
+# `_LOOK_UPS` is the typical number of colours that are computed for a table. `_MOST_S` is the longest accepted time for
+# these colours, as estimated [s on one core]. Estimates are too long: with a source of 2° and a patch of 12.8 µm, 83 s
+# were estimated and 25 s measured.
 _LOOK_UPS, _MOST_S = 3e6, 300.0
-# Smallest |w| at which colours are sampled. Directions with smaller |w| have both light and view near the horizon;
-# their colours are proportional to w² and need no samples.
+# Smallest |w| at which colours are sampled, where w is the component of the scattering vector along the normal. If |w|
+# is smaller, light and view are both near the horizon. Such colours are proportional to w² and need no samples.
 _SMALLEST_W = 0.06
-# First number: samples over |w| of each function of w that the table stores. Second number: samples over |κ| of the
-# zeroth order.
+# Numbers of equally spaced samples that a table stores: `_ENTRIES_OF_W` over |w| for each function of w, and
+# `_ENTRIES_OF_KAPPA` over |κ| = |w|/λ for the power of the zeroth order.
 _ENTRIES_OF_W, _ENTRIES_OF_KAPPA = 256, 512
-# Grid on which the reflectance R(θd, λ) of a material is stored: number of samples over cos θd, where θd is half of the
-# angle between ωi and ωr; and spacing of the wavelengths [nm].
+# Grid on which the reflectance R(θd, λ) of a material is stored, where θd is half of the angle between the directions
+# to the light (ωi) and to the viewer (ωr): number of samples over cos θd, and spacing of the wavelengths [nm].
 _ANGLES, _EACH_NM = 65, 5
-# Validation directions: size of each half of the set (uniform directions, and bright ones), number of random candidates
-# from which they are selected, and random seed.
+# Validation directions: size of each half of the set (uniform directions, and bright directions), number of random
+# directions from which both halves are selected, and random seed.
 _VALIDATION_SIZE, _CANDIDATES, _SEED = 2048, 32_768, 27
-# First number: luminance Y to which a colour is scaled before its ΔE2000 is computed. Second number: a luminance, as a
-# share of the reference luminance. All darker colours get the scale factor of this luminance, so that they remain dark.
+# A colour is scaled to the luminance Y = `_SHOWN` before its ΔE2000 is computed. `_FLOOR` is a luminance, as a share of
+# the reference luminance. All darker colours get the scale factor of this luminance, so that they remain dark.
 _SHOWN, _FLOOR = 0.2, 1e-3
-# Measured peak memory while a table is computed [bytes per node].
+# Measured peak memory while a table is computed [bytes per node of its polar grid].
 _BYTES_A_NODE = 170
-# Largest height range of a height field that can be baked [µm]. The powers of a deeper relief oscillate over w so fast
-# that their samples require more than a minute.
+# Largest height range of a height field that can be baked [µm]. For larger height ranges, the powers of Fourier
+# coefficients oscillate so fast as functions of w that their samples require more than a minute.
 _MOST_HEIGHT_UM = 12.0
 
 
@@ -103,7 +105,8 @@ def bake(
         Table with its measured error.
 
     Raises:
-        ValueError: An argument is out of its range, the coherence adds amplitudes, or the material is transparent.
+        ValueError: An argument is out of its range, the coherence is neither an averaged window nor a source, or the
+            material is transparent.
         ToleranceError: The colour difference cannot be met, and ``strict`` is True.
         MemoryError: The table requires more memory than is free.
 
@@ -139,7 +142,7 @@ def bake(
 
 
 class _Bakery:
-    """Computation of baked tables of one height field; it measures their errors on a validation set of directions."""
+    """Computation of baked tables of one height field, and of the tables' errors on a validation set of directions."""
 
     def __init__(self, evaluation: Evaluation, illuminant: str | Spectrum, tolerance: float) -> None:
         self._evaluation, self._illuminant, self._tolerance = evaluation, illuminant, tolerance
@@ -156,13 +159,17 @@ class _Bakery:
             threads=evaluation.threads,
         )  # fmt: skip
         self._validation_set, self._gains, self._reference, self._bright = self._sampled(_SEED)
-        # The number of Chebyshev nodes of |w| is proportional to the phase by which a power oscillates over w at the
-        # shortest wavelength, plus a margin.
+        # The powers of the Fourier coefficients oscillate as functions of w. The number of Chebyshev nodes of |w|
+        # follows from the phase of these oscillations at the shortest wavelength, plus a margin that convergence
+        # requires.
         phase = math.pi * LARGEST_KAPPA * evaluation.heightfield.height_range_um
         self._ws = chebyshev.nodes(_SMALLEST_W, LARGEST_W, math.ceil(phase + 4.0 * phase ** (1.0 / 3.0) + 4.0))
 
     def baked(self, progress: Callable[[float], None]) -> BakedLobes:
-        """Return the smallest table that meets the tolerance, or the largest one with a warning or an error."""
+        """Return the smallest table whose error is within the accepted ΔE2000.
+
+        If no table is that accurate, the function raises an error, or returns the largest table with a warning.
+        """
         for result in self._tables(progress):
             if result.error <= self._tolerance:
                 break
@@ -204,11 +211,12 @@ class _Bakery:
                 yield replace(table, error=self._error(table.colours(self._validation_set, zeroth_order=False)))
 
     def _sampled(self, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
-        """Sample directions of the hemisphere: one half is uniform, the other half favours bright directions.
+        """Sample pairs of directions: one half is uniform on the hemisphere, the other half favours bright directions.
 
         Returns:
-            Scattering vectors, geometry factors and XYZ of the directions; and the reference luminance. The reference
-            luminance is the larger of the 99th percentile and the luminance-weighted median.
+            Scattering vectors, geometry factors and XYZ of the pairs; and the reference luminance. The reference
+            luminance is the larger one of two: the 99th percentile of the luminances, and their luminance-weighted
+            median.
         """
         lights, views = hemisphere_pairs(_CANDIDATES, seed)
         gains = reflectance_factors.gain(lights, views, normal=self._evaluation.normal_reflectance, masking=True)
@@ -239,11 +247,11 @@ class _Bakery:
         return np.asarray(xyz.numpy().astype(np.float64))
 
     def _between_nodes(self, w: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return weights that interpolate from the Chebyshev nodes of |w| to ``w``, shape (n, nodes)."""
+        """Return weights that interpolate functions of |w| from their Chebyshev nodes to ``w``, shape (n, nodes)."""
         return chebyshev.cardinals(w, _SMALLEST_W, LARGEST_W, len(self._ws))
 
     def _over_w(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return XYZ / w² at points (u, v), shape (n, 2), for every tabulated |w|, shape (n, 3, nodes)."""
+        """Return XYZ / w² at points (u, v), shape (n, 2), and at every Chebyshev node of |w|, shape (n, 3, nodes)."""
         return np.stack([self._at(uv, w) for w in self._ws], axis=2)
 
     def _at(self, uv: NDArray[np.float64], w: float) -> NDArray[np.float64]:
@@ -251,7 +259,10 @@ class _Bakery:
 
     @single_threaded_blas()
     def _functions(self) -> NDArray[np.float64]:
-        """Return the fewest orthonormal functions of |w| that meet their share of the tolerance, shape (nodes, K)."""
+        """Return the fewest orthonormal functions of |w| that represent all colours, shape (nodes, K).
+
+        Their truncation error is at most the part `_FUNCTIONS_SHARE` of the accepted ΔE2000.
+        """
         samples = self._over_w(self._sampled(_SEED + 1)[0][:, :2])
         sizes = np.sqrt(np.mean(samples**2, axis=2, keepdims=True))
         rows = (samples / np.where(sizes > 0.0, sizes, 1.0)).reshape(-1, len(self._ws))
@@ -266,9 +277,9 @@ class _Bakery:
         return np.asarray(basis)
 
     def _error(self, colours: NDArray[Any]) -> float:
-        """Return the 99th percentile of ΔE2000: the larger one of those over uniform and over bright directions.
+        """Return the 99th percentile of ΔE2000 over uniform or over bright directions, whichever is larger.
 
-        The zeroth order is excluded, because table and reference have the same closed form for it.
+        The zeroth order is excluded, because table and reference compute the zeroth order by the same formula.
         """
         if self._bright <= 0.0:
             return 0.0

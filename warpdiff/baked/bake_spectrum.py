@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Number of tabulated |κ|, both for the functions of κ and for the power of the zeroth order.
+# Number of equally spaced |κ| = |w|/λ at which the functions of κ and the power of the zeroth order are tabulated.
 _ENTRIES = 512
 
 
@@ -36,14 +36,16 @@ def bake_spectrum(
 ) -> BakedSpectrum:  # fmt: skip
     """Bake the power spectrum of all directions and visible wavelengths.
 
-    A renderer that samples wavelengths looks up the spectrum at q = (u, v)/λ and κ = w/λ. Each cell contains the mean
-    over its area, so that narrow lobes are blurred but retain their power. With 1,024 cells per side, a cell has 1.5
-    times the standard deviation of a lobe for σ = 16.25 µm.
+    A renderer that samples wavelengths looks up the spectrum at q = (u, v)/λ and κ = w/λ. The table divides a square of
+    q into cells. Each cell contains the mean over its area, so that narrow lobes (peaks of diffraction orders) are
+    blurred but retain their power. With 1,024 cells per side and σ = 16.25 µm, the width of a cell is 1.5 times the
+    standard deviation of a lobe.
 
     Args:
         heightfield: Height field whose power spectrum is baked.
         size: Number of cells along each side.
-        tolerance: Truncation error of the basis in κ, relative as for :func:`warpdiff.spectral_reflectance`.
+        tolerance: Largest error from the truncated sum over functions of κ, relative as for
+            :func:`warpdiff.spectral_reflectance`.
         coherence: Averaged window, whose lobes have the same width in q at all wavelengths; None has σ = 16.25 µm.
         device: Warp device, ``"cpu"`` or ``"cuda"``; None is the CPU.
         threads: Threads on the CPU; None is one per core.
@@ -98,7 +100,7 @@ def bake_spectrum(
 
 
 def _shares(size: int, largest: float, orders: NDArray[np.float64], falloff: float) -> NDArray[np.float32]:
-    """Return the mean of the Gaussian lobe of each order over each cell of an axis, shape (size, orders).
+    """Return the mean of each diffraction order's Gaussian lobe over each cell of an axis, shape (size, orders).
 
     The lobe of an order is exp(−(a (q − q_r))²). Here q_r is the order's frequency, an element of ``orders`` [1/µm],
     and a is ``falloff`` [µm]. The cells divide the range of q from −``largest`` to ``largest``.

@@ -1,8 +1,9 @@
 """Interpolation of baked lobes: splines along and between the rings of a polar grid over (u, v).
 
-The lobe of an order is at |(u, v)| proportional to λ. The visible wavelengths spread it along the radius over one
-octave, so that colours vary slowly along the radius, like the colour-matching functions. Colours vary fast with the
-azimuth, over the width of the lobe. A Cartesian grid that resolves a lobe requires ten times as many nodes.
+The lobe of a diffraction order is a narrow peak whose distance |(u, v)| from the centre is proportional to λ. The
+visible wavelengths spread the lobe along the radius over one octave, so that colours vary slowly along the radius, like
+the colour-matching functions. Colours vary fast with the azimuth, within the width of a lobe. A Cartesian grid that
+resolves a lobe requires ten times as many nodes.
 """
 
 from __future__ import annotations
@@ -18,27 +19,27 @@ from warpdiff.tables.polar_grid import PolarGrid, azimuth_counts
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Largest |(u, v)|, that of two unit vectors at grazing angles.
+# Largest |(u, v)| of a scattering vector, that of light and view in the same direction along the surface.
 _LARGEST = 2.0
-# Radius of the innermost ring, as a share of the standard deviation of a lobe. Within this radius, colours are
-# constant.
+# Radius |(u, v)| of the innermost ring, as a share of the standard deviation of a lobe (the peak of a diffraction
+# order). Within this radius, colours are constant.
 _FLAT_WITHIN = 0.05
 
 
 def lobe_grid(rings: int, azimuths: tuple[int, ...]) -> PolarGrid:
-    """Return the polar grid of baked lobes, given its rings per octave and the azimuth samples in each octave."""
+    """Return the polar grid of baked lobes from its rings per octave and its azimuth samples in each octave."""
     return PolarGrid(rings, math.log(_LARGEST) - ring_of_largest(rings, azimuths) * math.log(2.0) / rings, azimuths)
 
 
 def ring_of_largest(rings: int, azimuths: tuple[int, ...]) -> int:
-    """Return the index of the ring with |(u, v)| = 2; cubic interpolation also requires the ring beyond it."""
+    """Return the index of the ring with |(u, v)| = 2; cubic interpolation also requires the next larger ring."""
     return rings * len(azimuths) - 2
 
 
 def grid_for(width: float, rings: int, azimuths_per_width: float) -> PolarGrid:
     """Return the grid that resolves lobes with a standard deviation of ``width`` in (u, v).
 
-    Along a ring, it has ``azimuths_per_width`` samples per ``width``.
+    Along a ring, the grid has ``azimuths_per_width`` samples per ``width``.
     """
     octaves = max(math.ceil(math.log2(_LARGEST / (_FLAT_WITHIN * width)) + 2.0 / rings), 1)
     tops = _LARGEST * 2.0 ** (np.arange(octaves) - octaves + 1.0)
@@ -57,7 +58,7 @@ def spline_coefficients(grid: PolarGrid, values: NDArray[np.float32]) -> NDArray
 
 
 def interpolated(grid: PolarGrid, coefficients: NDArray[np.float32], uv: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Interpolate at points (u, v), shape (n, 2): by splines along four rings, and by a cubic across these rings."""
+    """Interpolate at points (u, v), shape (n, 2): by splines along four rings, and by cubics across the rings."""
     u, v = uv.T
     last = ring_of_largest(grid.rings, grid.azimuths)
     ring = np.log2(np.maximum(np.hypot(u, v) / _LARGEST, 0.5 * 2.0 ** (-last / grid.rings))) * grid.rings + last
@@ -81,7 +82,7 @@ def interpolated(grid: PolarGrid, coefficients: NDArray[np.float32], uv: NDArray
 
 
 def b_spline(t: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return the weights of the spline coefficients at −1, 0, 1 and 2, for a cubic B-spline at t from 0 to 1."""
+    """Return the value of a cubic B-spline at t, 0 to 1, as weights of its coefficients at the nodes −1, 0, 1 and 2."""
     left = 1.0 - t
     return [
         left**3 / 6.0, 2.0 / 3.0 - t**2 + t**3 / 2.0, 2.0 / 3.0 - left**2 + left**3 / 2.0, t**3 / 6.0

@@ -21,13 +21,15 @@ from warpdiff.tables.zeroth_order import ZerothOrder, between_entries
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-# Largest |w| of a scattering vector (u, v, w), for light and view along the normal.
+# Largest |w| of a scattering vector (u, v, w), which light and view along the normal have.
 LARGEST_W = 2.0
-# Largest |κ| at which the zeroth order is tabulated [1/µm]. Derived: largest |w| over shortest visible wavelength.
+# Largest |κ| at which the zeroth order is tabulated [1/µm]. It is derived from κ = w/λ: the largest |w|, divided by the
+# shortest visible wavelength.
 LARGEST_KAPPA = 1e3 * LARGEST_W / colorimetry.LAMBDA_MIN_NM
-# Largest number of functions of w in a table. Limit: a shader stores the values of all functions in its registers.
+# Largest number of functions of w in a table. The number is limited because a shader stores the values of all functions
+# in its registers.
 MOST_W_BASIS = 16
-# Number of wavelengths over which the zeroth order is summed.
+# Number of wavelengths over which the colour of the zeroth diffraction order is summed.
 _ZEROTH_WAVELENGTHS = 40
 # Measured memory of a look-up [bytes per direction].
 _BYTES_PER_LOOK_UP = 400
@@ -43,11 +45,11 @@ _KINDS = ("averaged", "source")
 class BakedLobes(table_files.SavedTable):
     """Table of a height field's colours in all directions: XYZ(u, v, w) = w² Σ_k c_k(u, v) f_k(w) + the zeroth order.
 
-    f_k are principal functions of |w|. c_k are coefficients for X, Y and Z at the nodes of a polar grid: a periodic
-    cubic B-spline interpolates along each ring, and a cubic in ln |(u, v)| between rings. The zeroth order is
-    |H₀₀(w/λ)|² times a Gaussian at each wavelength. Colours are for a geometry factor of 1; :meth:`reflectance`
-    multiplies by it. With a material, the colours include its reflectance R(θd, λ), where θd is half of the angle
-    between ωi and ωr.
+    The f_k are principal functions of |w|. The c_k are coefficients for X, Y and Z at the nodes of a polar grid: a
+    periodic cubic B-spline interpolates along each ring, and a cubic polynomial in ln |(u, v)| between rings. The power
+    of the zeroth order at a wavelength λ is |H₀₀(w/λ)|² times a Gaussian, where H₀₀(κ) is the mean of exp(2πiκh) over
+    the surface. Colours are for a geometry factor C·M of 1; :meth:`reflectance` multiplies by this factor. With a
+    material, the colours include its reflectance R(θd, λ), where θd is half of the angle between ωi and ωr.
 
     Files contain the arrays ``functions``, ``exponents``, ``mantissas`` and ``zeroth``, with a material also
     ``reflectances``, and for a ``Spectrum`` also ``illuminant_nm`` and ``illuminant_values``. Files also contain
@@ -59,14 +61,14 @@ class BakedLobes(table_files.SavedTable):
             have the correct power but are too wide.
         illuminant: Name of an illuminant, or a ``Spectrum``.
         tolerance: Requested 99th percentile of ΔE2000.
-        error: Measured 99th percentile of ΔE2000 over directions of the whole hemisphere.
+        error: Measured 99th percentile of ΔE2000 over directions to light and viewer on the whole hemisphere.
         grid: Polar grid of the nodes.
         functions: f_k at equally spaced |w| from 0 to 2, for linear interpolation, shape (entries, K), float32.
         scale: Magnitude of the largest coefficient.
         exponents: Largest magnitude of each node's coefficients for X, Y and Z, shape (nodes, 3), uint8. A value n
             means the magnitude ``scale`` · 2^((n − 255)/8).
-        mantissas: Coefficients in units of 1/127 of that magnitude, shape (nodes, 3, K), int8; or in units of 1/32767,
-            int16, for lobes with a brightness that varies strongly with w.
+        mantissas: Coefficients in units of 1/127 of the magnitude in ``exponents``, shape (nodes, 3, K), int8; or in
+            units of 1/32767 of it, int16, for lobes with a brightness that varies strongly with w.
         zeroth: |H₀₀|² at equally spaced |κ| from 0 to 2 / 0.38 µm, for linear interpolation, shape (entries,), float32.
         reflectances: R of the material at equally spaced cos θd from 0 to 1 and wavelengths from 380 to 780 nm, for
             linear interpolation, shape (angles, wavelengths), float32; None without a material.
@@ -235,7 +237,7 @@ class BakedLobes(table_files.SavedTable):
         return result
 
     def lobe_variance(self, wavelength_um: float) -> float:
-        """Return the variance of a lobe along u or v at a wavelength of more than 0 and at most 10 µm."""
+        """Return the variance along u or v of a diffraction order's lobe at a wavelength, at most 10 µm."""
         wavelength_um = validation.positive(wavelength_um, "wavelength_um", most=_LONGEST_UM)
         return self._zeroth.lobe_variance(wavelength_um)
 

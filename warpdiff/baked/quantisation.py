@@ -1,8 +1,9 @@
 """Quantisation: groups of numbers as signed integers of one or two bytes, with an exponent per group.
 
-The integers of a group count steps: the largest magnitude of the group divided by 127 or 32767. The error of a number
-is at most half a step. Exponents count factors of 2^(1/8). An exponent of one byte therefore covers a range of 2^32;
-groups of smaller numbers become 0.
+The integers of a group count steps. A step is the largest magnitude of the group, rounded up to a power of 2^(1/8),
+divided by 127 or 32767. The error of a number is at most half a step. The exponent of the group is the power of
+2^(1/8). One byte therefore covers magnitudes in a ratio of 2^32. Groups of smaller numbers have the smallest exponent,
+so that they are less accurate or 0.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Number of exponents per factor of 2; the step between exponents is 2^(1/8).
+# Scales of quantised numbers are powers of 2^(1/8): this is the number of scales per factor of 2.
 EIGHTHS = 8
 
 

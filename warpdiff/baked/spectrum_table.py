@@ -15,7 +15,7 @@ from warpdiff.optics.coherence import Coherence
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Largest number of cells per side. Limit: memory is proportional to its square.
+# Largest number of cells per side. The number is limited because memory is proportional to the square of this number.
 _MOST_SIZE = 8192
 
 
@@ -23,10 +23,11 @@ _MOST_SIZE = 8192
 class BakedSpectrum(table_files.SavedTable):
     """Table of the power ⟨|P|²⟩ of a height field under an averaged window: Σ_k s_k(q) f_k(|κ|) plus the zeroth order.
 
-    q is (u, v)/λ, and κ is w/λ. Each cell contains the mean over its area, so that the total power does not depend on
-    the size of the cells. The cells exclude the zeroth order, |H₀₀(κ)|² exp(−4π²σ²|q|²), which ``zeroth`` stores.
-    Together, cells and zeroth order are normalised: 4πσ² times the integral of the power over q is Σ|H|² = 1. Files
-    contain the attributes by name.
+    P is the mean of exp(ik(wh + ux + vy)), weighted by the window. q is (u, v)/λ, and κ is w/λ. Each cell contains the
+    mean over its area, so that the total power does not depend on the size of the cells. The cells exclude the zeroth
+    order, |H₀₀(κ)|² exp(−4π²σ²|q|²), whose factor |H₀₀|² is in ``zeroth``. H are the Fourier coefficients of exp(2πiκh)
+    over the patch, and H₀₀ is the one of frequency 0. Together, cells and zeroth order are normalised: 4πσ² times the
+    integral of the power over q is Σ|H|² = 1. Files contain the attributes by name.
 
     Attributes:
         sigma_um: Standard deviation σ of the window [µm].

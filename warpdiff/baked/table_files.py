@@ -91,7 +91,7 @@ def _read(source: Path, expected: str) -> dict[str, Any]:
 def check(owner: Any, **expected: tuple[Any, tuple[int | None, ...]]) -> None:
     """Check the type, shape and finiteness of array attributes, and make the arrays read-only.
 
-    None in a shape means at least two entries.
+    None in a shape means an axis of at least two entries.
     """
     for name, (dtype, shape) in expected.items():
         array = getattr(owner, name)

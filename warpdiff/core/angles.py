@@ -12,10 +12,11 @@ from warpdiff.core.wording import ArgumentValueError, ref
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-# Directions whose angle from the normal has a smaller sine count as the normal, which has the azimuth 0. Limit:
-# rounding of unit vectors.
+# A direction counts as the normal, which has the azimuth 0, if the sine of its angle from the normal is smaller than
+# this number. The number is far above the rounding errors of unit vectors.
 _LEAST_SINE = 1e-12
-# Decimal places of angles [degrees]. Limit: the rounding of unit vectors changes angles by about 1e-14°.
+# Decimal places of angles [degrees]. The rounding error of unit vectors changes angles by about 1e-14°, so that ten
+# decimal places are reliable.
 _DECIMALS = 10
 # Largest angle from the normal, and largest angle around the normal, that `direction` accepts [degrees].
 _MOST_THETA_DEG, _MOST_PHI_DEG = 90.0, 360.0
@@ -58,7 +59,7 @@ def direction(theta_deg: ArrayLike, phi_deg: ArrayLike = 0.0) -> NDArray[np.floa
 
 
 def angles_deg(directions: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the angles θ from the normal, 0 to 180, and φ around it from the x axis [degrees] of unit vectors.
+    """Return the angles of unit vectors [degrees]: θ from the normal, 0 to 180, and φ around the normal from x.
 
     ``directions`` has the shape (..., 3), and each of the two results has the shape (...).
     """
@@ -67,14 +68,15 @@ def angles_deg(directions: NDArray[np.float64]) -> tuple[NDArray[np.float64], ND
     theta = np.degrees(np.arctan2(sine, z))
     # Adding 0 turns −0 into 0. Without this, the azimuth of a direction towards −x could be −180° instead of 180°.
     phi = np.where(sine < _LEAST_SINE, 0.0, np.degrees(np.arctan2(y + 0.0, x + 0.0)) + 0.0)
-    # Rounding gives back 20° for `direction(20)`, so that tables can be searched for it.
+    # The angles are rounded, so that the angle of `direction(20)` is exactly 20° and can be searched for in tables.
     return theta.round(_DECIMALS), phi.round(_DECIMALS)
 
 
 def signed_angles_deg(directions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the angles of unit vectors (..., 3) from the normal [degrees].
+    """Return the angles between unit vectors, shape (..., 3), and the normal [degrees]. Angles may be negative.
 
-    An angle is negative if the x component is negative, or if x is 0 and the y component is negative.
+    An angle is negative if the x component of its vector is negative, or if this component is 0 and the y component is
+    negative.
     """
     theta, _ = angles_deg(directions)
     x, y = directions[..., 0], directions[..., 1]

@@ -44,7 +44,7 @@ class LruCache(Generic[_T]):
             value = self._values.get(key)
             if value is not None:
                 # Only the position of the stored key in the order of use changes. The caller's key, which is equal to
-                # the stored one, does not replace it, because the caller may modify its key later.
+                # the stored one, does not replace the stored key, because the caller may modify its own key later.
                 self._values.move_to_end(key)
             return value
 

@@ -1,7 +1,9 @@
-"""Disk cache of arrays that are slow to compute. Several processes share it. It deletes the least recently used files.
+"""Disk cache of arrays that are slow to compute. Several processes share the cache.
 
-The environment variable ``WARPDIFF_CACHE_DIR`` names the folder; an empty value disables the cache. Without the
-variable, the folder is ``warpdiff`` in the user's cache folder.
+The files that were not used for the longest time are deleted if the cache is too large.
+
+The environment variable ``WARPDIFF_CACHE_DIR`` names the folder of the cache; an empty value disables the cache.
+Without the variable, the folder is ``warpdiff`` in the user's cache folder.
 """
 
 from __future__ import annotations
@@ -27,9 +29,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Maximum total size of all files [bytes]. A larger maximum only uses more disk space.
+# Maximum total size of all files of the cache [bytes]. A larger maximum only uses more disk space.
 MOST_BYTES = 2**30
-# Shortest time of a computation whose arrays are stored in a file [s]. Faster computations are repeated in each
+# Arrays are stored in a file if their computation took at least this long [s]. Faster computations are repeated in each
 # process.
 _LEAST_SECONDS = 0.25
 # Size of a SHA-256 checksum [bytes].
@@ -37,8 +39,8 @@ _CHECKSUM_BYTES = 32
 _NAME = re.compile(r"[0-9a-f]{32}\.npz")
 _UNFINISHED = ".part"
 _TEMPORARY = re.compile(rf"\.warpdiff-[0-9a-f]{{16}}\{_UNFINISHED}")
-# Time after which an unfinished file without a new write is deleted [s]. Limit: a process that has not written for an
-# hour was probably killed.
+# Time after which an unfinished file without a new write is deleted [s]. It was chosen because a process that has not
+# written for an hour was probably killed. If doubled, such files use disk space for longer.
 _STALE_SECONDS = 3600.0
 
 
@@ -57,13 +59,13 @@ class Entry(NamedTuple):
 
 
 def cached_on_disk(key: object, heights: NDArray[np.float64], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """Return arrays by name from the cache; without an entry, make them and store them.
+    """Return arrays by name from the cache; if the cache does not contain them, make them and store them.
 
     Args:
-        key: Object whose ``repr`` identifies the arrays.
-        heights: Heights that the arrays depend on, which are a part of the key.
+        key: Object whose ``repr`` identifies the arrays, together with ``heights``.
+        heights: Array of heights from which the arrays are computed. It is a part of the key, too.
         make: Function that makes the arrays. Its result may depend on the code of the package and on NumPy's version,
-            which are a part of the key.
+            because both are a part of the key.
     """
     folder = cache_folder()
     if folder is None:
@@ -87,7 +89,7 @@ def cached_on_disk(key: object, heights: NDArray[np.float64], make: Callable[[],
 
 @functools.cache
 def _code_digest(*folders: Path) -> str:
-    """Return a hash of the contents of all source files in ``folders``, those of the code that computes cached arrays.
+    """Return a hash of the contents of all source files in ``folders``, which contain the code of the package.
 
     The hash is a part of the cache's keys, so that arrays that older source code has made are not reused. The version
     number of the package would not suffice, because it does not change with each edit of the code.
@@ -157,7 +159,7 @@ def _write(path: Path, key: bytes, arrays: Mapping[str, Any]) -> None:
 
 
 def _checksum(file: BufferedRandom | BufferedReader, key: bytes) -> bytes:
-    """Return a checksum of the key and of the archive. It detects damaged files and files of another key."""
+    """Return a checksum of the key and of the archive, which detects damaged files and files of another key."""
     file.seek(_CHECKSUM_BYTES)
     return hashlib.file_digest(file, lambda: hashlib.sha256(key)).digest()
 

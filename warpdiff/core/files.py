@@ -32,12 +32,13 @@ def atomic_write(target: Path, *, suffix: str = "", durable: bool = True) -> Ite
     temporary = target.with_name(f".warpdiff-{os.urandom(8).hex()}{suffix}")
     _unfinished.add(temporary)
     try:
-        # `os.open` sets the permissions of the new file by the umask of the process. To read the umask, Python would
-        # have to change it for a moment, which would affect other threads.
+        # `os.open` applies the umask of the process to the permissions of the new file. `os.umask` could only read the
+        # umask by changing it for a moment, which would affect files of other threads.
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield temporary
         if durable:
-            # Some file systems allocate space late. Only `fsync` then reports that the disk is full.
+            # Some file systems allocate disk space only after a write. On a full disk, only `fsync` then raises an
+            # error.
             with temporary.open("rb+") as file:
                 os.fsync(file.fileno())
         temporary.replace(target)
@@ -49,7 +50,7 @@ def atomic_write(target: Path, *, suffix: str = "", durable: bool = True) -> Ite
 def save_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Any], *, compressed: bool = True) -> Path:
     """Write arrays by name to a ``.npz`` file. Errors name the argument ``path``.
 
-    An existing file is replaced only after the new one is complete. After an error it is unchanged.
+    An existing file is replaced only after the new one is complete. After an error, the existing file is unchanged.
     """
     target = check_output(path, (".npz",))
     with atomic_write(target) as temporary, temporary.open("rb+") as file:
@@ -65,7 +66,7 @@ def discard_unfinished() -> None:
 
 
 def check_output(path: Any, suffixes: tuple[str, ...], name: str = "path") -> Path:
-    """Return the checked path of a file; raise an error if no file with one of the suffixes can be written there.
+    """Return the checked path of a file to write; raise an error if the suffix is wrong or the file cannot be written.
 
     Args:
         path: Path that the user gave.
@@ -99,7 +100,7 @@ def made_folder(folder: Any) -> Path:
 
 
 def check_new_folder(folder: Any) -> None:
-    """Raise an error if :func:`made_folder` could not create a folder, without creating it.
+    """Raise an error if :func:`made_folder` could not create a folder; nothing is created here.
 
     Args:
         folder: Path that the user gave.
@@ -127,7 +128,7 @@ def check_file(file: Path) -> None:
 
 @contextlib.contextmanager
 def naming_file(file: Path) -> Iterator[None]:
-    """Context that reads a file. It checks that the file exists, and adds its name to errors of the operating system.
+    """Context for reading a file. It checks that the file exists, and adds the file's name to system errors.
 
     The errors name the argument ``path``.
 
@@ -148,7 +149,8 @@ def holding(argument: str, file: Path) -> Iterator[None]:
     """Context for checking a value from a file. Error messages then name the argument ``path`` and the file.
 
     Args:
-        argument: Name of the value in the errors that the context raises. It is replaced in the error messages.
+        argument: Name of the checked value in errors that are raised within the context. The name ``path`` and the name
+            of the file replace it in these messages.
         file: File from which the value was read.
     """
     try:

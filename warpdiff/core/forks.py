@@ -1,6 +1,7 @@
 """Fork safety: a fork of the process waits until other threads have released locks and finished imports.
 
-A child process has none of its parent's other threads. Locks of these threads would never be released in it.
+A child process has none of its parent's other threads. If such a thread held a lock, the lock would never be released
+in the child process.
 """
 
 from __future__ import annotations

@@ -17,14 +17,13 @@ if TYPE_CHECKING:
 # Maximum number of elements of an array. Kernels index arrays by int32; larger indices would overflow.
 MOST_ELEMENTS = 2**31 - 1
 _GROUPS, _OWN_GROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
-# Memory limits of a control group that are at least this large mean "no limit" [bytes]. Limit: no machine has so much
-# memory.
+# Limits of a control group that are at least this large mean "no limit" [bytes]. No machine has so much memory.
 _NO_LIMIT = 2**60
 # Pattern of the messages of failed allocations, by which a MemoryError of NumPy or a RuntimeError of Warp is
 # recognised.
 _REFUSED = re.compile(r"[Aa]llocate (?P<size>[\d.]+) (?P<unit>bytes|[KMGTPE]iB)(?:.* on device '(?P<device>[^']+)')?")
 _UNITS = {"bytes": 1.0, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30, "TiB": 2.0**40, "PiB": 2.0**50, "EiB": 2.0**60}
-# Measured peak memory while a synthetic height field is made [bytes per height sample], and while a mesh of
+# Measured peaks of memory: while a synthetic height field is made [bytes per height sample], and while a mesh of
 # ``warpdiff.meshes`` is made [bytes per face]. If doubled, requests that would fit are refused.
 _BYTES_PER_SAMPLE, _BYTES_PER_FACE = 80.0, 160.0
 
@@ -39,7 +38,7 @@ def require_memory(needed: float, what: str, remedy: str) -> None:
             ``{side}`` by the square root of this fraction.
 
     Raises:
-        MemoryError: Less memory is free.
+        MemoryError: Less memory is free than ``needed``.
     """
     free = available()
     if needed > free:
@@ -104,10 +103,10 @@ def _limits_of_groups() -> list[tuple[int, Path, Path]]:
             most, usage = ("limit_in_bytes", "usage_in_bytes") if controllers else ("max", "current")
             top = _GROUPS / controllers
             group = top / path.lstrip("/")
-            # Every parent group may have a limit, too. In a container, only the top group is visible.
+            # Every parent of the control group may have a limit, too. In a container, only the top group is visible.
             for folder in (group, *(parent for parent in group.parents if parent.is_relative_to(top))):
                 with contextlib.suppress(OSError, ValueError):
-                    # Without a limit, the file of the group contains the text "max" (version 2), or a huge number
+                    # If a control group has no limit, its file contains the text "max" (version 2), or a huge number
                     # (version 1).
                     limit = int((folder / f"memory.{most}").read_text())
                     if limit < _NO_LIMIT:

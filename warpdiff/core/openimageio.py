@@ -18,7 +18,11 @@ _MOST_WAIT_S = 1.0
 
 
 class _Library:
-    """Access to OpenImageIO; it counts the active contexts and stores the thread counts that apply outside of them."""
+    """Access to OpenImageIO.
+
+    An object counts the active contexts of :meth:`in_use`, and stores the numbers of threads that OpenImageIO uses
+    outside of these contexts.
+    """
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -29,11 +33,11 @@ class _Library:
 
     @contextlib.contextmanager
     def in_use(self) -> Iterator[Any]:
-        """Provide the library in a context. Within it, EXR files are read and written on the calling thread.
+        """Provide the library in a context, within which EXR files are read and written on the calling thread.
 
-        A child process would wait forever for OpenEXR's threads, which exist only in the parent. It would also wait for
-        locks that another thread had acquired, such as those of OpenColorIO. A fork therefore waits up to a second for
-        the end of all contexts.
+        A child process would wait forever for OpenEXR's threads, which exist only in the parent. The child process
+        would also wait for locks that another thread had acquired, such as the locks of OpenColorIO. A fork therefore
+        waits up to a second for the end of all contexts of this method.
 
         Raises:
             RuntimeError: This process was forked while another thread used the library.

@@ -1,7 +1,7 @@
 """Descriptions of options, for Python, the command line, the viewer, the reference documentation and fuzz tests.
 
-An option is a field of a frozen dataclass, or an argument of a public function: its annotation states type, range and
-unit, and the ``Attributes:`` or ``Args:`` section of the docstring states its meaning.
+An option is a field of a frozen dataclass, or an argument of a public function. The annotation of the field or argument
+states type, range and unit. The ``Attributes:`` or ``Args:`` section of the docstring states the meaning.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ if typing.TYPE_CHECKING:
     from collections.abc import Callable
 
 Kind = Literal["flag", "integer", "number", "choice", "choices", "text", "pair", "numbers", "integers", "object"]
-# Values of options in American spelling, which are accepted, with the value in the spelling of the library.
+# Accepted American spellings of the values of options, with the British spelling that the library uses.
 SPELLINGS = {"normalized": "normalised", "centered": "centred", "taylor-uncentered": "taylor-uncentred"}
-# Largest number of digits of the index in a name such as "light.0". Limit: Python refuses to convert 4,301 digits.
+# Largest number of digits of the index in a name such as "light.0". Python refuses to convert numbers of more than
+# 4,300 digits, and nine digits suffice for any list of lights.
 _MOST_DIGITS = 9
 _PACKAGE = f"{__name__.partition('.')[0]}."
 REQUIRED: Any = inspect.Parameter.empty
@@ -57,7 +58,8 @@ class Option:
             elements, ``"object"`` is anything else.
         default: Default value; ``REQUIRED`` if there is none.
         help: Meaning of the option, in plain text.
-        choices: Accepted values of an option of kind ``"choice"`` or ``"choices"``, without American spellings.
+        choices: Accepted values of an option of kind ``"choice"`` or ``"choices"``. American spellings are accepted,
+            too, but not listed here.
         indexed: Choices that an index may follow, as in ``"light.0"``.
         length: Number of elements of a tuple; 0 for other kinds.
         gt: Exclusive lower bound, or None.
@@ -93,7 +95,7 @@ class Option:
         return validation.range_text(self.gt, self.ge, self.le)
 
     def check(self, value: object) -> Any:
-        """Return a value converted to the type of this option; raise an error that names the option if it is wrong."""
+        """Return a value converted to the type of this option; a wrong value raises an error that names the option."""
         if value is None and self.optional:
             return None
         return getattr(self, f"_check_{self.kind}")(value)
@@ -197,12 +199,16 @@ def _describe_annotation(name: str, annotation: Any, default: object, text: str)
 
 
 def _choices_of(literal: Any) -> tuple[str | int, ...]:
-    """Return the values of a ``Literal`` without American spellings."""
+    """Return the values of a ``Literal``, from which American spellings are omitted."""
     return tuple(value for value in typing.get_args(literal) if value not in SPELLINGS)
 
 
 class _Anything(type):
-    """Metaclass of a class that has every attribute. Such a class stands for modules that only type checkers import."""
+    """Metaclass of a class that has every attribute.
+
+    Modules that only type checkers import do not exist at run time. Such a class replaces them while annotations are
+    evaluated.
+    """
 
     def __getattr__(cls, name: str) -> Any:
         if name.startswith("_"):
@@ -254,8 +260,8 @@ def documented(owner: type | Callable[..., object]) -> dict[str, str]:
 def describe(owner: type | Callable[..., object]) -> dict[str, Option]:
     """Return the options of a dataclass (its fields) or of a function (its arguments), by name.
 
-    A function's arguments include the fields of the class in its attribute ``__settings__``, which the decorator
-    :func:`warpdiff.request.signatures.accepts` sets.
+    If the function has an attribute ``__settings__``, the arguments include the fields of the class that this attribute
+    names. The decorator :func:`warpdiff.request.signatures.accepts` sets the attribute.
     """
     hints = typing.get_type_hints(owner, include_extras=True, localns=_Names(owner))
     texts = documented(owner)
@@ -279,7 +285,7 @@ def describe(owner: type | Callable[..., object]) -> dict[str, Option]:
 
 
 class Checked:
-    """Base class of frozen dataclasses that check each field by its description.
+    """Base class of frozen dataclasses that check each field by its annotation.
 
     A subclass may add rules that concern several fields.
     """

@@ -102,8 +102,8 @@ class Table:
             try:
                 column = np.array(values)
             except (TypeError, ValueError):
-                # NumPy raises a TypeError or ValueError for nested lists of different lengths. The check of the type of
-                # the elements refuses the column that is set here instead.
+                # NumPy raises a TypeError or ValueError for nested lists of different lengths. The column then becomes
+                # an array of the type "object", which the next check refuses.
                 column = np.array(None)
             if column.dtype.kind not in "biufU":
                 raise ArgumentTypeError(f"{ref('columns')}: {name!r} must be numbers or texts, got {column.dtype}")

@@ -48,7 +48,7 @@ class _Work(Generic[_T]):
         self._futures: list[Future[None]] = []
 
     def finish(self, threads: int) -> None:
-        """Run the loop on this thread and on at most ``threads`` − 1 others. The first error ends the loop."""
+        """Run the loop on this thread and on at most ``threads`` − 1 other threads. The first error ends the loop."""
         others = min(threads, self._count) - 1
         # If the loop uses more threads than the shared pool has, it makes a pool of its own, which ends with the loop.
         own = ThreadPoolExecutor(others) if others > cores() else None
@@ -149,7 +149,7 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(cores(), thread_name_prefix="warpdiff")
 
 
-# A forked child process does not have the threads of its parent's pool. It must make a new pool.
+# A forked child process does not have the threads of its parent's pool. The child process must make a new pool.
 forks.at_fork(after_in_child=_pool.cache_clear)
 
 
@@ -183,7 +183,7 @@ def single_threaded_blas() -> Iterator[None]:
 
 
 def _has_count_per_thread(library: LibController) -> bool:
-    """Whether a library stores the number of its threads separately for each calling thread, as with OpenMP."""
+    """Whether a library stores the number of its threads separately for each calling thread, as OpenMP does."""
     return bool(library.threading_layer == "openmp")
 
 

@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _Choice = TypeVar("_Choice", bound=str | int)
-# Largest and smallest magnitude of a number, in any unit. Limit: powers of larger or smaller numbers overflow or
+# Largest and smallest accepted magnitude of a number, in any unit. Powers of numbers beyond these limits overflow or
 # underflow.
 MOST, LEAST = 1e15, 1e-15
-# Largest accepted integer, that of int64; larger ones would overflow.
+# Largest accepted integer, which is the largest number of the type int64; larger integers would overflow.
 MOST_COUNT = 2**63 - 1
-# Directions look like angles in degrees, and a warning follows, if three conditions hold. Each component of all vectors
-# is ±1 or a multiple of the first number. The largest magnitude of all components is at least the second number and at
-# most the third number. At least one vector has two components that are not 0. Limit: unnormalised directions rarely
-# have such components.
+# A warning follows if vectors look like angles in degrees, which requires three conditions. Each component of all
+# vectors is ±1 or a multiple of `_ROUND_DEGREES`. The largest magnitude of all components is from `_LEAST_DEGREES` to
+# `_MOST_DEGREES`. At least one vector has two components that are not 0. The numbers were chosen because directions
+# that are not normalised rarely fulfil these conditions.
 _ROUND_DEGREES, _LEAST_DEGREES, _MOST_DEGREES = 5.0, 10.0, 360.0
 
 
@@ -174,7 +174,7 @@ def directions(value: object, name: str) -> tuple[NDArray[np.float64], bool]:
 
 
 def unit_directions(value: object, name: str) -> tuple[NDArray[np.float64], bool]:
-    """Return unit vectors, and whether the caller gave a single vector; warn if they look like angles in degrees."""
+    """Return unit vectors, and whether the caller gave a single vector; warn if vectors look like angles in degrees."""
     result = directions(value, name)
     if _look_like_degrees(np.atleast_2d(np.asarray(value, dtype=np.float64))):
         first = ", ".join(f"{component:g}" for component in np.atleast_2d(np.asarray(value, dtype=np.float64))[0])

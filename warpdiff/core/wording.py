@@ -1,8 +1,8 @@
 """Errors and warnings with marked names of arguments, so that Python, command line and viewer print different names.
 
 The function :func:`ref` marks the name of an argument in a message. Python prints ``tolerance``, the command line
-prints ``--tolerance``, and the viewer prints the label of its control. The marks are characters of Unicode's private
-use area. Messages contain the user's values as ``repr``, which escapes such characters.
+prints ``--tolerance``, and the viewer prints the label of the control that sets the argument. The marks are characters
+of Unicode's private use area. Messages contain the user's values as ``repr``, which escapes such characters.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _E = TypeVar("_E", bound=Exception)
 
-# Largest number of names that a message lists. Limit: a longer message is unreadable.
+# Largest number of names that a message lists. It was chosen because longer lists are hard to read.
 _MOST_NAMES = 12
 _BEGIN, _VALUE, _END = "\ue000", "\ue001", "\ue002"
 _MARKED = re.compile(f"{_BEGIN}([^{_VALUE}{_END}]*)(?:{_VALUE}([^{_END}]*))?{_END}")
@@ -72,7 +72,7 @@ def marked(kind: type[_E], message: str) -> _E:
 
 
 class ToleranceError(ArgumentValueError):
-    """Error that is raised if a tolerance cannot be met. The message names the cause and the remedy.
+    """Error that is raised if the requested tolerance cannot be met. The message names the cause and the remedy.
 
     Examples:
         >>> import warpdiff as wd
@@ -101,7 +101,7 @@ class WarpdiffWarning(_MarkedError, UserWarning):
 
 @contextlib.contextmanager
 def renaming(words: Mapping[str, str]) -> Iterator[None]:
-    """Context that renames arguments in the messages of its errors, for example ``path`` to ``--environment``."""
+    """Context in which errors name arguments differently, for example ``--environment`` instead of ``path``."""
 
     def renamed(match: re.Match[str]) -> str:
         name = re.split(r"[^\w-]", match[1], maxsplit=1)[0]
@@ -116,7 +116,10 @@ def renaming(words: Mapping[str, str]) -> Iterator[None]:
 
 
 def listed(names: Sequence[str], separator: str = ", ", rest: str = " and {} more") -> str:
-    """Return the first names as text for a message. ``rest`` is the text that counts the names after the twelfth."""
+    """Return at most twelve names as text for a message.
+
+    If there are more names, the text ends in ``rest``, in which their number replaces ``{}``.
+    """
     more = len(names) - _MOST_NAMES
     return separator.join(names[:_MOST_NAMES]) + (rest.format(more) if more > 0 else "")
 

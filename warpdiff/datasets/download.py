@@ -1,4 +1,4 @@
-"""Data sets as height fields, from the user's folder or from the network. The package pooch downloads them."""
+"""Data sets as height fields, from the user's folder or from the network. The package pooch downloads files."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from warpdiff.heightfield.field import HeightField
 if TYPE_CHECKING:
     from warpdiff.datasets.registry import Dataset
 
-# Subfolder for downloads in the folder of the disk cache. When the cache is trimmed or cleared, downloads are not
-# deleted.
+# Subfolder for downloads within the folder of the disk cache. The disk cache can be trimmed or cleared without a loss
+# of downloads, because it deletes only its own files.
 _SUBFOLDER = "datasets"
 # Accepted image modes, by Pillow's names: grey or colour with 8 bits per channel, without or with alpha.
 _MODES = ("L", "LA", "RGB", "RGBA")

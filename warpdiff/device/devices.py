@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 
-# Largest number of threads that compile or load kernels. Limit: each additional thread first reads Warp's headers,
-# which takes seconds.
+# Largest number of threads that compile or load kernels. It was chosen because each additional thread first reads
+# Warp's headers, which takes seconds.
 _LOADERS = 2
 _loading: dict[wp.Module, Future[None]] = {}
-# Longest time that ``os.fork`` waits for kernels that are being compiled or loaded [s]. Limit: a fork must not block
-# for long. If the kernels are not ready by then, the child process refuses to run kernels.
+# Longest time that ``os.fork`` waits for kernels that are being compiled or loaded [s]. It was chosen because a fork
+# must not block for long. If the kernels are not ready by then, the child process refuses to run kernels.
 _MOST_WAIT_S = 1.0
 
 
@@ -102,13 +102,14 @@ def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> list[Future[None]]:
     with _load_lock:
         for kernel in kernels:
             if kernel.module not in _loading:
-                # CPU kernels are compiled for blocks of one thread, because Warp launches them in this way.
+                # CPU kernels are compiled for blocks of one thread, because Warp launches CPU kernels in blocks of this
+                # size.
                 _loading[kernel.module] = _loaders().submit(_load, kernel.module, device)
         return [_loading[kernel.module] for kernel in kernels]
 
 
 def load_now(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:
-    """Compile or load kernels, and wait until they are ready. Threads that launch them then need not compile them."""
+    """Compile or load kernels, and wait until they are ready. Threads that launch them later need not compile them."""
     for loaded in load(kernels, device):
         loaded.result()
 
@@ -143,15 +144,15 @@ def _own_folder() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(prefix="warpdiff-kernels-")
 
 
-# Work that other threads had not finished when this process was forked, as texts for error messages. A fork copies only
-# the calling thread, so that this work never finishes.
+# Texts for error messages about work that other threads had not finished when this process was forked. A fork copies
+# only the calling thread, so that such work never finishes in the child process.
 _cut_off: list[str] = []
 
 
 def _refuse_cut_off() -> None:
     """Raise an error if this process was forked while another thread compiled kernels or imported a module.
 
-    Without the error, kernels of this process would wait for that work for ever.
+    Without the error, kernels of this process would wait for ever for the end of this compilation or import.
     """
     if _cut_off:
         raise RuntimeError(f"this process was forked while a thread {_cut_off[0]}: {forks.REMEDY}")
@@ -160,17 +161,18 @@ def _refuse_cut_off() -> None:
 def codegen_lock() -> threading.Lock | None:
     """Return the lock that Warp uses while it parses kernels, or None if Warp is not imported or has no such lock.
 
-    The lock is undocumented. If another thread holds it during a fork, the child process would wait for it for ever.
+    The lock is undocumented. If another thread holds the lock during a fork, the child process would wait for ever for
+    its release.
     """
     lock = getattr(sys.modules.get("warp._src.codegen"), "_codegen_lock", None)
     return lock if hasattr(lock, "acquire") and hasattr(lock, "release") else None
 
 
-# While this process forks, the list has one element: the lock that Warp holds while it parses kernels. Otherwise it is
-# empty.
+# While this process forks, the list has one element: the lock that Warp holds while it parses kernels. Otherwise the
+# list is empty.
 _acquired: list[threading.Lock] = []
-# For a forked child process: a new future for each of Warp's modules of kernels that was loaded before the fork. The
-# original futures have locks, which another thread may hold during the fork.
+# Futures for a forked child process, one for each of Warp's modules of kernels that was loaded before the fork. These
+# futures are new, because the original ones have locks, which another thread may hold during the fork.
 _loaded: dict[wp.Module, Future[None]] = {}
 
 
@@ -197,8 +199,8 @@ def _release() -> None:
 def _in_child() -> None:
     """Update the state of a forked child process, in which the other threads of the parent do not exist.
 
-    `_loading` then contains the Warp modules whose kernels are loaded. `_cut_off` lists the work of the other threads
-    that will never finish.
+    Afterwards, `_loading` contains the Warp modules whose kernels are loaded. `_cut_off` lists the work of the other
+    threads that will never finish.
     """
     _loaders.cache_clear()
     _cut_off.extend(f"imported {name}" for name in forks.importing())
@@ -212,8 +214,9 @@ def _in_child() -> None:
         lock.release()
 
 
-# The functions registered for a fork run in reverse order: the last one waits for imports, the second one prevents that
-# another thread loads kernels, and the first one waits for kernels that are being loaded.
+# Python calls functions that are registered for a fork in reverse order. First, `finish_imports` waits for imports.
+# Second, the acquisition of `_load_lock` prevents that another thread loads kernels. Third, `_before_fork` waits for
+# kernels that are being loaded.
 forks.at_fork(before=_before_fork, after_in_parent=_release, after_in_child=_in_child)
 _load_lock = forks.lock()
 forks.at_fork(before=forks.finish_imports)

@@ -19,25 +19,27 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 
-# Default number of elements per slice on the CPU. Choice: with fewer elements, the overhead of launches is larger.
+# Default number of elements per slice on the CPU. It was chosen because with fewer elements, the overhead of launches
+# is larger.
 ELEMENTS_OF_SLICE = 512
-# On the CPU, a thread processes several slices in one turn; between turns it checks for interrupts and reports
-# progress. First number: largest number of elements per turn. Second number: least number of turns per thread.
+# On the CPU, a thread processes several slices in one turn. Between turns it checks for interrupts and reports
+# progress. `_MOST_AT_ONCE` is the largest number of elements per turn, and `_TURNS_PER_THREAD` is the least number of
+# turns per thread. If `_MOST_AT_ONCE` is doubled, progress is reported half as often.
 _MOST_AT_ONCE, _TURNS_PER_THREAD = 32_768, 4
 
 
 @dataclass(frozen=True)
 class KernelCall:
-    """Kernel with its arguments.
+    """Warp kernel with its arguments.
 
     Attributes:
-        kernel: Warp kernel, whose last input is ``first``, the index of its first thread.
+        kernel: Warp kernel. The last input of the kernel is ``first``, the index of the first thread of a launch.
         inputs: Inputs before ``first``.
         outputs: Arrays that the kernel writes.
         in_runs: Whether the kernel has another input ``run`` after ``first``: the number of indices that one thread
             processes in a loop. On the CPU, one run is a slice. The kernel's arguments, up to a kilobyte, are then read
             once per slice instead of once per index.
-        block: Number of elements that the kernel processes per index, for example all cells of a pixel.
+        block: Number of elements that the kernel processes per index, for example all subpixel cells of a pixel.
         free: Launches that Warp has recorded on the CPU for repeated use, and that no thread is using now.
     """
 
@@ -49,7 +51,7 @@ class KernelCall:
     free: list[_Recorded] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def launch(self, elements: range, device: wp.Device) -> None:
-        """Launch the kernel over elements on a GPU, or while a graph is recorded. Each thread processes one index."""
+        """Launch the kernel on a GPU, or record its launch in a CUDA graph. Each thread processes one index."""
         inputs = self.arguments(elements.start // self.block, 1)
         wp.launch(self.kernel, -(-len(elements) // self.block), inputs, self.outputs, device=device)
 
@@ -97,7 +99,7 @@ class Pipeline:
         self.slices(elements, len(elements), 1)()
 
     def slices(self, elements: range, size: int, at_once: int) -> Callable[[], None]:
-        """Return a function that processes the next ``at_once`` slices, each of ``size`` elements, with all kernels.
+        """Return a function that processes the next ``at_once`` slices with all kernels. A slice has ``size`` elements.
 
         Several threads may call the function at the same time. Each slice is processed once.
         """
@@ -129,7 +131,7 @@ def launch_pipeline(
     steps: Sequence[KernelCall], elements: int | range, *, device: wp.Device, threads: int,
     slice_size: int = ELEMENTS_OF_SLICE, progress: Callable[[float], None] | None = None,
 ) -> None:  # fmt: skip
-    """Launch kernels in sequence, where each element depends only on the same element of earlier kernels.
+    """Launch kernels in sequence. Results at an element may depend only on the same element of earlier kernels.
 
     On the CPU a launch is a serial loop that releases the interpreter lock. Slices therefore run in parallel on
     threads, each slice through all kernels. The result depends neither on the number of threads nor on the slices. On a
@@ -151,9 +153,10 @@ def launch_pipeline(
         slices = -(-len(indices) // size)
         at_once = max(min(_MOST_AT_ONCE // size, slices // (_TURNS_PER_THREAD * threads)), 1)
         take = Pipeline(steps).slices(indices, size, at_once)
-        # Each call of ``take`` processes the next slices that no earlier call has taken, ``at_once`` of them. If the
-        # operating system pauses a thread before its call, the slices of this call would wait for the thread. There is
-        # therefore an additional call for each other thread, and these calls process such slices.
+        # Each call of ``take`` processes at most ``at_once`` slices, namely the next ones that no earlier call has
+        # taken. The operating system may pause a thread before its call of ``take``, and the slices of this call would
+        # have to wait. There is therefore one additional call for each other thread: if a thread is paused, an
+        # additional call processes the slices that the thread would have processed.
         times = -(-slices // at_once) + (threads - 1 if at_once > 1 else 0)
         parallel_for(lambda _: take(), range(times), threads=threads, progress=progress)
         return

@@ -1,4 +1,4 @@
-"""Measured and synthetic height fields: files, cleaning, periods, diagnostics; no Warp.
+"""Measured and synthetic height fields: files, cleaning, periods, diagnostics. The package does not import Warp.
 
 In: files or arrays of heights in µm.
 Out: a ``HeightField``, with warnings about units, aliasing and the limits of scalar diffraction.

@@ -1,4 +1,4 @@
-"""Autocorrelation of heights with missing samples, and the distances over which it decays."""
+"""Autocorrelation of heights with missing samples, and the distances over which the autocorrelation decays."""
 
 from __future__ import annotations
 
@@ -13,35 +13,39 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.blocks import Block
 
-# Value of the autocorrelation below which it counts as decayed. Limit: the default of ISO 25178-3. If doubled, decay
-# lengths are shorter.
+# Value of the autocorrelation, relative to its value at lag 0, below which it counts as decayed. The value is the
+# default of ISO 25178-3. If doubled, decay lengths are shorter.
 THRESHOLD = 0.2
-# Largest lag along an axis, as a share of the length of the field. Limit: at a lag of half of both sides, a quarter of
-# the pairs of samples remains. If doubled, a lag may have a single pair of samples.
+# Largest lag along an axis at which the autocorrelation is computed, as a share of the length of the field. The value
+# is limited by the number of pairs of samples: at a lag of half of the field along both axes, a quarter of the pairs
+# remains. If doubled, a lag may have a single pair of samples.
 MOST_LAG = 0.5
 # Least number of pairs of samples at a lag, as a share of the number of measured samples; lags with fewer pairs are
-# ignored. Limit: averages over fewer pairs are noise. If doubled, the autocorrelation of more fields with gaps is
-# unknown at the lags where it decays, and these fields get no Str.
+# ignored. The value is limited by noise: averages over fewer pairs are noise. If doubled, the autocorrelation of more
+# fields with gaps is unknown at the lags where it decays, and the texture aspect ratio Str of these fields is unknown.
 _LEAST_PAIRS = 0.05
-# Step between the points at which the autocorrelation is evaluated on a straight line from the origin [samples]. Limit:
-# a minimum narrower than half a sample is noise. If doubled, narrow minima of the autocorrelation are missed.
+# Step between the points at which the autocorrelation is evaluated on a straight line from the origin [samples]. The
+# value was chosen because a minimum of the autocorrelation that is narrower than half a sample is noise. If doubled,
+# narrow minima are missed.
 _STEP = 0.5
-# Number of azimuths over half a turn for which decay lengths are computed, number of refinements around the shortest
-# and the longest decay length, and number of azimuths of a refinement. Limit: the last refinement has steps of 0.001°,
-# so that Str down to 0.001 is exact to 1 %. If doubled, the time doubles.
+# A decay length is the lag at which the autocorrelation falls to `THRESHOLD`; it depends on the azimuth. `_AZIMUTHS` is
+# the number of azimuths over half a turn at which decay lengths are computed first. The azimuths of the shortest and
+# the longest decay length are then refined `_LEVELS` times, with `_AZIMUTHS_OF_LEVEL` closer azimuths each time. The
+# numbers were chosen so that the last azimuths are 0.001° apart and the texture aspect ratio Str is exact to 1 % down
+# to 0.001. If the numbers of azimuths are doubled, the time doubles.
 _AZIMUTHS, _LEVELS, _AZIMUTHS_OF_LEVEL = 360, 3, 17
-# Number of azimuths over half a turn for the decay lengths of a field without one of its blocks. A jackknife over the
-# blocks gives the standard errors. Limit: the refinements still find the shortest and the longest decay length. If
-# doubled, the time doubles.
+# Number of azimuths over half a turn for the decay lengths of a field without one of its blocks (rectangular parts). A
+# jackknife over the blocks gives the standard errors of decay lengths. The value is limited by the refinements, which
+# must still find the shortest and the longest decay length. If doubled, the time doubles.
 AZIMUTHS_OF_PART = 60
-# Number of secant steps that find where the autocorrelation crosses the threshold on a line. Limit: the remaining error
-# is far below that of the interpolating spline.
+# Number of secant steps that find where the autocorrelation crosses the threshold on a straight line from the origin.
+# The value was chosen so that the remaining error of the crossing is far below the error of the interpolating spline.
 _SECANTS = 4
 
 
 @dataclass(frozen=True)
 class Decay:
-    """Distances from the origin at which an autocorrelation falls to `THRESHOLD`; azimuths are from x towards y.
+    """Distances from lag 0 at which an autocorrelation falls to `THRESHOLD`; azimuths are from x towards y.
 
     Attributes:
         fastest_um: Shortest distance over all azimuths [µm]; NaN if the autocorrelation does not fall to the threshold
@@ -63,15 +67,15 @@ class Decay:
 def lag_sums(
     heights: NDArray[np.float64], known: NDArray[np.bool_], block: Block, reach: tuple[int, int]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """For each lag, sum the products of the heights of all pairs of samples, and count the pairs, for one block.
+    """For each lag, sum the products of heights of all pairs of samples in a block of the field, and count the pairs.
 
-    A pair of samples counts half in the block of each of its samples, so that the sums over all blocks add up to those
-    of the field.
+    A pair of samples counts half in the block of each of its samples, so that the sums of all blocks add up to the sum
+    over the whole field.
 
     Args:
         heights: Heights of the field minus their mean, 0 where a sample is missing, shape (ny, nx).
         known: Mask of the measured samples, shape (ny, nx).
-        block: Slices of the rows and columns of the block.
+        block: Slices of the rows and columns of the field that the block contains.
         reach: Largest lags (y, x) [samples].
 
     Returns:
@@ -114,15 +118,16 @@ def decay_of(
 ) -> Decay:  # fmt: skip
     """Return the distances at which the autocorrelation falls to `THRESHOLD`.
 
-    The distance at an azimuth is that from the origin to the first crossing of the threshold on a straight line.
+    The distance at an azimuth is the length of the straight line from the origin, at this azimuth, to the first point
+    where the autocorrelation crosses the threshold.
 
     Args:
         products: Sums of the products of heights by lag, as `lag_sums` returns them.
         pairs: Numbers of pairs of samples by lag.
         pitch_um: Distance of the samples (dy, dx) [µm].
         samples: Number of measured samples in the field.
-        azimuths: Number of azimuths over half a turn, before the refinement around the shortest and the longest
-            distance.
+        azimuths: Number of azimuths over half a turn at which distances are computed first. Closer azimuths around the
+            shortest and the longest distance follow.
     """
     rays = _Rays(products, pairs, pitch_um, _LEAST_PAIRS * samples)
     angles = np.linspace(0.0, math.pi, azimuths + 1) if min(products.shape) > 1 else np.zeros(1)
@@ -150,16 +155,17 @@ def decay_of(
         azimuth = math.atan2(dy * math.sin(slowest_angle), dx * math.cos(slowest_angle))
     else:
         # Along the grooves of a surface, the autocorrelation does not fall to the threshold. The direction of the
-        # grooves is the mean of the azimuths where this is so. It is a mean of doubled angles, because a direction of
-        # grooves is the same after half a turn.
+        # grooves is therefore the mean of the azimuths at which the threshold is not reached. The angles are doubled
+        # before averaging, because a direction of grooves is the same after half a turn.
         azimuth = 0.5 * float(np.angle(np.sum(np.exp(2j * directions[~crosses]))))
     return Decay(fastest, slowest, math.degrees(azimuth) % 180.0, is_closed, extents)
 
 
 def _extreme(rays: _Rays, angle: float, step: float, *, sign: float) -> tuple[float, float, bool]:
-    """Refine the largest (``sign`` 1) or the smallest (−1) distance at which rays near an angle cross the threshold.
+    """Refine the largest (``sign`` 1) or smallest (−1) distance at which rays near an angle cross `THRESHOLD`.
 
-    Return this distance, its angle, and whether all rays cross the threshold.
+    A ray is a straight line from lag 0. Return the refined distance, the angle of its ray, and whether all rays cross
+    the threshold.
     """
     best, closes = -math.inf, True
     for _ in range(_LEVELS):
@@ -176,9 +182,9 @@ def _extreme(rays: _Rays, angle: float, step: float, *, sign: float) -> tuple[fl
 
 
 class _Rays:
-    """Interpolated autocorrelation on straight lines from the origin.
+    """Interpolated autocorrelation on rays, which are straight lines from lag 0.
 
-    Angles and lengths are those of a grid whose pitch is 1 along both axes.
+    Angles and lengths are measured on a grid of lags whose pitch is 1 along both axes.
     """
 
     def __init__(
@@ -193,20 +199,21 @@ class _Rays:
         zero = tuple(n // 2 for n in products.shape)
         with np.errstate(divide="ignore", invalid="ignore"):
             values = np.where(self._usable, products / pairs, 0.0) / (products[zero] / pairs[zero])
-        # The spline continues the values beyond their edges as a mirror image. This affects only lags near the edges.
+        # The interpolating spline continues the autocorrelation beyond the largest lags as a mirror image. This affects
+        # only values near the largest lags.
         self._spline = ndimage.spline_filter(values, order=3, mode="mirror") if min(values.shape) > 1 else values
         self._line = values.ravel()
 
     def scale(self, angles: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the length in micrometres of one unit of the grid, along each angle."""
+        """Return the length [µm] of one unit of the grid with pitch 1, in the direction of each angle."""
         dy, dx = self._pitch
         return np.hypot(dy * np.sin(angles), dx * np.cos(angles))
 
     def lengths(self, angles: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the distance at which each ray first crosses the threshold, and whether it does.
+        """Return the distance at which each ray first crosses the threshold, and whether the ray crosses it.
 
-        If a ray does not cross the threshold, its distance is that of the last point where the autocorrelation is
-        known.
+        If a ray does not cross the threshold, the result is the distance of the last point of the ray at which the
+        autocorrelation is known.
         """
         units = np.stack([np.sin(angles), np.cos(angles)])
         count = math.ceil(float(np.hypot(*self._centre)) / _STEP) + 1
@@ -220,8 +227,8 @@ class _Rays:
         low, high = distances[np.maximum(first - 1, 0)], distances[first]
         at_low, at_high = values[rows, np.maximum(first - 1, 0)], values[rows, first]
         for _ in range(_SECANTS):
-            # The secant point is kept away from both ends of the interval, so that the interval becomes shorter at
-            # every step.
+            # The crossing lies in an interval of the ray, which a secant divides at each step. The point of division
+            # stays away from both ends of the interval, so that the interval becomes shorter at every step.
             with np.errstate(divide="ignore", invalid="ignore"):
                 share = np.clip((at_low - THRESHOLD) / (at_low - at_high), 0.1, 0.9)
             middle = np.where(crosses, low + share * (high - low), low)
@@ -234,15 +241,16 @@ class _Rays:
         return np.where(crosses, crossing, distances[np.maximum(first - 1, 0)]), crosses
 
     def _at(self, lags: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the autocorrelation at lags by interpolation, and whether it is known around each lag.
+        """Return the autocorrelation at lags by interpolation, and whether the autocorrelation is known at each lag.
 
-        The lags have the shape (2, …). The autocorrelation is known where enough pairs of samples were measured.
+        The lags have the shape (2, …). The autocorrelation is known at a lag if enough pairs of samples at this
+        distance were measured.
         """
         from scipy import ndimage
 
-        # The autocorrelation is known at a lag if it is known at the neighbouring lags, which are whole numbers of
-        # samples. Along an axis where the lag itself is a whole number, up to rounding, there is only one such
-        # neighbour.
+        # The autocorrelation at a lag is interpolated from values at lags of whole samples. The interpolated value
+        # counts as known if the values at the nearest whole lags on both sides are known. Along an axis where the lag
+        # itself is a whole number, up to rounding, only the value at this lag counts.
         roundings = (np.floor, 1e-9), (np.ceil, -1e-9)
         places = lags + self._centre.reshape(2, *[1] * (lags.ndim - 1))
         usable = np.ones(lags.shape[1:], dtype=bool)

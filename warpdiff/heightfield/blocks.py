@@ -1,4 +1,4 @@
-"""Blocks of a field, and standard errors by the jackknife: from estimates that omit one block each."""
+"""Rectangular blocks of a height field, and standard errors by the jackknife, which omits one block after the other."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Block = tuple[slice, slice]
 
 
 def blocks_of(shape: tuple[int, int], counts: tuple[int, int]) -> list[Block]:
-    """Split a field into ``counts`` blocks (y, x) of about equal size; return the blocks row by row."""
+    """Split a field into ``counts`` (y, x) rectangular blocks of about equal size; return the blocks row by row."""
     edges = [
         np.linspace(0.0, n, count + 1).round().astype(int).tolist() for n, count in zip(shape, counts, strict=True)
     ]
@@ -24,13 +24,14 @@ def blocks_of(shape: tuple[int, int], counts: tuple[int, int]) -> list[Block]:
 
 
 def standard_error(without_one: NDArray[np.float64]) -> float:
-    """Return the standard error of an estimate by the jackknife, from estimates that omit one block each.
+    """Return the standard error of a quantity by the jackknife, from estimates without one block of the field each.
 
-    For few blocks, the error is enlarged by Student's distribution, so that two standard errors contain the value of
-    the whole surface in 95 % of fields.
+    For few blocks, the standard error is enlarged according to Student's distribution, so that two standard errors
+    contain the value of the whole surface in 95 % of fields.
 
     Args:
-        without_one: Estimates from the field without block 1, without block 2 and so on, shape (n,), n > 1.
+        without_one: Estimates from the field without its first block, without its second block and so on, shape (n,),
+            n > 1.
     """
     from scipy import special
 

@@ -1,4 +1,4 @@
-"""Functions of arrays of heights (ny, nx): levelling, dust removal, cropping, resampling, and the periodic part."""
+"""Functions of arrays of heights (ny, nx): levelling, dust removal, cropping, resampling, and matching of edges."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from warpdiff.core.wording import ArgumentValueError, ref
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Largest memory that methods of `HeightField` require [bytes per sample], as measured, without the field itself. If
-# doubled, fields are refused that would fit.
+# Largest memory that methods of `HeightField` require, by the name of the method [bytes per sample of the field]. The
+# numbers were measured, and do not include the memory of the field. If doubled, fields are refused that would fit into
+# memory.
 _BYTES_PER_SAMPLE = {
     "levelled": 34.0, "despiked": 88.0, "periodic": 62.0, "periods": 107.0, "whole_periods": 107.0, "roughness": 115.0,
 }  # fmt: skip
@@ -31,15 +32,17 @@ def require_memory(method: str, shape: tuple[int, int]) -> None:
 
 
 def level(heights: NDArray[np.float64], missing: NDArray[np.bool_], order: int) -> NDArray[np.float64]:
-    """Return heights without their least-squares polynomial of total degree ``order``."""
-    # The fitted functions are products of orthonormal polynomials in y and in x. Without gaps they are orthonormal too,
-    # so that scalar products with the heights are the least-squares coefficients, without a system of equations.
+    """Return heights minus the least-squares polynomial of total degree ``order`` in x and y."""
+    # The fitted functions are products of orthonormal polynomials in y and in x. If no sample is missing, these
+    # products are orthonormal too. Scalar products with the heights are then the least-squares coefficients, without a
+    # system of equations.
     along_y, along_x = (_polynomials(n, order) for n in heights.shape)
     with single_threaded_blas():
         coefficients = along_y.T @ np.where(missing, 0.0, heights) @ along_x
         fitted = np.add.outer(np.arange(along_y.shape[1]), np.arange(along_x.shape[1])) <= order
         if missing.any():
-            # With gaps the fitted functions are not orthogonal, and a small system of their scalar products is solved.
+            # If samples are missing, the fitted functions are not orthogonal on the known samples. A small system of
+            # equations of their scalar products is therefore solved.
             squares = [(base[:, :, None] * base[:, None, :]) for base in (along_y, along_x)]
             products = np.einsum("yab,yx,xcd->acbd", squares[0], ~missing, squares[1], optimize=True)
             coefficients[fitted] = np.linalg.lstsq(products[fitted][:, fitted], coefficients[fitted], rcond=None)[0]
@@ -49,7 +52,7 @@ def level(heights: NDArray[np.float64], missing: NDArray[np.bool_], order: int) 
 
 
 def _polynomials(samples: int, order: int) -> NDArray[np.float64]:
-    """Return polynomials of increasing degree, orthonormal on equidistant samples, shape (samples, polynomials)."""
+    """Return polynomials of increasing degree, orthonormal on equally spaced samples, shape (samples, number)."""
     x = np.linspace(-1.0, 1.0, samples) if samples > 1 else np.zeros(1)
     return np.linalg.qr(np.polynomial.legendre.legvander(x, min(order, samples - 1)))[0]
 
@@ -58,7 +61,7 @@ def despike(
     measured: NDArray[np.float64], missing: NDArray[np.bool_], pitch_um: tuple[float, float], threshold: float,
     size_um: float,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return heights in which elevations that stand out are replaced, see `HeightField.despiked`."""
+    """Return heights in which dust and other narrow elevations are replaced, see `HeightField.despiked`."""
     from scipy import ndimage
 
     coarsest = max((pitch for n, pitch in zip(measured.shape, pitch_um, strict=True) if n > 1), default=0.0)
@@ -76,8 +79,8 @@ def despike(
         residual = heights - _blurred(heights * valid, pitch_um, size_um) / weight
         lower, median, upper = np.quantile(residual[known], (0.025, 0.5, 0.975))
         scale = max(upper - median, median - lower) / 1.96
-        # On a flat field, differences from the background are only rounding errors of the convolution. It has no
-        # spikes.
+        # On a flat field, the differences between the heights and the smooth background are only rounding errors of the
+        # convolution. Such a field has no spikes.
         if scale <= 1e-9 * max(float(np.max(np.abs(heights))), 1e-9):
             break
         score = np.where(missing, 0.0, (residual - median) / scale)
@@ -93,13 +96,14 @@ def despike(
     valid = known.astype(np.float64)
     filled = np.full(heights.shape, np.mean(heights[known if known.any() else ~missing]))
     for spread in size_um * 2.0 ** np.arange(1, -4, -1):
-        # Spikes are filled by Gaussian averages of decreasing width. Where a narrow Gaussian covers hardly any valid
-        # sample, the average of the wider one remains.
+        # Spikes are filled by Gaussian averages of decreasing width. Where a narrow Gaussian covers hardly any sample
+        # that is no spike, the average of the wider Gaussian remains.
         weight = np.maximum(_blurred(valid, pitch_um, spread), 0.0)
         filled = (_blurred(heights * valid, pitch_um, spread) + 0.02 * filled) / (weight + 0.02)
     if known.any():
-        # Weighted means lie between the smallest and the largest of the averaged heights. By rounding errors of the
-        # Fourier transforms, computed means may lie outside of this range, and are clipped to it.
+        # The filled heights are weighted means of known heights and therefore lie between the smallest and the largest
+        # of them. Rounding errors of the Fourier transforms may move a mean outside of this range, so that it is
+        # clipped to the range.
         filled = np.clip(filled, np.min(heights[known]), np.max(heights[known]))
     return np.where(spikes, filled, measured)
 
@@ -113,7 +117,8 @@ def _blurred(values: NDArray[np.float64], pitch_um: tuple[float, float], spread_
     """
     from scipy import fft
 
-    # Fourier transforms convolve periodically. Padding by four standard deviations keeps opposite edges apart.
+    # The convolution by Fourier transforms is periodic. Zeros are appended over four standard deviations of the
+    # Gaussian, so that samples at one edge do not affect those at the opposite edge.
     padded = tuple(
         1 if n == 1 else fft.next_fast_len(n + math.ceil(min(4.0 * spread_um / pitch, n)), real=True)
         for n, pitch in zip(values.shape, pitch_um, strict=True)
@@ -123,7 +128,7 @@ def _blurred(values: NDArray[np.float64], pitch_um: tuple[float, float], spread_
         for n, pitch in zip(padded, pitch_um, strict=True)
     ]
     spectrum = np.fft.rfft2(values, padded)
-    # The kernels are symmetric, so that their Fourier transforms are real.
+    # The convolution kernels along both axes are symmetric, so that their Fourier transforms are real.
     spectrum *= np.fft.fft(kernels[0]).real[:, None] / np.sum(kernels[0])
     spectrum *= np.fft.rfft(kernels[1]).real / np.sum(kernels[1])
     return np.fft.irfft2(spectrum, padded)[: values.shape[0], : values.shape[1]]
@@ -132,7 +137,7 @@ def _blurred(values: NDArray[np.float64], pitch_um: tuple[float, float], spread_
 def smooth_part(heights: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the smooth part of Moisan's decomposition, which `HeightField.periodic` subtracts.
 
-    At each edge it has half of the jump between opposite edges.
+    At each edge of the field, the smooth part has half of the jump between opposite edges.
     """
     ny, nx = heights.shape
     jumps = np.zeros(heights.shape)
@@ -154,9 +159,9 @@ def smooth_part(heights: NDArray[np.float64]) -> NDArray[np.float64]:
 def crop(
     heights: NDArray[np.float64], pitch_um: tuple[float, float], size_um: object, offset_um: object
 ) -> tuple[NDArray[np.float64], tuple[int, int]]:
-    """Return the heights in a rectangle, and its first row and column; see `HeightField.cropped`.
+    """Return the heights in a rectangle, and the first row and column of the rectangle; see `HeightField.cropped`.
 
-    The heights are a part of the array ``heights`` that shares its memory.
+    The result is a view of the array ``heights``, not a copy.
     """
     size = validation.pair(size_um, "size_um")
     if offset_um is not None and not (validation.is_sequence(offset_um) and len(offset_um) == 2):
@@ -187,7 +192,7 @@ def crop(
 def resample(
     heights: NDArray[np.float64], pitch_um: tuple[float, float], new_pitch_um: object
 ) -> tuple[NDArray[np.float64], tuple[float, float]]:
-    """Return heights at the pitch nearest to ``new_pitch_um``, and this pitch, see `HeightField.resampled`."""
+    """Return heights at the nearest possible pitch to ``new_pitch_um``, and this pitch, see `HeightField.resampled`."""
     requested = validation.pair(new_pitch_um, "pitch_um")
     actual = list(pitch_um)
     for axis, name in enumerate("yx"):
@@ -219,8 +224,9 @@ def resample_axis(heights: NDArray[np.float64], count: int, axis: int) -> NDArra
     result = np.zeros((*spectrum.shape[:-1], count // 2 + 1), dtype=np.complex128)
     result[..., : common // 2 + 1] = spectrum[..., : common // 2 + 1]
     if common % 2 == 0:
-        # The Nyquist term of the coarser series represents both frequencies ±common/2. In the finer series, it
-        # represents only one of them.
+        # The resampled series and the original one have different numbers of coefficients. The coefficient at the
+        # Nyquist limit of the coarser series represents both frequencies ±common/2. In the finer series, the
+        # coefficient at this frequency represents only one of them.
         result[..., common // 2] *= 0.5 if count > old_count else 2.0
     resampled = np.fft.irfft(result, count, axis=-1) * (count / old_count)
     return np.moveaxis(resampled, -1, axis)

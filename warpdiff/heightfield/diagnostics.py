@@ -20,18 +20,23 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.periods import Period
     from warpdiff.heightfield.theory_verdict import TheoryVerdict
 
-# A summary lists periods with at most this relative standard error, and at least this share of the variance of the
-# heights. If the first number is doubled, less certain periods are listed; if the second is doubled, fewer periods are.
+# A summary of a height field lists only periods that are certain and strong enough. `_MOST_STANDARD_ERROR` is the
+# largest standard error relative to the period; if doubled, less certain periods are listed. `_LEAST_SHARE` is the
+# least share of the variance of the heights that the period explains; if doubled, fewer periods are listed. Both values
+# were chosen.
 _MOST_STANDARD_ERROR, _LEAST_SHARE = 0.1, 0.01
 
-# Value of |κ| for which aliasing is estimated [1/µm]: directions to light and view along the normal, at 380 nm.
+# Spatial frequency κ of the phase 2πκh of light that a height h reflects [1/µm]. Aliasing is estimated at the largest
+# κ: that of light at 380 nm, if the directions to light and view are along the normal.
 _KAPPA = 2.0 / 0.38
-# Largest number of samples along each axis for the spectrum from which aliasing is estimated. Larger fields are cut.
+# Largest number of samples along each axis for the spectrum from which aliasing is estimated. Of larger fields, only
+# the first samples are used.
 _SAMPLES = 512
-# Half width of the rings of spatial frequency over which powers are averaged to estimate aliasing, relative to the
-# Nyquist limit.
+# Half width of the rings of the frequency plane over which powers are averaged to estimate aliasing, relative to the
+# Nyquist limit of the samples.
 _RING = 0.1
-# Number of samples whose slopes are computed at once. Limit: memory.
+# Number of samples whose slopes are computed at once. The value is limited by memory: if doubled, the computation of
+# slopes requires twice the memory.
 _SAMPLES_AT_ONCE = 2**18
 _spectra: weakref.WeakKeyDictionary[HeightField, tuple[np.ndarray, np.ndarray]] = weakref.WeakKeyDictionary()
 
@@ -49,10 +54,12 @@ class HeightFieldSummary:
         rms_slope: Root mean square of the slope (a ratio).
         mean_slope: Mean absolute slope (a ratio). It does not depend on the sampling of vertical walls.
         periods: Periods that repeat at least three times, have a standard error of at most 10 %, and explain at least
-            1 % of the variance, see `HeightField.periods`. A field of a single period has none.
-        max_uv: Largest component of the scattering vector (u, v) = −ωi − ωr that the pitch supports at 380 nm:
-            λ / (2 · pitch). If it is at least 2, no pair of directions to light and view suffers from aliasing.
-        verdict: Verdict on scalar diffraction at 550 nm, as far as it follows from the heights alone.
+            1 % of the variance of the heights, see `HeightField.periods`. The tuple is empty for a field that is a
+            single period.
+        max_uv: Largest magnitude of the components u and v of the scattering vector −ωi − ωr that the pitch supports
+            without aliasing at λ = 380 nm: λ / (2 · pitch). If the value is at least 2, no pair of directions to light
+            and view suffers from aliasing.
+        verdict: Verdict on the accuracy of scalar diffraction at 550 nm, as far as it follows from the heights alone.
         missing: Number of missing samples.
         orientation: Position of row 0 of the file or array, in words.
     """
@@ -72,7 +79,7 @@ class HeightFieldSummary:
 
     @property
     def scalar_error(self) -> float:
-        """Expected error of scalar diffraction at 550 nm, relative to the reflected power: that of ``verdict``."""
+        """Expected error of scalar diffraction at 550 nm, relative to the reflected power; equals ``verdict.error``."""
         return self.verdict.error
 
     def __str__(self) -> str:
@@ -126,7 +133,7 @@ def _orientation(heightfield: HeightField) -> str:
 
 
 def rms_slope(heights_um: NDArray[np.float64], pitch_um: tuple[float, float]) -> float:
-    """Return the root mean square slope between neighbouring samples, without those across the edges."""
+    """Return the root mean square slope between neighbouring samples, without slopes across the edges of the field."""
     total = 0.0
     for axis in (0, 1):
         if heights_um.shape[axis] > 1:
@@ -137,11 +144,11 @@ def rms_slope(heights_um: NDArray[np.float64], pitch_um: tuple[float, float]) ->
 
 
 def mean_slope(heights_um: NDArray[np.float64], pitch_um: tuple[float, float]) -> float:
-    """Return the mean absolute slope between neighbouring samples of a periodic field, also across the edges."""
+    """Return the mean absolute slope between neighbouring samples of a periodic field, also across its edges."""
     ny, (dy, dx) = heights_um.shape[0], pitch_um
     total, count = 0.0, 0
-    # The loop over blocks of rows limits memory. Along an axis of one sample, the neighbour of a sample is the sample
-    # itself, so that the slope is 0.
+    # Slopes are computed for one part of the rows after the other, which limits memory. The field is periodic: along an
+    # axis of one sample, the neighbour of a sample is the sample itself, so that the slope is 0.
     for rows in np.array_split(np.arange(ny), -(-heights_um.size // _SAMPLES_AT_ONCE)):
         block = heights_um[rows]
         along_y, along_x = heights_um[(rows + 1) % ny] - block, np.roll(block, -1, axis=1) - block
@@ -152,15 +159,16 @@ def mean_slope(heights_um: NDArray[np.float64], pitch_um: tuple[float, float]) -
 
 
 def coarsest_pitch_um(heightfield: HeightField) -> float:
-    """Return the larger pitch [µm] of the axes with more than one sample; 0 if no axis has."""
+    """Return the larger pitch [µm] of the axes that have more than one sample; 0 if no axis has several samples."""
     return max((pitch for n, pitch in zip(heightfield.shape, heightfield.pitch_um, strict=True) if n > 1), default=0.0)
 
 
 def folded_power(heightfield: HeightField, frequency: float) -> float:
-    """Return the power that aliases onto coefficients at a frequency [1/µm], relative to their own power, at most 1.
+    """Return the power that aliases onto coefficients at a frequency [1/µm], relative to their power, at most 1.
 
-    Power of exp(2πiκh) beyond the Nyquist limit aliases. It cannot be measured from the samples. The estimate is the
-    power just below the limit. It is an upper bound if the power decreases with the frequency.
+    The coefficients are the Fourier coefficients of exp(2πiκh), with heights h and a fixed κ [1/µm]. Power at
+    frequencies above the Nyquist limit of the samples aliases, and cannot be measured from the samples. The estimate is
+    the power just below the limit. This estimate is an upper bound if the power decreases with the frequency.
     """
     pitch = coarsest_pitch_um(heightfield)
     if pitch == 0.0 or heightfield.height_range_um == 0.0:
@@ -178,7 +186,7 @@ def folded_power(heightfield: HeightField, frequency: float) -> float:
 
 @np.errstate(under="ignore")
 def _spectrum(heightfield: HeightField) -> tuple[np.ndarray, np.ndarray]:
-    """Return frequencies [1/µm] and powers of the Fourier coefficients of a part of a height field, as flat arrays."""
+    """Return frequencies [1/µm] and powers of the Fourier coefficients of exp(2πiκh) for heights h, as flat arrays."""
     if heightfield not in _spectra:
         part = heightfield.heights_um[:_SAMPLES, :_SAMPLES]
         field = np.exp(2j * math.pi * _KAPPA * part)

@@ -1,4 +1,4 @@
-"""Checks of a height field before an evaluation: whether it is levelled, and whether its opposite edges match."""
+"""Checks of a height field before its reflectance is computed: whether it is levelled, and whether its edges match."""
 
 from __future__ import annotations
 
@@ -18,31 +18,33 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Ratio of the standard deviation of a fitted plane to that of the remaining roughness, above which a field counts as
-# tilted. Measured on a patch of 18 µm, in comparison with the same patch without tilt: at a ratio of 0.3 colours are
-# equal, at a ratio of 1 the scattered power is smaller by 29 %.
+# Ratio of the standard deviation of a fitted plane to the standard deviation of the remaining roughness, above which a
+# field counts as tilted. The value was measured on a patch of 18 µm, in comparison with the same patch without tilt: at
+# a ratio of 0.3 colours are equal, at a ratio of 1 the scattered power is smaller by 29 %.
 _MOST_TILT = 1.0
-# Ratio of the standard deviation of a fitted plane to that of the remaining roughness, above which a field counts as an
-# exact plane. An exact plane is no tilt of the sample, but a surface such as one period of a blazed grating.
+# Ratio of the standard deviation of a fitted plane to the standard deviation of the remaining roughness, above which a
+# field counts as an exact plane. An exact plane is no tilt of the sample, but a surface such as one period of a blazed
+# grating.
 _EXACT = 1e6
-# Ratio of the standard deviation of the smooth part of Moisan's decomposition to that of the heights, above which
-# opposite edges count as unequal. `HeightField.periodic` warns from the same ratio. Patches with many features are
-# below it.
+# Ratio of the standard deviation of the smooth part of a field to the standard deviation of its heights, above which
+# opposite edges count as unequal. The smooth part is that of Moisan's decomposition, which `HeightField.periodic`
+# subtracts; that method warns from the same ratio. Patches with many features have a smaller ratio.
 _MOST_CHANGE = 0.4
-# Ratio of the jump across opposite edges to the largest steps between neighbouring samples. Up to this ratio, the jump
-# may be a wall of a grating, and no warning follows.
+# Ratio of the jump across opposite edges of a field to the largest steps between neighbouring samples, up to which no
+# warning follows. Such a jump may be a wall of a grating.
 _MOST_JUMP = 1.5
-# A warning follows if an edge of the field lies between the points of at least this share of the interfering pairs.
+# Least share of the interfering pairs of points with an edge of the field between both points, from which a warning
+# about unequal edges follows.
 _LEAST_SHARE = 0.1
 _warned: weakref.WeakSet[HeightField] = weakref.WeakSet()
 
 
 def warn_of_edges(heightfield: HeightField, coherence: Coherence, longest_um: float) -> None:
-    """Warn once of a field that is not levelled or whose edges do not match, where this changes its reflectance.
+    """Warn once of a field that is not levelled or whose edges do not match, if this changes its reflectance.
 
     Args:
-        heightfield: Field without gaps.
-        coherence: Coherence of the evaluation.
+        heightfield: Field without missing samples.
+        coherence: Coherence of the evaluation of the reflectance.
         longest_um: Longest wavelength of the evaluation [µm].
     """
     if heightfield in _warned:
@@ -79,23 +81,23 @@ def warn_of_edges(heightfield: HeightField, coherence: Coherence, longest_um: fl
 
 
 def _jump(heights: NDArray[np.float64], axis: int) -> float:
-    """Return the rms jump across opposite edges relative to the largest steps within the field; 0 without a jump."""
+    """Return the rms jump across opposite edges, relative to the largest steps within the field; 0 without a jump."""
     if heights.shape[axis] < 3:
         return 0.0
     jump = float(np.sqrt(np.mean((np.take(heights, 0, axis) - np.take(heights, -1, axis)) ** 2)))
     if jump <= 1e-9 * float(np.max(np.abs(heights))):
         return 0.0
-    # The largest step of each line along the axis is computed, and the median over all lines is used. It includes walls
-    # of a grating, which are in most lines, and excludes dust, which is in few lines.
+    # The largest step of each line of samples along the axis is computed, and the median over all lines is used. The
+    # median includes walls of a grating, which are in most lines, and excludes dust grains, which are in few lines.
     largest = float(np.median(np.max(np.abs(np.diff(heights, axis=axis)), axis=axis)))
     return jump / largest if largest > 0.0 else 0.0
 
 
 def _share(coherence: Coherence, size_um: float, axis: int, longest_um: float) -> float:
-    """Return the share of the interfering pairs of points that have an edge between them, along one axis.
+    """Return the share of interfering pairs of points that have an edge of the field between them, if it is repeated.
 
-    In a Gaussian window, two points have a mean distance of 2σ/√π along an axis. The share is this distance relative to
-    the length of the field.
+    Points interfere within a Gaussian coherence window of standard deviation σ. Two points in the window have a mean
+    distance of 2σ/√π along an axis. The share is this distance relative to the length of the field.
     """
     if coherence.periods is not None:
         return 0.0 if coherence.periods[axis] == 1 else 1.0
@@ -103,7 +105,8 @@ def _share(coherence: Coherence, size_um: float, axis: int, longest_um: float) -
     if sigma is None:
         sigma = longest_um / (2.0 * math.sqrt(2.0) * math.pi * coherence.spread)
     if coherence.kind == "centred" and coherence.centre_um is None:
-        # A single window is in the middle of the patch. The share of its weight that lies beyond the edges is the share
-        # of points that are in a neighbouring period, with an edge between them and the middle.
+        # A single coherence window is in the middle of the patch. The part of the window beyond the edges contains
+        # points of a neighbouring period, so that an edge lies between them and the middle. The share is the weight of
+        # this part of the window.
         return math.erfc(0.5 * size_um / (math.sqrt(2.0) * sigma))
     return min(2.0 * sigma / (math.sqrt(math.pi) * size_um), 1.0)

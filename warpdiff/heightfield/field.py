@@ -28,10 +28,10 @@ Axis = Literal["y", "x"]
 Rows = reader_registry.Rows
 
 # Largest memory that is required, as measured: bytes per sample while a field is made from an array, and bytes per
-# missing sample while gaps are filled. If doubled, fields are refused that would fit.
+# missing sample while gaps are filled. If doubled, fields are refused that would fit into memory.
 _BYTES_MADE, _BYTES_PER_GAP = 13.0, 700.0
 # Root mean square change of the heights by `HeightField.periodic`, relative to their standard deviation, above which
-# that method warns.
+# that method warns. Patches with many features have a smaller change.
 _MOST_CHANGE = 0.4
 
 
@@ -50,9 +50,9 @@ class HeightField:
         pitch_um: Distance of the samples [µm], one number or a pair (dy, dx).
 
     Warns:
-        WarpdiffWarning: Heights contain a code for missing data, such as −9999. Or no diffracting surface has this
-            scale, which suggests a wrong unit: a pitch or a height range below 0.1 nm, a pitch above 2 µm, a size below
-            half a wavelength, or a mean slope above 10. The message names the probable unit and its factor.
+        WarpdiffWarning: Heights contain a code for missing data, such as −9999. Or no diffracting surface has the scale
+            of the field, which suggests a wrong unit: a pitch or a height range below 0.1 nm, a pitch above 2 µm, a
+            size below half a wavelength, or a mean slope above 10. The message names the probable unit and its factor.
 
     Raises:
         TypeError: An argument is not numeric.
@@ -76,7 +76,7 @@ class HeightField:
         """Make a height field without a check for codes of missing data and for wrong units.
 
         Args:
-            heights_um: Surface heights [µm], shape (ny, nx), as for the class itself.
+            heights_um: Surface heights [µm], shape (ny, nx), as for the constructor of the class.
             pitch_um: Distance of the samples [µm], one number or a pair (dy, dx).
 
         Examples:
@@ -108,7 +108,8 @@ class HeightField:
         for array in (heights, missing):
             array.setflags(write=False)
         self._heights_um, self._missing = heights, missing
-        # The number of missing samples and the height range are stored, because every picture reads them.
+        # The number of missing samples and the height range are stored, because every computation of a picture reads
+        # them.
         self._missing_count = int(np.count_nonzero(missing))
         self._height_range_um = float(np.nanmax(heights) - np.nanmin(heights))
         self._pitch_um = validation.pair(pitch_um, "pitch_um")
@@ -123,8 +124,8 @@ class HeightField:
     ) -> HeightField:  # fmt: skip
         """Read a height field from a file.
 
-        Suffix and content select the reader: ``.npz`` as :meth:`save` writes it, ``.npy``, text, ``.x3p``, files of
-        instruments (extra ``scans``), and a grey image in any format of OpenImageIO for every other suffix.
+        Suffix and content select the reader: ``.npz`` as :meth:`save` writes it, ``.npy``, text, ``.x3p``, and files of
+        instruments (extra ``scans``). Files with any other suffix are read as grey images by OpenImageIO.
         :func:`~warpdiff.heightfield.readers.reader_registry.register_reader` adds readers.
 
         Size, pitch, unit, missing samples and metadata come from the file if it states them. Integer samples have no
@@ -133,11 +134,13 @@ class HeightField:
 
         Args:
             path: Path of a grey image, of a ``.npy`` or ``.npz`` file, of a text, or of an instrument's file.
-            extent_um: Size of the field [µm]: one number, its width along x, for square samples, or a pair (Ly, Lx).
+            extent_um: Size of the field [µm]: one number, which is the width along x of a field with square samples, or
+                a pair (Ly, Lx).
             pitch_um: Distance of the samples [µm], one number or a pair (dy, dx). Give exactly one of ``extent_um``
                 and ``pitch_um``, and neither for a file that states its pitch or size.
             height_range_um: Height of the full scale of integer samples [µm]; not for floating-point samples.
-            channel: Name of a channel, one of :meth:`channels`. None, the default, is the first channel of heights.
+            channel: Name of a channel, one of :meth:`channels`. None, the default, selects the first channel with
+                heights.
             rows: Orientation: ``"down"`` puts row 0 of the file at y = 0, ``"up"`` makes row 0 the top of the picture,
                 so that the surface has the handedness of the specimen. None is ``"up"`` for instruments and for texts
                 that state a unit, and ``"down"`` for images and arrays.
@@ -185,7 +188,7 @@ class HeightField:
         cls, content: FileContent, heights_um: NDArray[np.float64], pitch_um: float | tuple[float, float],
         source: Source,
     ) -> HeightField:  # fmt: skip
-        """Return a height field of heights that were read from a file; it remembers its source."""
+        """Return a height field of heights that were read from a file; the field also stores its source."""
         make = cls.of_known_scale if content.is_known_scale else cls
         field = make(heights_um[::-1] if source.rows == "up" else heights_um, pitch_um)
         field._source = source
@@ -194,13 +197,14 @@ class HeightField:
 
     @classmethod
     def channels(cls, path: str | os.PathLike[str]) -> tuple[str, ...]:
-        r"""List the channels of heights in a file, the default one first.
+        r"""List the channels of heights in a file, the default channel first.
 
         Args:
             path: Path of a file of heights.
 
         Returns:
-            Names that :meth:`load` accepts as ``channel``; none for formats of one array without a name.
+            Names that :meth:`load` accepts as ``channel``; an empty tuple for formats that contain one array without a
+            name.
 
         Raises:
             FileNotFoundError: The file does not exist.
@@ -229,7 +233,7 @@ class HeightField:
 
         Raises:
             TypeError: The object is no topography.
-            ValueError: It is a line scan, or has no size or unit.
+            ValueError: The topography is a line scan, or has no size or unit.
 
         Examples:
             >>> from types import SimpleNamespace
@@ -287,7 +291,8 @@ class HeightField:
     def source(self) -> Source | None:
         """File, channel, orientation of rows, and metadata of the instrument; None for heights from an array.
 
-        Methods return fields of the same source, except for `flipped` and `rotated`, whose fields have no source.
+        Fields that methods return have the same source, except for the results of `flipped` and `rotated`, which have
+        none.
         """
         return self._source
 
@@ -309,12 +314,12 @@ class HeightField:
 
     @property
     def size_um(self) -> tuple[float, float]:
-        """Extent (Ly, Lx) [µm]: samples times pitch, which is one period of a periodic field."""
+        """Extent (Ly, Lx) [µm]: number of samples times pitch. For a periodic field, it is the length of one period."""
         return self.shape[0] * self.pitch_um[0], self.shape[1] * self.pitch_um[1]
 
     @property
     def history(self) -> tuple[str, ...]:
-        """Steps that made the field from the original one, in their order, as sentences; pictures store them.
+        """Steps that made the field from the original one, in their order, as sentences. Pictures store this history.
 
         Examples:
             >>> for step in wd.gratings.fingers(size_um=12.8).cropped(6.4).levelled().history:
@@ -338,7 +343,7 @@ class HeightField:
     @property
     @np.errstate(under="ignore")
     def rms_slope(self) -> float:
-        """Root mean square slope between neighbouring samples, without those across the edges."""
+        """Root mean square slope between neighbouring samples, without slopes across the edges of the field."""
         return diagnostics.rms_slope(self._heights_um, self.pitch_um)
 
     @forks.cached_property
@@ -359,10 +364,10 @@ class HeightField:
         """Fill missing samples with the harmonic surface through the samples around them (membrane inpainting).
 
         The five-point Laplacian vanishes in the gaps, and the slope across the edges of the field is zero. Filled
-        heights are between the lowest and the highest one around a gap. A plane is restored exactly in a gap that does
-        not touch the edges. In a gap between two parallel lines at the distance w, the error is at most w²/8 times the
-        largest Laplacian of the true heights. Level and despike first: a dust grain at the rim of a gap raises its
-        filling.
+        heights lie between the lowest and the highest sample around a gap. A plane is restored exactly in a gap that
+        does not touch the edges. In a long gap of the width w with parallel rims, the error of the heights is at most
+        w²/8 times the largest Laplacian of the true heights. Level and despike first: a dust grain at the rim of a gap
+        raises the filled heights.
 
         Returns:
             The field without gaps, of the same shape. Samples that are not missing keep their values exactly.
@@ -408,13 +413,14 @@ class HeightField:
         """Remove dust grains and bright scratches: replace elevations that stand out from their surroundings.
 
         The score of a sample is its height above a smooth background in units of a robust scale. The background is a
-        Gaussian convolution of standard deviation ``size_um`` that excludes detected spikes; it is computed three
-        times. The scale is the distance from the median height above the background to the 2.5 % or 97.5 % quantile,
-        whichever is larger, divided by 1.96. For Gaussian roughness it equals the standard deviation. (The median
-        absolute deviation is zero for a rectangular grating and would flag all its ridges.) Samples above ``threshold``
-        and connected samples above 0.8 ``threshold``, slightly dilated, are filled by normalised convolutions from
-        coarse to fine (Knutsson and Westin 1993). Pits and cracks are not removed, because the deepest points of a
-        relief often look like them.
+        Gaussian convolution of standard deviation ``size_um`` without the spikes that were detected before; it is
+        computed up to three times. Heights above the background have a median and quantiles at 2.5 % and 97.5 %. The
+        scale is the larger distance from the median to one of these quantiles, divided by 1.96. For Gaussian roughness
+        the scale equals the standard deviation. (The median absolute deviation is zero for a rectangular grating and
+        would flag all its ridges.) Samples with a score above ``threshold`` are spikes, and so are samples connected
+        with them whose score exceeds 0.8 ``threshold``. Spikes and the samples next to them are filled by normalised
+        convolutions from coarse to fine (Knutsson and Westin 1993). Pits and cracks are not removed, because the
+        deepest points of a relief often look like them.
 
         Level the field first, because tilt counts as height. Samples that are not replaced keep their values exactly,
         so that ``np.mean(after.heights_um != before.heights_um)`` is the replaced share of a field without gaps.
@@ -422,8 +428,8 @@ class HeightField:
 
         Args:
             threshold: Score above which a sample is a spike, more than 0, default 3.
-            size_um: Standard deviation of the background [µm], at least the pitch, default 1; about the distance of the
-                features of the surface.
+            size_um: Standard deviation of the background [µm], at least the pitch, default 1. It should be about the
+                distance between the features of the surface.
 
         Returns:
             The cleaned field, of the same shape; unchanged if nothing stands out.
@@ -453,11 +459,12 @@ class HeightField:
     def cropped(
         self, size_um: float | tuple[float, float], *, offset_um: tuple[float, float] | None = None
     ) -> HeightField:
-        """Cut out a rectangle, rounded to whole samples; an axis of one sample stays unchanged.
+        """Cut out a rectangle, rounded to whole samples; an axis with one sample stays unchanged.
 
         Args:
             size_um: Extent of the rectangle [µm], one number or a pair (y, x).
-            offset_um: Position (y, x) of its first sample [µm]; None, the default, centres it.
+            offset_um: Position (y, x) of the first sample of the rectangle [µm]; None, the default, centres the
+                rectangle.
 
         Returns:
             The rectangle, at the same pitch.
@@ -494,7 +501,7 @@ class HeightField:
     def rotated(self, quarter_turns: int = 1) -> HeightField:
         """Rotate the field counter-clockwise as viewed from +z, with x to the right and y up.
 
-        After one quarter turn, a grating whose heights vary along x is one whose heights vary along y.
+        One quarter turn makes a grating whose heights vary along y from a grating whose heights vary along x.
 
         Args:
             quarter_turns: Number of quarter turns, default 1; negative numbers turn clockwise.
@@ -508,8 +515,8 @@ class HeightField:
         """
         turns = validation.count(quarter_turns, "quarter_turns", least=-validation.MOST_COUNT) % 4
         pitch = self.pitch_um[::-1] if turns % 2 else self.pitch_um
-        # numpy.rot90 assumes that the first row is at the top, but here it is at the bottom. The sign of the turns is
-        # therefore reversed.
+        # numpy.rot90 assumes that the first row of an array is at the top. In a height field the first row is at the
+        # bottom, so that the sign of the turns is reversed.
         result = HeightField.of_known_scale(np.ascontiguousarray(np.rot90(self._heights_um, -turns)), pitch)
         return result._after(self, f"Rotated by {90 * turns}° counter-clockwise.")
 
@@ -517,8 +524,8 @@ class HeightField:
         """Resample to another pitch by a Fourier series, as one period of a periodic surface.
 
         Args:
-            pitch_um: Requested pitch [µm], one number or a pair (dy, dx). The actual pitch is the nearest one that
-                divides the size, which does not change; an axis of one sample stays unchanged.
+            pitch_um: Requested pitch [µm], one number or a pair (dy, dx). The actual pitch is the nearest pitch that
+                divides the size of the field, which does not change. An axis with one sample stays unchanged.
 
         Returns:
             The field with round(L / pitch) samples along each axis; spatial frequencies above 1 / (2 · pitch), which
@@ -543,12 +550,13 @@ class HeightField:
         """Make opposite edges match, which removes the bright cross along the axes of the spectrum.
 
         The result is the periodic part of Moisan's periodic-plus-smooth decomposition (2011, J. Math. Imaging Vis. 39,
-        161–179). The subtracted smooth part is harmonic except at the edges, where it has half of the jump at each
-        edge. Size and mean do not change. Level and despike first, because the change increases with the jump. Do not
-        use it for a field that is periodic already, which would change slightly. Cut a grating of few periods with
-        `whole_periods` instead, because this method would bend it.
+        161–179). The subtracted smooth part is harmonic except at the edges. At each edge it has half of the jump
+        between opposite edges. The size and the mean height of the field do not change. Level and despike first,
+        because the change increases with the jump. Do not use this method for a field that is periodic already: it
+        would change the field slightly. Cut a grating of few periods with `whole_periods` instead, because this method
+        would bend it.
 
-        Missing samples stay missing; at the edges their `filled` values count.
+        Missing samples stay missing. For missing samples at the edges, the heights of `filled` determine the jump.
 
         Returns:
             The periodic part, of the same shape.
@@ -578,15 +586,16 @@ class HeightField:
     def whole_periods(self) -> HeightField:
         """Crop the field to whole periods of its strongest wave, so that opposite edges match.
 
-        The wave is the strongest of `periods` that repeats at least three times. The result has as many periods as fit
-        along each axis, to the nearest sample. An axis along which the wave shifts by less than a period stays
-        unchanged. Crop before levelling: a plane fitted to a part of a period is tilted.
+        The wave is the strongest one that `periods` returns; it repeats at least three times. Along each axis, the
+        result has as many whole periods as the field contains, rounded to whole samples. An axis along which the field
+        contains less than one period stays unchanged. Crop before levelling: a plane fitted to a part of a period is
+        tilted.
 
         Returns:
             The part that begins at the first sample, at the same pitch.
 
         Raises:
-            ValueError: There is no such wave.
+            ValueError: No wave repeats at least three times.
 
         Examples:
             >>> heights = 0.1 * np.cos(np.pi * 0.02 * np.arange(730))
@@ -601,15 +610,15 @@ class HeightField:
     def periods(self, count: int = 3) -> periods.Periods:
         """Find the strongest periods: waves of any direction that repeat at least three times, with their harmonics.
 
-        A period is a line of the spectrum that noise reaches with a probability of less than 0.5 %. Its power must
-        exceed the spectrum at lower and at higher frequencies of the same direction. Stronger waviness or tilt
-        therefore does not hide a period. Rough surfaces have no period, because their spectra have no lines, whatever
-        their autocorrelation is. A wave whose phase varies has one period, at its mean frequency. Missing samples have
-        no weight.
+        A period causes a narrow maximum (line) of the spectrum. Noise has such a line with a probability of less than
+        0.5 %. The power of the line must exceed the spectrum at lower and at higher frequencies of the same direction.
+        Stronger waviness or tilt therefore does not hide a period. Rough surfaces have no period, because their spectra
+        have no lines, whatever their autocorrelation is. A wave whose phase varies has one period, at its mean
+        frequency. Missing samples do not count.
 
         The length of a period is much more precise than the resolution of the Fourier transform. Its standard error
-        includes noise, steps between scan lines, and the variation of the period over the field. A field of a single
-        period, as `gratings` make it, repeats nothing and has no such period.
+        includes noise, steps between scan lines, and the variation of the period over the field. A field that is a
+        single period, as the functions of `gratings` make it, repeats nothing, so that the result is empty.
 
         Args:
             count: Largest number of periods, at least 1, default 3. Waves that explain less than 0.1 % of the variance
@@ -634,15 +643,15 @@ class HeightField:
     def roughness(self, order: int = 1) -> roughness.Roughness:
         """Measure areal surface texture parameters of ISO 25178-2 with standard errors: Sa, Sq, Sdq, Sdr, Sal and Str.
 
-        Heights are relative to a least-squares polynomial, which is subtracted first. No further filter is applied: the
-        scales are limited by the pitch and by the size of the field. Only measured samples count.
+        Heights are relative to a least-squares polynomial, which is subtracted first. No further filter is applied:
+        only the pitch and the size of the field limit the scales of the roughness. Missing samples do not count.
 
         - Sa and Sq are the mean magnitude and the root mean square of the heights.
         - Sdq is the root mean square gradient, from differences of neighbouring samples.
-        - Sdr is the area of the surface beyond its projection, relative to it. Triangles connect the samples; the area
-          is the mean over both diagonals of each cell of four samples.
+        - Sdr is the area of the surface minus the area of its projection, relative to the latter. Triangles connect the
+          samples. Four neighbouring samples form two triangles in two ways, and Sdr uses the mean area of both ways.
         - Sal is the shortest lag at which the autocorrelation is 0.2 of its value at lag 0.
-        - Str is Sal divided by the longest such lag, over all directions.
+        - Str is Sal divided by the longest lag, over all directions, at which the autocorrelation falls to this value.
 
         Standard errors are from a jackknife over parts of the field (blocks). They estimate the standard deviation of a
         parameter among fields of the same size on the same surface. Errors by the calibration and the noise of the
@@ -652,7 +661,7 @@ class HeightField:
             order: Degree of the polynomial, at least 0, default 1, a plane; 0 subtracts the mean only.
 
         Returns:
-            The parameters; each has an error, or the reason why it has none.
+            The parameters. Each parameter has a standard error, or the reason why it has none.
 
         Raises:
             ValueError: ``order`` is negative.
@@ -677,13 +686,13 @@ class HeightField:
         return diagnostics.summarise(self)
 
     def _with_heights(self, heights: NDArray[np.float64]) -> HeightField:
-        """Return a field with other heights, of the same pitch and the same source."""
+        """Return a field with other heights, and with the pitch and the source of this field."""
         field = HeightField.of_known_scale(heights, self.pitch_um)
         field._source = self._source
         return field
 
     def _after(self, origin: HeightField, step: str) -> HeightField:
-        """Set the history of this field to that of the field it was made from, plus one step; return this field."""
+        """Set the history of this field to that of the field ``origin`` plus one step; return this field."""
         self._history = (*origin._history, step)
         return self
 

@@ -1,4 +1,4 @@
-"""Least-squares fit of a wave of unknown frequency with its harmonics, and the covariance of the fitted frequency."""
+"""Least-squares fit of a wave of unknown frequency and its harmonics, with the covariance of the fitted frequency."""
 
 from __future__ import annotations
 
@@ -12,22 +12,24 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 # Smallest number of cycles over the field for a wave to count as a period. Slower waves may belong to the overall form
-# of the surface.
+# of the surface. The value was chosen; if doubled, periods that repeat three to five times are not reported.
 FEWEST_PERIODS = 3.0
-# Largest number of harmonics of a wave, including the fundamental.
+# Largest number of harmonics of a wave that are fitted, including the fundamental.
 MOST_HARMONICS = 16
-# Largest frequency of a harmonic, relative to the Nyquist limit. At the limit itself, a sine may vanish on all samples.
+# Largest frequency of a fitted harmonic, relative to the Nyquist limit. A sine at the Nyquist limit may vanish on all
+# samples.
 OF_NYQUIST = 0.9
-# Number of values per period of the shortest harmonic. Finer samples are averaged over blocks before a fit, which saves
-# time. With two values per period, harmonics would alias.
+# Number of values per period of the shortest harmonic of a wave. Samples that are closer together are averaged over
+# blocks before a fit, which saves time. With two values per period, harmonics would alias.
 _SAMPLES_PER_PERIOD = 4
-# Largest number of elements of the matrix of a least-squares fit. Limit: time and memory.
+# Largest number of elements of the matrix of a least-squares fit. The value is limited by time and memory: if doubled,
+# the largest fits require twice as much of both.
 _MOST_ELEMENTS = 2_000_000
-# Smallest amplitude of a significant harmonic, in standard deviations of the amplitudes that noise causes.
+# Smallest amplitude of a significant harmonic of a wave, in standard deviations of the amplitudes that noise causes.
 _OVER_NOISE = 4.0
-# Largest number of Gauss-Newton steps of a fit.
+# Largest number of Gauss-Newton steps of a fit of a wave.
 _MOST_STEPS = 12
-# Change of the frequency in one step [cycles over the field] below which a fit ends.
+# Change of the fitted frequency in one step [cycles over the field] below which a fit ends.
 _CONVERGED = 1e-6
 
 
@@ -35,12 +37,12 @@ def fit_wave(
     heights: NDArray[np.float64], known: NDArray[np.bool_], pitch: tuple[float, float], q: NDArray[np.float64],
 
 ) -> HarmonicFit:  # fmt: skip
-    """Fit a wave with its significant harmonics and a tilt to the known samples; its frequency is near ``q`` [1/µm]."""
+    """Fit a wave of a frequency near ``q`` [1/µm], its significant harmonics and a tilt to the known samples."""
     means = _Means.of(heights, known, pitch, q, MOST_HARMONICS)
     fit = means.fitted()
     residual = np.where(known, heights - fit.heights(), 0.0)
-    # Harmonics with amplitudes below the noise would change the fitted frequency. They are removed, and the fit is
-    # repeated.
+    # Harmonics with amplitudes below the noise would change the fitted frequency of the wave. These harmonics are
+    # removed, and the fit is repeated without them.
     amplitude_variance = 2.0 * float(np.mean(residual[known] ** 2)) / np.count_nonzero(known)
     significant = fit.amplitudes > _OVER_NOISE * math.sqrt(amplitude_variance)
     significant[0] = True
@@ -53,10 +55,10 @@ def fit_wave(
 def fit_sine(
     heights: NDArray[np.float64], known: NDArray[np.bool_], cycles: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Fit a sine of a frequency near ``cycles`` [cycles over the field]; return its frequency and its heights.
+    """Fit a sine of a frequency near ``cycles`` [over the field]; return the sine's fitted frequency and its heights.
 
-    The frequency maximises the Fourier integral of the heights with a Hann window, to 1 % of a cycle. `fit_wave` is
-    more precise and takes several times as long.
+    The fitted frequency maximises the Fourier integral of the heights with a Hann window. The frequency is exact to
+    0.01 cycles. `fit_wave` is more precise and takes several times as long.
     """
     shape = heights.shape
     places = [np.arange(n) / n - 0.5 for n in shape]
@@ -73,7 +75,7 @@ def fit_sine(
         row, column = np.unravel_index(int(np.argmax(power)), power.shape)
         best = best + np.array([steps[0][row], steps[1][column]])
     along_y, along_x = (np.exp(2j * np.pi * c * place) for c, place in zip(best, places, strict=True))
-    # Least-squares amplitudes of the cosine and the sine of the fitted frequency, over the known samples.
+    # Least-squares amplitudes of the cosine and the sine at the fitted frequency, over the known samples.
     weight = known.astype(np.float64)
     twice = np.conj(along_y) ** 2 @ weight @ np.conj(along_x) ** 2 / np.sum(weight)
     once = 2.0 * (np.conj(along_y) @ np.where(known, heights, 0.0) @ np.conj(along_x)) / np.sum(weight)
@@ -83,7 +85,7 @@ def fit_sine(
 
 @dataclass
 class _Means:
-    """Means of the heights in k blocks of samples, to which a wave with a frequency near ``q`` is fitted.
+    """Means of the heights in k rectangular blocks of samples, to which a wave of a frequency near ``q`` is fitted.
 
     Attributes:
         y: Centres of the blocks along y, relative to the centre of the field [µm], shape (k,).
@@ -92,8 +94,8 @@ class _Means:
         weights: Numbers of known samples in the blocks, shape (k,).
         shape: Number of samples of the field (ny, nx).
         pitch: Distance of the samples (dy, dx) [µm].
-        blocks: Number of samples of a block along y and x.
-        q: Frequency (y, x) at which the fit begins [1/µm].
+        blocks: Numbers of samples of a block along y and x.
+        q: Frequency (y, x) of the wave at which the fit begins [1/µm].
         orders: Numbers of the harmonics to fit; 1 is the fundamental.
     """
 
@@ -112,7 +114,7 @@ class _Means:
         cls, heights: NDArray[np.float64], known: NDArray[np.bool_], pitch: tuple[float, float],
         q: NDArray[np.float64], most: int,
     ) -> _Means:  # fmt: skip
-        """Average heights over blocks that are small enough for a wave of frequency ``q`` and its harmonics."""
+        """Average heights over blocks of samples; the blocks suit a wave of frequency ``q`` and its harmonics."""
         orders, blocks = _orders_and_blocks(q, heights.shape, pitch, most)
         shape = [n // block for n, block in zip(heights.shape, blocks, strict=True)]
         whole = tuple(slice(n * block) for n, block in zip(shape, blocks, strict=True))
@@ -140,9 +142,10 @@ class _Means:
         return [axis for axis in (0, 1) if self.shape[axis] > 1]
 
     def fitted(self) -> HarmonicFit:
-        """Fit a wave with its harmonics and a tilt by the Gauss-Newton method; each step solves for all amplitudes.
+        """Fit a wave, its harmonics and a tilt by the Gauss-Newton method; each step solves for all amplitudes.
 
-        In strong noise a step can increase the residual. The result with the smallest residual is therefore returned.
+        In strong noise a step can increase the residual of the fit. The step with the smallest residual is therefore
+        returned.
         """
         q, root, count = self.q.copy(), np.sqrt(self.weights), len(self.orders)
         best, least = None, math.inf
@@ -157,8 +160,7 @@ class _Means:
             linear = _solved(columns, self.values, root)
             residual = float(np.sum((root * (self.values - np.stack(columns, axis=1) @ linear)) ** 2))
             slope = 2.0 * np.pi * ((cosines * linear[count : 2 * count] - sines * linear[:count]) @ self.orders)
-            # Derivatives of the fitted wave with respect to its frequency along each axis, which is in cycles over the
-            # field.
+            # Derivatives of the fitted wave with respect to its frequency [cycles over the field] along each axis.
             columns += [slope * place for place in relative]
             if residual < least:
                 normal = np.stack(columns, axis=1)
@@ -173,7 +175,7 @@ class _Means:
             for axis, change in zip(self.free, step, strict=True):
                 q[axis] += change / self.sizes[axis]
             if math.hypot(*(q * self.sizes)) < 1.0:
-                # A wave of less than one cycle over the field cannot be distinguished from a bow.
+                # A wave of less than one cycle over the field cannot be distinguished from a bow of the surface.
                 break
         assert best is not None  # noqa: S101 - for mypy; the first step sets it
         return best
@@ -184,11 +186,11 @@ class HarmonicFit:
     """Wave with harmonics and a tilt that are fitted to the heights of a field.
 
     Attributes:
-        q: Frequency (y, x) [1/µm].
+        q: Fitted frequency (y, x) [1/µm].
         orders: Numbers of the fitted harmonics; 1 is the fundamental.
         linear: Amplitudes of the cosines, amplitudes of the sines, and the coefficients of offset and tilt [µm].
-        covariance: Covariance matrix of the frequency along the axes of ``free`` [cycles over the field], if the
-            heights have white noise of variance 1.
+        covariance: Covariance matrix of the fitted frequency along the axes of ``free``, which is in cycles over the
+            field, if the heights have white noise of variance 1.
         shape: Number of samples (ny, nx).
         pitch: Distance of the samples (dy, dx) [µm].
         free: Axes along which the field has more than one sample: 0 for y, 1 for x.
@@ -217,8 +219,8 @@ class HarmonicFit:
     def heights(self) -> NDArray[np.float64]:
         """Return the heights of the fitted wave at all samples [µm], shape (ny, nx).
 
-        They include the fitted tilt. They are subtracted from the field before the next wave is fitted, and a remaining
-        tilt would then be taken for a wave.
+        The heights include the fitted tilt. They are subtracted from the field before the next wave is fitted, and the
+        fit would take a remaining tilt for a wave.
         """
         places, count = self._places(), len(self.orders)
         result = np.full(self.shape, self.linear[2 * count])
@@ -228,11 +230,11 @@ class HarmonicFit:
         return result + self._sum(np.ones(count))
 
     def slopes(self) -> NDArray[np.float64]:
-        """Return the derivatives of the wave with respect to its phase at all samples [µm], shape (ny, nx)."""
+        """Return the derivatives of the fitted wave with respect to its phase at all samples [µm], shape (ny, nx)."""
         return self._sum(np.asarray(1j * self.orders, dtype=np.complex128))
 
     def _sum(self, factors: NDArray[np.complex128] | NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sum of the harmonics, each multiplied by a complex factor, at all samples, shape (ny, nx)."""
+        """Return the sum of the harmonics, multiplied by complex ``factors``, at all samples, shape (ny, nx)."""
         places, count = self._places(), len(self.orders)
         amplitudes = factors * (self.linear[:count] - 1j * self.linear[count : 2 * count])
         result = np.zeros(self.shape)
@@ -245,12 +247,12 @@ class HarmonicFit:
 def _orders_and_blocks(
     q: NDArray[np.float64], shape: tuple[int, ...], pitch: tuple[float, float], most: int
 ) -> tuple[NDArray[np.int64], list[int]]:
-    """Return the numbers of the harmonics to fit, and the number of samples of a block along y and x."""
+    """Return the numbers of the harmonics to fit, and how many samples are averaged along y and x before the fit."""
     cycles = [abs(float(q[axis])) * pitch[axis] if shape[axis] > 1 else 0.0 for axis in (0, 1)]
     most = max(1, min(most, math.floor(0.5 * OF_NYQUIST / max(cycles))))
     while True:
-        # The wave may hardly change along one axis. Blocks along this axis are as short as for a wave with one period
-        # over the field.
+        # Samples are averaged over blocks before a fit. Along an axis where the wave hardly changes, blocks are as
+        # short as for a wave with one period over the field.
         density = [_SAMPLES_PER_PERIOD * most * max(cycle, 1.0 / n) for cycle, n in zip(cycles, shape, strict=True)]
         blocks = [max(1, math.floor(1.0 / samples)) for samples in density]
         elements = math.prod(n // block for n, block in zip(shape, blocks, strict=True)) * (2 * most + 5)
@@ -260,7 +262,7 @@ def _orders_and_blocks(
 
 
 def _fade(cycles: NDArray[np.float64], block: int) -> NDArray[np.float64]:
-    """Return the factors by which means over blocks of samples weaken waves, for frequencies in cycles per sample."""
+    """Return the factors by which averaging over blocks weakens waves of the frequencies ``cycles`` [per sample]."""
     turn = np.sin(np.pi * cycles)
     tiny = np.abs(turn) < 1e-9
     return np.where(tiny, 1.0, np.sin(np.pi * cycles * block) / (block * np.where(tiny, 1.0, turn)))
@@ -271,7 +273,7 @@ def _solved(
 ) -> NDArray[np.float64]:
     """Return the weighted least-squares solution by the normal equations.
 
-    These equations are well conditioned, because waves of different frequencies are nearly orthogonal.
+    The normal equations are well conditioned here, because waves of different frequencies are nearly orthogonal.
     """
     matrix = np.stack(columns, axis=1) * root[:, None]
     return np.asarray(np.linalg.lstsq(matrix.T @ matrix, matrix.T @ (values * root), rcond=1e-12)[0], dtype=np.float64)

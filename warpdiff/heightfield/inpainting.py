@@ -15,27 +15,32 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from scipy.sparse import csr_array
 
-# Residual of the linear equations, relative to its first value, at which the solver stops.
+# Residual of the linear equations for missing heights, relative to the first residual, at which the solver stops.
 _CONVERGED = 1e-10
-# Maximum number of steps of the conjugate gradient method; about twenty steps suffice.
+# Maximum number of steps of the conjugate gradient method that fills gaps; about twenty steps suffice.
 _MOST_STEPS = 200
-# Least weight of the neighbours along the axis with the coarser pitch, relative to the neighbours along the other axis.
-# Limit: smaller weights are lost in rounding.
+# In the equations for missing heights, neighbours along the axis with the coarser pitch have a smaller weight than
+# neighbours along the other axis. The number is the least ratio of these weights. The value is limited by rounding:
+# smaller weights are lost.
 _LEAST_WEIGHT = 1e-10
-# Damping factor of the Jacobi iteration that smooths errors on each grid; the usual value for five-point Laplacians.
+# Damping factor of the Jacobi iterations, which smooth the errors on each grid of the multigrid method; the usual value
+# for five-point Laplacians.
 _DAMPING = 2.0 / 3.0
-# Number of Jacobi iterations before, and again after, each correction that is computed on the next coarser grid.
+# The multigrid method corrects the solution on a grid by a solution on the next coarser grid. The number is that of
+# Jacobi iterations before each correction, and again after it.
 _SWEEPS = 2
-# A grid with at most this number of unknowns is not coarsened further. Its equations are solved by an inverse matrix.
+# Number of unknowns up to which a grid of the multigrid method has no coarser grid. Its equations are solved by an
+# inverse matrix.
 _FEW = 400
-# First number: samples per sample of the next coarser grid, along an axis. Second number: both axes are coarsened only
-# if the ratio of their pitches is at most this; otherwise only the axis with the finer pitch is.
+# Coarser grids of the multigrid method. `_COARSER` is the number of samples that one sample of the next coarser grid
+# represents along an axis. If the ratio of the pitches along both axes is above `_MOST_ANISOTROPY`, only the axis with
+# the finer pitch is coarsened.
 _COARSER, _MOST_ANISOTROPY = 3, 1.8
 
 
 @np.errstate(under="ignore")
 def harmonic(heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> NDArray[np.float64]:
-    """Return ``heights`` (ny, nx) with each NaN replaced so that the five-point Laplacian vanishes there.
+    """Return ``heights`` (ny, nx) with each NaN replaced so that the five-point Laplacian vanishes at these samples.
 
     The slope across the edges of the grid is zero. At least one sample must be known. The equations are solved by
     conjugate gradients with a multigrid preconditioner (smoothed aggregation: Vaněk, Mandel and Brezina 1996, Computing
@@ -48,8 +53,8 @@ def harmonic(heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> NDA
     if not gaps.any():
         return result
     known = heights[~gaps]
-    # Heights are centred and scaled: rounding errors then do not depend on an offset, and squares of heights neither
-    # overflow nor underflow.
+    # Heights are centred and scaled before the solver starts. Rounding errors then do not depend on an offset of the
+    # heights, and squares of heights neither overflow nor underflow.
     mean = float(np.mean(known))
     scale = float(np.max(np.abs(known - mean))) or 1.0
     matrix, target = _equations(gaps, np.where(gaps, 0.0, (heights - mean) / scale), pitch_um)
@@ -57,8 +62,8 @@ def harmonic(heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> NDA
         cycle = linalg.LinearOperator(matrix.shape, _multigrid(matrix, np.nonzero(gaps), pitch_um))
         solution, _ = linalg.cg(matrix, target, rtol=_CONVERGED, maxiter=_MOST_STEPS, M=cycle)
         filled = mean + scale * solution
-    # A harmonic function lies between its smallest and its largest boundary value. By rounding errors, computed heights
-    # may lie outside of this range, and are clipped to it.
+    # A harmonic function lies between its smallest and its largest boundary value. Rounding errors may move computed
+    # heights outside of this range, so that they are clipped to it.
     result[gaps] = np.clip(filled, known.min(), known.max())
     return result
 
@@ -66,9 +71,9 @@ def harmonic(heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> NDA
 def _equations(
     gaps: NDArray[np.bool_], heights: NDArray[np.float64], pitch: tuple[float, float]
 ) -> tuple[csr_array, NDArray[np.float64]]:
-    """Return the linear equations of the missing samples: the matrix of the negative Laplacian, and a right-hand side.
+    """Return the linear equations for missing heights: the matrix of the negative Laplacian, and a right-hand side.
 
-    The right-hand side is the sum of the known neighbours of each missing sample, times their weights.
+    For each missing sample, the right-hand side is the weighted sum of the known heights of neighbouring samples.
     """
     from scipy import sparse
 
@@ -84,8 +89,8 @@ def _equations(
         for one, other, height in ((before, after, height_after), (after, before, height_before)):
             unknown = one >= 0
             row, column = one[unknown], other[unknown]
-            # The indices `row` are unique, because a sample has at most one neighbour on one side. Indexed sums are
-            # correct only for unique indices.
+            # A missing sample has at most one neighbour on one side, so that each index in `row` occurs once. Additions
+            # to an indexed array are correct only if no index occurs twice.
             diagonal[row] += weight
             target[row] += weight * height[unknown]
             both = column >= 0
@@ -96,7 +101,7 @@ def _equations(
 
 @dataclass(frozen=True)
 class _Level:
-    """Grid of the multigrid method, with the equations of its samples.
+    """Grid of the multigrid method, with the linear equations for the heights on this grid.
 
     Attributes:
         matrix: Matrix of the equations on this grid.
@@ -112,7 +117,7 @@ class _Level:
 def _multigrid(
     matrix: csr_array, places: tuple[NDArray[np.int64], ...], pitch: tuple[float, float]
 ) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    """Return one V-cycle of the multigrid method, as a function that approximately solves the equations on a grid."""
+    """Return one V-cycle of the multigrid method, as a function that approximately solves the equations of a grid."""
     from scipy import sparse
 
     levels: list[_Level] = []
@@ -133,7 +138,8 @@ def _multigrid(
         matrix = (to_finer.T @ (matrix @ to_finer)).tocsr()
         places = cells // width, cells % width
         distances = [distance * block for distance, block in zip(distances, blocks, strict=True)]
-    # A dense inverse is used, because SciPy's sparse factorisation leaves a pending error in forked child processes.
+    # The inverse matrix is dense, because SciPy's sparse factorisation leaves a pending error in forked child
+    # processes.
     inverse = np.linalg.inv(matrix.toarray())
 
     def cycle(residual: NDArray[np.float64], depth: int = 0) -> NDArray[np.float64]:

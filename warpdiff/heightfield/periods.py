@@ -1,4 +1,4 @@
-"""Periods of a height field: waves that cause lines of its spectrum, their mean frequencies and standard errors."""
+"""Periods of a height field: waves that cause narrow maxima (lines) of its spectrum, with standard errors."""
 
 from __future__ import annotations
 
@@ -21,65 +21,73 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
 
-# Share of the variance of the heights below which a wave is not reported.
+# Share of the variance of the heights below which a wave is not reported as a period.
 _LEAST_SHARE = 1e-3
-# Least number of samples per period, along x and along y, of a resolved period. Limit: a scan that was rotated or
-# scaled has copies of its lines near the limit of sampling, which is two samples per period.
+# Least number of samples per period, along x and along y, of a resolved period. The value is limited by artefacts: a
+# scan that was rotated or scaled has copies of its spectral lines near the sampling limit of two samples per period.
 LEAST_SAMPLES = 3.0
 # Standard deviation of the heights, relative to the largest absolute height, below which a field counts as flat.
 _ROUNDING = 1e-10
-# Number of periods by which a wave may fall short of the required three, because its fitted frequency has an error.
+# Number of periods by which a wave may fall short of the required three periods over the field. The margin is necessary
+# because the fitted frequency of a wave has an error.
 _ROUNDED_PERIODS = 0.02
-# Radius of the band of frequencies around a line, relative to the frequency of the line; and its minimum [cycles over
-# the field].
+# The power of a wave is measured in a band of frequencies around its line in the spectrum. `_BAND` is the radius of
+# this band relative to the frequency of the line; `_LEAST_BAND` is the smallest radius [cycles over the field].
 _BAND, _LEAST_BAND = 0.35, 3.0
-# Distance of a weaker line from the mean frequency of a wavering wave, relative to this frequency, up to which the line
-# belongs to the wave. Fitted to simulated waves whose phase varies as a sine with an amplitude of 2.4 radians: nearly
-# all of their power is in lines at lower and higher frequencies than the mean, within this distance of it. If doubled,
-# lines of other waves are discarded.
+# A wavering wave is one whose phase varies over the field. The number is the distance of a weaker spectral line from
+# the mean frequency of such a wave, relative to this frequency, up to which the line belongs to the wave. The value was
+# fitted to simulated waves whose phase varies as a sine with an amplitude of 2.4 radians: nearly all of their power is
+# in lines at lower and higher frequencies than the mean, within this distance of the mean. If doubled, lines of other
+# waves are discarded.
 _SIDE_LINES = 0.55
-# Radius of the bands that are excluded around the harmonics of a wave, relative to the frequency of the wave.
+# Radius of the bands around the harmonics of a wave that are excluded from the search for further waves, relative to
+# the frequency of the wave.
 _HARMONIC_BAND = 0.5
-# Highest harmonic whose alias is excluded from the search for further waves. Higher harmonics have little power, and
-# the bands around their aliases would cover the spectrum.
+# Number of the highest harmonic of a wave whose alias is excluded from the search for further waves. Higher harmonics
+# have little power, and the excluded bands around all aliases would cover the spectrum.
 _MOST_ALIASED = 5
-# Radius of the band of a wavering wave, in standard deviations of the frequencies in this band, weighted by their
-# power.
+# Radius of the band of frequencies of a wavering wave, whose phase varies over the field. The radius is in standard
+# deviations of the frequencies in this band, which are weighted by power.
 _BAND_IN_DEVIATIONS = 2.5
-# Largest radius of the band with which the search for the mean frequency of a wavering wave begins [cycles over the
-# field]. It is the width of the widest boxes in which lines are searched. If doubled, the bands of periods that are
-# short compared with the field contain neighbouring lines, which move the mean frequency.
+# A wavering wave is one whose phase varies over the field. The search for its mean frequency begins with a band of
+# frequencies of at most this radius [cycles over the field]. The value is the width of the widest boxes over which the
+# spectrum is averaged to search lines. If doubled, the bands of periods that are short compared with the field contain
+# neighbouring lines, which move the mean frequency.
 _FIRST_BAND = 31.0
-# Distance of two lines [cycles over the field] below which they count as one, because they are within one main lobe of
-# the Hann window.
+# Distance of two spectral lines [cycles over the field] below which they count as one line, because they are within one
+# main lobe of the Hann window.
 _RESOLUTION = 2.5
-# A wave counts as coherent if, after its best sine is subtracted, less power remains around its frequency than this
-# fraction of the power of the sine.
+# A wave counts as coherent if its best sine explains most of its power. The power that remains around its frequency,
+# after this sine is subtracted, must be less than this fraction of the power of the sine.
 _COHERENT = 0.5
-# After a sine is subtracted, a second sine counts as another wave if it explains at least this share of the power that
-# remains near the first one. Otherwise this power belongs to the first wave, which is then a wavering wave.
+# After a sine is subtracted from the heights, a second sine counts as another wave if it explains at least this share
+# of the power that remains near the first sine. Otherwise this power belongs to the first wave, which then counts as a
+# wavering wave: its phase varies over the field.
 _SECOND = 0.7
-# A line near a coherent wave is a side line, caused by variations of the phase, if the mirrored frequency on the other
-# side of the wave has more than this fraction of the power of the line.
+# Variations of the phase of a coherent wave cause pairs of side lines in the spectrum. A line near the wave counts as a
+# side line if the mirrored frequency on the other side of the wave has more than this fraction of the power of the
+# line.
 _TWIN = 0.25
-# Search for the mean frequency of a wavering wave: largest number of steps; largest step, relative to the radius of the
-# band; and step [cycles over the field] below which the search ends.
+# Search for the mean frequency of a wavering wave, whose phase varies over the field. `_MOST_STEPS` is the largest
+# number of steps. `_LARGEST_STEP` is the largest step, relative to the radius of the wave's band of frequencies. The
+# search ends at a step below `_CONVERGED` [cycles over the field].
 _MOST_STEPS, _LARGEST_STEP, _CONVERGED = 12, 0.3, 1e-3
 # The standard error of a wave's frequency follows from the spectrum of its phase error, the deviation of its phase from
-# that of a perfect grating. All numbers are frequencies in this spectrum [cycles over the field]. For a coherent wave,
-# the lowest `_COHERENT_ORDINATES` frequencies along each axis are used; for a wavering wave, those below
-# `_WAVERING_ORDINATES`. The powers at these frequencies are extrapolated to `_COHERENT_AT` or `_WAVERING_AT`, which are
-# lower. If the phase error were an endless random walk, these two would have to be 0.5; their values are fitted by
-# bench/reproduce/periods.py. In a pair, the first number is for fields of two axes, and the second for fields of one
-# axis.
+# that of a perfect grating. A coherent wave has nearly the phase of a perfect grating; the phase of a wavering wave
+# varies more. For a coherent wave, the lowest `_COHERENT_ORDINATES` frequencies of this spectrum along each axis are
+# used; for a wavering wave, the frequencies below `_WAVERING_ORDINATES` [cycles over the field]. The powers at these
+# frequencies are extrapolated to `_COHERENT_AT` or `_WAVERING_AT`, which are lower. If the phase error were an endless
+# random walk, the last two numbers would have to be 0.5. The values were fitted by bench/reproduce/periods.py. In a
+# pair, the first number is for fields with several samples along both axes, and the second number is for single rows or
+# columns of samples.
 _COHERENT_ORDINATES, _WAVERING_ORDINATES = 24, (5.0, 3.2)
 _COHERENT_AT, _WAVERING_AT = (0.43, 0.32), (0.4, 0.7)
-# The spectrum of the phase error is modelled as white noise plus a random walk. These are the tried ratios of the
-# walk's power to the noise's power at one cycle over the field. Each ratio gets as weight the likelihood of the
-# measured spectrum of the phase error (`_low_power`).
+# The spectrum of the phase error of a wave is modelled as white noise plus a random walk. The tuple contains the ratios
+# that are tried: power of the walk to power of the noise, at one cycle over the field. The weight of a ratio is the
+# likelihood of the measured spectrum at this ratio (`_low_power`).
 _WALKS = (0.0, *(10.0 ** np.arange(-0.5, 5.1, 0.5)).tolist())
 
-# Cache: for each field, the periods found by calls, with the argument ``count`` of the call as the key.
+# Cache of results by field: tuples of periods, by the argument ``count`` of the call.
 _found: weakref.WeakKeyDictionary[HeightField, dict[int, tuple[Period, ...]]] = weakref.WeakKeyDictionary()
 
 
@@ -87,18 +95,19 @@ _found: weakref.WeakKeyDictionary[HeightField, dict[int, tuple[Period, ...]]] = 
 class Period:
     """Periodic wave in a height field, with its harmonics.
 
-    A period is found if its line in the spectrum is significantly higher than the spectrum at lower and at higher
-    frequencies of the same direction. Noise has no such line, whatever its autocorrelation is.
+    A period causes a narrow maximum (line) of the spectrum. The line must be significantly higher than the spectrum at
+    lower and at higher frequencies of the same direction. Noise causes no such line, whatever its autocorrelation is.
 
     Attributes:
-        period_um: Mean length of the period [µm]: the inverse of the mean frequency of the wave, weighted by its power.
+        period_um: Mean length of the period [µm]: the inverse of the mean frequency of the wave, which is weighted by
+            power.
         standard_error_um: Standard error of the period [µm], as an estimate for the whole surface of which the field is
             a part. It includes noise and the variation of the period over the field. Two standard errors contain the
             mean of the surface in about 95 % of fields.
         direction_deg: Direction of the wave vector [degrees], from x towards y, above −90 and at most 90.
-        harmonics_um: Amplitudes of the fundamental and its harmonics [µm], at most sixteen, as the pitch allows; 0 for
-            harmonics below the noise. If the phase of a wave varies by more than a fraction of a period over the
-            field, only its fundamental is listed, with the root mean square amplitude.
+        harmonics_um: Amplitudes of the fundamental and its harmonics [µm], at most sixteen, fewer if the pitch is too
+            coarse; 0 for harmonics below the noise. If the phase of a wave varies by more than a fraction of a period
+            over the field, only its fundamental is listed, with the root mean square amplitude.
         share: Share of the variance of the heights, without tilt, that the wave explains.
         frequency: Wave vector (y, x) [cycles per µm].
         is_coherent: Whether the phase of the wave is nearly that of a perfect grating over the whole field.
@@ -136,7 +145,7 @@ class Period:
 
 
 class Periods(tuple[Period, ...]):
-    """Periods of a height field: a tuple of :class:`warpdiff.Period`, strongest first. Its methods print and save them.
+    """Periods of a height field: a tuple of :class:`warpdiff.Period`, strongest first, which can be printed and saved.
 
     Examples:
         >>> import numpy as np
@@ -151,7 +160,7 @@ class Periods(tuple[Period, ...]):
     __slots__ = ()
 
     def table(self) -> Table:
-        """Return a table with a row per period: the attributes of :class:`warpdiff.Period`.
+        """Return a table with a row per period; the columns are attributes of :class:`warpdiff.Period`.
 
         ``amplitude_um`` is the amplitude of the fundamental.
 
@@ -178,7 +187,7 @@ class Periods(tuple[Period, ...]):
 
 
 def fit(heightfield: HeightField, count: int) -> tuple[Period, ...]:
-    """Find the strongest periods, see `HeightField.periods`; the results of a field are cached."""
+    """Find the strongest periods of a field, see `HeightField.periods`; the results are cached by field."""
     cached = _found.setdefault(heightfield, {})
     if count not in cached:
         cached[count] = _fit(heightfield, count)
@@ -192,7 +201,7 @@ def _fit(heightfield: HeightField, count: int) -> tuple[Period, ...]:
     deviation = field.rms_um
     if deviation <= _ROUNDING * float(np.max(np.abs(heightfield.heights_um[known]))):
         return ()
-    # Heights are scaled to a variance of 1, and lengths to the larger extent of the field, so that results do not
+    # Heights are scaled to a variance of 1, and lengths by the larger extent of the field, so that results do not
     # depend on the unit.
     extent = max(field.size_um)
     size = field.size_um[0] / extent, field.size_um[1] / extent
@@ -205,12 +214,12 @@ def _fit(heightfield: HeightField, count: int) -> tuple[Period, ...]:
 
 @dataclass(frozen=True)
 class _Wave:
-    """Wave in a scaled field: the variance of its heights is 1, and its larger extent is 1.
+    """Periodic wave in a scaled field, whose heights have a variance of 1 and whose larger extent is 1.
 
     Attributes:
         q: Wave vector (y, x) [cycles per larger extent].
-        error: Standard error of the frequency along the wave vector.
-        harmonics: Amplitudes of the fundamental and its harmonics.
+        error: Standard error of the frequency along the wave vector [cycles per larger extent].
+        harmonics: Amplitudes of the fundamental and its harmonics, in standard deviations of the heights.
         share: Share of the variance of the heights that the wave explains.
         is_coherent: Whether the phase is nearly that of a perfect grating, see `Period`.
     """
@@ -222,7 +231,7 @@ class _Wave:
     is_coherent: bool
 
     def period(self, deviation: float, extent: float, pitch: tuple[float, float]) -> Period:
-        """Return the wave in µm.
+        """Return this wave as a `Period`, with lengths in µm.
 
         Args:
             deviation: Standard deviation of the heights [µm].
@@ -245,13 +254,15 @@ class _Wave:
 class _Search:
     """Search for the waves of a height field, one after the other.
 
-    Coherent waves are fitted and subtracted with their harmonics. Wavering waves, whose phase varies, cannot be
-    subtracted. Bands of frequencies around them, and around the harmonics of all waves, are not searched again.
+    Coherent waves have nearly the phase of a perfect grating; they are fitted and subtracted with their harmonics.
+    Wavering waves, whose phase varies over the field, cannot be subtracted. Bands of frequencies around wavering waves,
+    and around the harmonics of all waves, are not searched again.
 
     Attributes:
-        heights: Heights of unit variance without the waves found so far, gaps filled, shape (ny, nx).
+        heights: Heights of the field, scaled to unit variance, without the waves found so far, gaps filled, shape
+            (ny, nx).
         known: Mask of the samples that are not missing.
-        sizes: Extents along y and x, relative to the larger one.
+        sizes: Extents of the field along y and x, relative to the larger extent.
         excluded: Mask of the Fourier coefficients that are not searched, zero frequency in the centre.
         bands: Frequency and radius of the band of each coherent wave found so far [cycles over the field].
         wavering: Mean frequencies of the wavering waves found so far [cycles over the field].
@@ -270,10 +281,11 @@ class _Search:
         return bool(min(self.heights.shape) > 1)
 
     def strongest(self, count: int) -> list[_Wave]:
-        """Find at most ``count`` waves, beginning with the strongest line of the spectrum."""
+        """Find at most ``count`` waves, beginning with the strongest line (narrow maximum) of the spectrum."""
         waves: list[_Wave] = []
         spectrum = WindowedSpectrum(self.heights)
-        # More lines are examined than waves are requested, because side lines of earlier waves are rejected.
+        # More spectral lines are examined than waves are requested, because some lines are rejected: those that belong
+        # to earlier waves.
         for _ in range(2 * count + 2):
             line = spectrum.strongest_line(self.excluded, self.sizes)
             if line is None:
@@ -286,11 +298,11 @@ class _Search:
         return waves
 
     def _measured(self, spectrum: WindowedSpectrum, line: Line) -> tuple[_Wave | None, WindowedSpectrum]:
-        """Return the wave that causes a line, and the spectrum in which the next line is searched.
+        """Return the wave that causes a spectral line, and the spectrum in which the next line is searched.
 
-        The wave is None if the line belongs to a wave that was found before, or has no power above the background. The
-        second result is ``spectrum`` unless the wave is coherent: then it is the spectrum of the heights without this
-        wave.
+        The wave is None if the line belongs to a wave that was found before, or has no power above the background of
+        the spectrum. For a coherent wave, which is subtracted from the heights, the second result is the spectrum of
+        the remaining heights. Otherwise it is ``spectrum``.
         """
         line = self._fundamental(spectrum, line)
         length = float(np.hypot(*line.cycles))
@@ -321,9 +333,10 @@ class _Search:
         return wave, spectrum
 
     def _is_side_line(self, spectrum: WindowedSpectrum, cycles: NDArray[np.float64]) -> bool:
-        """Return whether a frequency is that of a side line of a coherent wave.
+        """Return whether a frequency is that of a side line of a coherent wave that was found before.
 
-        Variations of the phase cause pairs of side lines, at mirrored frequencies on both sides of the wave.
+        Variations of the phase of a wave cause pairs of side lines in the spectrum, at mirrored frequencies on both
+        sides of the frequency of the wave.
         """
         power = spectrum.around(cycles)
         return any(
@@ -333,13 +346,13 @@ class _Search:
         )
 
     def _is_beside_wavering(self, cycles: NDArray[np.float64]) -> bool:
-        """Return whether a frequency is so near to a wavering wave that a line there belongs to this wave."""
+        """Return whether a frequency is so near to a wave of varying phase that its line belongs to this wave."""
         return any(_distance(cycles, other) <= _SIDE_LINES * float(np.hypot(*other)) for other in self.wavering)
 
     def _fundamental(self, spectrum: WindowedSpectrum, line: Line) -> Line:
-        """Return the strongest of the lines at 1, 1/2, 1/3, 1/4 and 1/5 of the frequency of a line.
+        """Return the strongest of the spectral lines at 1, 1/2, 1/3, 1/4 and 1/5 of the frequency of a line.
 
-        A line may be caused by a harmonic of a wave; the result is then the line of the fundamental.
+        If the line is that of a harmonic of a wave, the result is the line of the wave's fundamental.
         """
         best, power = line, spectrum.around(line.cycles)
         for order in (2, 3, 4, 5):
@@ -357,7 +370,7 @@ class _Search:
         self, line: Line, band: float, before: float, after: float, rest: WindowedSpectrum,
         residual: NDArray[np.float64], cycles: NDArray[np.float64],
     ) -> bool:  # fmt: skip
-        """Return whether one sine explains the power around a line.
+        """Return whether one sine explains the power of the spectrum around a line.
 
         The result is also True if most of the power that this sine leaves is in a second sine, whose frequency is more
         than 2 cycles over the field away. The second sine is then another wave.
@@ -373,12 +386,12 @@ class _Search:
     def _without_sine(
         self, heights: NDArray[np.float64], cycles: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Fit a sine near a frequency [cycles over the field]; return its frequency, and the heights without it."""
+        """Fit a sine near a frequency [cycles over the field]; return its frequency, and the heights minus the sine."""
         fitted, sine = fit_sine(heights, self.known, cycles)
         return fitted, np.where(self.known, heights - sine, 0.0)
 
     def _coherent(self, cycles: NDArray[np.float64], band: float) -> tuple[_Wave, WindowedSpectrum]:
-        """Fit a coherent wave with its harmonics and subtract it; return it, and the spectrum of the residual."""
+        """Fit and subtract a coherent wave with its harmonics; return the wave, and the spectrum of the residual."""
         fit = fit_wave(self.heights, self.known, self.pitch, cycles / self.sizes)
         residual = np.where(self.known, self.heights - fit.heights(), 0.0)
         frequency = float(np.hypot(*fit.q))
@@ -398,11 +411,12 @@ class _Search:
         return wave, WindowedSpectrum(residual)
 
     def _noise(self, fit: HarmonicFit, residual: NDArray[np.float64]) -> list[float]:
-        """Return for each axis the variance of white noise that causes the same error of the frequency as the residual.
+        """Return, for each axis, the variance of white noise that would cause the same error of the fitted frequency.
 
-        The residual of a fit is multiplied by the derivative of the wave with respect to its phase. In the spectrum of
-        this product, only the lowest spatial frequencies cause an error of the wave's fitted frequency. Their power
-        comes from noise, from steps between scan lines or from variations of the phase.
+        The white noise replaces the residual of the fit. The residual is multiplied by the derivative of the wave with
+        respect to its phase. In the spectrum of this product, only the lowest spatial frequencies cause an error of the
+        wave's fitted frequency. The power at these frequencies comes from noise, from steps between scan lines or from
+        variations of the phase.
         """
         slopes = np.where(self.known, fit.slopes(), 0.0)
         power = np.abs(np.fft.fft2(residual * slopes)) ** 2 / float(np.sum(slopes**2))
@@ -416,10 +430,11 @@ class _Search:
         return result
 
     def _wavering(self, line: Line, band: float) -> _Wave | None:
-        """Measure the mean frequency of a wavering wave; return None if its band has no power above the background.
+        """Measure the mean frequency of a wavering wave; return None if no power in its band is above the background.
 
-        The mean frequency is the centre of the power in a disc around itself. Its standard error follows from the slow
-        variation of the local frequency over the field.
+        The phase of a wavering wave varies over the field. The mean frequency is the centroid of the power within a
+        disc of frequencies (band) that is centred on the mean frequency, and is found by iteration. The standard error
+        of the mean frequency follows from the slow variation of the local frequency over the field.
         """
         from scipy import fft, special
 
@@ -451,8 +466,9 @@ class _Search:
         frequency = float(np.hypot(*q))
         if not frequency > 0.0:
             return None
-        # The band gives a complex wave z. With its derivative ∂z along the wave vector, its local frequency is the
-        # imaginary part of z*∂z over 2π|z|², where z* is the conjugate.
+        # The Fourier coefficients in the band of the wave give a complex wave z, with the derivative ∂z along the wave
+        # vector. The local frequency of the wave is the imaginary part of z*∂z over 2π|z|², where z* is the complex
+        # conjugate of z.
         part = np.where(inside, coefficients, 0.0)
         offset = (q[0] * (rows - centre[0]) / self.sizes[0] + q[1] * (columns - centre[1]) / self.sizes[1]) / frequency
         grid = [n if n == 1 else 2 * n for n in part.shape]
@@ -464,18 +480,18 @@ class _Search:
         distance = np.hypot(*np.meshgrid(*(np.fft.fftfreq(n, 1.0 / n) for n in grid), indexing="ij"))
         low = (distance > 0.0) & (distance < _WAVERING_ORDINATES[not self.is_plane])
         variance = _low_power(spectrum[low], distance[low] ** 2, _WAVERING_AT[not self.is_plane])
-        # The square root of `variance` over the sum of `density` is the standard error of the mean frequency if all
-        # power in the band counts. Only the power above the background determines the mean frequency. The standard
-        # error is therefore multiplied by the ratio of all power to the power above the background.
+        # The square root of `variance` over the sum of `density` is the standard error of the mean frequency over all
+        # power in the band. Only the power above the background determines the mean frequency. The standard error is
+        # therefore multiplied by the ratio of all power to the power above the background.
         error = math.sqrt(variance) / float(np.sum(density)) * float(np.sum(power[inside])) / excess
         degrees = np.count_nonzero(low)
         error *= float(special.stdtrit(degrees, special.ndtr(2.0))) / 2.0
-        # The band contains half of the power of the wave. The other half is at the opposite frequency.
+        # The band of frequencies contains half of the power of the wave. The other half is at opposite frequencies.
         share = 2.0 * excess / periodic.size
         return _Wave(q, error, (math.sqrt(2.0 * share),), min(share, 1.0), is_coherent=False)
 
     def _exclude_harmonics(self, cycles: NDArray[np.float64], radius: float) -> None:
-        """Exclude bands around a frequency, its harmonics and their aliases from the further search."""
+        """Exclude bands around a frequency, its harmonics and their aliases from the search for spectral lines."""
         self._exclude(cycles, radius)
         shape = np.array(self.heights.shape)
         for order in range(2, MOST_HARMONICS + 1):
@@ -487,7 +503,7 @@ class _Search:
                 self._exclude(alias, radius)
 
     def _exclude(self, cycles: NDArray[np.float64], radius: float) -> None:
-        """Exclude bands around a frequency and around its opposite from the further search."""
+        """Exclude bands around a frequency and around the opposite frequency from the search for spectral lines."""
         ny, nx = self.excluded.shape
         for centre in (cycles, -cycles):
             rows, columns = (
@@ -504,16 +520,17 @@ def _distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 
 def _low_power(power: NDArray[np.float64], squares: NDArray[np.float64], at: float) -> float:
-    """Extrapolate a power spectrum to a low frequency, as the sum of white noise and a random walk, a + b/k².
+    """Extrapolate a power spectrum to a low frequency k, as the sum a + b/k² of white noise and a random walk.
 
     Args:
-        power: Powers at the lowest frequencies; each is distributed exponentially.
+        power: Powers at the lowest frequencies, which are exponentially distributed.
         squares: Squares of the frequencies k of these powers.
         at: Frequency to which the spectrum is extrapolated.
 
     Returns:
-        The geometric mean of the extrapolated power over many ratios b/a, weighted by their likelihoods. The most
-        likely ratio alone is often 0, even for a random walk, because the powers are few.
+        The geometric mean of the extrapolated powers for many ratios b/a, weighted by the likelihoods of these ratios.
+        The most likely ratio alone is not used: it is often 0, even for a random walk, because the measured powers are
+        few.
     """
     values = np.maximum(power, 1e-300)
     likelihoods, results = [], []
@@ -527,7 +544,7 @@ def _low_power(power: NDArray[np.float64], squares: NDArray[np.float64], at: flo
 
 
 def cut_whole(heightfield: HeightField) -> tuple[HeightField, Period]:
-    """Crop a field to whole periods, see `HeightField.whole_periods`; return the cropped field and its period."""
+    """Crop a field to whole periods, see `HeightField.whole_periods`; return the cropped field and the period."""
     periods = fit(heightfield, 3)
     if not periods:
         raise ArgumentValueError(
@@ -539,6 +556,6 @@ def cut_whole(heightfield: HeightField) -> tuple[HeightField, Period]:
         frequency = abs(periods[0].frequency[axis])
         number = math.floor(frequency * heightfield.size_um[axis] + 1e-6)
         # If the field contains less than one period of the wave along an axis, for example along the grooves of a
-        # grating, it is not cropped along this axis.
+        # grating, the field is not cropped along this axis.
         size.append(number / frequency if number else heightfield.size_um[axis])
     return heightfield.cropped((size[0], size[1]), offset_um=(0.0, 0.0)), periods[0]

@@ -23,35 +23,37 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.blocks import Block
     from warpdiff.heightfield.field import HeightField
 
-# Root mean square height of a levelled field, relative to its largest height before levelling, up to which it counts as
-# flat. Limit: rounding of the subtracted polynomial. If doubled, no measured field changes, because its noise is far
-# larger.
+# Root mean square height of a levelled field, relative to its largest height before levelling, up to which the field
+# counts as flat. The value is limited by rounding errors of the subtracted polynomial. If doubled, no measured field
+# changes, because its noise is far larger.
 _ROUNDING = 1e-10
-# Least length of a block of the field along an axis, in decay lengths of the autocorrelation. Fitted by
-# bench/reproduce/iso_25178.py, so that two standard errors contain the value of the surface in 95 % of fields. If
-# halved, blocks depend on each other and standard errors are too small.
+# Standard errors come from a jackknife over rectangular blocks of the field. The number is the least length of a block
+# along an axis, in decay lengths of the autocorrelation. It was fitted by bench/reproduce/iso_25178.py, so that two
+# standard errors contain the value of the surface in 95 % of fields. If halved, blocks depend on each other and
+# standard errors are too small.
 _DECAYS_PER_BLOCK = 5.0
-# Largest number of blocks along each axis of a field, and along a profile. Limit: a standard error from 64 blocks has
-# itself an error of only 9 %.
+# Largest number of blocks, into which a field is divided to estimate standard errors: along each axis of a field, and
+# along a profile. More blocks would gain little: a standard error from 64 blocks has itself an error of only 9 %.
 _MOST_BLOCKS, _MOST_BLOCKS_OF_PROFILE = 8, 32
-# Least number of blocks for a standard error: the four quarters of a field. If halved, the standard error is known only
-# to a factor of 4.
+# Least number of blocks of the field from which a standard error is estimated: the four quarters of a field. If halved,
+# the standard error is known only to a factor of 4.
 _LEAST_BLOCKS = 4
 # Largest number of samples along an axis for the first estimate of the autocorrelation; larger fields are averaged over
-# groups of samples. Limit: the Fourier transform of twice as many samples along both axes takes 0.2 s.
+# groups of samples. The value is limited by time: the Fourier transform of twice as many samples along both axes takes
+# 0.2 s.
 _COARSE = 1024
-# Ratio of the largest computed lag to the extent of the region where the autocorrelation exceeds
-# `autocorrelation.THRESHOLD`. If doubled, the Fourier transforms take longer.
+# Ratio of the largest computed lag to the extent of the region of lags where the autocorrelation exceeds
+# `autocorrelation.THRESHOLD`. If doubled, the Fourier transforms of the autocorrelation take longer.
 _MARGIN = 1.3
 # A field with grooves is divided into blocks for the standard errors. If the angle between the grooves and an axis is
-# at most this [degrees], the blocks are stripes along this axis, because parts along a groove resemble each other.
-# Limit: half of the angle between axis and diagonal.
+# at most this [degrees], the blocks are stripes along this axis, because parts of a field along the same groove
+# resemble each other. The value is half of the angle between an axis and the diagonal.
 _ALONG_AXIS_DEG = 22.5
-# Standard error, relative to its value, above which a parameter has a reason for its large error. Choice: two standard
-# errors are then as large as the value.
+# Standard error of a parameter, relative to the parameter, above which the result also states a reason for the large
+# error. The value was chosen: two standard errors are then as large as the parameter.
 _LARGE_ERROR = 0.5
-# Least standard error that is printed as a number, relative to its value; smaller ones are printed as an upper bound.
-# Limit: printed values have at most seven digits.
+# Least standard error that is printed as a number, relative to the parameter; a smaller error is printed as an upper
+# bound. The value was chosen so that printed values have at most seven digits.
 _LEAST_SHOWN = 1e-6
 
 _MEANINGS = {
@@ -62,24 +64,25 @@ _MEANINGS = {
     "Sal": "autocorrelation length",
     "Str": "texture aspect ratio",
 }
-# Reasons for a standard error above `_LARGE_ERROR`. Near its minimum, the autocorrelation changes slowly with distance.
+# Reasons for a standard error above `_LARGE_ERROR`, by the name of the parameter. Near its minimum, the autocorrelation
+# changes slowly with distance, so that the distance at which it falls to the threshold has a large error.
 _REASONS_OF_LARGE_ERRORS = {
     "Sal": f"the autocorrelation falls only just below {autocorrelation.THRESHOLD} there, or not at all in some parts",
     "Str": f"the autocorrelation falls only just below {autocorrelation.THRESHOLD}, or not at all in some parts",
 }
-# Parameters that follow from sums over the samples of a field, without its autocorrelation.
+# Parameters that follow from sums over the samples of a field, without the autocorrelation of the heights.
 _FROM_SUMS = ("Sa", "Sq", "Sdq", "Sdr")
 _UNITS = {"Sa": "µm", "Sq": "µm", "Sdq": "", "Sdr": "%", "Sal": "µm", "Str": ""}
 
 
 @dataclass(frozen=True)
 class RoughnessParameter:
-    """One parameter of `Roughness`; ``print`` shows it with its error.
+    """One roughness parameter of ISO 25178-2; ``print`` shows its value with the standard error.
 
     Attributes:
         name: Name in ISO 25178-2, such as ``"Sa"``.
         meaning: Name in words.
-        unit: Unit of the value and of its error; an empty string for a ratio.
+        unit: Unit of the value and of the standard error; an empty string for a ratio.
         value: Value of the parameter; None if the field does not determine it.
         standard_error: Standard error of the value, as an estimate for the whole surface from which the field is cut;
             None if it cannot be estimated.
@@ -108,14 +111,14 @@ class RoughnessParameter:
 
 @dataclass(frozen=True)
 class Roughness:
-    """Areal surface texture parameters of ISO 25178-2; ``print`` shows them as lines, indexing by name returns one.
+    """Areal surface texture parameters of ISO 25178-2; ``print`` shows all, indexing by name returns one.
 
     Attributes:
         parameters: Sa, Sq, Sdq, Sdr, Sal and Str.
         order: Degree of the polynomial that was subtracted from the heights first.
-        blocks: Number of blocks (y, x) into which the field was split to estimate the standard errors.
-        lay_deg: Azimuth of the slowest decay of the autocorrelation [degrees], from x towards y, 0 to 180, which is the
-            lay, the direction of grooves or scratches; None for a profile or a flat field.
+        blocks: Numbers of blocks along (y, x) into which the field was divided to estimate the standard errors.
+        lay_deg: Azimuth of the lay, the direction of grooves or scratches [degrees], from x towards y, 0 to 180. It is
+            the azimuth at which the autocorrelation decays most slowly. None for a profile or a flat field.
 
     Examples:
         >>> import warpdiff as wd
@@ -147,7 +150,7 @@ class Roughness:
         return "\n".join(f"{parameter.name:<4} {parameter}" for parameter in self.parameters)
 
     def table(self) -> Table:
-        """Return a table with a row per parameter; NaN where there is no value or no error.
+        """Return a table with a row per parameter; NaN if a parameter has no value or no standard error.
 
         Examples:
             >>> import warpdiff as wd
@@ -168,14 +171,14 @@ class Roughness:
 
 
 def with_error(value: float, standard_error: float) -> str:
-    """Return a value and its standard error as text, with two digits of the error.
+    """Return a value and its standard error as text; the error has two significant digits.
 
     An error below a millionth of the value is printed as an upper bound, such as ``<0.001``.
     """
     if value == standard_error == 0.0:
         return "0 ± 0"
     least = max(_LEAST_SHOWN * abs(value), _LEAST_SHOWN**2)
-    # If the error is printed as an upper bound, the bound is a power of ten.
+    # If the error is printed as an upper bound, this bound is a power of ten.
     bound = 10.0 ** math.ceil(math.log10(least))
     is_bound = standard_error < bound
     digits = min(max(-math.floor(math.log10(bound)) if is_bound else 1 - math.floor(math.log10(standard_error)), 0), 12)
@@ -221,7 +224,7 @@ def measure(heightfield: HeightField, order: int) -> Roughness:
 
 
 def has_large_error(value: float, error: float | None) -> bool:
-    """Whether a standard error is more than half as large as its value."""
+    """Whether the standard error of a parameter is more than half as large as the parameter."""
     return error is not None and error > _LARGE_ERROR * abs(value)
 
 
@@ -237,14 +240,14 @@ def _flat(order: int) -> Roughness:
 
 
 def _no_error(blocks: int) -> str:
-    """Return the reason why a parameter has no standard error, given the number of blocks of the field."""
+    """Return the reason why a parameter has no standard error, if the field is divided into this number of blocks."""
     if blocks < _LEAST_BLOCKS:
         return "the field is too small to be split into four independent parts"
     return "the autocorrelation of a part of the field does not decay"
 
 
 def _missing_values(values: dict[str, float], decay: Decay, *, is_profile: bool) -> dict[str, str]:
-    """Return the reasons why parameters have no value, by the name of the parameter."""
+    """Return the reasons why some parameters have no value, by the name of the parameter."""
     reasons = {
         name: "no two measured samples are neighbours" for name in ("Sdq", "Sdr") if not math.isfinite(values[name])
     }
@@ -268,8 +271,8 @@ def _sums(
 ) -> NDArray[np.float64]:
     """Return the nine sums over a block of the field from which `_from_sums` computes the parameters.
 
-    The sums are over the samples of the block, and over the differences of neighbours and the cells of four samples
-    that begin in it.
+    The first sums are over the samples of the block. The others are over differences between neighbouring samples and
+    over squares of four neighbouring samples; these differences and squares begin in the block.
     """
     rows, columns = (slice(part.start, part.stop + 1) for part in block)
     own = heights[block]
@@ -281,13 +284,14 @@ def _sums(
     pairs_x, pairs_y = measured[:, 1:] & measured[:, :-1], measured[1:] & measured[:-1]
     squares_x, squares_y = along_x**2, along_y**2
     if min(heights.shape) == 1:
-        # The surface of a profile is constant across it, so that a ratio of areas is a ratio of lengths.
+        # A profile is a surface that is constant across its line of samples, so that a ratio of areas is a ratio of
+        # lengths.
         squares, pairs = (squares_x, pairs_x) if heights.shape[0] == 1 else (squares_y, pairs_y)
         excess, cells = float(np.sum(_excess(squares[pairs]))), int(np.count_nonzero(pairs))
     else:
         whole = pairs_x[1:] & pairs_x[:-1]
-        # Each diagonal splits a cell of four samples into two triangles. The area of the cell is the mean over both
-        # diagonals, which is half of the sum of all four triangles.
+        # Each diagonal splits a square of four neighbouring samples into two triangles. The area of the square is the
+        # mean over both diagonals, which is half of the sum of all four triangles.
         excess = 0.25 * sum(
             float(np.sum(_excess((x + y)[whole])))
             for x in (squares_x[:-1], squares_x[1:])
@@ -302,12 +306,12 @@ def _sums(
 
 
 def _excess(squares: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return √(1 + s²) − 1 for squared slopes s², in a form that keeps its digits at small slopes."""
+    """Return √(1 + s²) − 1 for squared slopes s², in a form without loss of digits at small slopes."""
     return np.asarray(squares / (1.0 + np.sqrt(1.0 + squares)))
 
 
 def _from_sums(sums: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return Sa, Sq, Sdq and Sdr from the sums of `_sums`, shape (9,) or (9, n)."""
+    """Return Sa, Sq, Sdq and Sdr from the nine sums that `_sums` returns, shape (9,) or (9, n)."""
     samples, magnitudes, squares, pairs_x, squares_x, pairs_y, squares_y, cells, excess = sums
     gradient = np.where(pairs_x > 0.0, squares_x / pairs_x, 0.0) + np.where(pairs_y > 0.0, squares_y / pairs_y, 0.0)
     gradient = np.where(pairs_x + pairs_y > 0.0, gradient, np.nan)
@@ -315,9 +319,9 @@ def _from_sums(sums: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 
 def _coarse_decay(heights: NDArray[np.float64], known: NDArray[np.bool_], pitch_um: tuple[float, float]) -> Decay:
-    """Return the decay of the autocorrelation of a field, after averaging over groups of samples if it is large.
+    """Return the decay of the autocorrelation of a field; a large field is averaged over groups of samples first.
 
-    The extents of the result are in samples of the field before averaging.
+    The extents of the decay along y and x are in samples of the field before averaging.
     """
     factors = tuple(-(-n // _COARSE) for n in heights.shape)
     if max(factors) > 1:
@@ -342,7 +346,7 @@ def _most_lags(shape: tuple[int, ...]) -> tuple[int, int]:
 
 
 def _block_counts(shape: tuple[int, ...], pitch_um: tuple[float, float], decay: Decay) -> tuple[int, int]:
-    """Return the number of blocks along y and x, so that each block is several decay lengths long."""
+    """Return the numbers of blocks along y and x, so that each block of the field is several decay lengths long."""
     if math.isnan(decay.fastest_um):
         return 1, 1
     most = _MOST_BLOCKS_OF_PROFILE if min(shape) == 1 else _MOST_BLOCKS
@@ -351,10 +355,9 @@ def _block_counts(shape: tuple[int, ...], pitch_um: tuple[float, float], decay: 
         length = max(extent, decay.fastest_um / pitch) * _DECAYS_PER_BLOCK
         counts.append(1 if n == 1 else max(min(int(n / length), most), 1))
     if not decay.is_closed and min(shape) > 1:
-        # The autocorrelation does not decay along grooves, so that parts of a field one behind the other along a groove
-        # resemble each other. The field is therefore cut only parallel to the grooves: its blocks lie side by side, and
-        # each contains whole grooves. If the grooves are oblique, the field is cut into at most two blocks along each
-        # axis.
+        # The autocorrelation does not decay along grooves: two parts of a field that contain the same groove resemble
+        # each other. The field is therefore divided only parallel to the grooves, so that each block contains whole
+        # grooves. If the grooves are oblique, the field is divided into at most two blocks along each axis.
         across = [
             max(min(int(n * pitch / (decay.fastest_um * _DECAYS_PER_BLOCK)), most), 1)
             for n, pitch in zip(shape, pitch_um, strict=True)
@@ -373,12 +376,12 @@ def _decays(
     heights: NDArray[np.float64], known: NDArray[np.bool_], blocks: list[Block], pitch_um: tuple[float, float],
     coarse: Decay,
 ) -> tuple[Decay, list[Decay]]:  # fmt: skip
-    """Return the decay of the autocorrelation of a field, and for each block the decay without this block.
+    """Return the decay of the autocorrelation of a field, and, for each of its blocks, the decay without this block.
 
     ``coarse`` is the decay of the whole field, computed from averages over groups of samples. To save time, only lags
     near the region where the autocorrelation exceeds `autocorrelation.THRESHOLD` are computed. Along grooves, this
-    region extends to the largest lags. In this case only the fastest decay is computed, across the grooves, and the
-    slowest decay is taken from ``coarse``.
+    region extends to the largest lags. For a field with grooves, only the fastest decay, across the grooves, is
+    therefore computed, and the slowest decay is taken from ``coarse``.
     """
     if math.isnan(coarse.fastest_um):
         return coarse, []
@@ -413,8 +416,8 @@ def _decays(
 def _reach(extents: tuple[float, float], factors: tuple[int, ...], most: tuple[int, int]) -> tuple[int, int]:
     """Return the largest lags (y, x) at which the autocorrelation is computed [samples].
 
-    ``extents`` are those of the region of lags in which the autocorrelation exceeds `autocorrelation.THRESHOLD`. The
-    lags extend beyond this region by a margin, but not beyond ``most``.
+    ``extents`` (y, x) are the extents of the region of lags in which the autocorrelation exceeds
+    `autocorrelation.THRESHOLD`. The result is larger than this region by a margin, but at most ``most``.
     """
     rows, columns = (
         min(math.ceil(_MARGIN * extent) + 2 * factor, limit)

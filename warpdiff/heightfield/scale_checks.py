@@ -18,41 +18,44 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
 
-# Size of an atom [µm]. A smaller pitch or height range is probably in another unit.
+# Size of an atom [µm]. A smaller pitch or height range is probably not in µm but in another unit.
 _ATOM_UM = 1e-4
-# Height range [µm] and mean slope. If those of a field are both below these numbers, its unit is doubtful. A warning
-# follows only if another unit makes the field usual, because flat and smooth surfaces of such a range exist.
+# Height range [µm] and mean slope. If a field is below both numbers, its unit is doubtful. A warning follows only if
+# the field becomes usual in another unit, because flat and smooth surfaces of such a range exist.
 _SUSPICIOUS_RANGE_UM, _SUSPICIOUS_SLOPE = 5e-4, 1e-3
 # Largest usual pitch [µm]. Samples at this pitch resolve the diffraction of green light up to an angle of 8°.
 _MOST_PITCH_UM = 2.0
-# Half of the shortest visible wavelength [µm]. A grating of a smaller period has only the zeroth order.
+# Half of the shortest visible wavelength [µm]. A grating of a smaller period has only the zeroth diffraction order.
 _LEAST_SIZE_UM = 0.19
-# Mean slopes above which a field gets a warning: above the first number if the median slope also exceeds it, above the
-# second number always. An echelle of 76° has a mean slope of 8 but a median slope of 4, and gets no warning.
+# Mean slopes above which a field gets a warning. A mean slope above the first number causes a warning if the median
+# slope also exceeds this number. A mean slope above the second number always causes a warning. An echelle grating of
+# 76° has a mean slope of 8 but a median slope of 4, and gets no warning.
 _STEEP, _TOO_STEEP = 5.0, 10.0
-# Height range, relative to the largest absolute height, up to which a field counts as flat with rounding errors. It
-# gets no warning.
+# Height range, relative to the largest absolute height, up to which a field counts as flat with rounding errors. Flat
+# fields get no warning about their unit.
 _ROUNDING = 1e-12
-# Units that users may have meant instead of µm, with their lengths in µm, from the most to the least usual one.
+# Units that users may have meant instead of µm, with their sizes in µm, from the most to the least usual unit.
 _UNITS = {"nanometres": 1e-3, "metres": 1e6, "millimetres": 1e3, "ångströms": 1e-4}
-# Usual height ranges [µm], pitches [µm] and mean slopes of scans. Another unit is proposed only if it brings all three
-# into these ranges.
+# Usual height ranges [µm], pitches [µm] and mean slopes of scans. A warning proposes another unit only if this unit
+# brings all three quantities into their usual ranges.
 _RANGES_UM, _PITCHES_UM, _SLOPES = (5e-4, 20.0), (1e-3, _MOST_PITCH_UM), (1e-4, _STEEP)
-# Middle of the usual height ranges [µm]. If several units are possible, the proposed one brings the height range
-# nearest to this middle, on a logarithmic scale.
+# Middle of the usual height ranges [µm]. If several units are possible, the unit is proposed that brings the height
+# range nearest to this middle, on a logarithmic scale.
 _TYPICAL_RANGE_UM = 0.3
 # Period of a synthetic grating [µm], and ratio of its depth to its period, above which a warning asks for the unit.
+# Both values were chosen; if doubled, fewer wrong units are noticed.
 _MOST_PERIOD_UM, _MOST_ASPECT = 1000.0, 50.0
-# Largest number of slopes along each axis from which the mean and the median slope are computed. Limit: time.
+# Largest number of slopes along each axis from which the mean and the median slope are computed. The value is limited
+# by time: if doubled, the check takes twice as long.
 _MOST_SLOPES = 200_000
 # Codes for missing data: numbers that instruments and programs write for samples without a height.
 _CODES = (
     -99.0, -999.0, -9999.0, -99999.0, -999999.0, 999.0, 9999.0, 99999.0, 999999.0, -32767.0, -32768.0, 32767.0, 32768.0,
     65535.0, -2147483648.0, 2147483647.0, 1e10, -1e10, 1e20, 1e30,
 )  # fmt: skip
-# A height far from all others may be a code for missing data. First number: smallest distance at which a height from
-# the list above counts as a code, relative to the range of the other heights. Second number: the same for a height that
-# is not in the list. Third number: such a height counts only if at least this many samples are equal to it.
+# A height far from all others may be a code for missing data. Distances are relative to the range of the other heights.
+# A height in the list of codes above counts as a code from the distance `_FAR` on. A height that is not in the list
+# counts as a code from the distance `_FARTHER` on, if at least `_REPEATED` samples are equal to it.
 _FAR, _FARTHER, _REPEATED = 3.0, 20.0, 3
 # Magnitude [µm] that no height has, whatever its unit. Larger numbers are codes for missing data, such as 1e20 and the
 # largest float32.
@@ -60,7 +63,7 @@ _MOST_HEIGHT = 1e9
 
 
 def check_magnitude(heights: NDArray[np.float64], most: float) -> None:
-    """Raise an error if the magnitude of a height exceeds ``most``: such a number is a code for missing data."""
+    """Raise an error if the magnitude of a height exceeds ``most``; such heights are codes for missing data."""
     beyond = (heights > most) | (heights < -most)
     if count := int(np.count_nonzero(beyond)):
         raise ArgumentValueError(
@@ -70,7 +73,7 @@ def check_magnitude(heights: NDArray[np.float64], most: float) -> None:
 
 
 def warn_of_scale(heightfield: HeightField) -> None:
-    """Warn of codes for missing data among the heights, and of a scale that no diffracting surface has."""
+    """Warn of codes for missing data among the heights, and of a size or slope that no diffracting surface has."""
     heights = heightfield.heights_um
     code = _missing_code(heights)
     if code is not None:
@@ -110,7 +113,7 @@ def warn_of_grating(period_um: float, **depths_um: float) -> None:
 
 
 def _missing_code(heights: NDArray[np.float64]) -> tuple[float, int] | None:
-    """Return a number that is probably a code for missing data, and how many samples have it; None if none is."""
+    """Return a height that is probably a code for missing data, and how many samples have it; None if no height is."""
     for value, others in ((float(np.nanmin(heights)), np.nanmin), (float(np.nanmax(heights)), np.nanmax)):
         count = int(np.count_nonzero(heights == value))
         rest = heights[(heights != value) & ~np.isnan(heights)]
@@ -118,8 +121,9 @@ def _missing_code(heights: NDArray[np.float64]) -> tuple[float, int] | None:
             return None
         spread, gap = float(np.ptp(rest)), abs(float(others(rest)) - value)
         known = abs(value) >= _MOST_HEIGHT or any(math.isclose(value, code, rel_tol=1e-6) for code in _CODES)
-        # In a binary grating with two heights, all samples except those of one height are equal. A height then counts
-        # as a code for missing data only if it is known as a code, and its magnitude is at least 1e4 µm.
+        # A binary grating has only two heights: all samples without the first height are equal to the second. One of
+        # both heights counts as a code for missing data only if it is in the list of codes, and its magnitude is at
+        # least 1e4 µm.
         if (known and gap > _FAR * spread and (spread > 0.0 or abs(value) >= 1e4)) or (
             gap > _FARTHER * spread > 0.0 and count >= _REPEATED and 2 * count < heights.size
         ):
@@ -129,14 +133,14 @@ def _missing_code(heights: NDArray[np.float64]) -> tuple[float, int] | None:
 
 @dataclass(frozen=True)
 class _Scale:
-    """Magnitudes of a height field, from which its units are checked.
+    """Scales of a height field, by which its units are checked.
 
     Attributes:
         height: Height range [µm].
         pitch: Smallest and largest pitch of the axes with more than one sample [µm].
         size: Largest extent of the axes with more than one sample [µm].
         slope: Mean absolute slope.
-        median_slope: Median of the absolute slope along an axis, for the axis where it is larger.
+        median_slope: Median of the absolute slopes along an axis; the larger median of both axes.
     """
 
     height: float
@@ -147,7 +151,7 @@ class _Scale:
 
     @classmethod
     def of(cls, heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> _Scale | None:
-        """Measure a height field; return None if it is flat or has a single sample."""
+        """Measure a height field; return None if the field is flat, has a single sample, or has usual scales."""
         known = heights[~np.isnan(heights)]
         height = float(np.ptp(known))
         free = [axis for axis in (0, 1) if heights.shape[axis] > 1]
@@ -156,7 +160,7 @@ class _Scale:
         pitch = min(pitch_um[axis] for axis in free), max(pitch_um[axis] for axis in free)
         size = max(heights.shape[axis] * pitch_um[axis] for axis in free)
         if _is_within(pitch, size) and _SUSPICIOUS_RANGE_UM <= height <= _STEEP * pitch[0]:
-            # Neighbouring samples differ at most by the height range, which is so small that no slope is above the
+            # Neighbouring samples differ at most by the height range. This range is so small that no slope exceeds the
             # limit for a warning.
             return None
         slopes = []
@@ -205,7 +209,7 @@ class _Scale:
         return f"are heights in {of_heights}? Multiply them by {_UNITS[of_heights]:g}"
 
     def _proposal(self) -> tuple[str, str] | None:
-        """Return the units of heights and pitch that make the field usual, "" for µm; None if no units do.
+        """Return the units of heights and pitch that make the field usual, "" for µm; None if there are no such units.
 
         Another unit for heights or pitch alone, or the same unit for both, is preferred to two different units.
         Ångströms are proposed last.

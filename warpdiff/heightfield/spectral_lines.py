@@ -1,9 +1,9 @@
 """Search for lines in the power spectrum of a height field: maxima that rise significantly above the background.
 
-A periodic wave causes a line, and roughness causes the background. Frequencies are in cycles over the field, as pairs
-(y, x). The background is not assumed to be white: a line must exceed the spectrum at lower and at higher frequencies of
-its own direction. Waviness, correlated roughness, steps between scan lines and grinding marks are therefore not
-mistaken for periods.
+A periodic wave causes a line (a narrow maximum) of the spectrum, and roughness causes the background. Frequencies are
+in cycles over the field, as pairs (y, x). The background is not assumed to be white: a line must exceed the spectrum at
+lower and at higher frequencies of its own direction. Waviness, correlated roughness, steps between scan lines and
+grinding marks are therefore not mistaken for periods.
 """
 
 from __future__ import annotations
@@ -19,48 +19,54 @@ from warpdiff.heightfield.harmonic_fit import FEWEST_PERIODS, OF_NYQUIST
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Widths [cycles] of the square boxes over which the power spectrum is averaged before its maxima are searched: narrow
-# lines need 1, and the broad lines of waves with a varying phase need more. Then the number of boxes that must fit
-# along each axis of the spectrum; wider boxes are not used.
+# The power spectrum is averaged over square boxes before its maxima are searched. `_WIDTHS` are the widths of the boxes
+# [cycles over the field]: narrow lines need 1, and the broad lines of waves with a varying phase need more. At least
+# `_LEAST_BOXES` boxes must fit along each axis of the spectrum; wider boxes are not used.
 _WIDTHS, _LEAST_BOXES = (1, 3, 7, 15, 31), 4
-# Accepted probabilities that noise alone is taken for a line: anywhere in the spectrum, for each width of the boxes;
-# and at a single frequency.
+# Accepted probabilities that noise alone is taken for a spectral line. `_FALSE_ALARM` is the probability anywhere in
+# the spectrum, for each width of the boxes over which the spectrum is averaged. `_SINGLE_FALSE_ALARM` is the
+# probability at a single known frequency.
 _FALSE_ALARM, _SINGLE_FALSE_ALARM = 5e-4, 1e-2
-# Smallest ratio of the power of a broad line to its background. Estimates of the background are wrong by less than this
-# factor. If doubled, weak waves with a varying phase are lost.
+# Smallest ratio of the power of a broad spectral line to the background around it. Estimates of the background are
+# wrong by less than this factor. If doubled, weak waves with a varying phase are lost.
 _LEAST_CONTRAST = 4.0
-# Maxima of the spectrum that noise reaches with a higher probability than this are not examined further. The noise is
-# here the coarse background, which is estimated in bins of the frequency plane (`_RINGS`).
+# Maxima of the spectrum that noise reaches with a higher probability than this are not examined further. The power of
+# the noise is here the coarse background, which is estimated in rings and sectors of the frequency plane (`_RINGS`).
 _EXAMINED = 1e-3
-# Largest number of maxima that are examined for each width of the boxes. Limit: time.
+# Largest number of maxima of the spectrum that are examined for each width of the boxes over which it is averaged. The
+# value is limited by time: if doubled, the search takes up to twice as long.
 _MOST_CANDIDATES = 40
-# Distance from the centre of the main lobe of the Hann window [cycles] at which its power is below 1 % of the maximum.
+# Distance from the centre of the main lobe of the Hann window at which its power is below 1 % of the maximum [cycles
+# over the field].
 _MAIN_LOBE = 1.8
-# The background of a line is estimated from two strips of the spectrum, at lower and at higher frequencies of the same
-# direction. Here are their half width, relative to the frequency of the line, and the largest number of positions along
-# each strip.
+# The background of a spectral line is estimated from two strips of the spectrum, at lower and at higher frequencies of
+# the same direction. `_STRIP` is the half width of each strip, relative to the frequency of the line. `_MOST_ALONG` is
+# the largest number of positions along a strip.
 _STRIP, _MOST_ALONG = 0.15, 40
-# The background of a line is estimated at higher frequencies up to this multiple of the frequency of the line: in
-# fields of two axes; and in single rows or columns, which have fewer coefficients.
+# The background of a spectral line is estimated at higher frequencies up to this multiple of the frequency of the line.
+# The first number is for fields with several samples along both axes. The second number is for single rows or columns
+# of samples, which have fewer Fourier coefficients.
 _HIGHEST = (1.8, 2.4)
-# The coarse background is estimated in bins of the frequency plane: number of rings per octave of frequency, and number
-# of sectors in half of the plane. The third number is the largest number of coefficients that are used in total; of a
-# larger spectrum, every nth coefficient is used. Limit: time.
+# The coarse background is estimated in rings and sectors of the frequency plane. `_RINGS` is the number of rings per
+# octave of frequency, and `_SECTORS` the number of sectors in half of the plane. At most about `_MOST_SAMPLED` Fourier
+# coefficients are used in total: of a larger spectrum, every nth coefficient is used. This number is limited by time;
+# if doubled, the estimate takes twice as long.
 _RINGS, _SECTORS, _MOST_SAMPLED = 8, 12, 200_000
-# Frequency [cycles over the longer side of the field] below which all coefficients are used for the coarse background,
-# also in large spectra.
+# Frequency [cycles over the longer side of the field] below which all Fourier coefficients are used for the coarse
+# background, also in large spectra.
 _FEW_CYCLES = 64.0
-# Smallest and largest exponent p of a background that is proportional to the frequency to the power −p. Values beyond
-# these limits are errors of an estimate from few coefficients.
+# Smallest and largest exponent p of a background whose power is proportional to the frequency to the power −p. Values
+# beyond these limits are errors of an estimate from few Fourier coefficients.
 _EXPONENTS = (-4.0, 8.0)
-# Angles [rad] of the straight lines through a maximum of the spectrum, along which the maximum is compared with the
-# other powers.
+# Angles [rad] of the straight lines through a maximum of the spectrum, along which the power of the maximum is compared
+# with the other powers.
 _FAN = np.arange(24) * (math.pi / 24.0)
 _FAN_COSINES, _FAN_SINES = np.cos(_FAN), np.sin(_FAN)
-# Quantile of the powers in a bin from which the coarse background is estimated. It is below the median, because at low
-# frequencies a line covers most of a bin.
+# Quantile of the powers in a ring or sector of the frequency plane from which the coarse background is estimated. The
+# value is below the median, because at low frequencies a spectral line covers most of a ring.
 _QUANTILE = 0.15
-# Ratios of the mean of exponentially distributed powers to their median, and to their quantile `_QUANTILE`.
+# For exponentially distributed powers: ratio of the mean to the median, and ratio of the mean to the quantile
+# `_QUANTILE`.
 _MEAN_OF_MEDIAN, _MEAN_OF_QUANTILE = 1.0 / math.log(2.0), -1.0 / math.log(1.0 - _QUANTILE)
 
 
@@ -70,9 +76,10 @@ class Line:
 
     Attributes:
         cycles: Frequency (y, x) [cycles over the field].
-        background: Power per coefficient of the background at this frequency, by an estimate from its neighbourhood.
-        exponent: Exponent p of the background, which is proportional to the frequency to the power −p.
-        excess: Power of the line minus the background, summed over the coefficients of the line.
+        background: Power of the background per Fourier coefficient at this frequency, estimated from neighbouring
+            frequencies.
+        exponent: Exponent p of the background, whose power is proportional to the frequency to the power −p.
+        excess: Power of the line minus the background, summed over the Fourier coefficients of the line.
     """
 
     cycles: NDArray[np.float64]
@@ -81,7 +88,7 @@ class Line:
     excess: float
 
     def background_at(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the background per coefficient near the line, for frequencies [cycles] in arrays that broadcast."""
+        """Return the background per Fourier coefficient at frequencies [cycles over the field] near the line."""
         along = (rows * self.cycles[0] + columns * self.cycles[1]) / float(np.sum(self.cycles**2))
         return np.asarray(self.background * np.clip(np.abs(along), 0.3, 3.0) ** -self.exponent)
 
@@ -105,12 +112,12 @@ class WindowedSpectrum:
 
     @property
     def _cycles(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Frequencies of the rows of ``power`` [cycles], shape (ny, 1), and of its columns, shape (1, nx)."""
+        """Frequencies [cycles over the field] of the rows of ``power``, (ny, 1), and of the columns, (1, nx)."""
         ny, nx = self.power.shape
         return np.arange(ny)[:, None] - self.centre[0], np.arange(nx)[None, :] - self.centre[1]
 
     def excess(self, line: Line, radius: float) -> float:
-        """Return the power above the background, summed within ``radius`` cycles around a line."""
+        """Return the power above the background, summed over all frequencies within ``radius`` of a spectral line."""
         rows, columns = self._window(line.cycles, radius)
         power = self.power[np.ix_(rows + self.centre[0], columns + self.centre[1])]
         rows, columns = rows[:, None], columns[None, :]
@@ -118,26 +125,26 @@ class WindowedSpectrum:
         return float(np.sum((power - line.background_at(rows, columns))[inside]))
 
     def around(self, cycles: NDArray[np.float64]) -> float:
-        """Return the power around a frequency, summed over the main lobe of the window."""
+        """Return the power around a frequency, summed over the main lobe of the Hann window."""
         place = self._place(cycles)
         return float(np.sum(self.power[self._main_lobe(place)])) if min(place) >= 0 else 0.0
 
     def line_at(self, cycles: NDArray[np.float64], sizes: NDArray[np.float64]) -> Line | None:
-        """Return the narrow line at a single known frequency if it is significant there, otherwise None."""
+        """Return the narrow spectral line at a known frequency if this line is significant, otherwise None."""
         return self._examined(self._place(cycles), (1, 1), 1.0, _SINGLE_FALSE_ALARM, sizes, 1.0)
 
     def _place(self, cycles: NDArray[np.float64]) -> tuple[int, int]:
-        """Return the row and the column in ``power`` of the coefficient that is nearest to a frequency."""
+        """Return the row and the column in ``power`` of the Fourier coefficient that is nearest to a frequency."""
         row, column = (round(float(c)) + centre for c, centre in zip(cycles, self.centre, strict=True))
         return row, column
 
     @staticmethod
     def _main_lobe(place: tuple[int, int]) -> tuple[slice, ...]:
-        """Return slices of the rows and columns that the main lobe of the window covers around a coefficient."""
+        """Return slices of the rows and columns that the main lobe of the Hann window covers around a coefficient."""
         return tuple(slice(max(i - 2, 0), i + 3) for i in place)
 
     def strongest_within(self, cycles: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
-        """Return the frequency of the largest power within ``radius`` cycles around a given frequency."""
+        """Return the frequency of the largest power within ``radius`` cycles of the frequency ``cycles``."""
         rows, columns = self._window(cycles, radius)
         power = self.power[np.ix_(rows + self.centre[0], columns + self.centre[1])].copy()
         power[np.hypot(rows[:, None] - cycles[0], columns[None, :] - cycles[1]) > radius] = 0.0
@@ -145,7 +152,7 @@ class WindowedSpectrum:
         return np.array([float(rows[row]), float(columns[column])])
 
     def _window(self, cycles: NDArray[np.float64], radius: float) -> list[NDArray[np.int64]]:
-        """Return frequencies of rows and of columns [cycles] that are within ``radius`` cycles of a given frequency."""
+        """Return the frequencies [cycles] of the rows and columns within ``radius`` of the frequency ``cycles``."""
         return [
             np.arange(max(math.ceil(c - radius), -centre), min(math.floor(c + radius) + 1, n - centre))
             for c, n, centre in zip(cycles, self.power.shape, self.centre, strict=True)
@@ -154,11 +161,11 @@ class WindowedSpectrum:
     def strongest_line(self, excluded: NDArray[np.bool_], sizes: NDArray[np.float64]) -> Line | None:
         """Return the significant line with the largest power above its background, or None if no line is significant.
 
-        Lines are searched in the spectrum after averages over boxes of several widths, because waves with a varying
-        phase have broad lines.
+        The spectrum is averaged over square boxes before lines are searched. This is repeated for several widths of the
+        boxes, because waves with a varying phase have broad lines.
 
         Args:
-            excluded: Mask of the coefficients that are not searched, of the shape of ``power``.
+            excluded: Mask of the Fourier coefficients that are not searched, of the shape of ``power``.
             sizes: Extents of the field along y and x.
         """
         white = self.power / self._coarse_background(sizes)
@@ -171,20 +178,20 @@ class WindowedSpectrum:
         return max((line for line in lines if line is not None), key=lambda line: line.excess, default=None)
 
     def _coarse_background(self, sizes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return a coarse background for each coefficient, estimated over rings and sectors of the frequency plane.
+        """Return a coarse estimate of the spectrum's background at each coefficient, in rings and sectors of the plane.
 
-        The largest of several estimates counts. Along both axes of the plane there are further estimates, because steps
-        between scan lines have their power there.
+        The rings and sectors divide the frequency plane. The largest of several estimates counts. The coefficients on
+        both axes of the plane have separate estimates, because steps between scan lines have their power on an axis.
         """
         rows, columns = (k / size for k, size in zip(self._cycles, sizes, strict=True))
-        # Frequency of each coefficient [cycles over the longer side of the field].
+        # Frequency of each Fourier coefficient [cycles over the longer side of the field].
         frequency = np.maximum(np.max(sizes) * np.hypot(rows, columns), 1.0)
         ring = np.floor(_RINGS * np.log2(frequency)).astype(np.int32)
         angle = np.arctan2(rows, columns)
         sector = np.floor((_SECTORS / np.pi) * angle).astype(np.int32) % _SECTORS
         count, is_plane = int(ring.max()) + 1, min(self.power.shape) > 1
-        # Opposite frequencies have equal powers, so that half of the plane suffices. At high frequencies of a large
-        # spectrum only every n-th coefficient is used, which saves time.
+        # Opposite frequencies have equal powers, so that half of the frequency plane suffices. At high frequencies of a
+        # large spectrum only every n-th Fourier coefficient is used, which saves time.
         subset = np.broadcast_to(columns >= 0 if self.power.shape[1] > 1 else rows >= 0, self.power.shape)
         step = self.power.size // _MOST_SAMPLED
         if step > 1:
@@ -203,7 +210,7 @@ class WindowedSpectrum:
         )
         result = np.maximum(result, by_sector[sector, ring])
         for axis in (0, 1):
-            # An axis of two samples has no frequency above zero.
+            # An axis with two samples has no frequency above zero.
             for place in range(self.centre[axis] - 1, min(self.centre[axis] + 2, self.power.shape[axis])):
                 line = (slice(None),) * axis + (place,)
                 along = _ring_background(self.power[line], ring[line], count, reach=_RINGS)
@@ -213,7 +220,7 @@ class WindowedSpectrum:
     def _strongest_of_width(
         self, white: NDArray[np.float64], allowed: NDArray[np.bool_], width: int, sizes: NDArray[np.float64]
     ) -> Line | None:
-        """Return the strongest significant line of the spectrum after averages over boxes of one width, or None."""
+        """Return the strongest significant line of the spectrum after averaging over square boxes, or None."""
         from scipy import ndimage, special
 
         sides = tuple(width if n > 1 else 1 for n in white.shape)
@@ -222,8 +229,8 @@ class WindowedSpectrum:
                 return None
             white = ndimage.uniform_filter(white, sides, mode="wrap")
         allowed = allowed & (np.hypot(*self._cycles) >= max(FEWEST_PERIODS - 0.5, width if width > 1 else 0.0))
-        # The Hann window correlates neighbouring coefficients. A box of the spectrum therefore has fewer independent
-        # powers than coefficients.
+        # The Hann window correlates neighbouring Fourier coefficients. A box of the spectrum therefore has fewer
+        # independent powers than coefficients.
         independent = math.prod(max(side / 1.5, 1.0) for side in sides)
         tried = max(np.count_nonzero(allowed) / independent, 1.0)
         level = _FALSE_ALARM / tried
@@ -233,8 +240,8 @@ class WindowedSpectrum:
         for _ in range(_MOST_CANDIDATES):
             row, column = np.unravel_index(int(np.argmax(values)), values.shape)
             value = float(values[row, column])
-            # The coarse background may contain the power of a line itself. It therefore only decides which maxima are
-            # examined, and in which order.
+            # The coarse background, estimated over rings and sectors, may contain the power of a spectral line. It only
+            # decides which maxima are examined, and in which order.
             if special.gammaincc(independent, independent * value) > max(level, _EXAMINED):
                 break
             values[row, column] = 0.0
@@ -247,7 +254,7 @@ class WindowedSpectrum:
         self, place: tuple[int, int], sides: tuple[int, ...], independent: float, level: float,
         sizes: NDArray[np.float64], tried: float,
     ) -> Line | None:  # fmt: skip
-        """Return the line in a box around a coefficient, or None if it is not significant.
+        """Return the line in a box of the spectrum around a coefficient, or None if the line is not significant.
 
         The mean power in the box must exceed the spectrum at lower and at higher frequencies of the same direction, and
         the rest of each straight line through the box in the frequency plane.
@@ -269,8 +276,8 @@ class WindowedSpectrum:
         if min(self.power.shape) > 1:
             ratio, inside, outside = self._over_ridge(centroid, mean, width)
             # Each straight line through the maximum contains only about √n of the n coefficients of the spectrum. Noise
-            # therefore has fewer maxima on it than in the whole spectrum. The accepted probability that noise causes a
-            # maximum is thus larger here than in the test above, by the factor √`tried`.
+            # therefore has fewer maxima on such a line than in the whole spectrum. The accepted probability that noise
+            # causes a maximum is thus larger here than in the test above, by the factor √`tried`.
             if not _is_significant(ratio, inside, outside, level * math.sqrt(tried), width):
                 return None
         exponent = 0.0
@@ -278,22 +285,24 @@ class WindowedSpectrum:
             exponent = math.log(medians[0] / medians[1]) / math.log(distances[1] / distances[0])
             exponent = min(max(exponent, _EXPONENTS[0]), _EXPONENTS[1])
         background = medians[0] * distances[0] ** exponent
-        # The main lobe of the window contains all power of a narrow line, and a box of width 1 only a part of it.
+        # The main lobe of the Hann window contains all power of a narrow line. A box of width 1 contains only a part of
+        # this power.
         lobe = self.power[self._main_lobe(place)] if width == 1 else power
         return Line(centroid, background, exponent, float(np.sum(lobe - background)))
 
     def _of_same_direction(
         self, cycles: NDArray[np.float64], width: int, sizes: NDArray[np.float64]
     ) -> tuple[list[float], list[float], int]:
-        """Return the mean power of the background at lower and at higher frequencies of the same direction.
+        """Return the mean power of a line's background at lower and at higher frequencies of the same direction.
 
-        Also return the mean distances of these frequencies from zero, relative to that of the line, and the number of
-        coefficients that were used. This number is 0 if no coefficient has a lower frequency.
+        Also return the means of the lower and of the higher frequencies, relative to the frequency of the line, and the
+        number of Fourier coefficients that were used. This number is 0 if no coefficient has a lower frequency.
         """
         vector = cycles / sizes
         length = float(np.hypot(*vector))
         unit = vector / length
-        # Distances between neighbouring coefficients: along the wave vector of the line, and perpendicular to it.
+        # Distances between neighbouring Fourier coefficients in the frequency plane: along the wave vector of the line,
+        # and perpendicular to it.
         along = 1.0 / float(np.max(np.abs(unit) * sizes))
         across = 1.0 / float(np.max(np.abs(unit[::-1]) * sizes))
         gap = (_MAIN_LOBE + (width - 1) / 2.0) * along
@@ -322,16 +331,16 @@ class WindowedSpectrum:
         self, along: NDArray[np.float64], across: NDArray[np.float64], unit: NDArray[np.float64],
         sizes: NDArray[np.float64],
     ) -> NDArray[np.float64]:  # fmt: skip
-        """Return the powers at the points of a grid aligned with a unit vector (y, x).
+        """Return the powers at the points of a grid in the frequency plane that is aligned with a unit vector (y, x).
 
-        The power at a point is that of the nearest coefficient. A coefficient that is the nearest one to several points
-        is contained once.
+        The power at a point is that of the nearest Fourier coefficient. A coefficient that is nearest to several points
+        occurs once in the result.
         """
         ny, nx = self.power.shape
         vectors = along[:, None] * unit[0] + across * unit[1], along[:, None] * unit[1] - across * unit[0]
         row, column = (
-            # In extremely long and narrow fields, indices of coefficients would exceed the range of integers, so that
-            # they are clipped.
+            # In extremely long and narrow fields, indices of Fourier coefficients would exceed the range of integers.
+            # The indices are therefore clipped.
             np.clip(np.round(vector * size), -n, n).astype(np.int64) + centre
             for vector, size, n, centre in zip(vectors, sizes, (ny, nx), self.centre, strict=True)
         )
@@ -339,7 +348,7 @@ class WindowedSpectrum:
         return np.asarray(self.power.ravel()[np.unique(row[inside] * nx + column[inside])])
 
     def _over_ridge(self, cycles: NDArray[np.float64], mean: float, width: int) -> tuple[float, float, int]:
-        """Compare a maximum with the rest of each straight line through it; return the smallest ratio of their powers.
+        """Return the smallest ratio of a maximum's power to the power on the rest of a straight line through it.
 
         Grinding marks and steps between scan lines make ridges in the spectrum, and noise makes many maxima along a
         ridge. Such a maximum hardly exceeds the rest of its ridge. Also return the number of independent coefficients
@@ -360,7 +369,7 @@ class WindowedSpectrum:
             np.abs(dy[mask][:, None] * _FAN_COSINES - dx[mask][:, None] * _FAN_SINES - shifts) <= 0.6
             for mask in (outside, inside)
         )
-        # Median power along each straight line, outside of the maximum. The powers are sorted already, so that
+        # Median power along each straight line, without the maximum itself. The powers are sorted already, so that
         # cumulative counts give all medians at once.
         number = np.cumsum(on_rest[:, order], axis=1, dtype=np.int32)
         middle = np.argmax(2 * number >= number[:, -1:], axis=1)
@@ -376,13 +385,13 @@ class WindowedSpectrum:
 def _is_significant(ratio: float, independent: float, background_count: float, level: float, width: int) -> bool:
     """Return whether noise reaches a ratio of a maximum to its background with a probability of at most ``level``.
 
-    The powers of noise are distributed exponentially, and the background is estimated from few of them. Their ratio
-    therefore has Fisher's F distribution.
+    The powers of noise are distributed exponentially, and the background is estimated from few powers. The ratio of a
+    power to the background therefore has Fisher's F distribution.
     """
     from scipy import special
 
     few = max(0.5 * background_count, 1.0)
-    # Survival function of Fisher's F distribution.
+    # Probability that a number with Fisher's F distribution exceeds ``ratio`` (survival function).
     probability = special.betainc(few, independent, few / (few + independent * ratio))
     return bool(probability <= level and (width == 1 or ratio >= _LEAST_CONTRAST))
 
@@ -390,9 +399,10 @@ def _is_significant(ratio: float, independent: float, background_count: float, l
 def _ring_background(
     power: NDArray[np.float64], ring: NDArray[np.int32], count: int, reach: int
 ) -> NDArray[np.float64]:
-    """Estimate the mean power in each ring of the frequency plane from a quantile over ``reach`` rings on both sides.
+    """Estimate the mean power in each ring of the frequency plane from a quantile of powers.
 
-    Rings without any coefficient get interpolated values.
+    The quantile for a ring is over this ring and ``reach`` rings on both sides. Rings without any Fourier coefficient
+    get interpolated values.
     """
     order = np.argsort(ring, kind="stable")
     power, begin = power[order], np.searchsorted(ring[order], np.arange(count + 1))

@@ -5,10 +5,11 @@ the largest estimate is the verdict:
 
 - steep: 0.22 times the root mean square slope, computed in the frequency domain with frequencies above 1/λ counted as
   1/λ.
-- deep: 0.05 (4πs/λ)² min(1, λ/d). Here s is the standard deviation of the heights, and d = 4√2 s/g with the mean
-  absolute slope g. A sine of the period d has the same s and g.
-- narrow: the share of the light that features with periods below two wavelengths diffract, divided by 0.7. It is
-  computed from the spectrum of exp(2πih/λ), the reflected wave of the heights h for |w| = 1.
+- deep: 0.05 (4πs/λ)² min(1, λ/d) for the wavelength λ. Here s is the standard deviation of the heights, g is the mean
+  absolute slope, and d = 4√2 s/g is the period of a sine with the same s and g.
+- narrow: the share of the light that features with periods below two wavelengths diffract, divided by 0.7. This share
+  is computed from the spectrum of exp(2πih/λ). For heights h, this is the reflected wave at |w| = 1, where w is the
+  component of the scattering vector along the normal.
 - energy: 1.1 times the deviation of the sum of Stam's efficiencies (Stam 1999) over all orders from the power that a
   flat surface reflects; 0.4 times this deviation if the efficiencies are normalised. Without a direction to the light,
   the largest of the deviations for light from 0°, 30° and 60° counts.
@@ -16,8 +17,8 @@ the largest estimate is the verdict:
   samples. An undersampled step and the next step change the phase by more than half a cycle each, in the same
   direction.
 
-The first four estimates were fitted to rigorous solutions (bench/reproduce/theory_verdict.py). They are not upper
-bounds.
+The first four estimates were fitted to rigorous solutions (bench/reproduce/theory_verdict.py). These estimates are not
+upper bounds.
 """
 
 from __future__ import annotations
@@ -43,51 +44,53 @@ _T = TypeVar("_T")
 Reason = Literal["steep", "deep", "narrow", "energy", "undersampled"]
 Grade = Literal["reliable", "qualitative", "invalid"]
 
-# Wavelength of a verdict on a height field, if a call has no wavelengths of its own [nm]: green, the middle of the
+# Wavelength of a verdict on scalar diffraction, if a call has no wavelengths of its own [nm]: green, the middle of the
 # visible range.
 WAVELENGTH_NM = 550.0
-# Estimated error from which the verdict is "qualitative" instead of "reliable": a tenth of the reflected power. If
-# doubled, gratings with larger errors are graded reliable.
+# Estimated error of order efficiencies from which the verdict on scalar diffraction is "qualitative" instead of
+# "reliable": a tenth of the reflected power. If doubled, gratings with larger errors are graded reliable.
 QUALITATIVE = 0.1
-# Estimated error from which the verdict is "invalid". Of the gratings with such an estimate, 99 % have an order that is
-# wrong by more than a tenth of the reflected power. If halved, shallow patterns with features of two wavelengths are
-# graded invalid.
+# Estimated error of order efficiencies from which the verdict on scalar diffraction is "invalid". Of the gratings with
+# such an estimate, 99 % have an order whose efficiency is wrong by more than a tenth of the reflected power. If halved,
+# shallow patterns with features of two wavelengths are graded invalid.
 INVALID = 0.9
-# Factors from the properties of a surface to the estimated errors, as this module's docstring lists them. Fitted to
-# rigorous solutions for two thirds of the periods and depths; the other third tests the factors
+# Factors from the properties of a surface to the estimated errors, as this module's docstring lists them. They were
+# fitted to rigorous solutions for two thirds of the periods and depths; the other third tests the factors
 # (bench/reproduce/theory_verdict.py).
 _PER_SLOPE, _PER_DEPTH, _PER_NARROW_SHARE, _PER_ENERGY, _PER_NORMALISED_ENERGY = 0.22, 0.05, 1.0 / 0.7, 1.1, 0.4
-# Factor from the undersampled share of the relief to the estimated error. If half of the relief is undersampled, the
-# estimated error is 1: the results are meaningless.
+# Factor from the share of undersampled steps in the heights to the estimated error. If half of the relief is
+# undersampled, the estimated error is 1: the results are meaningless.
 _PER_UNDERSAMPLED = 2.0
 # Product of spatial frequency and wavelength above which features count as narrow, because their period is less than
-# two wavelengths. Fitted to the same rigorous solutions as the factors above.
+# two wavelengths. The value was fitted to the same rigorous solutions as the factors above.
 _NARROW = 0.5
-# Largest number of wavelengths for which the estimates of a height field are cached. Limit: memory; a call for a
-# spectrum uses three wavelengths.
+# Largest number of wavelengths for which the estimated errors of a height field are cached. The value is limited by
+# memory; a call for a spectrum uses three wavelengths.
 _MOST_CACHED = 16
-# Largest number of samples from which a verdict is computed: of a height field with one row or column, and along each
-# axis of other height fields. Limit: a verdict requires at most 30 ms.
+# Largest number of samples from which a verdict on scalar diffraction is computed: for a single row or column of
+# samples, and along each axis of other height fields. The values are limited by time, so that a verdict takes at most
+# 30 ms.
 _MOST_OF_PROFILE, _MOST_OF_FIELD = 4096, 192
-# Samples per wavelength that remain if every n-th sample of a finely sampled height field is used. If halved, orders
-# near the horizon suffer from aliasing.
+# Least number of samples per wavelength that remain if only every n-th sample of a finely sampled height field is used.
+# If halved, orders near the horizon suffer from aliasing.
 _PER_WAVELENGTH = 8.0
-# Angles of incidence for which the efficiencies of all orders are summed [degrees]. They are those of the rigorous
-# solutions to which the estimates were fitted.
+# Angles of incidence for which the efficiencies of all orders are summed [degrees]. They are the angles of the rigorous
+# solutions to which the estimated errors were fitted.
 _ANGLES_DEG = (0.0, 30.0, 60.0)
-# Height range, in wavelengths, above which the efficiencies of orders are not summed. Limit: time; larger ranges
-# require so many Fourier transforms that a verdict takes more than 30 ms.
+# Height range, in wavelengths, above which the efficiencies of all orders are not summed. The value is limited by time:
+# larger ranges require so many Fourier transforms that a verdict takes more than 30 ms.
 _MOST_RANGE = 6.0
-# Cosine of the angle from the normal below which an order is excluded from the sum: 5.7° above the horizon. Limit: at
-# the horizon the efficiency of an order diverges, and an order that happens to be near it would dominate the sum.
+# Least cosine of the angle between an order and the normal for which the order counts in the sum of efficiencies; lower
+# orders are within 5.7° of the horizon. The value is limited by a divergence: at the horizon the efficiency of an order
+# diverges, and an order that happens to be near it would dominate the sum.
 _LEAST_COSINE = 0.1
 # Reflectances at normal incidence of a perfect mirror and of glass (n = 1.5). The efficiencies of orders are summed for
 # both materials, because the reflectance of glass also depends on the direction of an order.
 _MIRROR, _GLASS = 1.0, 0.04
 
-# Caches by height field and wavelength [nm]. The first contains the estimated errors by their reason, except the reason
-# "energy". The second contains the deviations from 1 of the sums over orders, from which the estimate for "energy"
-# follows.
+# Caches by height field and wavelength [nm]. The first cache contains the estimated errors by their reason, except the
+# reason "energy". The second cache contains the sums of efficiencies over all orders, as deviations from 1; the error
+# for the reason "energy" follows from them.
 _errors: weakref.WeakKeyDictionary[HeightField, dict[float, dict[Reason, float]]] = weakref.WeakKeyDictionary()
 _deviations: weakref.WeakKeyDictionary[HeightField, dict[float, tuple[float, float]]] = weakref.WeakKeyDictionary()
 
@@ -97,8 +100,8 @@ class TheoryVerdict:
     """Verdict on scalar diffraction for a height field; ``print`` shows it as a sentence.
 
     Attributes:
-        error: Expected error of the efficiency of an order, as a share of the power that a flat surface reflects.
-            Against rigorous solutions, 19 of 20 gratings had at most twice this error.
+        error: Expected error of the efficiency of an order, as a share of the power that a flat surface reflects. In
+            comparisons with rigorous solutions, the true error was at most twice this error for 19 of 20 gratings.
         reason: Property of the surface with the largest estimated error: ``"steep"`` or ``"deep"`` relief; ``"narrow"``
             features; ``"energy"``, if the orders do not sum to the power that a flat surface reflects;
             ``"undersampled"``, if the samples are too far apart for the phase.
@@ -118,12 +121,12 @@ class TheoryVerdict:
 
     @property
     def grade(self) -> Grade:
-        """Grade of accuracy: reliable; qualitative, if only the positions of colours are reliable; or invalid."""
+        """Grade of accuracy: "reliable"; "qualitative", if only the positions of colours are reliable; or "invalid"."""
         return "invalid" if self.error >= INVALID else "reliable" if self.error < QUALITATIVE else "qualitative"
 
     @property
     def remedy(self) -> str:
-        """Advice that an error or warning gives to the user, depending on the reason of the verdict."""
+        """Advice for the user in an error or a warning; it depends on the reason of the verdict."""
         if self.reason == "undersampled":
             return "scan at a finer pitch, or use HeightField.resampled() if the surface is smooth"
         energy = "energy='normalised' for mirrors and metals, or " if self.reason == "energy" else ""
@@ -131,7 +134,7 @@ class TheoryVerdict:
 
     @property
     def explanation(self) -> str:
-        """Reason of the verdict in words, as a clause."""
+        """Reason of the verdict in words, as a part of a sentence."""
         return _REASONS[self.reason]
 
     def __str__(self) -> str:
@@ -142,7 +145,7 @@ class TheoryVerdict:
         return text if self.grade == "reliable" else f"{text}, because {self.explanation}"
 
 
-# Texts for the reasons in printed verdicts.
+# Texts for the reasons in printed verdicts, by the name of the reason.
 _REASONS: dict[Reason, str] = {
     "steep": "the relief is steep",
     "deep": "the relief is deep",
@@ -153,7 +156,7 @@ _REASONS: dict[Reason, str] = {
 
 
 def theory_wavelength_nm(shortest_nm: float, longest_nm: float) -> float:
-    """Return the wavelength [nm] of the verdict on a call: 550 nm, or the nearest end of the range of the call."""
+    """Return the wavelength of the verdict on a call [nm]: 550 nm, or the nearest one in the call's range."""
     return min(max(WAVELENGTH_NM, shortest_nm), longest_nm)
 
 
@@ -161,7 +164,7 @@ def verdict_on(
     heightfield: HeightField, wavelength_nm: float = WAVELENGTH_NM, *, conserves: bool = False,
     energy_sum: float | None = None,
 ) -> TheoryVerdict:  # fmt: skip
-    """Return the verdict on a height field, whose estimates are cached.
+    """Return the verdict on scalar diffraction for a height field; the estimated errors of the field are cached.
 
     Args:
         heightfield: Height field; missing samples count as the mean height.
@@ -180,12 +183,12 @@ def verdict_on(
     errors["energy"] = (_PER_NORMALISED_ENERGY if conserves else _PER_ENERGY) * deviation
     reason = max(errors, key=errors.__getitem__)
     if reason == "deep" and errors["steep"] >= QUALITATIVE:
-        # The estimate for deep relief contains the slope, too. If this estimate is the largest one, but the estimate
-        # for steep relief is at least `QUALITATIVE`, the reported reason is "steep".
+        # The estimated error for deep relief also depends on the slope. If the error for deep relief is the largest,
+        # but the error for steep relief is at least `QUALITATIVE`, the reported reason is "steep".
         reason = "steep"
     if errors["undersampled"] >= INVALID:
-        # If the samples are too far apart, all other estimates of the error are wrong too, because they use the same
-        # samples.
+        # If the samples are too far apart, the estimated errors for all other reasons are wrong too, because they use
+        # the same samples.
         reason = "undersampled"
     return TheoryVerdict(max(errors.values()), reason, wavelength_nm)
 
@@ -194,7 +197,7 @@ def _cached(
     cache: weakref.WeakKeyDictionary[HeightField, dict[float, _T]], heightfield: HeightField, wavelength_nm: float,
     make: Callable[[HeightField, float], _T],
 ) -> _T:  # fmt: skip
-    """Return ``make(heightfield, wavelength)`` from a cache if possible; ``make`` expects the wavelength in µm."""
+    """Return the result of ``make(heightfield, wavelength)``, cached by height field; ``make`` expects µm."""
     cached = cache.setdefault(heightfield, {})
     if wavelength_nm not in cached:
         if len(cached) >= _MOST_CACHED:
@@ -206,7 +209,7 @@ def _cached(
 @single_threaded_blas()
 @np.errstate(under="ignore")
 def errors_of(heightfield: HeightField, wavelength_um: float) -> dict[Reason, float]:
-    """Return the estimated errors of an order's efficiency by their reason, except the reason "energy"."""
+    """Return the estimated errors of an order's efficiency, by the reason of the error, without the reason "energy"."""
     if heightfield.height_range_um == 0.0:
         return {"steep": 0.0, "deep": 0.0, "narrow": 0.0, "undersampled": 0.0}
     heights, pitch_um, window = _part(heightfield, wavelength_um)
@@ -226,7 +229,7 @@ def errors_of(heightfield: HeightField, wavelength_um: float) -> dict[Reason, fl
 def _orders(
     shape: tuple[int, ...], pitch_um: tuple[float, float], wavelength_um: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return spatial frequencies of a Fourier transform times the wavelength, along y and x, shape (ny, nx) each."""
+    """Return the frequencies of a Fourier transform times the wavelength, along y and along x, shapes (ny, nx)."""
     rates = (wavelength_um * np.fft.fftfreq(n, pitch) for n, pitch in zip(shape, pitch_um, strict=True))
     v, u = np.meshgrid(*rates, indexing="ij")
     return v, u
@@ -237,15 +240,16 @@ def _part(
 ) -> tuple[NDArray[np.float64], tuple[float, float], NDArray[np.float64]]:
     """Return heights of a middle part of the field, without samples much closer together than the wavelength requires.
 
-    Also return the pitch of the part [µm] and a window. Along an axis where the part is smaller than the field, the
-    window falls to 0 at both ends; elsewhere it is 1.
+    Also return the pitch of the part [µm] and a window function. If the part is smaller than the field along an axis,
+    the window function falls to 0 at both ends of the part along this axis. Otherwise it is 1.
     """
     most = _MOST_OF_PROFILE if 1 in heightfield.shape else _MOST_OF_FIELD
     steps, parts, fades = [], [], []
     for n, pitch in zip(heightfield.shape, heightfield.pitch_um, strict=True):
         finest = max(int(wavelength_um / (_PER_WAVELENGTH * pitch)), 1)
-        # Every ``step``-th sample is used, which limits the number of samples but leaves enough of them per wavelength.
-        # If the whole period is used, the step must divide its number of samples, so that the samples remain periodic.
+        # Every ``step``-th sample is used, which limits the number of samples but leaves enough samples per wavelength.
+        # If the whole period of the field is used, ``step`` must divide the number of samples of the period, so that
+        # the used samples are periodic, too.
         step = next(step for step in range(min(finest, -(-n // most)), 0, -1) if n % step == 0 or n > step * most)
         count = min(n // step, most)
         first = (n - count * step) // 2
@@ -262,8 +266,8 @@ def _part(
 def _lost_power(heightfield: HeightField, wavelength_um: float) -> float:
     """Return the estimated power that leaves the zeroth order and that no other order carries.
 
-    It is (4πs/λ)² min(1, λ/d), where s is the standard deviation of the heights, and d the period of a sine with this s
-    and the mean slope of the surface.
+    The power is (4πs/λ)² min(1, λ/d). Here λ is the wavelength, s is the standard deviation of the heights, and d is
+    the period of a sine with this s and the mean slope of the surface.
     """
     rms = heightfield.rms_um / wavelength_um
     if rms == 0.0:
@@ -275,8 +279,8 @@ def _undersampled_share(heightfield: HeightField, wavelength_um: float) -> float
     """Return the share of undersampled steps in the sum of all height differences |Δh| between neighbouring samples.
 
     The larger of the shares along x and along y counts. A step is undersampled if it and the next step change the phase
-    by more than half a cycle each, both upwards or both downwards. A single large step is not counted, because it is a
-    vertical wall, which two samples represent correctly.
+    of the light by more than half a cycle each, both upwards or both downwards. A single large step is not counted,
+    because it is a vertical wall, which two samples represent correctly.
     """
     worst = 0.0
     limit = wavelength_um / 4.0
@@ -297,9 +301,9 @@ def _undersampled_share(heightfield: HeightField, wavelength_um: float) -> float
 @single_threaded_blas()
 @np.errstate(under="ignore")
 def energy_deviations(heightfield: HeightField, wavelength_um: float) -> tuple[float, float]:
-    """Return the deviation from 1 of the sum of Stam's efficiencies over all orders, for a mirror and for glass.
+    """Return by how much the sum of Stam's efficiencies over all orders deviates from 1, for a mirror and for glass.
 
-    It is the largest deviation for several directions to the light.
+    The results are the largest deviations for several directions to the light.
     """
     heights, pitch_um, window = _part(heightfield, wavelength_um)
     heights = heights / wavelength_um
@@ -308,8 +312,9 @@ def energy_deviations(heightfield: HeightField, wavelength_um: float) -> tuple[f
     v, u = _orders(heights.shape, pitch_um, wavelength_um)
     reachable = np.hypot(u, v) <= 1.0 + math.sin(math.radians(max(_ANGLES_DEG)))
     orders = np.stack([u[reachable], v[reachable]], axis=1)
-    # Each order has a κ of its own. Amplitudes are computed at a few κ, and interpolated to that of each order by
-    # Chebyshev polynomials.
+    # The phase of the reflected wave is 2πκ times the height in wavelengths, and κ differs between orders. The
+    # amplitudes of all orders are computed at a few values of κ. Chebyshev polynomials interpolate the amplitude of an
+    # order to its own κ.
     low, high = math.cos(math.radians(max(_ANGLES_DEG))), 2.0
     argument = math.pi * (high - low) / 2.0 * float(np.ptp(heights))
     count = math.ceil(argument + 4.0 * math.cbrt(argument)) + 4
@@ -340,7 +345,7 @@ def energy_deviations(heightfield: HeightField, wavelength_um: float) -> tuple[f
 def _lights(shape: tuple[int, ...]) -> list[NDArray[np.float64]]:
     """Return the directions to the light for which orders are summed: on both sides of the normal along x and y.
 
-    An axis along which the height field has a single sample is excluded.
+    There are no directions along an axis on which the height field has a single sample.
     """
     lights = []
     for angle in np.radians(_ANGLES_DEG):

@@ -24,7 +24,8 @@ class Comparison:
     Attributes:
         error: Relative error of each pixel, shape (height, width), float64; 0 outside ``pixels``.
         pixels: Mask of the compared pixels, shape (height, width).
-        tolerance: Tolerance that ``share_beyond_tolerance`` and ``reported_share`` refer to.
+        tolerance: Relative error with which ``share_beyond_tolerance`` and ``reported_share`` compare the errors of
+            pixels.
         p50: Median of the errors of the compared pixels.
         p90: 90th percentile of the errors of the compared pixels.
         p99: 99th percentile of the errors of the compared pixels.
@@ -32,7 +33,7 @@ class Comparison:
         reported_share: Among the pixels whose error exceeds the tolerance, the fraction whose estimated error
             (``image.error``) exceeds it, too. None if the picture has no estimated errors, or if no pixel exceeds the
             tolerance.
-        luminance_ratio: Sum of Y over the compared pixels, divided by the same sum of the reference.
+        luminance_ratio: Sum of the luminances Y of the compared pixels, divided by the same sum of the reference.
 
     Examples:
         >>> import warpdiff as wd
@@ -54,7 +55,7 @@ class Comparison:
     luminance_ratio: float
 
     def as_dict(self) -> dict[str, float | int | None]:
-        """Return the numbers of the comparison by name, without the arrays, for a JSON file."""
+        """Return the numbers of the comparison by name, for a JSON file; the arrays of the comparison are omitted."""
         return {
             "pixels": int(self.pixels.sum()), "tolerance": self.tolerance, "p50": self.p50, "p90": self.p90,
             "p99": self.p99, "share_beyond_tolerance": self.share_beyond_tolerance,
@@ -63,8 +64,9 @@ class Comparison:
 
     def __repr__(self) -> str:
         return (
-            f"Comparison({int(self.pixels.sum()):,} pixels, error {self.p50:.2g} / {self.p90:.2g} / {self.p99:.2g} at "
-            f"the percentiles 50 / 90 / 99, {100.0 * self.share_beyond_tolerance:.2g} % beyond {self.tolerance:g})"
+            f"Comparison({int(self.pixels.sum()):,} pixels, P50 / P90 / P99 of errors {self.p50:.2g} / "
+            f"{self.p90:.2g} / {self.p99:.2g}, {100.0 * self.share_beyond_tolerance:.2g} % beyond {self.tolerance:g}, "
+            f"luminance × {self.luminance_ratio:.3g})"
         )
 
 
@@ -74,8 +76,8 @@ def compare(
 ) -> Comparison:  # fmt: skip
     """Compare a picture with a reference, with the same error measure as ``tolerance``.
 
-    The error of a pixel is ‖ΔXYZ‖ / max(‖XYZ‖, 1e-3 · Y*), with XYZ and Y* of the reference. Y* is the 99th percentile
-    of Y, or the median of Y weighted by Y if this is larger.
+    The error of a pixel is ‖ΔXYZ‖ / max(‖XYZ‖, 1e-3 · Y*), with XYZ and Y* of the reference. Y is the luminance of a
+    pixel. Y* is the 99th percentile of Y over all pixels, or the median of Y weighted by Y if this median is larger.
 
     Args:
         image: The picture: an :class:`~warpdiff.Image`, or linear CIE XYZ from any method, shape (height, width, 3).
@@ -92,7 +94,7 @@ def compare(
         >>> import warpdiff as wd
         >>> reference = np.full((4, 4, 3), 0.5)
         >>> wd.compare(1.02 * reference, reference, tolerance=0.1)
-        Comparison(16 pixels, error 0.02 / 0.02 / 0.02 at the percentiles 50 / 90 / 99, 0 % beyond 0.1)
+        Comparison(16 pixels, P50 / P90 / P99 of errors 0.02 / 0.02 / 0.02, 0 % beyond 0.1, luminance × 1.02)
     """
     xyz, exact = _xyz(image, "image"), _xyz(reference, "reference")
     if xyz.shape != exact.shape:

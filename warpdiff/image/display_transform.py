@@ -2,9 +2,9 @@
 
 ACES 2.0 is the output transform of Academy S-2025-001. This module uses the implementation of OpenColorIO, in a
 built-in configuration of OpenImageIO with a fixed version. ACES clips negative components in its working space (AP1).
-Narrow-band light has such components, and clipping changes its hue. The chroma is therefore compressed first, at
-constant lightness and hue of OKLab (B. Ottosson, 2020). The compression curve is that of ACES' Reference Gamut
-Compression with a power of 1.
+Narrow-band light has negative components there, and clipping them changes its hue. This module therefore compresses the
+chroma before ACES, at constant lightness and hue of OKLab (B. Ottosson, 2020). The compression curve is that of ACES'
+Reference Gamut Compression with a power of 1.
 """
 
 from __future__ import annotations
@@ -32,12 +32,13 @@ if TYPE_CHECKING:
 
 CONFIGURATION = "ocio://cg-config-v4.0.0_aces-v2.0_ocio-v2.5"
 SCENE = "CIE XYZ-D65 - Scene-referred"
-# Mean luminance to which automatic exposure scales the illuminated pixels, by display transform; 1 is the white of the
-# display. The value for ACES is larger, because ACES displays middle tones 0.8 stops darker and can display values
-# above 1. Choice: by eye; twice the value makes pictures a stop brighter.
+# Mean luminance to which automatic exposure scales the illuminated pixels of a picture, by display transform; 1 is the
+# white of the display. The value for ACES is larger, because ACES displays middle tones 0.8 stops darker and can
+# display values above 1. The values were chosen by eye; if doubled, pictures are a stop brighter.
 MEAN_SHOWN: dict[Display, float] = {"aces": 0.7, "colorimetric": 0.5, "clip": 0.5}
-# Fraction of the illuminated pixels that automatic exposure excludes; they are the brightest ones. Limit: mirror
-# reflections of a light may be a thousand times as bright as diffraction orders.
+# Fraction of the illuminated pixels of a picture, the brightest ones, that automatic exposure excludes. The pixels are
+# excluded because mirror reflections of a light may be a thousand times as bright as diffraction orders. If doubled,
+# pictures with small bright areas become brighter.
 _TOO_BRIGHT = 1e-4
 
 # Matrix from CIE XYZ to linear Display P3 with the white point D65, from CSS Color Module Level 4.
@@ -47,8 +48,8 @@ _XYZ_TO_P3 = np.array([
     [11844 / 330415, -50337 / 660830, 316169 / 330415],
 ])  # fmt: skip
 _P3_TO_XYZ = np.linalg.inv(_XYZ_TO_P3)
-# Matrices of OKLab. The first converts XYZ to cone responses. The second converts the cube roots of the cone responses
-# to L, a and b.
+# Matrices of the colour space OKLab. The first matrix converts XYZ to cone responses. The second matrix converts the
+# cube roots of the cone responses to the lightness L and the chroma coordinates a and b.
 _XYZ_TO_CONES = np.array([
     [0.8189330101, 0.3618667424, -0.1288597137],
     [0.0329845436, 0.9293118715, 0.0361456387],
@@ -60,8 +61,7 @@ _ROOTS_TO_LAB = np.array([
     [0.0259040371, 0.7827717662, -0.8086757660],
 ])  # fmt: skip
 _CONES_TO_XYZ, _LAB_TO_ROOTS = np.linalg.inv(_XYZ_TO_CONES), np.linalg.inv(_ROOTS_TO_LAB)
-# Colour matrices, by the names that they have in the shaders of web pages. A matrix multiplies a colour as a column
-# vector.
+# Colour matrices, by their names in the shaders of web pages. A matrix multiplies a colour as a column vector.
 MATRICES = {
     "xyzToP3": _XYZ_TO_P3, "xyzToCones": _XYZ_TO_CONES, "conesToXyz": _CONES_TO_XYZ, "rootsToLab": _ROOTS_TO_LAB,
     "labToRoots": _LAB_TO_ROOTS,
@@ -70,25 +70,27 @@ MATRICES = {
 # Chromaticities x, y of the primaries R, G and B and of the white point D65 of linear sRGB (ITU-R BT.709).
 SRGB_CHROMATICITIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 # Range of the chroma compression. Chromas are relative to the largest chroma of the same hue in Display P3. Chromas
-# below the first number are unchanged; those between both numbers are compressed so that the second number becomes 1.
-# Derived: the chroma of monochromatic light is at most 3.96, at 495 nm.
+# below `UNCHANGED` are unchanged. Chromas between `UNCHANGED` and `COMPRESSED` are compressed, so that `COMPRESSED`
+# becomes 1. The second number is derived from monochromatic light, whose chroma is at most 3.96, at 495 nm.
 UNCHANGED, COMPRESSED = 0.8, 4.0
-# Number of hues for which the largest chroma in Display P3 is tabulated, one per 0.25°. Limit: the chroma is
-# interpolated linearly between hues.
+# Number of hues for which the largest chroma in Display P3 is tabulated, one per 0.25°. The value was chosen so that
+# linear interpolation between the hues suffices. If doubled, the table takes twice as long.
 _HUES = 1440
-# Largest linear RGB component that is passed to ACES. Limit: such a component is displayed as white already, and much
-# larger ones overflow.
+# Largest linear RGB component that is passed to ACES. Larger components are clipped, because ACES displays this one as
+# white already, and much larger components overflow.
 WHITE = 1024.0
-# First number: grid points along each axis of the table of ACES colours. Limit: 33 points give an interpolation error
-# of 0.6 ΔE2000 at the 99th percentile; twice as many require 8 times the memory. Second number: linear RGB component up
-# to which the grid points are nearly evenly spaced; above it, neighbouring grid points have nearly equal ratios.
+# Table of ACES colours. `_NODES` is the number of its grid points along each axis: 33 points give an interpolation
+# error of 0.6 ΔE2000 at the 99th percentile, and twice as many points require 8 times the memory. `TOE` is the linear
+# RGB component up to which the grid points are nearly evenly spaced. Above it, the ratios of neighbouring grid points
+# are nearly equal.
 _NODES, TOE = 33, 0.01
-# Number of bisections that find the largest chroma in a gamut. Limit: 2^-20 of the range is smaller than a step of a
-# 16-bit file.
+# Number of bisections that find the largest chroma of a colour in a gamut. The value was chosen so that the remaining
+# interval, 2^-20 of the first one, is smaller than a step of a 16-bit file.
 _BISECTIONS = 20
-# Number of colours in a slice that one thread transforms. Limit: with larger slices, small pictures use fewer threads.
+# Number of colours that one thread transforms at once. The value is limited by small pictures: if doubled, they use
+# fewer threads.
 _TOGETHER = 8192
-# Lower bound of a divisor; it prevents a division by zero.
+# Lower bound of a divisor, which prevents a division by zero.
 _LEAST = 1e-30
 
 
@@ -127,15 +129,16 @@ def auto_exposure(luminances: ArrayLike, display: Display) -> float:
     """
     luminance = np.sort(np.asarray(luminances, dtype=np.float64).ravel())
     most = luminance[: len(luminance) - math.ceil(_TOO_BRIGHT * len(luminance))]
-    # With very few luminances, the brightest 0.01 % rounds up to all of them. In that case the mean includes all
+    # If there are very few luminances, the brightest 0.01 % round up to all of them. In this case the mean includes all
     # luminances.
     mean = float(np.mean(most if most.size else luminance)) if luminance.size else 0.0
     return MEAN_SHOWN[display] / mean if mean > 0.0 else 1.0
 
 
 def exposure_factor(shown: DisplaySettings, luminances: ArrayLike) -> float:
-    """Return the exposure: the factor of linear colours that the display options select for the given luminances."""
-    # The automatic factor of nearly black colours may be so large that float32 overflows. It is therefore limited.
+    """Return the factor by which linear colours are multiplied before display, by the options and the luminances."""
+    # The automatic factor of a nearly black picture may be so large that float32 overflows. The factor is therefore
+    # limited.
     factor = shown.exposure or min(auto_exposure(luminances, shown.display), validation.MOST)
     return float(factor * 2.0**shown.exposure_stops)
 
@@ -172,7 +175,7 @@ def to_srgb(xyz: ArrayLike, display: Display = "aces", **settings: Unpack[Colour
     return encode(exposure_factor(shown, luminances[luminances > 0.0]) * colours, shown)
 
 
-# The linear algebra library is restricted to one thread here: more threads do not make products with 3 × 3 matrices
+# The linear algebra library is restricted to one thread, because more threads do not make products with 3 × 3 matrices
 # faster.
 @single_threaded_blas()
 def encode(xyz: ArrayLike, shown: DisplaySettings, *, exact: bool = True) -> NDArray[np.float64]:
@@ -180,7 +183,7 @@ def encode(xyz: ArrayLike, shown: DisplaySettings, *, exact: bool = True) -> NDA
 
     Args:
         xyz: Linear CIE XYZ after exposure, shape (..., 3).
-        shown: Options of the display, of which those of the exposure are not used.
+        shown: Options of the display; the options about exposure are not used.
         exact: Whether ACES is computed for each colour. Otherwise its result is interpolated in a table.
 
     Returns:
@@ -227,7 +230,7 @@ def aces(xyz: NDArray[np.float64], gamut: GamutName) -> NDArray[np.float64]:
     target = GAMUTS[gamut]
     row = np.minimum(xyz, WHITE).astype(np.float32)[None]
     with openimageio.in_use() as oiio:
-        # OpenImageIO uses only the calling thread here: in a forked child process, the library's other threads do not
+        # OpenImageIO uses only the calling thread, because in a forked child process the library's other threads do not
         # exist.
         buffer = oiio.ImageBufAlgo.ociodisplay(
             oiio.ImageBuf(row), target.display, target.view, fromspace=SCENE, unpremult=False,
@@ -240,7 +243,7 @@ def aces(xyz: NDArray[np.float64], gamut: GamutName) -> NDArray[np.float64]:
 
 
 def oklab(xyz: ArrayLike) -> NDArray[np.float64]:
-    """Return OKLab's L, a and b of XYZ colours, shape (..., 3). Multiplying XYZ by k multiplies all three by ∛k."""
+    """Return OKLab's L, a and b of XYZ colours, shape (..., 3). Multiplying XYZ by k multiplies L, a and b by ∛k."""
     return np.asarray(np.cbrt(np.asarray(xyz, dtype=np.float64) @ _XYZ_TO_CONES.T) @ _ROOTS_TO_LAB.T)
 
 
@@ -254,8 +257,8 @@ def of_oklab(lab: ArrayLike) -> NDArray[np.float64]:
 def compress_chroma(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return XYZ colours (n, 3) with the chroma compressed into Display P3, at constant lightness and hue of OKLab.
 
-    The compression does not limit brightness. OKLab is homogeneous: the largest chroma of a colour in Display P3 is its
-    lightness L times a function of the hue.
+    Colours that are brighter than white stay brighter than white. OKLab is homogeneous: the largest chroma of a colour
+    in Display P3 is the colour's lightness L times a function of its hue.
     """
     lab = oklab(xyz)
     chroma = np.hypot(lab[:, 1], lab[:, 2])
@@ -284,7 +287,7 @@ def most_chroma() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def _reduce_chroma(xyz: NDArray[np.float64], to_rgb: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the linear RGB of XYZ colours (n, 3), with less chroma for colours outside of the gamut.
+    """Return the linear RGB of XYZ colours (n, 3), with reduced chroma for colours outside of the gamut.
 
     Colours with components from 0 to 1 are unchanged. Colours that are brighter than white become white.
     """
@@ -297,8 +300,8 @@ def _reduce_chroma(xyz: NDArray[np.float64], to_rgb: NDArray[np.float64]) -> NDA
     roots_to_rgb = (to_rgb @ _CONES_TO_XYZ).T
 
     def with_chroma(share: NDArray[np.float64]) -> NDArray[np.float64]:
-        # The cube roots of the three cone responses of a grey all equal its lightness L. Chroma is added as a multiple
-        # of ``slopes``, the change of these roots per unit of chroma.
+        # The cube roots of the three cone responses of a grey all equal the lightness L of the grey. A multiple of
+        # ``slopes``, the change of these roots per unit of chroma, is added to them.
         roots = grey + share[:, None] * slopes
         return np.asarray((roots * roots * roots) @ roots_to_rgb)
 
@@ -316,7 +319,8 @@ def _largest_in_gamut(
     """Return the largest chroma from 0 to ``most`` for which each colour is in the gamut, by bisection.
 
     Args:
-        is_in_gamut: Function of the chroma of each colour. It returns whether the colours are in the gamut.
+        is_in_gamut: Function that returns, for an array with the chroma of each colour, whether each colour is in the
+            gamut.
         most: Upper bound of the chroma of each colour, shape (n,).
     """
     low, high = np.zeros_like(most), most
@@ -329,9 +333,9 @@ def _largest_in_gamut(
 
 @functools.cache
 def aces_table(gamut: GamutName) -> NDArray[np.float32]:
-    """Return the table of ACES display RGB over a grid in linear Display P3, shape (nodes³, 3).
+    """Return the table of ACES display RGB over a cubic grid in linear Display P3, shape (nodes³, 3).
 
-    The grid is in Display P3, because colours after chroma compression have no negative components there.
+    The grid is in Display P3, because colours after chroma compression have no negative components in this space.
     """
     axis = TOE * np.expm1(np.linspace(0.0, 1.0, _NODES) * np.log1p(WHITE / TOE))
     nodes = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -341,8 +345,9 @@ def aces_table(gamut: GamutName) -> NDArray[np.float32]:
 def _interpolate(xyz: NDArray[np.float64], gamut: GamutName) -> NDArray[np.float64]:
     """Return the ACES display RGB of chroma-compressed XYZ (n, 3), interpolated in tetrahedra of the table.
 
-    A colour is interpolated between four corners of its grid cell. They lie on a path along the edges from the first to
-    the last corner, which follows the axes in the order of the decreasing fractional coordinates of the colour.
+    A colour is interpolated between four corners of its cubic grid cell. The four corners are those of a path along
+    edges of the cell, from the corner with the smallest to the corner with the largest coordinates. The path follows
+    the axes in the order of decreasing fractional coordinates of the colour.
     """
     light = np.clip(xyz @ _XYZ_TO_P3.T, 0.0, WHITE)
     places = np.log1p(light / TOE) / np.log1p(WHITE / TOE) * (_NODES - 1)

@@ -1,4 +1,4 @@
-"""Error model: estimates the error of a pixel from the plan's predicted error and the errors of its subpixel cells.
+"""Error model: estimates the error of a pixel from the error that the plan predicts and from its subpixel cells.
 
 The constants were fitted such that the estimates bound 95 % of the errors of pictures, relative to pictures with many
 rays per pixel: see docs/decisions/error_estimates.md.
@@ -17,17 +17,18 @@ from warpdiff.kernels.thresholds import FLOOR, PERCENTILE, TINY
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Factor a in the ratio a (c/‖XYZ‖)^(1/8) of the relative error of a pixel to the relative error that the plan predicts
-# at the 99th percentile of directions. Here c is the largest ‖ΔXYZ‖ between the pixel and its four neighbours. The
-# ratio is below 1, because a pixel averages many directions. Fitted.
+# Factor a in the ratio a (c/‖XYZ‖)^(1/8) of two relative errors: that of a pixel, and that which the plan predicts at
+# the 99th percentile of directions. Here c is the largest ‖ΔXYZ‖ between the pixel and its four neighbours. The ratio
+# is below 1, because a pixel averages many directions. The value was fitted as the module's docstring describes.
 _MEAN_ERROR_PER_PLAN_ERROR = 0.32
-# A pixel has two independent errors: of the colours and of the subdivision into cells. The root sum of their squares is
-# multiplied by this factor, so that it bounds 95 % of all errors. Fitted.
+# A pixel has two independent errors: the error of the colours and the error of the subdivision into subpixel cells. The
+# root of the sum of both squared errors is multiplied by this factor, so that the product bounds 95 % of all errors.
+# The value was fitted as the module's docstring describes.
 _BOUND_OF_BOTH = 1.1
 
-# Model of the probability that the true error of a pixel exceeds the tolerance. If the estimated error equals the
-# tolerance, the odds are the first number. The odds are proportional to a power of estimated error over tolerance, and
-# the second number is its exponent. Fitted.
+# Model of the probability that the true error of a pixel exceeds the tolerance. `_ODDS_AT_TOLERANCE` are the odds if
+# the estimated error equals the tolerance. The odds are proportional to the ratio of estimated error to tolerance, to
+# the power `_ODDS_POWER`. Both values were fitted as the module's docstring describes.
 _ODDS_AT_TOLERANCE, _ODDS_POWER = 0.01, 4.0
 
 
@@ -37,8 +38,8 @@ class ErrorParts:
 
     Attributes:
         xyz: Colours of the pixels, shape (n, 3).
-        contrasts: Largest difference ‖ΔXYZ‖ from a neighbouring pixel, shape (n,). None for single directions, which
-            are not averaged over a pixel.
+        contrasts: Largest difference ‖ΔXYZ‖ from a neighbouring pixel, shape (n,). None for colours of single
+            directions, which are not averages over a pixel.
         cells: Error ‖ΔXYZ‖ that remains after the subdivision into subpixel cells, shape (n,). None without
             subdivision.
     """
@@ -51,7 +52,8 @@ class ErrorParts:
 @np.errstate(under="ignore")
 def combined_errors(parts: ErrorParts, plan_error: float) -> NDArray[np.float64]:
     """Return the estimated errors ‖ΔXYZ‖ of pixels. ``plan_error`` is the relative error that the plan predicts."""
-    # The error of a colour table, or of a sum over wavelengths, is proportional to the colour.
+    # The relative error that the plan predicts is an error of colours, from tables or from sums over wavelengths. This
+    # error is proportional to the colour.
     size = lengths(parts.xyz).astype(np.float64)
     errors = plan_error * size
     if parts.contrasts is not None:
@@ -63,22 +65,23 @@ def combined_errors(parts: ErrorParts, plan_error: float) -> NDArray[np.float64]
 
 
 def lengths(xyz: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return ‖XYZ‖ of colours (…, 3); ``np.linalg.norm`` requires three times as long for a last axis of length 3."""
+    """Return ‖XYZ‖ of colours (…, 3); ``np.linalg.norm`` is three times as slow for a last axis of length 3."""
     return np.asarray(np.sqrt(np.einsum("...c,...c->...", xyz, xyz)))
 
 
 def relative_errors(errors: NDArray[np.floating[Any]], xyz: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the relative errors of illuminated points: ‖ΔXYZ‖ (n,) divided by max(‖XYZ‖, f · Y*), for XYZ (n, 3).
 
-    The function :func:`luminance_floor` defines f · Y*.
+    The function :func:`luminance_floor` returns f · Y*.
     """
     return np.asarray(errors / np.maximum(lengths(xyz), luminance_floor(xyz[:, 1])), dtype=np.float32)
 
 
 def luminance_floor(luminance: NDArray[np.floating[Any]]) -> float:
-    """Return f · Y*: errors of darker illuminated points are relative to this luminance, not to their own colour.
+    """Return f · Y*, the luminance to which errors of illuminated points are relative if the points are darker.
 
-    Y* is the 99th percentile of the luminances Y (n,), or the median of Y weighted by Y if this is larger.
+    Here f is 1e-3, and Y* is the 99th percentile of the luminances Y (n,), or the median of Y weighted by Y if this
+    median is larger.
     """
     ordered = np.sort(luminance)
     white: float = 0.0
@@ -90,7 +93,7 @@ def luminance_floor(luminance: NDArray[np.floating[Any]]) -> float:
 
 
 def share_beyond(error: NDArray[np.float32], tolerance: float) -> float:
-    """Return the expected fraction of pixels whose true error exceeds a tolerance, from their estimated errors (n,)."""
+    """Return the expected fraction of pixels whose true error exceeds a tolerance, by the estimated errors (n,)."""
     if not error.size:
         return 0.0
     odds = _ODDS_AT_TOLERANCE * (error.astype(np.float64) / tolerance) ** _ODDS_POWER

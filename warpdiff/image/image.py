@@ -1,4 +1,4 @@
-"""Class ``Image``: pictures in linear CIE XYZ, and reading and writing of their files."""
+"""Class ``Image``: pictures in linear CIE XYZ, with functions that read and write picture files."""
 
 from __future__ import annotations
 
@@ -55,20 +55,21 @@ class Image:
             width).
         coverage: Fraction of a pixel's samples that hit the mesh, 0 to 1, shape (height, width), float32; alpha in
             files.
-        error: Estimated relative error of each pixel, ‖ΔXYZ‖ / max(‖XYZ‖, 1e-3 · Y*) as in ``tolerance``, shape
-            (height, width), float32; 0 where nothing is illuminated.
-        plan: Plan of the computation; plans by part of the mesh for several surfaces; None for a picture that
-            :meth:`load` has read.
+        error: Estimated relative error of each pixel, ‖ΔXYZ‖ / max(‖XYZ‖, 1e-3 · Y*), the measure to which
+            ``tolerance`` refers, shape (height, width), float32; 0 where nothing is illuminated.
+            :func:`warpdiff.compare` defines Y*.
+        plan: Plan of the computation. For several surfaces, a mapping from parts of the mesh to plans. None for a
+            picture that :meth:`load` has read.
         report: Report on the picture's errors and refinement; None for a picture that :meth:`load` has read.
         layers: Further outputs by name, as requested from :func:`warpdiff.shade`, shape (height, width) or (height,
-            width, components), at the hit of the ray through each pixel's centre. Layers of one light end in the index
-            of the light, as ``"light.0"``. ``docs/how-to/layers_and_exr_files.md`` lists all layers.
-        names: Names that the numbers of a layer stand for, by the name of the layer: number i of the layer
-            ``"geometry"`` is the geometry ``names["geometry"][i]``.
+            width, components), at the hit of the ray through each pixel's centre. Names of layers of a single light end
+            in the index of the light, as ``"light.0"``. ``docs/how-to/layers_and_exr_files.md`` lists all layers.
+        names: Names for layers of numbers, by the name of the layer: number i in the layer ``"geometry"`` stands for
+            the geometry ``names["geometry"][i]``.
         wavelengths_nm: Wavelengths of ``spectra`` [nm], shape (m,); None without spectra.
         spectra: Radiance at the wavelengths, shape (height, width, m), float32, multiplied by ``coverage``: the sum
-            over the lights of power · ρ(λ) S(λ) / S̄, with S̄ the mean of the illuminant S with the weight ȳ. It is
-            power · ρ(λ) for the illuminant ``"E"``. None without ``wavelengths_nm=``.
+            over the lights of power · ρ(λ) S(λ) / S̄, with the reflectance ρ, the illuminant S, and its mean S̄ with
+            the weight ȳ(λ). For the illuminant ``"E"``, S(λ) / S̄ is 1. None without ``wavelengths_nm=``.
 
     Examples:
         >>> import warpdiff as wd
@@ -138,10 +139,10 @@ class Image:
     def auto_exposure(self) -> float:
         """Automatic exposure factor of ``display="aces"``; 1 for a black picture.
 
-        The factor maps the mean luminance of the illuminated pixels to 0.7 (0.5 for other display transforms). The
+        The factor scales the mean luminance of the illuminated pixels to 0.7 (for other display transforms to 0.5). The
         brightest 0.01 % of these pixels are excluded, because the mirror reflection of a light may be a thousand times
-        as bright as the diffraction orders. A mean is used because orders may cover between 0.1 % and all of a picture,
-        so that no percentile suits every picture.
+        as bright as the diffraction orders. A mean is used and not a percentile: diffraction orders may cover between
+        0.1 % and all of a picture, so that no percentile suits every picture.
         """
         return display_transform.auto_exposure(self.xyz[..., 1][self.illuminated], "aces")
 
@@ -161,9 +162,10 @@ class Image:
             exposure_from: Picture whose automatic exposure is used, so that several pictures get the same exposure.
             background: Background, mixed in the display's linear light: an encoded colour (R, G, B) with components
                 from 0 to 1, a picture of the same size, or linear sRGB of shape (height, width, 3), as from
-                :meth:`warpdiff.Environment.background`. None leaves it transparent.
-            exact: Whether ACES is computed for each colour. False interpolates in a table, which is several times as
-                fast; the difference is 0.1 ΔE2000 in the median and 0.6 ΔE2000 at the 99th percentile.
+                :meth:`warpdiff.Environment.background`. None leaves the background transparent.
+            exact: Whether ACES is computed for each colour. False interpolates in a table of ACES colours, which is
+                several times as fast; the result differs by 0.1 ΔE2000 in the median and by 0.6 ΔE2000 at the 99th
+                percentile.
 
         Returns:
             R, G, B and, without a background, alpha, each 0 to 1, shape (height, width, 3 or 4), float32; colours are
@@ -201,7 +203,7 @@ class Image:
         Args:
             shown: Options of the display.
             source: Picture whose automatic exposure is used, or None.
-            scales: Whether exposure is automatic by default; otherwise the default factor is 1.
+            scales: Whether exposure is automatic if the options do not state it; otherwise the factor is then 1.
         """
         validation.instance(source, Image, "exposure_from", optional=True)
         if shown.exposure is not None and source is not None:
@@ -222,7 +224,7 @@ class Image:
     def _behind(
         self, background: Image | ArrayLike | None, shown: DisplaySettings, factor: float, *, exact: bool
     ) -> NDArray[np.float64] | None:
-        """Return the background in the display's linear light, shape (3,) or (height, width, 3); None without one."""
+        """Return ``background`` in the linear light of the display, shape (3,) or (height, width, 3); None for None."""
         if background is None:
             return None
         height, width = self.mask.shape
@@ -261,12 +263,13 @@ class Image:
             path: File with the suffix ``.exr`` or ``.png``. EXR holds linear float32 channels, multiplied by alpha: R,
                 G, B, A, XYZ.X, XYZ.Y, XYZ.Z, the estimated error as error.Y, and one part per layer of the picture,
                 with channels such as normal.X. PNG holds display RGB, not multiplied by alpha, and alpha unless there
-                is a background. The metadata of PNG files state the transform and the exposure. Those of EXR files
-                state how the same call would display the picture as PNG: see ``docs/how-to/layers_and_exr_files.md``.
+                is a background. The metadata of PNG files state the transform and the exposure. The metadata of EXR
+                files state how the same call would display the picture as PNG: see
+                ``docs/how-to/layers_and_exr_files.md``.
             exposure_from: Picture whose automatic exposure is used, so that several pictures get the same exposure.
             background: Background of PNG files, mixed in the display's linear light: an encoded colour (R, G, B) with
                 components from 0 to 1, a picture of the same size, or linear sRGB of shape (height, width, 3). None
-                leaves it transparent.
+                leaves the background transparent.
 
         Returns:
             The path of the file.
@@ -289,7 +292,7 @@ class Image:
         return target
 
     def _png_part(self, shown: DisplaySettings, factor: float, background: Image | ArrayLike | None) -> FilePart:
-        """Return the only part of a PNG file; ``factor`` is the linear exposure factor."""
+        """Return the picture as the only part of a PNG file; ``factor`` is the linear exposure factor."""
         encoded = self._displayed(shown, factor, background)
         cicp = display_transform.GAMUTS[shown.gamut].cicp
         metadata = self._metadata() | {
@@ -307,10 +310,10 @@ class Image:
         The arguments are those of :func:`write_exr`.
         """
         colours = [factor * self.rgb, self.coverage[..., None], factor * self.xyz, self.error[..., None]]
-        # Some attributes must be equal in all parts.
+        # Some metadata attributes must be equal in all parts of an EXR file.
         common: dict[str, str | float | tuple[float, ...]] = {
             "compression": "zip",
-            # The attribute "DateTime" is set to an empty text. Otherwise the writer would store the current time, and
+            # The attribute "DateTime" is set to an empty text. Otherwise OpenImageIO would store the current time, and
             # two files of the same picture would differ.
             "DateTime": "",
             "oiio:ColorSpace": "lin_rec709",
@@ -367,7 +370,7 @@ class Image:
             path: EXR file that :meth:`save` wrote.
 
         Returns:
-            The picture with the values of the file. XYZ is multiplied by the exposure with which the picture was saved,
+            The picture with the values of the file. XYZ includes the exposure factor with which the picture was saved,
             1 by default. ``mask`` is True where ``coverage`` is more than 0. ``illuminated`` is True where XYZ or
             ``error`` is not 0 within the mask. ``plan`` and ``report`` are None, because files do not contain them.
 
@@ -409,8 +412,8 @@ def write_exr(image: Image, target: Path, shown: DisplaySettings, *, factor: flo
         image: Picture to write.
         target: File to write, after a check of its path.
         shown: Options of the display, which the metadata of the file state.
-        factor: Linear factor of the file's colours.
-        preview: Exposure factor with which these options display the picture.
+        factor: Linear factor by which the colours in the file are multiplied.
+        preview: Linear exposure factor with which the options ``shown`` display the picture.
     """
     write_parts(target, image._exr_parts(shown, factor, preview))
 

@@ -1,4 +1,4 @@
-"""Files of pictures: EXR and PNG files are written in parts, read again, and compared with the data."""
+"""Files of pictures: EXR and PNG files are written in parts; each file is read again and compared with the data."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ if TYPE_CHECKING:
 
 # Channels of the first part of every EXR file.
 CHANNELS = ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z", "error.Y")
-# Metadata with the names that the numbers of a layer stand for, as a list in JSON.
+# Name of the metadata attribute of a layer of numbers. It lists, in JSON, the names for which the numbers stand.
 NAMES = "warpdiff:names"
-# Metadata of spectral files in the layout of Fichet et al. 2021. The layout has no unit for relative radiances.
+# Metadata of spectral EXR files in the layout of Fichet et al. 2021. The layout has no unit for relative radiances.
 SPECTRAL_METADATA = {
     "spectralLayoutVersion": "1.0",
     "emissiveUnits": "W.m^-2.sr^-1",
     "warpdiff:spectra": "radiance relative to that of a source of constant spectrum with the luminance Y = 1",
 }
-# Name of a channel with the radiance at a wavelength in nm, with a decimal comma.
+# Matches the name of a channel with the radiance at a wavelength in nm, which has a decimal comma.
 _SPECTRAL = re.compile(r"S0\.(\d{1,6}(?:,\d{1,9})?)nm")
 _FORMATS = (".exr", ".png")
-# Last bytes of a complete PNG file: the chunk IEND with length, name and checksum. A file without them is incomplete,
-# but many readers accept it.
+# Last bytes of a complete PNG file: the chunk IEND with length, name and checksum. A file without these bytes is
+# incomplete, but many readers accept it.
 PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 # Memory for reading an EXR file [bytes per sample]: four for a float32 sample, and four for a copy in which each
 # channel is contiguous.
 _BYTES_PER_SAMPLE = 8
-# Element types of OpenImageIO by the type of a Python number, for metadata that are tuples.
+# OpenImageIO's names of element types, by the type of a Python number, for metadata that are tuples.
 _ELEMENTS = {int: "int", float: "float"}
 
 
@@ -96,7 +96,7 @@ def check_target(path: Any, name: str = "path") -> Path:
 
 
 def write_parts(target: Path, parts: Sequence[FilePart]) -> None:
-    """Write the parts of a picture file, read them again and compare them.
+    """Write the parts of a picture file, read the file again and compare it with the parts.
 
     The comparison is necessary because writers may report success on a full disk: the PNG writer always, the EXR writer
     sometimes.
@@ -119,7 +119,7 @@ def write_parts(target: Path, parts: Sequence[FilePart]) -> None:
 
 
 def _is_written(oiio: Any, path: Path, parts: Sequence[FilePart]) -> bool:
-    """Whether a file is complete and contains the parts, each with its channels in any order."""
+    """Whether a file is complete and contains the parts; the channels of a part may have any order."""
     with path.open("rb") as file:
         file.seek(max(path.stat().st_size - len(PNG_END), 0))
         if path.suffix == ".png" and file.read() != PNG_END:
@@ -161,9 +161,10 @@ def _discard_error(source: Any) -> None:
 
 
 def read_exr(file: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, tuple[str, ...]]]:
-    """Return the channels of all parts of an EXR file of :meth:`warpdiff.Image.save`, and the names of its layers.
+    """Return the channels of all parts of an EXR file of :meth:`warpdiff.Image.save`, and names for layers of numbers.
 
-    Channels have the shape (height, width), by name. The names that numbers of a layer stand for are by layer.
+    The first mapping has channels of shape (height, width) by name. The second mapping has, by the name of a layer, the
+    names for which the numbers in the layer stand.
     """
     with openimageio.in_use() as oiio:
         source = oiio.ImageInput.open(str(file))
@@ -196,7 +197,8 @@ def read_exr(file: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, tupl
                 planes = np.ascontiguousarray(np.moveaxis(pixels, 2, 0))
                 channels |= dict(zip(spec.channelnames, planes, strict=True))
                 with contextlib.suppress(ValueError, TypeError):
-                    # A file without names, or with other text in their place, has numbers without names.
+                    # If a file has no list of such names, or another text in its place, the numbers of the layer stay
+                    # without names.
                     known[spec.getattribute("oiio:subimagename")] = tuple(
                         map(str, json.loads(spec.getattribute(NAMES)))
                     )

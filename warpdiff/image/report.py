@@ -13,11 +13,11 @@ from warpdiff.image.error_model import share_beyond
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Factor by which pixels at edges (of the mesh or of shadows) may have a larger error than interior pixels. Limit: means
-# over the pixel filter converge slowly at edges.
+# Factor by which pixels at edges (of the mesh or of shadows) may have a larger error than interior pixels. The value
+# was chosen because, at edges, means over the pixel filter converge slowly.
 EDGES_PER_TOLERANCE = 3.0
 # Largest fractions of interior pixels and of edge pixels that may exceed their tolerance in a picture that counts as
-# converged. Limits: twice the fractions would accept pictures with visible errors.
+# converged. Both values were chosen; if doubled, pictures with visible errors count as converged.
 MOST_UNCONVERGED, MOST_UNCONVERGED_EDGES = 0.01, 0.05
 
 
@@ -28,13 +28,15 @@ class Report:
     Attributes:
         tolerance: Requested tolerance of the picture.
         errors: Median and 99th percentile of the estimated errors of the illuminated pixels.
-        is_refined: Whether pixels were refined. Without refinement, pixels may exceed the tolerance.
-        refined_share: Fraction of the covered pixels that were subdivided; with several lights, the largest fraction.
+        is_refined: Whether pixels were refined by subdivision. Without refinement, the error of pixels may exceed the
+            tolerance.
+        refined_share: Fraction of the covered pixels that were subdivided; with several lights, the largest fraction of
+            all lights.
         unconverged_share: Expected fraction of the illuminated interior pixels whose error exceeds the tolerance; 0
             without refinement.
         unconverged_edge_share: Expected fraction of the pixels at edges, of the mesh or of shadows, whose error exceeds
             three times the tolerance; 0 without refinement.
-        light_sample_count: Number of directions by which all lights together are represented.
+        light_sample_count: Number of directions by which all lights together, such as skies, are represented.
         history: Steps that made the height field, see :attr:`warpdiff.HeightField.history`.
 
     Examples:
@@ -59,7 +61,8 @@ class Report:
     def is_converged(self) -> bool:
         """Whether at most 1 % of the interior pixels and 5 % of the edge pixels are expected to exceed their tolerance.
 
-        Without refinement the value is True and guarantees nothing: see ``is_refined``.
+        The errors of edge pixels may be three times the tolerance. For a picture without refinement (see
+        ``is_refined``) the value is True and guarantees nothing.
         """
         return self.unconverged_share <= MOST_UNCONVERGED and self.unconverged_edge_share <= MOST_UNCONVERGED_EDGES
 
@@ -109,8 +112,8 @@ def report_of(
     Args:
         error: Estimated relative error of each pixel, shape (height, width).
         illuminated: Mask of the illuminated pixels, shape (height, width).
-        edges: Mask of the pixels through which an edge of the mesh or of a shadow passes, shape (height, width). None
-            for a picture without refinement.
+        edges: Mask of the pixels that contain an edge of the mesh or of a shadow, shape (height, width). None for a
+            picture without refinement.
         tolerance: As in :class:`Report`.
         refined_share: As in :class:`Report`.
         light_sample_count: As in :class:`Report`.

@@ -20,9 +20,9 @@ DEFAULT_SIGMA_UM = 16.25
 # Angular diameter of the sun [degrees], from astronomy.
 _DEFAULT_DIAMETER_DEG = 0.53
 _WINDOWS = ("averaged", "centred")
-# Largest angular diameter of a source [degrees]. The model replaces the directions to the source, points of the unit
-# sphere, by points of the plane that touches the sphere at the centre of the source. For wider sources this is not
-# accurate.
+# Largest angular diameter of a source [degrees]. In the model, the directions to the source are points of the plane
+# that touches the unit sphere at the centre of the source, instead of points of the sphere. For wider sources this is
+# not accurate.
 _MAX_DIAMETER_DEG = 30.0
 # Largest number of periods along an axis. 100,000 periods of 1 µm are ten centimetres, larger than typical gratings.
 _MAX_PERIODS = 100_000
@@ -35,9 +35,9 @@ class Coherence(Checked):
     Attributes:
         kind: Kind of coherence. ``"averaged"`` is a Gaussian window exp(−r²/2σ²); the reflected power is averaged over
             all positions of the window. ``"centred"`` is one window at one position, speckle included (Single 2014, eq.
-            3.8). ``"source"`` is a light source of finite size on an endless surface: by van Cittert and Zernike's
-            theorem a window whose σ is proportional to the wavelength. ``"replicas"`` is a finite number of whole
-            periods of the patch that interfere (Single 2014, eq. 3.35).
+            3.8). ``"source"`` is a light source of finite size on an endless surface: by the theorem of van Cittert and
+            Zernike, it acts like a window whose σ is proportional to the wavelength. ``"replicas"`` is a finite number
+            of whole periods of the patch that interfere (Single 2014, eq. 3.35).
         sigma_um: Standard deviation σ of the window for ``"averaged"`` and ``"centred"``, by default 16.25: a coherence
             length of 65 µm, taken as 4σ. None for the other kinds.
         centre_um: Position (y, x) of the window for ``"centred"`` [µm]; None is the centre of the patch,
@@ -86,7 +86,7 @@ class Coherence(Checked):
 
     @property
     def adds_powers(self) -> bool:
-        """Whether the powers of neighbouring Fourier coefficients are added. Otherwise their complex amplitudes are."""
+        """Whether the powers of neighbouring Fourier coefficients are added. Otherwise their amplitudes are added."""
         return self.kind in {"averaged", "source"}
 
     @property

@@ -1,9 +1,9 @@
 """Colorimetry: CIE 1931 2° observer, illuminants, quadrature weights, XYZ to linear sRGB, sRGB encoding.
 
-The colour of a reflectance ρ(λ) is ∫ ρ S x̄ȳz̄ dλ / ∫ S ȳ dλ over 380 to 780 nm. The products S·x̄ȳz̄ come from
-colour-science at steps of 1 nm and are interpolated linearly. Lines of S that are narrower than a step keep their
-power. The two end points have full weight, so that ρ = 1 gives exactly the sum over the 1 nm steps. The products of D65
-are stored in a file, because the import of colour-science takes 0.7 s.
+The colour of a reflectance ρ(λ) under an illuminant S(λ) is ∫ ρ S x̄ȳz̄ dλ / ∫ S ȳ dλ over 380 to 780 nm. The products
+S·x̄ȳz̄ come from colour-science at steps of 1 nm and are interpolated linearly. Spectral lines of S that are narrower
+than a step keep their power. Sums give the products at 380 and 780 nm the same weight as all others, as is usual in
+colorimetry. The products of D65 are stored in a file, because the import of colour-science takes 0.7 s.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ Illuminant = str | Spectrum
 
 # Nanometres per micrometre.
 NM_PER_UM = 1e3
-# Ends of the visible range [nm], over which colours are integrated (a convention). The stored colour products of D65
-# cover exactly this range.
+# Shortest wavelength of the visible range [nm], over which colours are integrated (a convention). The stored colour
+# products of D65 cover exactly this range.
 LAMBDA_MIN_NM = 380
 # Longest wavelength of the visible range [nm]; see `LAMBDA_MIN_NM`.
 LAMBDA_MAX_NM = 780
@@ -39,15 +39,15 @@ SHORTEST_NM, LONGEST_NM = 100.0, 10_000.0
 
 PRECOMPUTED = {"D65": Path(__file__).with_name("d65.npy")}
 
-# Number of wavelengths through which the polynomial passes that interpolates ρ: six, for a quintic. Cubics require up
-# to twice as many wavelengths as quintics for a colour error of 1e-4.
+# The reflectance ρ is interpolated by a polynomial through this number of wavelengths: six, for a quintic. Cubics
+# require up to twice as many wavelengths as quintics for a colour error of 1e-4.
 _STENCIL = 6
-# The loop that removes negative quadrature weights ends after the first number of rounds, or when negative weights are
-# at most the second number times the sum of all weights (rounding errors).
+# The loop that removes negative quadrature weights ends after `_MOST_ROUNDS` rounds. The loop ends earlier if the sum
+# of the negative weights is at most `_NEGLIGIBLE` times the sum of all weights, which is the size of rounding errors.
 _MOST_ROUNDS, _NEGLIGIBLE = 64, 1e-12
 
-# A step between tabulated wavelengths counts as at least 1 nm if it is shorter by at most this [nm]. Limit: rounding of
-# the wavelengths in a file.
+# A step between tabulated wavelengths counts as at least 1 nm if it is shorter by at most this [nm]. Wavelengths in a
+# file are rounded, so that their steps are not exact.
 _STEP_ROUNDING = 1e-6
 
 # Matrix from XYZ to linear sRGB (IEC 61966-2-1).
@@ -126,19 +126,20 @@ def colour_products(illuminant: Illuminant = "D65") -> NDArray[np.float64]:
 
 
 def _at_whole_nanometres(wavelengths_nm: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the values of a spectrum at 380, 381, … 780 nm, so that their sum is its power, shape (401,).
+    """Return the values of a spectrum at 380, 381, … 780 nm, whose sum is the power of the spectrum, shape (401,).
 
     A spectrum with steps of at least 1 nm is interpolated linearly. A spectrum with finer steps may have narrow lines
-    between whole nanometres, which interpolation would miss. Its power between two whole nanometres is therefore
-    distributed to both, in inverse proportion to the distance.
+    between whole nanometres, which interpolation would miss. The power between two whole nanometres is therefore
+    distributed to both: a whole nanometre at the distance d [nm] from a wavelength gets the share 1 − d of the power at
+    this wavelength.
     """
     inside = (wavelengths_nm > LAMBDA_MIN_NM - 1) & (wavelengths_nm < LAMBDA_MAX_NM + 1)
     if np.min(np.diff(wavelengths_nm[inside]), initial=1.0) >= 1.0 - _STEP_ROUNDING:
         return np.asarray(np.interp(VISIBLE_NM, wavelengths_nm, values))
     cuts = np.unique(np.concatenate([VISIBLE_NM, np.clip(wavelengths_nm, LAMBDA_MIN_NM, LAMBDA_MAX_NM)]))
-    # The power is integrated between consecutive cuts: all whole nanometres and all wavelengths of the spectrum.
-    # Between two cuts, the spectrum and the share of each whole nanometre are linear functions of the wavelength.
-    # Simpson's rule is exact for their product.
+    # The power is integrated between consecutive cuts, which are all whole nanometres and all wavelengths of the
+    # spectrum. Between two cuts, the spectrum and the share of each whole nanometre are linear functions of the
+    # wavelength. Simpson's rule is exact for the product of two linear functions.
     left, length = cuts[:-1], np.diff(cuts)
     result = np.zeros(len(VISIBLE_NM))
     for place, weight in ((0.0, 1.0 / 6.0), (0.5, 4.0 / 6.0), (1.0, 1.0 / 6.0)):
@@ -148,8 +149,8 @@ def _at_whole_nanometres(wavelengths_nm: NDArray[np.float64], values: NDArray[np
         share = points - VISIBLE_NM[before]
         np.add.at(result, before, power * (1.0 - share))
         np.add.at(result, before + 1, power * share)
-    # The first and the last value contain only half a nanometre of the spectrum, and are doubled. Sums over wavelengths
-    # give them the full weight.
+    # The first and the last value contain the spectrum of only half a nanometre, because the visible range ends there.
+    # Both values are doubled, because sums over wavelengths give all values the same weight.
     result[[0, -1]] *= 2.0
     return result
 
@@ -161,7 +162,7 @@ def products_by_colour_science(name: str) -> NDArray[np.float64]:
 
 @functools.cache
 def _tabulated(illuminant: Illuminant) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Return the wavelengths [nm] and powers of an illuminant, and the mean of its power with the weight ȳ."""
+    """Return the wavelengths [nm] and powers of an illuminant, and the mean of the powers with the weight ȳ."""
     if isinstance(illuminant, Spectrum):
         wavelengths, values = np.asarray(illuminant.wavelengths_nm), np.asarray(illuminant.values)
         visible = _at_whole_nanometres(wavelengths, values)
@@ -181,7 +182,7 @@ def relative_powers(illuminant: Illuminant, wavelengths_nm: NDArray[np.float64])
     S̄ is the mean of S with the weight ȳ. The equal-energy illuminant has the relative power 1.
 
     Raises:
-        ValueError: The illuminant is not known at one of the wavelengths.
+        ValueError: The spectrum of the illuminant does not cover one of the wavelengths.
     """
     known_nm, values, mean = _tabulated(check_illuminant(illuminant))
     if wavelengths_nm.min() < known_nm[0] or wavelengths_nm.max() > known_nm[-1]:
@@ -215,10 +216,11 @@ def quadrature_weights(wavelengths_nm: ArrayLike, illuminant: Illuminant = "D65"
     """Return the weights by which samples of the reflectance ρ(λ) are summed to XYZ.
 
     ρ is interpolated in 1/λ by the quintic polynomial through the six nearest samples, and is constant outside them.
-    Its product with the colour curves is integrated, and the weights are scaled to the exact white. Linear
-    interpolation has an error of 1e-2 for narrow orders where the curves are steep. Cubic interpolation requires up to
-    twice the samples at a tolerance of 1e-4. Weights can become negative at the ends of a curve, or between samples
-    further apart than lines of the illuminant. Negative weights are moved to their neighbours.
+    The product of this polynomial with S·(x̄, ȳ, z̄) of the illuminant S is integrated. The weights are scaled so that
+    ρ = 1 has exactly the colour of a perfect mirror. Linear interpolation would have an error of 1e-2 for a narrow
+    diffraction order at a wavelength at which x̄, ȳ or z̄ is steep. Cubic interpolation would require up to twice as
+    many samples at a tolerance of 1e-4. Weights can become negative where x̄, ȳ or z̄ falls to 0, or where lines of the
+    illuminant are closer together than the samples. Half of a negative weight is added to either neighbouring weight.
 
     Args:
         wavelengths_nm: Strictly increasing wavelengths [nm], shape (m,).
@@ -232,8 +234,9 @@ def quadrature_weights(wavelengths_nm: ArrayLike, illuminant: Illuminant = "D65"
         raise ArgumentValueError(f"{ref('wavelengths_nm')} must be strictly increasing")
     products = colour_products(illuminant)
     grid = VISIBLE_NM
-    # The integral is computed between consecutive cuts: all whole nanometres and all given wavelengths. The integrand
-    # has kinks only at the cuts, so that three Gauss points per interval between two cuts suffice.
+    # The integral is computed between consecutive cuts, which are all whole nanometres and all wavelengths of the
+    # samples. The integrand has kinks only at the cuts, so that three Gauss points per interval between two cuts
+    # suffice.
     cuts = np.union1d(grid, nodes[(nodes > grid[0]) & (nodes < grid[-1])])
     left, length = cuts[:-1, None], np.diff(cuts)[:, None]
     gauss, measure = np.polynomial.legendre.leggauss(3)
@@ -248,10 +251,10 @@ def quadrature_weights(wavelengths_nm: ArrayLike, illuminant: Illuminant = "D65"
 def _interpolation_weights(
     nodes: NDArray[np.float64], points: NDArray[np.float64], masses: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the weights of the values of ρ at the wavelengths ``nodes`` in a weighted sum over interpolated values.
+    """Return weights of the values of ρ at ``nodes``, for a weighted sum of interpolated values of ρ.
 
     Lagrange polynomials in 1/λ interpolate ρ from the m wavelengths ``nodes`` to the p wavelengths ``points``. The sum
-    has the weights ``masses`` at the points, shape (p, 3). The result has the shape (m, 3).
+    gives the interpolated values the weights ``masses``, shape (p, 3). The result has the shape (m, 3).
     """
     stencil = min(_STENCIL, nodes.size)
     tau, targets = 1.0 / nodes, 1.0 / np.clip(points, nodes[0], nodes[-1])
@@ -267,9 +270,10 @@ def _interpolation_weights(
 
 
 def _without_negative(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Replace negative weights by 0: half of each is added to either neighbour, repeatedly.
+    """Replace negative weights by 0, after half of a negative weight has been added to either neighbouring weight.
 
-    Sums over a smooth ρ hardly change.
+    The addition is repeated, because it can make neighbouring weights negative. Weighted sums over a smooth ρ hardly
+    change.
     """
     for _ in range(_MOST_ROUNDS):
         negative = np.minimum(weights, 0.0)
@@ -283,8 +287,8 @@ def _without_negative(weights: NDArray[np.float64]) -> NDArray[np.float64]:
 def wavelengths_uniform_in_wavenumber(count: int) -> NDArray[np.float64]:
     """Return ``count`` increasing wavelengths [nm], equally spaced in 1/λ over the visible range, ends included.
 
-    Steps are equal in 1/λ because the light of a Fourier coefficient in a given direction is a Gaussian over 1/λ, with
-    the same width at all λ.
+    Steps are equal in 1/λ because, in a fixed direction, the light of a Fourier coefficient is a Gaussian function of
+    1/λ, whose width is the same for all coefficients.
     """
     validation.count(count, "count", least=2)
     return 1.0 / np.linspace(1.0 / LAMBDA_MIN_NM, 1.0 / LAMBDA_MAX_NM, count)
@@ -296,8 +300,9 @@ def uniform_quadrature(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return ``count`` wavenumbers 1/λ [1/µm] over the visible range, shape (m,), and their weights, shape (m, 3).
 
-    The wavenumbers are equally spaced. With ``geometric`` they have equal ratios. This is for a source of finite size,
-    for which the width over 1/λ of the light of a coefficient is proportional to 1/λ.
+    The wavenumbers are equally spaced. With ``geometric``, the ratios of consecutive wavenumbers are equal. This is for
+    a source of finite size: the light of a Fourier coefficient is then a peak over 1/λ whose width is proportional to
+    1/λ.
     """
     wavelengths = wavelengths_uniform_in_wavenumber(count)
     if geometric:

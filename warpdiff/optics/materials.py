@@ -33,12 +33,12 @@ if TYPE_CHECKING:
 METALS = Path(__file__).with_name("metals.json")
 Metal = Literal["Al", "Ag", "Au", "Cr", "Cu", "Ni"]
 Polarisation = Literal["s", "p"]
-# Largest thickness of a film [nm]. The interference fringes of thicker films over the wavelength are narrower than the
-# sampling of colours resolves.
+# Largest thickness of a film [nm]. As functions of the wavelength, the interference fringes of thicker films are too
+# narrow for the sampling of colours.
 _THICKEST_FILM_NM = 1000.0
 # Imaginary part k of the index above which a material counts as opaque, so that a pigment below it is invisible: at
-# this k, the power of light of 500 nm falls to 1/e within 4 µm of the material. If doubled, more materials show their
-# pigment.
+# this k, the power of light of 500 nm falls to 1/e within 4 µm of the material. If doubled, more materials show the
+# pigment below them.
 _OPAQUE = 0.01
 # Number of angles at which the transmittance of a surface is tabulated. For a surface with Schlick's reflectance, the
 # transmittance that is linearly interpolated between these angles has an absolute error of at most 3e-6.
@@ -172,7 +172,7 @@ class Material:
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> Material:
-        r"""Load a material from a file of refractiveindex.info: its YAML (tables, formulas 1 to 9) or its CSV.
+        r"""Load a material from a file of refractiveindex.info, in YAML (tables, formulas 1 to 9) or in CSV.
 
         Args:
             path: Path of the file: YAML with suffix ``.yml`` or ``.yaml``, otherwise CSV with columns or blocks of
@@ -180,8 +180,8 @@ class Material:
 
         Raises:
             FileNotFoundError: The file does not exist.
-            ValueError: The file has no index of refraction that can be read, or a row that is not a wavelength with its
-                numbers; the message names the line.
+            ValueError: The file has no index of refraction that can be read, or a row that does not consist of a
+                wavelength and numbers; the message names the line.
 
         Examples:
             >>> import pathlib, tempfile
@@ -297,7 +297,8 @@ def reflectances(
 ) -> NDArray[np.float64]:
     """Return R(θd, λ), shape (n, m), for n scattering vectors and m wavelengths [nm]; cos θd = |(u, v, w)|/2.
 
-    Without a material the result is 1, because the gains already contain Schlick's reflectance.
+    (u, v, w) = −ωi − ωr is a scattering vector, and θd is half of the angle between ωi and ωr. Without a material the
+    result is 1, because the geometry factors (gains) already contain Schlick's reflectance.
     """
     if material is None:
         return np.ones((1, 1))
@@ -316,7 +317,7 @@ def check_covers(material: Material, low_nm: float, high_nm: float, name: str = 
 
 
 def _index(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """Return n + ik of a material without its film at wavelengths [nm]; beyond the table its end values apply."""
+    """Return n + ik of a material without its film at wavelengths [nm]; beyond its table, n + ik is constant."""
     table, n, k = (np.asarray(column) for column in (material.wavelengths_nm, material.n, material.k))
     return np.asarray(np.interp(wavelengths_nm, table, n) + 1j * np.interp(wavelengths_nm, table, k))
 
@@ -327,7 +328,8 @@ def _fresnel(
     """Return Fresnel's amplitude reflectance at the boundary of two media, from their indices and cosines."""
     a, b = (first * cosine, second * next_cosine) if polarisation == "s" else (second * cosine, first * next_cosine)
     total = a + b
-    # The divisor is 0 only for grazing incidence at the boundary of media with equal indices. It is then replaced by 1.
+    # The divisor is 0 only for grazing incidence at the boundary of media with equal indices. The divisor is then
+    # replaced by 1.
     return np.asarray((a - b) / np.where(total == 0.0, 1.0, total))
 
 
@@ -345,11 +347,11 @@ def _metals() -> dict[str, Material]:
 
 @dataclass(frozen=True)
 class IlluminatedMaterial:
-    """An illuminant and a material that it illuminates, for which a table or a sum over wavelengths computes colours.
+    """An illuminant and a material that it illuminates. A table or a sum over wavelengths has colours for such a pair.
 
     Attributes:
         illuminant: Name or spectrum of the illuminant.
-        material: Material; None if the gains already contain Schlick's reflectance.
+        material: Material; None if the geometry factors (gains) already contain Schlick's reflectance.
     """
 
     illuminant: colorimetry.Illuminant
@@ -378,7 +380,7 @@ def reflectance_table(material: Material, angles: int) -> NDArray[np.float32]:
 def check_reflection(ior: object, material: Any) -> tuple[float, Material | None]:
     """Return R(0), to which the relative reflectance ρ of a surface refers, and the material or None.
 
-    R(0) is the reflectance at normal incidence that follows from the index of refraction ``ior``. With a material, it
+    R(0) is the reflectance at normal incidence that follows from the index of refraction ``ior``. With a material, R(0)
     is 1, and ρ is relative to a perfect mirror.
     """
     if material is None:
@@ -391,11 +393,11 @@ def check_reflection(ior: object, material: Any) -> tuple[float, Material | None
 def check_materials(
     ior: object, material: Any, band_nm: tuple[float, float], *, by_geometry: bool
 ) -> tuple[float, dict[str, Material | None]]:
-    """Return R(0) as `check_reflection` does, and the materials by the name of the geometry of a mesh that has them.
+    """Return R(0) as `check_reflection` does, and the materials by name.
 
-    A single material has the name ``""``. With ``by_geometry`` the argument ``material`` may be a mapping from names to
-    materials. Each material must be tabulated at all wavelengths of ``band_nm``, the shortest and the longest
-    wavelength of the call.
+    A name is that of the geometry of a mesh that has the material; a single material has the name ``""``. With
+    ``by_geometry`` the argument ``material`` may be a mapping from such names to materials. Each material must be
+    tabulated at all wavelengths of ``band_nm``, the shortest and the longest wavelength of the call.
     """
     if not (by_geometry and isinstance(material, Mapping)):
         normal, one = check_reflection(ior, material)
@@ -429,8 +431,8 @@ def transmittances(normal: float, material: Material | None) -> NDArray[np.float
 
     The rows are for equally spaced cosines of the angle of incidence, from 0 to 1. Without a material, R is Schlick's
     reflectance. Opaque materials transmit nothing. For other materials, with or without a film, 1 − R is averaged over
-    the wavelengths separately for red, green and blue. The weights are those of the wavelengths in the colour of a
-    white pigment under D65.
+    the wavelengths separately for red, green and blue. The weight of a wavelength is its contribution to the colour of
+    a white pigment under D65.
     """
     cosines = np.linspace(0.0, 1.0, _TRANSMITTANCE_ANGLES)
     if material is None:

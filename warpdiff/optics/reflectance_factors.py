@@ -43,22 +43,23 @@ def gain(
     to_light: NDArray[np.float64], to_view: NDArray[np.float64], *, normal: float, masking: bool,
     per_light_cosine: bool = False,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Factor C·M between ⟨|P|²⟩ and the relative reflectance ρ; 0 if a direction is at or below the horizon.
+    """Factor C·M between the power ⟨|P|²⟩ and the relative reflectance ρ; 0 if a direction is not above the horizon.
 
-    C = R(θd)/R(0) · (1 + ωi·ωr)² / ((cos θi + cos θr)² cos θr) is eq. 3.15 of Single 2014, corrected: Schlick's
-    reflectance R is a power and is therefore not squared. θd is half of the angle between ωi and ωr. M is the V-cavity
-    masking and shadowing of Cook and Torrance (1982). For a source of finite size the factor is C·M/cos θi: a flat
-    mirror then shows the radiance of the source, ρ = R(θi)/R(0).
+    P is the windowed mean of exp(ik(wh + ux + vy)) over the heights h. The factor C is R(θd)/R(0) · (1 + ωi·ωr)² /
+    ((cos θi + cos θr)² cos θr), which is eq. 3.15 of Single 2014, with a correction: Schlick's reflectance R is a ratio
+    of powers and is therefore not squared. θd is half of the angle between ωi and ωr. M is the V-cavity masking and
+    shadowing of Cook and Torrance (1982). For a source of finite size the factor is C·M/cos θi: a flat mirror then
+    shows the radiance of the source, ρ = R(θi)/R(0).
 
     Args:
-        to_light: Unit vectors, shape (n, 3).
-        to_view: Unit vectors, shape (n, 3).
-        normal: R(0).
+        to_light: Unit vectors ωi to the light, shape (n, 3).
+        to_view: Unit vectors ωr to the viewer, shape (n, 3).
+        normal: Reflectance R(0) at normal incidence.
         masking: Whether to include M.
         per_light_cosine: Whether to divide by cos θi, as for a coherence of kind ``"source"``.
 
     Returns:
-        Shape (n,).
+        Factors, shape (n,).
     """
     cos_i, cos_r = to_light[:, 2], to_view[:, 2]
     above = (cos_i > HORIZON) & (cos_r > HORIZON)
@@ -82,12 +83,13 @@ def gain(
 def light_solid_angle(
     wavelengths_um: NDArray[np.float64], coherence: Coherence, patch_area_um2: float
 ) -> NDArray[np.float64]:
-    """Return Ω(λ) [sr], the solid angle of a light whose coherence equals the window, the source or the periods.
+    """Return Ω(λ) [sr], the solid angle of a light that is as coherent as the window, the source or the periods.
 
-    Ω = λ² ∫g² / |∫g|², with g the window (Stam 1999). For a Gaussian window of the amplitude, averaged or centred, it
-    is λ²/(4πσ²). For a source of angular radius α = √2 s it is πα² = 2πs²; its window by van Cittert and Zernike has
-    σ(λ) = λ/(2√2 πs). For N1 × N2 periods of a patch of area A it is λ²/(A N1 N2). The relative reflectance ρ is the
-    radiance divided by that of this light, so that Ω converts ρ to absolute quantities.
+    Ω = λ² ∫g² / |∫g|², with g the window (Stam 1999). For a Gaussian window of the amplitude, averaged or centred, Ω is
+    λ²/(4πσ²). For a source of angular radius α = √2 s, Ω is πα² = 2πs²; by the theorem of van Cittert and Zernike, the
+    window of a source has σ(λ) = λ/(2√2 πs). For N1 × N2 periods of a patch of area A, Ω is λ²/(A N1 N2). The relative
+    reflectance ρ is the reflected radiance divided by the radiance of this light, so that Ω converts ρ to absolute
+    quantities.
 
     Args:
         wavelengths_um: Wavelengths [µm].
@@ -111,7 +113,7 @@ def pigment_solid_angle(
 ) -> NDArray[np.float64]:
     """Return G = Ω/π, the factor from a Lambertian reflectance a, with the BRDF a/π, to a relative reflectance.
 
-    It is λ²/(4π²σ²) for Gaussian windows, 2s² for a source, and λ²/(πA N1 N2) for periods of a patch of area A. The
+    G is λ²/(4π²σ²) for Gaussian windows, 2s² for a source, and λ²/(πA N1 N2) for periods of a patch of area A. The
     arguments are those of :func:`light_solid_angle`.
     """
     return light_solid_angle(wavelengths_um, coherence, patch_area_um2) / math.pi
@@ -120,7 +122,7 @@ def pigment_solid_angle(
 def pigment_white(
     illuminant: colorimetry.Illuminant, coherence: Coherence, patch_area_um2: float, *, is_of_sky: bool = False
 ) -> NDArray[np.float64]:
-    """Return the XYZ of a white pigment of strength 1 under an illuminant S, shape (3,).
+    """Return the XYZ of a white pigment (a Lambertian reflectance of 1) under an illuminant S, shape (3,).
 
     The factor G(λ) of :func:`pigment_solid_angle` is replaced by its mean ∫ G S ȳ dλ / ∫ S ȳ dλ. The luminance is then
     exact, and the pigment has the chromaticity of the illuminant. With G(λ) itself, which is proportional to λ² for a
@@ -141,12 +143,12 @@ def pigment_white(
 def brdf_scale(
     cos_light: NDArray[np.float64], wavelengths_um: NDArray[np.float64], coherence: Coherence, patch_area_um2: float
 ) -> NDArray[np.float64]:
-    """Return 1/(Ω cos θi), the ratio of the absolute BRDF [1/sr] to R(0)·ρ, with ρ without masking (Stam 1999).
+    """Return 1/(Ω cos θi), the ratio of the absolute BRDF [1/sr] to R(0)·ρ (Stam 1999); ρ excludes masking.
 
     With ρ = C ⟨|P|²⟩, or C/cos θi ⟨|P|²⟩ for a source, the BRDF is R(θd) (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩
-    times a factor. Here θd is half of the angle between ωi and ωr. The factor is 4πσ²/λ² for Gaussian windows and A N1
-    N2/λ² for periods. For a source of the spread s it is 1/(2πs² cos θi), because the source is foreshortened in (u,
-    v).
+    times a factor. Here θd is half of the angle between ωi and ωr. For Gaussian windows, the factor is 4πσ²/λ². For N1
+    × N2 periods of a patch of area A, it is A N1 N2/λ². For a source of the spread s, the factor is 1/(2πs² cos θi),
+    because the source is foreshortened in (u, v).
 
     Args:
         cos_light: cos θi > 0, shape (n,).
@@ -155,6 +157,6 @@ def brdf_scale(
         patch_area_um2: Area of the patch [µm²].
 
     Returns:
-        Shape (n, m).
+        Ratios, shape (n, m).
     """
     return 1.0 / (cos_light[:, None] * light_solid_angle(wavelengths_um, coherence, patch_area_um2))

@@ -1,7 +1,8 @@
 """Readers of refractive index files of refractiveindex.info, in YAML or CSV.
 
-No row of a table is ignored. A row that does not consist of a wavelength and its numbers raises an error with its line.
-Only rows beyond the wavelengths that a `warpdiff.Material` accepts, 100 to 10,000 nm, are removed.
+No row of a table is ignored. A row that does not consist of a wavelength and the numbers of the other columns raises an
+error that names the line. Only rows beyond the wavelengths that a `warpdiff.Material` accepts, 100 to 10,000 nm, are
+removed.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
 
 # Shortest and longest wavelength that a material accepts [µm], from the limits in `warpdiff.optics.colorimetry`.
 _LEAST_UM, _MOST_UM = SHORTEST_NM / NM_PER_UM, LONGEST_NM / NM_PER_UM
-# Number of wavelengths, with equal ratios, at which a formula is tabulated; the index is linear between them. If
-# halved, the index of the glass N-BK7 is wrong by up to 4e-5.
+# Number of wavelengths at which the index of a formula is tabulated. Consecutive wavelengths have equal ratios, and the
+# index is linear between them. If halved, the index of the glass N-BK7 is wrong by up to 4e-5.
 _STEPS = 512
 # Constant in Herzberger's formula for the index of refraction [µm²]. It is a part of the formula's definition.
 _HERZBERGER_UM2 = 0.028
@@ -42,7 +43,8 @@ def read(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[
 
     Raises:
         OSError: The file does not exist, or cannot be read.
-        ValueError: The file has no index of refraction that can be read, or a row without a wavelength and its numbers.
+        ValueError: The file has no index of refraction that can be read, or a row that does not consist of a wavelength
+            and numbers.
     """
     text = read_text(file)
     try:
@@ -77,7 +79,7 @@ def _shared_wavelengths(tables: dict[str, Table]) -> NDArray[np.float64]:
 
 
 def _yaml(text: str) -> tuple[dict[str, Table], str]:
-    """Return the tables of n and k in a YAML file, or computed from its formulas, and its literature reference."""
+    """Return tables of n and k from a YAML file, and its literature reference. A table of n may come from a formula."""
     blocks = list(_BLOCK.finditer(text))
     if not blocks:
         raise ValueError(
@@ -107,9 +109,9 @@ def _yaml(text: str) -> tuple[dict[str, Table], str]:
 
 
 def _data_lines(body: str, first_line: int) -> Lines:
-    """Return the lines of the table in a block of a YAML file, split into words, with their line numbers.
+    """Return the rows of the table in a block of a YAML file, split into words, with their line numbers.
 
-    They are the lines below ``data:`` that are indented more than it.
+    The rows are the lines below ``data:`` that are indented further than the line with ``data:``.
     """
     lines: Lines = []
     indent = -1
@@ -238,7 +240,7 @@ def _csv(text: str) -> dict[str, Table]:
             continue
         if all(_number(cell) is None for cell in cells):
             finish()
-            # Units in brackets are no names of columns. They are separate cells if a space precedes the bracket.
+            # Cells that begin with a bracket are units, such as "[nm]" in "wl [nm]", and no names of columns.
             names = [cell.lower() for cell in cells[1:] if not cell.startswith(("[", "("))]
             if not set(names) <= {"n", "k"} or not names:
                 raise ValueError(f"columns must be a wavelength, n and k, got {line.strip()!r} in line {number}")
@@ -256,7 +258,7 @@ def _number(cell: str) -> float | None:
 def _rows(lines: Lines, columns: list[str]) -> NDArray[np.float64]:
     """Return a table of numbers from lines of text, one number per column.
 
-    A line with other content raises an error that names the line.
+    A line that does not consist of one number per column raises an error that names the line.
     """
     rows = []
     for line, cells in lines:

@@ -27,8 +27,8 @@ _DAYLIGHT_K = (4000.0, 25_000.0)
 def colour_science() -> Any:
     """Return the package colour-science, which is imported at its first use only, because the import is slow."""
     with warnings.catch_warnings(), np.printoptions():
-        # When it is imported, colour-science warns of absent optional packages, which warpdiff does not use, and
-        # changes NumPy's print options. Both are prevented here.
+        # At its import, colour-science warns of absent optional packages, which warpdiff does not use, and changes
+        # NumPy's print options. Both effects are prevented here.
         warnings.simplefilter("ignore")
         import colour
 
@@ -43,7 +43,7 @@ class Spectrum:
     outside 380 to 780 nm are kept, and have no effect on colours.
 
     Attributes:
-        wavelengths_nm: Wavelengths [nm], increasing, covering 380 to 780, at any distances, shape (m,), m > 1.
+        wavelengths_nm: Wavelengths [nm], increasing, covering 380 to 780, with steps of any size, shape (m,), m > 1.
         values: Relative powers, at least 0, shape (m,).
         name: Name in messages and ``print``.
 
@@ -112,7 +112,7 @@ class Spectrum:
         """
         kelvin = validation.number(temperature_k, "temperature_k", least=500.0, most=1e5)
         nm = np.arange(360.0, 831.0)
-        # Powers are relative to that at 560 nm, which prevents overflow.
+        # Powers are divided by the power at 560 nm, which prevents overflow.
         exponents = _SECOND_RADIATION_CONSTANT / kelvin * (1.0 / nm - 1.0 / 560.0)
         ratio = np.expm1(-_SECOND_RADIATION_CONSTANT / (kelvin * 560.0)) / np.expm1(
             -_SECOND_RADIATION_CONSTANT / (kelvin * nm)

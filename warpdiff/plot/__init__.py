@@ -1,7 +1,7 @@
 """Plots of height fields and results with matplotlib, public as ``wd.plot``; requires ``pip install 'warpdiff[plot]'``.
 
 The functions plot height fields, order efficiencies, spectra, pictures and plans. Each function accepts ``ax=``, the
-matplotlib axes to draw into; by default it makes a new figure. It returns the axes, and
+matplotlib axes to draw into; by default the function makes a new figure. The function returns the axes, and
 ``axes.figure.savefig("plot.png")`` writes the figure to a file.
 
 matplotlib is imported when the first plot is drawn.

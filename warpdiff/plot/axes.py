@@ -10,21 +10,23 @@ from warpdiff.core.wording import ArgumentTypeError, ref
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Colours of lines: the palette of Okabe and Ito (2008), which colour-blind readers can distinguish. Its yellow is
-# omitted, because it is too pale on white.
+# Colours of lines: the palette of Okabe and Ito (2008), which colour-blind readers can distinguish. The yellow of the
+# palette is omitted, because it is too pale on white.
 LINE_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
-# Line styles of matplotlib. When all colours of lines are used, the colours repeat with the next style.
+# Line styles of matplotlib for plots with many lines. After all colours of lines have been used, the colours repeat
+# with the next line style.
 LINE_STYLES = ("-", "--", ":", "-.")
 # `FAINT` is the colour of grid lines and backgrounds, a light grey. `MISSING` is the colour of missing samples in
 # height maps.
 FAINT, MISSING = "0.85", "white"
-# Maximum length of a scale bar, as a share of the width of the map. Limit: a longer bar hides more of the map.
+# Maximum length of a scale bar, as a share of the width of the map that it describes. The value was chosen: a longer
+# bar hides more of the map.
 _LONGEST_BAR = 0.25
 # Length of the longer side of a map in a new figure [inches].
 _MAP_INCHES = 4.3
-# Lengths of scale bars are one of these numbers times a power of ten.
+# The length of a scale bar is one of these numbers times a power of ten.
 _ROUND_LENGTHS = (1.0, 2.0, 5.0)
-# First number: height range [µm] at and above which heights are shown in µm instead of nm. Second number: nanometres
+# First number: range of the heights [µm] from which plots show heights in µm instead of nm. Second number: nanometres
 # per micrometre.
 _LEAST_MICROMETRES, _NM_PER_UM = 1.0, 1e3
 
@@ -120,7 +122,7 @@ def add_scale_bar(ax: Axes, width_um: float) -> None:
 
 
 def add_colour_bar(ax: Axes, picture: Any, label: str, *, extend: str = "neither") -> Any:
-    """Draw a colour bar to the right of a map, as high as the map, and return it.
+    """Draw a colour bar to the right of a map, as high as the map, and return the colour bar.
 
     Args:
         ax: Axes of the map.
@@ -135,7 +137,7 @@ def add_colour_bar(ax: Axes, picture: Any, label: str, *, extend: str = "neither
 
 
 def map_size(extent_y: float, extent_x: float) -> tuple[float, float]:
-    """Return the width and height of a map [inches] with the aspect ratio of its extents, but at most 4 to 1."""
+    """Return the width and height of a map [inches]; their ratio is that of the extents, but at most 4 to 1."""
     ratio = min(max(extent_y / extent_x, 0.25), 4.0)
     return (_MAP_INCHES, _MAP_INCHES * ratio) if ratio <= 1.0 else (_MAP_INCHES / ratio, _MAP_INCHES)
 

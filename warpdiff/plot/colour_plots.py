@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 # Width and height of the reflectance map that is computed to plot a height field [pixels].
 _MAP_PIXELS = 480
-# View angles at which a colour strip evaluates a height field [degrees]. The step is about half of the angular width of
-# a diffraction order with the default window.
+# View angles at which a height field is evaluated for a strip of colours [degrees]. The step is about half of the
+# angular width of a diffraction order at the default coherence length.
 _STRIP_DEG = np.arange(-89.75, 89.76, 0.25)
 # Angles from the normal at which a reflectance map has circles [degrees].
 _CIRCLES_DEG = (30.0, 60.0)
@@ -40,14 +40,14 @@ def reflectance_map(
     """Plot the display colours of the reflectance over all view directions, for one direction to the light.
 
     The plot is a disc over the x and y components of the view direction: its centre is the normal and its rim the
-    horizon. Circles are at 30° and 60° from the normal. A small circle marks the light, and a cross its mirror
-    direction.
+    horizon. Circles are at 30° and 60° from the normal. A small circle marks the direction to the light, and a cross
+    its mirror direction.
 
     Args:
         source: Height field, which is evaluated with default settings, or the picture that
             :func:`warpdiff.reflectance_map` returned.
-        to_light: Direction to the light in the local frame, shape (3,); required for a height field. The plot
-            marks it and its mirror direction; None, which is possible for a picture, marks nothing.
+        to_light: Direction to the light in the local frame, shape (3,); required for a height field. The plot marks
+            this direction and its mirror direction. For a picture, None is possible and marks nothing.
         ax: Axes to draw into; None makes a figure.
         display: Display transform, as in :meth:`warpdiff.Image.display`.
         title: Title; None states the direction of the light.
@@ -92,7 +92,7 @@ def reflectance_map(
 
 
 def _add_directions(ax: Axes, light: NDArray[np.float64] | None) -> None:
-    """Draw circles of equal angle from the normal, axis labels and the mirror direction into a map of directions."""
+    """Draw axis labels, circles of equal angle from the normal, the light and its mirror direction into a map."""
     from matplotlib.patches import Circle
 
     for angle in _CIRCLES_DEG:
@@ -138,12 +138,13 @@ def colour_strip(
     Args:
         source: Height field, which is evaluated with default settings, or the XYZ of
             :func:`warpdiff.reflectance` in the directions of ``angles_deg``, shape (n, 3).
-        to_light: Direction to the light in the local frame, shape (3,); required for a height field. The plot
-            marks its mirror direction if it lies in the plane.
+        to_light: Direction to the light in the local frame, shape (3,); required for a height field. The plot marks the
+            mirror direction of the light if this lies in the plane.
         angles_deg: View angles from the normal [degrees], increasing, shape (n,). None is −89.75 to 89.75 in steps of
             0.25 for a height field.
-        azimuth_deg: Azimuth of the plane from the x axis [degrees]; positive view angles are on that side. None is the
-            plane of the light, with an azimuth from −90 to 90 degrees. For a light along the normal, None is 0.
+        azimuth_deg: Azimuth of the plane from the x axis [degrees]; positive view angles are on the side of this
+            azimuth. None is the plane through the normal and the light, with an azimuth from −90 to 90 degrees. For a
+            light along the normal, None is 0.
         ax: Axes to draw into; None makes a figure.
         display: Display transform, as in :meth:`warpdiff.Image.display`.
         title: Title; None states the direction of the light.
@@ -195,7 +196,7 @@ def colour_strip(
             )
     ax = axes_for(ax, width=7.0, height=1.9)
     colours = to_srgb(xyz, display, **settings)
-    # Each colour fills the view angles up to half-way to the neighbouring angles.
+    # The strip shows each colour up to half of the distance to the neighbouring view angles.
     edges = np.concatenate([[angles[0]], 0.5 * (angles[1:] + angles[:-1]), [angles[-1]]])
     ax.pcolormesh(edges, [0.0, 1.0], colours[None], rasterized=True)
     ax.set_yticks([])
@@ -215,7 +216,7 @@ def colour_strip(
 def _azimuth_of(light: NDArray[np.float64] | None) -> float:
     """Return the azimuth of the plane through the normal and the light, from −π/2 to π/2 [rad].
 
-    Without a light, and for a light along the normal, it is 0.
+    Without a light, and for a light along the normal, the azimuth is 0.
     """
     if light is None or math.hypot(light[0], light[1]) < 1e-9:
         return 0.0

@@ -17,8 +17,9 @@ from warpdiff.request.signatures import checked
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# The colours of an error image range from the tolerance divided by this number to the tolerance times this number.
-# Limit: errors outside of this range cannot be distinguished from those at its ends.
+# The colours of an error image range from the tolerance divided by this number to the tolerance times this number. The
+# value was chosen. If doubled, more errors have different colours, but errors near the tolerance are harder to
+# distinguish.
 _ERROR_RANGE = 30.0
 # Start of the logarithmic error axis in the plot of a plan, relative to the tolerance. Smaller errors have bars of
 # length 0.
@@ -89,12 +90,12 @@ def error_image(
 
 @checked
 def plan(plan: Plan, *, ax: Axes | None = None, title: str | None = None) -> Axes:
-    """Plot the predicted errors of a plan by their source; a line marks the tolerance, and the title states the cost.
+    """Plot the errors that a plan predicts, by their source; a line marks the tolerance, the title states the cost.
 
     Args:
         plan: Plan, for example of :func:`warpdiff.plan` or ``image.plan``.
         ax: Axes to draw into; None makes a figure.
-        title: Title; None states whether the plan meets its tolerance, and its computing time.
+        title: Title; None states whether the plan meets its tolerance, and how long the computation takes.
 
     Returns:
         The axes.

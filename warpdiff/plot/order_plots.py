@@ -22,16 +22,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import ArrayLike, NDArray
 
-# Maximum luminance of the colour of a line, relative to the white background. Derived: the contrast to white is then at
-# least (1 + 0.05)/(0.3 + 0.05) = 3, the minimum of WCAG 2 for graphics, whose definition of contrast adds 0.05 to both
-# luminances.
+# Maximum luminance of the colour of a line, relative to the white background. The value is derived from the minimum
+# contrast of 3 that WCAG 2 requires of graphics. WCAG 2 adds 0.05 to both luminances of a contrast, so that the
+# contrast is at least (1 + 0.05)/(0.3 + 0.05) = 3.
 _LINE_LUMINANCE = 0.3
-# Band below the wavelength axis that shows the colour of each wavelength: its height as a share of the height of the
-# plot, and its number of colours.
+# A band below the wavelength axis shows the colour of each wavelength. First number: height of the band as a share of
+# the height of the plot. Second number: number of colours in the band.
 _BAND_HEIGHT, _BAND_COLOURS = 0.03, 256
-# Lower bound of an RGB component before a division by it; it prevents a division by zero.
+# Lower bound of an RGB component before a division by this component, which prevents a division by zero.
 _LEAST_RGB = 1e-9
-# Maximum number of orders that a plot against the view angle labels with their numbers. Limit: more labels overlap.
+# Maximum number of diffraction orders that a plot against the view angle labels with their numbers. The value is
+# limited by space: more labels overlap.
 _MOST_NAMED = 25
 Against = Literal["wavelength", "angle", "incidence"]
 
@@ -48,8 +49,8 @@ def orders(
         ax: Axes to draw into; None makes a figure.
         against: ``"wavelength"`` draws a line per order. ``"angle"`` draws each order at the angle at which it leaves
             the surface, with a colour per wavelength. ``"incidence"`` draws a line per order over the angle of the
-            light, for several lights. None is ``"incidence"`` for several lights, ``"wavelength"`` for one light and
-            several wavelengths, and ``"angle"`` for one light and one wavelength.
+            light, for several lights. None selects ``"incidence"`` for several lights, ``"wavelength"`` for one light
+            and several wavelengths, and ``"angle"`` for one light and one wavelength.
         count: Number of orders that are drawn as lines, at least 1; the strongest orders are drawn.
         errors: Error of the efficiencies at each wavelength, shape (m,), drawn as bars if ``against`` is ``"angle"``;
             None draws no bars.
@@ -60,8 +61,8 @@ def orders(
 
     Raises:
         ImportError: matplotlib is not installed.
-        ValueError: ``against`` does not fit the result: ``"incidence"`` requires several lights and one wavelength, the
-            others one light. Or ``errors`` does not have one number per wavelength.
+        ValueError: ``against`` does not fit the result: ``"incidence"`` requires several lights and one wavelength;
+            ``"wavelength"`` and ``"angle"`` require one light. Or ``errors`` does not have one number per wavelength.
 
     Examples:
         >>> import warpdiff as wd
@@ -186,8 +187,8 @@ def _add_colours(ax: Axes) -> None:
         return
     wavelengths = np.linspace(first, last, _BAND_COLOURS)
     rgb = _spectral_rgb(wavelengths)
-    # Each colour is divided by the square root of its largest component. This makes the dark colours at the ends of the
-    # visible range brighter, so that the band fades to black slowly.
+    # The largest component of a colour is small at the ends of the visible range. Each colour is divided by the square
+    # root of this component. Dark colours become brighter, so that the band fades to black slowly.
     colours = colorimetry.srgb_encode(rgb / np.sqrt(np.maximum(rgb.max(axis=1, keepdims=True), _LEAST_RGB)))
     ax.imshow(
         colours[None], extent=(first, last, -_BAND_HEIGHT, 0.0), transform=ax.get_xaxis_transform(), aspect="auto",
@@ -222,7 +223,7 @@ def _draw_lines(
 
     Args:
         ax: Axes to draw into.
-        result: Result that holds the numbers of the orders.
+        result: Order efficiencies, with the numbers of the orders.
         positions: Wavelengths or angles, shape (m,).
         efficiencies: Efficiencies of n orders, shape (m, n).
         components: x component of the direction of each order, shape (m, n); NaN where an order is evanescent.
@@ -231,7 +232,7 @@ def _draw_lines(
     strongest = np.argsort(-efficiencies.max(axis=0), kind="stable")[:count]
     order = np.argsort(positions)
     values = 100.0 * np.where(np.isnan(components), np.nan, efficiencies)
-    # The orders in the legend are sorted by their numbers, not by their efficiencies.
+    # The legend lists the orders by their numbers, not by their efficiencies.
     for index, column in enumerate(sorted(strongest.tolist())):
         marker = "o" if len(order) < 3 else None
         ax.plot(
@@ -243,13 +244,13 @@ def _draw_lines(
 
 
 def _of_all(result: OrderEfficiencies, count: int) -> str:
-    """Return the end of a title, which states how many of the orders are drawn; empty if all orders are drawn."""
+    """Return the end of a plot's title, which states how many orders are drawn; empty if all orders are drawn."""
     total = len(result.orders)
     return f", the {count} strongest of {total}" if total > count else ""
 
 
 def _draw_over_angles(ax: Axes, result: OrderEfficiencies, errors: NDArray[np.float64] | None) -> str:
-    """Draw each order at its angle from the normal, in the colour of the wavelength; return the title of the plot."""
+    """Draw each order at its angle from the normal, in the colour of its wavelength; return the title of the plot."""
     many = len(result.wavelengths_nm) > len(LINE_COLOURS)
     is_named = np.count_nonzero(~np.isnan(result.to_view[..., 0])) <= _MOST_NAMED
     for row in np.argsort(result.wavelengths_nm).tolist():

@@ -29,23 +29,27 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.periods import Period
 
-# Share of the total power that a plot of the power spectrum shows; the highest frequencies are cut off. Limit: the
-# frequencies that are cut off contain noise only.
+# Share of the total power of a spectrum that its plot shows; the highest frequencies are cut off. The value was chosen
+# because the frequencies that are cut off contain noise only.
 _SHOWN_POWER = 0.999
-# The frequency axes of a power spectrum extend at least to this multiple of the highest frequency of the periods. It is
-# more than 1, so that the marks of the periods are not at the edge.
+# The frequency axes in the plot of a power spectrum extend at least to this multiple of the highest frequency of the
+# periods that the plot marks. The value is more than 1, so that these marks are not at the edge of the plot.
 _AROUND_PERIODS = 1.4
-# Colours of a power spectrum. First number: share of the frequencies that have the darkest colour, because their power
-# is below the range of the colours. Second number: the range begins at most at this share of the largest power.
+# Colours in the plot of a power spectrum. First number: share of the frequencies that have the darkest colour, because
+# their power is below the range of the colours. Second number: largest value at which this range may begin, as a share
+# of the largest power.
 _DARKEST, _POWER_RANGE = 0.3, 1e-2
-# Smallest power on the axis of the spectrum of a field that is constant along x or y, relative to the largest power.
+# Smallest power on the power axis, relative to the largest power. It applies to the spectrum of a field that is
+# constant along x or y, which is plotted as a line.
 _LINE_RANGE = 1e-7
-# Height of a profile below a map, and height of the gap between map and profile, relative to the width of the map.
+# A profile may be drawn below a map of heights. First number: height of the profile. Second number: height of the gap
+# between map and profile. Both are relative to the width of the map.
 _PROFILE, _GAP = 0.3, 0.24
-# Lower bound of a power density before its logarithm is drawn; it prevents a logarithm of 0.
+# Lower bound of a power density before its logarithm is drawn, which prevents a logarithm of 0.
 _LEAST_POWER = 1e-30
-# Mean slope that a shaded relief has after its heights are scaled. Choice: the brightness of a slope saturates at about
-# 1, the slope of the light's direction. If doubled, steep and steeper walls of grooves look alike.
+# Mean slope to which the heights of a map are scaled before the map is shaded as a relief. The value was chosen because
+# brightness saturates at slopes of about 1, the slope of the light's direction. If doubled, steep walls of grooves look
+# like even steeper ones.
 _RELIEF_SLOPE = 0.5
 # Marker shapes of matplotlib for the periods in a power spectrum, the strongest period first.
 _MARKERS = "osD^vph*"
@@ -63,8 +67,8 @@ def height_map(
     Args:
         heightfield: Height field.
         ax: Axes to draw into; None makes a figure.
-        profile_along: Axis of a profile below the map, ``"x"`` or ``"y"``; None draws no profile. With ``ax``, leave
-            space below it, or draw :func:`warpdiff.plot.profile` into axes of its own.
+        profile_along: Axis of a profile below the map, ``"x"`` or ``"y"``; None draws no profile. If you pass ``ax``,
+            leave space below these axes, or draw :func:`warpdiff.plot.profile` into other axes.
         at_um: Position of the profile on the other axis [µm]; None is the middle.
         is_shaded: Whether the map is shaded as a relief in oblique light from the upper left. Slopes are exaggerated or
             reduced to a mean of 27°.
@@ -87,7 +91,7 @@ def height_map(
     unit, factor = length_unit(heightfield.height_range_um)
     line = None if profile_along is None else _Line.of(heightfield, profile_along, at_um)
     (ly, lx), (ny, nx) = heightfield.size_um, heightfield.shape
-    # A field that is constant along an axis has one sample along it. The map shows such a field as a band.
+    # A field that is constant along an axis has only one sample along this axis. The map shows such a field as a band.
     is_band = min(ny, nx) == 1 < max(ny, nx)
     extent_y, extent_x = (lx / 4.0 if is_band and ny == 1 else ly), (ly / 4.0 if is_band and nx == 1 else lx)
     width, height = map_size(extent_y, extent_x)
@@ -124,8 +128,8 @@ def _shaded(heightfield: HeightField, colours: NDArray[np.float64]) -> NDArray[n
 
     dy, dx = heightfield.pitch_um
     lowest = float(np.nanmin(heightfield.heights_um))
-    # matplotlib's ``LightSource`` assumes that the rows of a map run downwards. In a height map they run upwards, so
-    # that dy is negative.
+    # matplotlib's ``LightSource`` assumes that the rows of a map run downwards. In a height map the rows run upwards,
+    # so that the argument dy is negative.
     result = LightSource(azdeg=315.0, altdeg=45.0).shade_rgb(
         colours[..., :3], np.nan_to_num(heightfield.heights_um, nan=lowest), blend_mode="soft",
         vert_exag=_RELIEF_SLOPE / heightfield.mean_slope, dx=dx, dy=-dy,
@@ -166,7 +170,7 @@ def profile(
     """
     line = _Line.of(heightfield, along, at_um)
     ax = axes_for(ax, width=6.4, height=3.2)
-    # If the axes already show a profile, the new profile has the unit of their height axis.
+    # If the axes already show a profile, the new profile is drawn in the unit of the existing height axis.
     unit, factor = length_unit(heightfield.height_range_um)
     if ax.get_ylabel() in ("height [nm]", "height [µm]"):
         unit, factor = length_unit(0.0 if ax.get_ylabel() == "height [nm]" else 1.0)
@@ -190,9 +194,9 @@ def power_spectrum(
 ) -> Axes:  # fmt: skip
     """Plot the power spectrum of the heights and mark the periods that :meth:`~warpdiff.HeightField.periods` finds.
 
-    The field is levelled, missing samples are filled, and a Hann window is applied. A field with two axes has a
-    map of the power over both spatial frequencies; each period is marked at its frequency and at the opposite one. For
-    a field that is constant along an axis, the power is drawn as a line.
+    The field is levelled, missing samples are filled, and a Hann window is applied. For a field with several samples
+    along both axes, the plot is a map of the power over both spatial frequencies; each period is marked at its
+    frequency and at the opposite frequency. For a field that is constant along an axis, the power is drawn as a line.
 
     Args:
         heightfield: Height field.
@@ -246,7 +250,7 @@ def _draw_plane(
     ax: Axes, density: NDArray[np.float64], frequencies: list[NDArray[np.float64]], periods: tuple[Period, ...],
     cmap: str, most_frequency: float | None,
 ) -> None:  # fmt: skip
-    """Draw the power spectrum of a field with two axes as a map, and mark the periods."""
+    """Draw the power spectrum of a field with several samples along both axes as a map, and mark the periods."""
     from matplotlib.colors import LogNorm
 
     fy, fx = frequencies
@@ -259,7 +263,8 @@ def _draw_plane(
     if most_frequency is not None:
         limit = most_frequency
     if not limit > 0.0:
-        # The spectrum of a flat field has no power. It is drawn up to its highest frequency.
+        # The spectrum of a flat field has no power. The axes of its plot extend to the highest frequency of the
+        # samples.
         limit = float(radius[order][-1])
     shown = density.ravel()[radius <= limit]
     most = max(float(shown.max()), _LEAST_POWER)
@@ -268,8 +273,8 @@ def _draw_plane(
         np.maximum(density, least), origin="lower", cmap=cmap, norm=LogNorm(least, most), interpolation="nearest",
         extent=(fx[0] - half[1], fx[-1] + half[1], fy[0] - half[0], fy[-1] + half[0]),
     )  # fmt: skip
-    # Both axes have the same range of frequencies. If the frequencies along an axis end within this range, the axis
-    # ends there.
+    # Both axes of the map show the same range of frequencies. If the highest frequency of the samples along an axis is
+    # within this range, the axis ends at this frequency.
     for set_limits, f, step in ((ax.set_xlim, fx, half[1]), (ax.set_ylim, fy, half[0])):
         edge = min(limit, float(step - f[0]))
         set_limits(-edge, edge)
@@ -294,8 +299,8 @@ def _draw_line(
 ) -> None:
     """Draw the power spectrum of a field that is constant along x or y: a line plot with marks of the periods."""
     positive = frequencies > 0.0
-    # The power at negative frequencies equals that at positive ones. Twice the density at positive frequencies
-    # therefore integrates to the variance of the heights.
+    # The power at negative frequencies equals the power at positive frequencies. The plotted line is therefore twice
+    # the density at positive frequencies, which integrates to the variance of the heights.
     ax.loglog(frequencies[positive], 2.0 * np.maximum(density[positive], _LEAST_POWER), color=LINE_COLOURS[0])
     for index, period in enumerate(periods):
         ax.axvline(
@@ -314,7 +319,7 @@ class _Line:
 
     Attributes:
         along: Axis of the profile, ``"x"`` or ``"y"``.
-        positions_um: Positions of the samples on that axis [µm], shape (n,).
+        positions_um: Positions of the samples on the axis ``along`` [µm], shape (n,).
         heights_um: Heights [µm], shape (n,); NaN where a sample is missing.
         at_um: Position of the line on the other axis [µm]; None if the field is constant along the other axis.
     """
@@ -326,7 +331,7 @@ class _Line:
 
     @classmethod
     def of(cls, heightfield: HeightField, along: Axis, at_um: float | None) -> _Line:
-        """Return the profile through the samples nearest to a position on the other axis [µm]; None is the middle."""
+        """Return the profile through the samples nearest to ``at_um`` on the other axis [µm]; None is the middle."""
         other = 0 if along == "x" else 1
         count, pitch = heightfield.shape[other], heightfield.pitch_um[other]
         size = heightfield.size_um[other]
@@ -345,7 +350,7 @@ class _Line:
 
 
 def _add_profile(ax: Axes, line: _Line, unit: str, factor: float, ratio: float) -> None:
-    """Draw a profile below a map, and its line into the map; ``ratio`` is the width of the map over its height."""
+    """Draw a profile below a map, and the profile's line into the map; ``ratio`` is the map's width over its height."""
     if line.at_um is not None:
         draw = ax.axhline if line.along == "x" else ax.axvline
         draw(line.at_um, color="white", linewidth=2.4)

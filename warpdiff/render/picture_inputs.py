@@ -24,7 +24,6 @@ from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.plan import AUTOMATIC, Plan, has_table
 from warpdiff.request.surface import Surface
 from warpdiff.scene.camera import View
-from warpdiff.scene.material_factors import warn_of_hidden_emission
 from warpdiff.scene.part_names import key_of_faces
 from warpdiff.tables import polar_grid
 from warpdiff.tables.lookup import ColourLookup, Lookups
@@ -206,6 +205,13 @@ class PictureInputs:
         return [None if own.is_plain else own.evaluation.heightfield for own in self.surfaces.values()]
 
     @property
+    def plain(self) -> dict[str, bool] | None:
+        """Whether each surface is plain, by the key of its part; None for one height field."""
+        if not isinstance(self.heightfield, Mapping):
+            return None
+        return {key: own.is_plain for key, own in self.surfaces.items()}
+
+    @property
     def evaluation(self) -> Evaluation:
         """Evaluation of the first surface; device, threads and footprints are the same for all surfaces."""
         return next(iter(self.surfaces.values())).evaluation
@@ -262,15 +268,6 @@ class PictureInputs:
             return plans[0]
         keys = [key for key, surface in self.surfaces.items() if not surface.is_plain]
         return dict(zip(keys, plans, strict=True))
-
-    def warn_of_mesh(self, mesh: Mesh) -> None:
-        """Warn of features of a mesh's materials that its surfaces hide."""
-        if mesh.material_factors is None:
-            return
-        materials, is_plain = mesh.materials, np.array([own.is_plain for own in self.surfaces.values()])
-        if is_plain.any():
-            materials = materials[~is_plain[key_of_faces(mesh, list(self.surfaces), "heightfield")]]
-        warn_of_hidden_emission(mesh.material_factors, materials, mesh.material_names)
 
     def picture(self, mesh: Mesh, view: View, **options: Any) -> Picture:
         """Return a picture of a mesh, whose arrays are allocated but not yet computed."""

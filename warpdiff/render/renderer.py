@@ -95,8 +95,7 @@ class Renderer:
         inputs = PictureInputs.of(heightfield, lights, view, checked)
         load_kernels(inputs.evaluation.device)
         with picture_memory(view):
-            surface = prepare_surface(mesh, tangents=checked.tangents)
-            inputs.warn_of_mesh(surface)
+            surface = prepare_surface(mesh, tangents=checked.tangents, plain=inputs.plain)
         self._begin(inputs, surface, view)
         self.draw()
 

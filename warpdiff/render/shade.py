@@ -89,8 +89,7 @@ def shade(
     progress = reporter(progress, "shade")
     load_kernels(inputs.evaluation.device)
     with picture_memory(view):
-        surface = prepare_surface(mesh, tangents=checked.tangents)
-        inputs.warn_of_mesh(surface)
+        surface = prepare_surface(mesh, tangents=checked.tangents, plain=inputs.plain)
         if spectral is not None:
             (own,) = inputs.surfaces.values()
             check_pigment(own.settings.pigment, has_base_colour=surface.has_base_colour)

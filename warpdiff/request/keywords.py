@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import Material
 from warpdiff.request.plan import Plan
-from warpdiff.request.settings import Bits, Display, Energy, GamutName, Integration, Method
+from warpdiff.request.settings import Bits, Display, Energy, GamutName, Integration, Method, TangentRule
 
 
 class CommonKeywords(TypedDict, total=False):
@@ -63,7 +63,7 @@ class PictureKeywords(EvaluationKeywords, total=False):
     pigment: float
     shadows: bool
     smooth: bool
-    tangents: ArrayLike | None
+    tangents: TangentRule | ArrayLike | None
     footprint: bool | None
     samples_per_pixel: int
     refine: bool

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection  # noqa: TC003 (fields are described at run time)
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar, get_args
 
 import numpy as np
 from annotated_types import Ge, Gt, Interval, Unit
@@ -38,12 +38,24 @@ Energy = Literal["stam", "normalised", "normalized"]
 Display = Literal["aces", "colorimetric", "clip"]
 GamutName = Literal["srgb", "display-p3"]
 Bits = Literal[8, 16]
+TangentRule = Literal["x", "y", "z", "around-x", "around-y", "around-z", "smooth"]
+TANGENT_RULES: tuple[str, ...] = get_args(TangentRule)
 # Maximum number of camera rays per pixel, 256 × 256; more do not change an 8-bit picture.
 MOST_SAMPLES = 2**16
 # Smallest step between the wavelengths of a spectral picture [nm]. Limit: names of channels have six decimals.
 LEAST_STEP_NM = 1e-5
 # Largest correction of an exposure [stops]. Limit: a factor of 1e9 is more than any picture needs.
 MOST_STOPS = 30.0
+
+
+_Tangents = TypeVar("_Tangents")
+
+
+def check_tangents(tangents: _Tangents) -> _Tangents:
+    """Return ``tangents`` unchanged; raise an error for a text that is no rule."""
+    if isinstance(tangents, str):
+        validation.choice(tangents, "tangents", TANGENT_RULES)
+    return tangents
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,8 +178,12 @@ class PictureSettings(EvaluationSettings):
         pigment: Strength of the mesh's base colour (texture, vertex colours or plain), which lies under the relief.
         shadows: Whether the mesh can occlude the lights.
         smooth: Whether vertex normals are interpolated; otherwise facets show.
-        tangents: Direction of the height field's x axis, world frame: one per vertex, shape (n, 3), or one for all,
-            shape (3,). Only the component in the surface is used. None derives it from the texture coordinates.
+        tangents: Direction of the height field's x axis, instead of tangents and texture coordinates of the mesh.
+            ``"x"`` is along the world's x axis, ``"around-x"`` around a parallel to this axis through the centre of
+            each object, likewise y and z, and ``"smooth"`` turns least over the surface. An array has one vector for
+            all, shape (3,), or one per vertex, shape (n, 3), in the world frame. Only the component in the surface is
+            used; where it is zero, the mean direction of neighbouring vertices. None is the tangents of a glTF file, or
+            else the u axis of the texture coordinates.
         footprint: Whether a pixel shows the mean over its filter, a Gaussian (σ 0.5 pixel, truncated at 1.5), instead
             of the colour at its centre. None is on for averaged windows and sources, and off otherwise and for
             ``method="direct"``.
@@ -181,13 +197,14 @@ class PictureSettings(EvaluationSettings):
     pigment: Annotated[float, Ge(0.0)] = 1.0
     shadows: bool = True
     smooth: bool = True
-    tangents: ArrayLike | None = None
+    tangents: TangentRule | ArrayLike | None = None
     footprint: bool | None = None
     samples_per_pixel: Annotated[int, Interval(ge=1, le=MOST_SAMPLES)] = 1
     refine: bool = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_tangents(self.tangents)
         if self.footprint:
             check_footprint(self.plan.method if isinstance(self.plan, Plan) else self.method)
 

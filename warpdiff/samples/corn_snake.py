@@ -2,8 +2,9 @@
 
 The shape is defined on the unrolled skin, in lattice coordinates (x, τ). x counts rows of scales across the back, from
 one edge of the belly to the other. τ counts scales from the neck to the tail. A scale is a rhombus with half diagonals
-(1, ½). Its coordinates a and b, 0 to 1, increase along the two front edges from the front corner. Neighbouring rows are
-shifted by half a scale. The half rhombi at the edges of the belly are the ends of the ventral scutes.
+(1, ½). The coordinates a and b on a scale, 0 to 1, increase along its two front edges from the front corner.
+Neighbouring rows are shifted by half a scale. The half rhombi at the edges of the belly are the ends of the ventral
+scutes.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ if TYPE_CHECKING:
 
 Tangent = Literal["around", "along"]
 
-# Length of the head, and largest length of the snake [radii of the body]. Limit: longer snakes are bent inaccurately,
-# because the centre line is sampled at 4,097 points.
+# Length of the head, and largest length of the snake [radii of the body]. The length is limited because the centre line
+# is sampled at 4,097 points, with which longer snakes are bent inaccurately.
 _HEAD_LENGTH, _LONGEST = 2.5, 1e3
-# Cross sections of the head and of the body behind it, chosen by eye. Columns: position as a fraction of the length of
-# the head or of the body; half width, height above the centre line and depth below it [radii of the body]; exponent of
-# the superellipse (2 is an ellipse, larger exponents are squarer).
+# Cross sections of the head and of the body, chosen by eye. Columns: position as a fraction of the length of the head
+# or of the body; half width, height above the centre line and depth below the centre line [radii of the body]; exponent
+# of the superellipse (2 is an ellipse, larger exponents are squarer).
 _HEAD = np.array([
     [0.00, 0.36, 0.22, 0.16, 2.4], [0.25, 0.47, 0.32, 0.22, 2.6], [0.50, 0.60, 0.41, 0.27, 2.7],
     [0.75, 0.71, 0.46, 0.33, 2.6], [0.90, 0.68, 0.46, 0.35, 2.4],
@@ -75,22 +76,23 @@ _GROUND, _FLANK, _SADDLE = (0.74, 0.42, 0.19), (0.70, 0.53, 0.36), (0.54, 0.14, 
 _BLACK, _CREAM, _IRIS = (0.05, 0.04, 0.035), (0.90, 0.85, 0.74), (0.62, 0.24, 0.08)
 # Lengths of the head and of the tip of the tail in the texture [lengths of a scale of the body].
 _HEAD_SCALES, _TIP_SCALES = 16.0, 1.0
-# Number of texels per scale along the body, and per row around it; the size of the texture is proportional to its
-# square.
+# Number of texels per scale along the body, and per row of scales around the body. If doubled, the texture is four
+# times as large.
 _TEXELS = 8
 
 
 class _Patch(NamedTuple):
     """Part of the mesh on the unrolled skin.
 
-    Texture coordinates are stored in addition to positions, because they differ from them where scales overlap.
+    Texture coordinates are stored in addition to positions on the skin, because both differ where scales overlap.
 
     Attributes:
         x: Position around the body [rows], shape (k,).
         tau: Position along the body [scales], shape (k,).
         shift: Displacement of the vertex to the rear [scales], shape (k,).
         rise: Displacement of the vertex outwards [scales], shape (k,).
-        u, v: Position around the body [rows] and along it [scales] from which the vertex takes its colour, shape (k,).
+        u, v: Position around the body [rows] and along the body [scales] at which the texture has the colour of the
+            vertex, shape (k,).
         wall: Whether the vertex belongs to the wall under a free edge of a scale, shape (k,).
         faces: Vertex indices, shape (m, 3).
     """
@@ -114,11 +116,12 @@ def snake(
 
     The snake is centred at the y axis, from the head at −x to the tail at +x, with its back towards +y. The heading of
     the centre line is ``bend_deg`` · cos(2π ``waves`` s), with s from 0 to 1 behind the head. Every scale overlaps the
-    next ones towards the tail, and the surface and its normals step at its free edge. The surface is closed. The
-    texture is the pattern of *Pantherophis guttatus* and follows the scales. Its seam runs along the belly.
+    next ones towards the tail, and the surface and its normals step at the free edge of a scale. The surface is closed.
+    The texture is the pattern of *Pantherophis guttatus* and follows the scales. The seam of the texture runs along the
+    belly.
 
-    With ``tangent="around"`` t runs around the body, across the nano-fingers; (t, head to tail, outwards) is
-    right-handed. With ``"along"`` t runs from head to tail. Both are the same as for ``tube``.
+    With ``tangent="around"`` the tangent t runs around the body, across the nano-fingers; (t, head to tail, outwards)
+    is right-handed. With ``"along"`` t runs from head to tail. The tangents of ``tube`` have the same directions.
 
     Args:
         radius: Half of the largest width of the body [mesh units], more than 0, default 0.12.
@@ -154,15 +157,15 @@ def snake(
     validation.count(ventrals, "ventrals", least=8)
     validation.count(segments, "segments", least=2)
     validation.count(seed, "seed", least=0)
-    # Peak memory in bytes while the snake is constructed, fitted to measurements. The belly counts as two more rows of
+    # Peak memory while the snake is constructed [bytes], fitted to measurements. The belly counts as two more rows of
     # scales.
     memory.require_memory(
         (900.0 * segments**2 + 25_000.0) * (scale_rows + 2) * ventrals,
         f"a snake of {scale_rows} × {ventrals} scales of {segments} segments",
         f"take {{share}} of {ref('scale_rows')} or {ref('ventrals')}, or {{side}} of {ref('segments')}",
     )
-    # Snakes shorter than 16 radii are refused: a single spline interpolates the cross sections of head and body, and
-    # requires both.
+    # Snakes shorter than 16 radii are refused. A single spline interpolates the cross sections of head and body, so
+    # that neither can be missing.
     if not 16.0 * radius <= length <= _LONGEST * radius:
         raise ArgumentValueError(
             f"{ref('length')} must be 16 to {_LONGEST:g} radii ({16.0 * radius:g} to {_LONGEST * radius:g}), "
@@ -215,8 +218,8 @@ class _Skin:
         self._s = s = np.linspace(0.0, length, 4097)
         width = self.outline(s)[:, 0]
 
-        # The centre line is straight in the head and bends behind it. Its height is such that the whole belly touches
-        # the ground.
+        # The centre line is straight in the head and bends behind it. The height of the centre line is such that the
+        # whole belly touches the ground.
         frequency = 2.0 * math.pi * waves / (length - head)
         if bend * frequency * radius > 0.8:
             raise ArgumentValueError(
@@ -240,8 +243,8 @@ class _Skin:
                 f"{ref('radius')}"
             )
 
-        # The length of a scale is proportional to the local width of the body. At the thin end of the tail, it is
-        # constant.
+        # The length of a scale is proportional to the local width of the body. At the thin end of the tail, the length
+        # is constant.
         density = np.where((s < head) | (s > last), 0.0, 1.0 / np.maximum(width, 0.25 * radius))
         tau = _integral(s, density)
         tau *= count / tau[-1]
@@ -348,7 +351,7 @@ def _plate(skin: _Skin, x: ArrayLike, tau: ArrayLike, a: Floats, b: Floats) -> t
 def _patches(
     corners: tuple[Floats, ...], texture: tuple[Floats, Floats], faces: NDArray[np.int64], *, wall: bool = False
 ) -> _Patch:
-    """Join m patches of k vertices each, all with the same ``faces``, to one patch."""
+    """Join m parts of the mesh (patches) of k vertices each, all with the same ``faces``, to one patch."""
     m, k = np.broadcast_shapes(*(corner.shape for corner in corners))
     x, tau, shift, rise, u, v = (np.broadcast_to(array, (m, k)).ravel() for array in (*corners, *texture))
     return _Patch(
@@ -357,7 +360,7 @@ def _patches(
 
 
 def _joined(patches: list[_Patch]) -> _Patch:
-    """Join several patches to one patch with all their vertices and faces."""
+    """Join several parts of the mesh (patches) to one patch with all vertices and faces."""
     start = np.cumsum([0, *(len(patch.x) for patch in patches)])
     shifted = [patch._replace(faces=patch.faces + at) for patch, at in zip(patches, start[:-1], strict=True)]
     return _Patch._make(np.concatenate(parts) for parts in zip(*shifted, strict=True))
@@ -366,7 +369,7 @@ def _joined(patches: list[_Patch]) -> _Patch:
 def grid_faces(columns: int, rows: int, *, rising: bool = False) -> NDArray[np.int64]:
     """Return two triangles per quadrilateral of a grid of vertices.
 
-    Their normals are along c × r; c and r are the directions in which the column and the row index increase.
+    The normals of the triangles are along c × r; c and r are the directions of increasing column and row index.
 
     With ``rising``, the diagonal connects the corner of least row and column to the opposite one.
     """
@@ -437,7 +440,7 @@ def _scutes(skin: _Skin, n: int) -> list[_Patch]:
         ones, zeros = np.ones(n + 1), np.zeros(n + 1)
         top, low = _plate(skin, 0.0, tau0[:-1], ones, ones), _plate(skin, 0.0, tau0[1:], zeros, zeros)
         # The wall of a scute consists of two strips of faces, because a corner of the neighbouring scale lies at half
-        # its height.
+        # the height of the wall.
         three = [np.concatenate([high, (high + deep) / 2.0, deep], axis=1) for high, deep in zip(top, low, strict=True)]
         x, v = np.tile(columns, 3)[None], three[1] + np.repeat([0.0, 1.0, 2.0], n + 1) * _RISER
         patches.append(_patches((x, *three[1:]), (x, v), grid_faces(n + 1, 3), wall=True))
@@ -445,7 +448,7 @@ def _scutes(skin: _Skin, n: int) -> list[_Patch]:
 
 
 def _ring(skin: _Skin, n: int) -> Floats:
-    """Return the positions x of the vertices on a ring around the body, at which scales end: at head and tail."""
+    """Return the positions x of the vertices on a ring around the body, as at the neck, where the scales begin."""
     left, right = _belly_columns(skin, n)
     back = np.arange(skin.breadth * n // 2 + 1) * (2.0 / n)
     return np.concatenate([left[:-1], back, right[1:]])
@@ -464,13 +467,14 @@ def _cap(x: Floats, tau: Floats, rise: Floats, *, first: bool) -> _Patch:
     u, v = np.tile(x, rows), np.repeat(tau, columns)
     faces = grid_faces(columns, rows, rising=not first)
     at = 0 if first else (rows - 1) * columns
-    # At a tip, each triangle has a vertex of its own. Its texture coordinate u is that of the middle of the triangle.
+    # At a tip, each triangle has a vertex of its own. The texture coordinate u of this vertex is that of the middle of
+    # the triangle.
     u[at : at + columns - 1] = (x[1:] + x[:-1]) / 2.0
     return _Patch(np.tile(x, rows), v, np.zeros_like(v), rise.ravel(), u, v, np.zeros(len(v), np.bool_), faces)
 
 
 def _head(skin: _Skin, n: int) -> _Patch:
-    """Return the patch of the head. Its rings have twice as many vertices as the ring at which the scales begin."""
+    """Return the patch of the head, whose rings have twice as many vertices as the ring at which the scales begin."""
     coarse = _ring(skin, n)
     x = np.sort(np.concatenate([coarse, (coarse[1:] + coarse[:-1]) / 2.0]))
     q = np.linspace(0.0, 1.0, 14 * n + 1)
@@ -492,7 +496,7 @@ def _head(skin: _Skin, n: int) -> _Patch:
 
 
 def _head_marks(f: Floats, across: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return distances on the head: from borders of shields [radii], from eyes [eye radii], from the mouth [radii].
+    """Return distances on the head: from borders of shields and mouth [body radii], and from eyes [eye radii].
 
     Args:
         f: Position from the snout to the neck, 0 to 1.
@@ -617,7 +621,7 @@ def _body_pigment(skin: _Skin, x: Floats, tau: Floats, rng: np.random.Generator)
 
 
 def _head_pigment(f: Floats, across: Floats) -> Floats:
-    """Return colours of the head in sRGB: a spearhead mark between the eyes, a bar before them, stripes to the jaw."""
+    """Return colours of the head in sRGB: a spearhead between the eyes, a bar before them, and stripes to the jaw."""
     border, eye, mouth = _head_marks(f, across)
     f, across = np.broadcast_arrays(f, np.abs(across))
 

@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 
 __all__ = ["blazed", "bumps", "disc", "fingers", "lamellar", "sinusoidal"]
 
-# Largest default pitch [µm], a tenth of the shortest visible wavelength. If doubled, directions near the horizon suffer
-# from aliasing.
+# Largest default pitch [µm], about a tenth of the shortest visible wavelength. If doubled, directions near the horizon
+# suffer from aliasing.
 _COARSEST_PITCH_UM = 0.04
-# Distance from a ridge beyond which its contribution to the heights is neglected [distances of ridges]. Derived: the
-# contribution is below 1e-40 of the ridge's height there.
+# Distance from a ridge beyond which its contribution to the heights is neglected [distances of neighbouring ridges]. It
+# was derived from the profile of a ridge, whose height there is below 1e-40 of the height of the crest.
 _RIDGE_REACH = 4.0
 
 
@@ -239,13 +239,13 @@ def disc(
 
 
 def _run_lengths(rng: np.random.Generator, bits: int, form: _DiscFormat) -> NDArray[np.int64]:
-    """Return random run lengths [channel bits] with the sum ``bits``: pits and lands in turn, an even number."""
+    """Return an even number of random run lengths [channel bits] with the sum ``bits``, of pits and lands in turn."""
     lengths = np.arange(form.shortest_run, form.longest_run + 1)
     weights = form.growth ** -lengths.astype(np.float64)
     weights /= weights.sum()
     runs = rng.choice(lengths, size=2 * round(0.5 * bits / float(weights @ lengths)), p=weights)
-    # Randomly selected runs are lengthened or shortened by one bit until the sum of all is ``bits``. The track is then
-    # periodic.
+    # Randomly selected runs (pits or lands) are lengthened or shortened by one bit until the sum of all is ``bits``.
+    # The track is then periodic.
     while (missing := bits - int(runs.sum())) != 0:
         step = 1 if missing > 0 else -1
         free = np.nonzero((runs + step >= form.shortest_run) & (runs + step <= form.longest_run))[0]
@@ -257,7 +257,7 @@ def bumps(
     *, height_um: float = 0.15, width_um: float = 0.5, length_um: float = 1.0,
     spacing_um: float | tuple[float, float] = (2.0, 1.0), pitch_um: float = _COARSEST_PITCH_UM,
 ) -> HeightField:  # fmt: skip
-    """Make one cell of a lattice of bumps; the defaults are those of a disc in Stam (1999, *Diffraction Shaders*).
+    """Make one cell of a lattice of bumps; by default, those of the disc in Stam (1999, *Diffraction Shaders*).
 
     A bump is a paraboloid cap, height · (1 − (2x/width)² − (2y/length)²) where this is positive.
 
@@ -303,7 +303,7 @@ def fingers(
     *, size_um: float | tuple[float, float] = 25.6, pitch_um: float | tuple[float, float] = 0.05,
     period_um: float = 1.1, length_um: float = 3.0, height_um: float = 0.3, seed: int = 0,
 ) -> HeightField:  # fmt: skip
-    """Make quasi-periodic nano-fingers like those on the shed skin of a snake.
+    """Make quasi-periodic ridges of elongated bumps (nano-fingers), like those on the shed skin of a snake.
 
     The surface has parallel ridges along y. A ridge is a chain of fingers, which widen along +y from a narrow tip to
     the tip of the next finger, while the grooves between the ridges become narrower and deeper. The tips of
@@ -320,7 +320,7 @@ def fingers(
         seed: Seed of the random variations, at least 0, default 0.
 
     Returns:
-        Heights of zero mid-range, periodic in both directions.
+        Heights, periodic in both directions. The mean of the highest and the lowest height is 0.
 
     Raises:
         ValueError: An argument is out of its range, or the patch has less than one finger or 8 samples per finger.
@@ -370,8 +370,8 @@ def fingers(
         finger = np.argmin(past, axis=1)
         behind = past[np.arange(ny), finger]
         behind = behind / np.maximum(behind + np.min((tips - y[:, None]) % rows, axis=1), 1e-9)
-        # A ridge is added only to the columns of samples near it. In other columns its height is smaller than rounding
-        # errors.
+        # A ridge is added only to the columns of samples near it. In other columns the height of the ridge is smaller
+        # than rounding errors.
         near_columns = np.flatnonzero(np.abs((x - ridge + 0.5 * ridges) % ridges - 0.5 * ridges) < _RIDGE_REACH)
         aside = (x[near_columns] - ridge - position[finger][:, None] + 0.5 * ridges) % ridges - 0.5 * ridges
         half_width = (breadth[finger] * (0.12 + 0.34 * behind))[:, None]

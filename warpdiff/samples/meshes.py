@@ -1,7 +1,8 @@
-"""Sample bodies with texture coordinates. Their tangent t, along increasing u, is the x axis of the height field.
+"""Sample bodies with texture coordinates, which also define the x axis of the height field.
 
-A grating that varies along x diffracts along t. On ``tube`` and ``snake``, t runs around the body with
-``tangent="around"``, and from head to tail with ``"along"``. On ``disc``, t runs radially outwards.
+This axis is the tangent t of a body, along the increasing texture coordinate u. A grating that varies along x diffracts
+along t. On ``tube`` and ``snake``, t runs around the body with ``tangent="around"``, and from head to tail with
+``"along"``. On ``disc``, t runs radially outwards.
 
 Examples:
     >>> import warpdiff as wd
@@ -40,7 +41,7 @@ def tube(
     The heading of the centre line is ``bend_deg`` · cos(2π ``waves`` s / ``length``). The seam of the texture runs
     along the belly.
 
-    With ``tangent="around"`` t runs around the body. This is the orientation of the nano-fingers on a snake: the
+    With ``tangent="around"`` the tangent t runs around the body. Nano-fingers on a snake are oriented in this way: the
     colours form bands along the body, and (t, head to tail, outwards) is right-handed. With ``"along"`` t runs from
     head to tail, and the bands run across the body.
 
@@ -101,16 +102,16 @@ def tube(
     forward = np.stack([np.cos(theta), np.zeros_like(s), np.sin(theta)], axis=1)
     sideways = np.stack([np.sin(theta), np.zeros_like(s), -np.cos(theta)], axis=1)
 
-    # The texture coordinate u increases around the body from the belly, in the sense for which the directions (around,
-    # forward, outward) are right-handed.
+    # The texture coordinate u increases around the body from the belly, in the direction for which (around, forward,
+    # outward) are right-handed.
     turn = np.arange(segments_around + 1) / segments_around
     phi = 2.0 * math.pi * turn - math.pi / 2.0
     phi[-1] = phi[0]  # The first and last vertex of a ring get exactly the same position.
     out = np.cos(phi)[None, :, None] * sideways[:, None, :] + np.sin(phi)[None, :, None] * np.array([0.0, 1.0, 0.0])
     vertices = centre[:, None, :] + rings_radius[:, None, None] * out
     # The normal is proportional to ds/dψ · stretch · out − dr/dψ · forward, where s is the arc length, r the radius and
-    # ψ the angle of the half ellipse. In this form it is finite at the tips. The factor `stretch` is the length of the
-    # surface divided by that of the centre line; on the inner side of a bend it is less than 1.
+    # ψ the angle of the half ellipse. In this form the normal is finite at the tips. The factor `stretch` is the length
+    # of the surface divided by that of the centre line; on the inner side of a bend the factor is less than 1.
     stretch = 1.0 + bending[:, None] * rings_radius[:, None] * np.cos(phi)
     ds = semi_axis * np.sin(angle)
     dr = radius * np.cos(angle)
@@ -143,15 +144,15 @@ def disc(
 ) -> trimesh.Trimesh:
     """Make an optical disc: a flat ring in the xy plane, centred at the origin, that faces +z.
 
-    t runs radially outwards, across the tracks. The texture coordinate u increases from the inner to the outer rim, and
-    v increases counter-clockwise as viewed from +z. The seam is on the +x axis.
+    The tangent t runs radially outwards, across the tracks. The texture coordinate u increases from the inner to the
+    outer rim, and v increases counter-clockwise as viewed from +z. The seam is on the +x axis.
 
     Args:
         inner_radius: Radius of the hole [mesh units], at least 0 (no hole), less than ``outer_radius``, default 0.4.
         outer_radius: Radius of the rim [mesh units], more than 0, default 1.
         segments: Number of quadrilaterals around the disc, at least 3, default 512.
-        rings: Number of quadrilaterals from the inner to the outer rim, at least 1, default 24. More of them make t
-            more exactly radial.
+        rings: Number of quadrilaterals from the inner to the outer rim, at least 1, default 24. More quadrilaterals
+            make t more exactly radial.
 
     Returns:
         A mesh with texture coordinates and vertex normals, of 2 · segments · rings faces; without a hole it has

@@ -234,18 +234,34 @@ def join_seams(
 
 def fill(
     field: NDArray[np.float64], normals: NDArray[np.float64], faces: NDArray[np.int64], welded: NDArray[np.int64],
-    name: str,
+    is_needed: NDArray[np.bool_], name: str, *, has_poles: bool = False,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return tangents at all vertices. Missing ones are means over neighbouring vertices, from known ones outwards."""
+    """Return tangents at all vertices. Missing ones are means over neighbouring vertices, from known ones outwards.
+
+    Args:
+        field: Tangents, shape (3, n); zero where missing.
+        normals: Unit vertex normals, shape (3, n).
+        faces: Vertex indices, shape (3, m).
+        welded: Number of each vertex's position, shape (n,).
+        is_needed: Whether pictures need the tangent of each vertex, shape (n,). A warning counts only these vertices.
+        name: Name of the source of the tangents for messages.
+        has_poles: Whether single vertices without a tangent are normal, as the poles of a direction field. The warning
+            then counts only the vertices of faces without a tangent at any corner.
+    """
     missing = (field == 0.0).all(axis=0)
     if not missing.any():
         return field
-    if missing.all():
-        raise ArgumentValueError(f"{name} must define a direction along the surface, got none at any vertex")
-    warn(
-        f"{name}: no direction along the surface at {int(np.count_nonzero(missing))} of {len(missing)} vertices; "
-        "they get the mean direction of their neighbours"
-    )
+    counted = missing & is_needed
+    if has_poles:
+        counted &= np.isin(np.arange(len(missing)), faces[:, missing[faces].all(axis=0)])
+    lacking, needed = int(np.count_nonzero(counted)), int(np.count_nonzero(is_needed))
+    if lacking:
+        if lacking == needed:
+            raise ArgumentValueError(f"{name} must define a direction along the surface, got none at any vertex")
+        warn(
+            f"{name}: no direction along the surface at {lacking} of {needed} vertices; they get the mean direction of "
+            "their neighbours"
+        )
     count = int(welded.max()) + 1
     corners = welded[faces]
     start = corners[[0, 1, 2, 0, 1, 2]].ravel()
@@ -261,7 +277,18 @@ def fill(
     # In a connected part of the mesh where no vertex has a tangent, all vertices get the sum of all tangents of the
     # mesh, made tangential.
     at = np.where(at.any(axis=0), at, field.sum(axis=1)[:, None])
-    return np.where(missing, unit(tangential(at.take(welded, axis=1), normals)), field)
+    field = np.where(missing, unit(tangential(at.take(welded, axis=1), normals)), field)
+    # Some faces still have no tangent at any corner, for example those perpendicular to all directions around them.
+    is_zero = (field == 0.0).all(axis=0)
+    if is_zero.any():
+        is_zero[faces[:, ~is_zero[faces].all(axis=0)]] = False
+        field[:, is_zero] = any_tangents(normals[:, is_zero])
+    return field
+
+
+def any_tangents(normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a unit vector perpendicular to each normal, from the coordinate axis that is least parallel to it."""
+    return unit(tangential(np.eye(3)[:, np.argmin(np.abs(normals), axis=0)], normals))
 
 
 def _sides_of_edges(

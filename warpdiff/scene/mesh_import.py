@@ -16,7 +16,9 @@ from warpdiff.core import forks, validation
 from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
-from warpdiff.scene.material_factors import factors_of
+from warpdiff.request.settings import TANGENT_RULES, TangentRule, check_tangents
+from warpdiff.scene.direction_fields import Body, direction_field
+from warpdiff.scene.material_factors import factors_of, warn_of_hidden_emission
 from warpdiff.scene.mesh_files import UNNAMED
 from warpdiff.scene.mesh_geometry import (
     FaceGeometry,
@@ -33,6 +35,7 @@ from warpdiff.scene.mesh_geometry import (
     vertex_normals,
     weld,
 )
+from warpdiff.scene.part_names import key_of_faces
 from warpdiff.scene.scene_arrays import (
     SceneArrays,
     Textures,
@@ -43,16 +46,19 @@ from warpdiff.scene.scene_arrays import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     import trimesh
     from numpy.typing import ArrayLike, NDArray
 
     from warpdiff.scene.material_factors import MaterialFactors
+    from warpdiff.scene.scene_parts import ScenePart
 
-HOW_TO_GET_TANGENTS = (
-    f"give {ref('tangents')} (directions of the height field's x axis, world frame: (n, 3), one per vertex, or (3,), "
-    "one for all), or a mesh with texture coordinates, whose u axis is then the direction"
+# Remedy in messages about a mesh without directions.
+_HOW_TO_GET_TANGENTS = (
+    f"give {ref('tangents', 'smooth')}, another rule ({', '.join(TANGENT_RULES[:-1])}) or directions of the height "
+    "field's x axis, one for all or one per vertex, or a mesh with texture coordinates, whose u axis is then the "
+    "direction"
 )
 # Cosine of the smallest angle between faces at an edge that counts as sharp: 40°. Choice: faces of round bodies meet at
 # smaller angles.
@@ -110,8 +116,9 @@ class Surface:
 
 
 def prepare_surface(
-    mesh: trimesh.Trimesh | trimesh.Scene | Surface | str | os.PathLike[str], *, tangents: ArrayLike | None = None
-) -> Surface:
+    mesh: trimesh.Trimesh | trimesh.Scene | Surface | str | os.PathLike[str], *,
+    tangents: TangentRule | ArrayLike | None = None, plain: Mapping[str, bool] | None = None,
+) -> Surface:  # fmt: skip
     """Check a mesh and compute its normals, tangents and base colours.
 
     Vertices with normals in the input keep them. Other normals are angle-weighted means over all faces that meet at a
@@ -126,7 +133,9 @@ def prepare_surface(
             unchanged.
         tangents: Directions of the height field's x axis, world frame, of any length and not necessarily tangential.
             Shape (n, 3) is one per vertex, for a scene in the order of its nodes; shape (3,) is one for all vertices.
-            None takes them from the texture coordinates.
+            A text is the rule of :mod:`warpdiff.scene.direction_fields`. None takes them from the texture coordinates.
+        plain: For each key of a part, whether the part is plain. Plain parts need no tangents. None means that no part
+            is plain.
 
     Returns:
         The surface.
@@ -139,19 +148,23 @@ def prepare_surface(
     """
     if isinstance(mesh, Surface) and tangents is None:
         return mesh
+    field = _checked_field(tangents)
     with _naming_file(mesh):
         scene = labelled_parts(mesh)
-        field = None if tangents is None else validation.finite_array(tangents, "tangents")
         with single_threaded_blas():
             textures = Textures()
             part = joined([arrays_of(entry, label, textures) for entry, label in scene])
-            if field is not None and field.shape == (3,):
+            if isinstance(field, np.ndarray) and field.shape == (3,):
                 field = np.broadcast_to(field, (part.count, 3))
-            _check_tangents(part, field)
-            surface = _build(part, field, in_memory=not isinstance(mesh, (str, os.PathLike)))
+            roles = _FaceRoles.of([entry for entry, _ in scene], part, plain)
+            _check_tangents(part, field, roles.is_plain)
+            surface = _build(part, field, roles, in_memory=not isinstance(mesh, (str, os.PathLike)))
         entries = [entry for entry, _ in scene]
         warn_of_features(entries)
-        return replace(surface, material_factors=factors_of(entries, surface.material_names))
+        factors = factors_of(entries, surface.material_names)
+        if factors is not None:
+            warn_of_hidden_emission(factors, part.materials[~roles.is_plain], part.material_names)
+        return replace(surface, material_factors=factors)
 
 
 def normalised_positions(
@@ -194,7 +207,36 @@ def _sphere(world: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     return centre, radius
 
 
-def _build(part: SceneArrays, tangents: NDArray[np.float64] | None, *, in_memory: bool) -> Surface:
+@dataclass(frozen=True, eq=False)
+class _FaceRoles:
+    """Roles of the faces of a scene in the computation of tangents.
+
+    Attributes:
+        is_plain: Whether the part of each face is plain and needs no tangents, shape (m,).
+        objects: Number of the object of each face, shape (m,). An object is one geometry at one place.
+    """
+
+    is_plain: NDArray[np.bool_]
+    objects: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, scene: list[ScenePart], part: SceneArrays, plain: Mapping[str, bool] | None) -> _FaceRoles:
+        """Return the roles of the faces of a scene, whose parts are joined to ``part``."""
+        is_plain = np.zeros(len(part.faces), np.bool_)
+        if plain is not None:
+            is_plain = np.array(list(plain.values()))[key_of_faces(part, list(plain), "heightfield")]
+        numbers: dict[tuple[str, bytes], int] = {}
+        objects = [numbers.setdefault((entry.geometry, entry.transform.tobytes()), len(numbers)) for entry in scene]
+        return cls(is_plain, np.repeat(objects, [len(entry.faces) for entry in scene]))
+
+    def kept(self, keep: NDArray[np.bool_]) -> _FaceRoles:
+        """Return the roles of some of the faces."""
+        return _FaceRoles(self.is_plain[keep], self.objects[keep])
+
+
+def _build(
+    part: SceneArrays, tangents: TangentRule | NDArray[np.float64] | None, roles: _FaceRoles, *, in_memory: bool
+) -> Surface:
     """Return the surface of a part: remove faces without area, compute normals and tangents, and convert to float32."""
     index, faces = compacted(part.faces.T, len(part.vertices))
     world = part.vertices.T.take(index, axis=1)
@@ -209,7 +251,7 @@ def _build(part: SceneArrays, tangents: NDArray[np.float64] | None, *, in_memory
     if dropped:
         warn(f"{ref('mesh')}: {dropped} of {len(keep)} faces have no area and are ignored")
         used, faces = compacted(faces.compress(keep, axis=1), len(index))
-        geometries, materials = geometries[keep], materials[keep]
+        geometries, materials, roles = geometries[keep], materials[keep], roles.kept(keep)
         index, vertices = index[used], vertices.take(used, axis=1)
         geometry = FaceGeometry(vertices, faces)
 
@@ -233,10 +275,10 @@ def _build(part: SceneArrays, tangents: NDArray[np.float64] | None, *, in_memory
     if in_memory:
         _warn_of_lost_normals(_equal_but_for_normals(part, index, own, welded, order), geometry, faces, welded)
     normals = vertex_normals(geometry, faces, welded, own)
+    body = Body(vertices, faces, normals, welded, roles.objects, ~roles.is_plain)
     if tangents is not None:
-        scale = np.max(np.abs(tangents), initial=0.0)
-        field = tangents.T.take(part.source[index], axis=1) / (scale if scale > 0.0 else 1.0)
-        name = ref("tangents")
+        field = _explicit_field(tangents, body, part.source[index])
+        name = ref("tangents", tangents) if isinstance(tangents, str) else ref("tangents")
     else:
         field = tangents_from_uvs(geometry, texture_geometry, faces, normals)
         field = join_seams(field, welded, order, handedness)
@@ -244,7 +286,10 @@ def _build(part: SceneArrays, tangents: NDArray[np.float64] | None, *, in_memory
             in_file = np.nan_to_num(part.tangents.T.take(index, axis=1)[:3])
             field = np.where(in_file.any(axis=0), in_file, field)
         name = f"{ref('mesh')}'s texture coordinates"
-    field = fill(unit(tangential(field, normals)), normals, faces, welded, name)
+    field = fill(
+        unit(tangential(field, normals)), normals, faces, welded, body.needs_directions, name,
+        has_poles=isinstance(tangents, str),
+    )  # fmt: skip
 
     has_colour = part.texture is not None or part.colours is not None
     texture = np.zeros((1, 1, 3), np.float32) if part.texture is None else part.texture
@@ -260,6 +305,16 @@ def _build(part: SceneArrays, tangents: NDArray[np.float64] | None, *, in_memory
         is_convex=is_convex(vertices, faces, geometry.normals, welded), centre=centre, radius=radius,
         geometry_names=part.geometry_names, material_names=part.material_names,
     )  # fmt: skip
+
+
+def _explicit_field(
+    tangents: TangentRule | NDArray[np.float64], body: Body, source: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return the directions of a rule, or of an array with a vector for each input vertex, at the body's vertices."""
+    if isinstance(tangents, str):
+        return direction_field(tangents, body)
+    scale = np.max(np.abs(tangents), initial=0.0)
+    return np.asarray(tangents.T.take(source, axis=1) / (scale if scale > 0.0 else 1.0))
 
 
 def _mirrored(tangents: NDArray[np.float64], faces: NDArray[np.int64], by_uvs: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -337,20 +392,30 @@ def _warn_of_lost_normals(
         )
 
 
-def _check_tangents(part: SceneArrays, tangents: NDArray[np.float64] | None) -> None:
-    """Check that ``tangents`` has a vector per vertex, or if it is None, that all vertices have a direction."""
-    if tangents is not None:
-        if tangents.shape != (part.count, 3):
-            raise ArgumentValueError(
-                f"{ref('tangents')} must have shape ({part.count}, 3), one vector per vertex of the mesh, or (3,), "
-                f"got {tangents.shape}"
-            )
+def _checked_field(tangents: TangentRule | ArrayLike | None) -> Any:
+    """Return ``tangents`` as a rule, a float64 array or None."""
+    if tangents is None or isinstance(tangents, str):
+        return check_tangents(tangents)
+    return validation.finite_array(tangents, "tangents")
+
+
+def _check_tangents(part: SceneArrays, tangents: Any, is_plain: NDArray[np.bool_]) -> None:
+    """Check that an array of tangents has a vector per vertex, and without tangents, that texture coordinates exist."""
+    if isinstance(tangents, np.ndarray) and tangents.shape != (part.count, 3):
+        raise ArgumentValueError(
+            f"{ref('tangents')} must have shape ({part.count}, 3), one vector per vertex of the mesh, or (3,), "
+            f"got {tangents.shape}"
+        )
+    if tangents is not None or is_plain.all():
         return
     if part.uvs is None and part.tangents is None:
-        raise ArgumentValueError(f"{ref('mesh')} has neither texture coordinates nor tangents; {HOW_TO_GET_TANGENTS}")
+        raise ArgumentValueError(f"{ref('mesh')} has neither texture coordinates nor tangents; {_HOW_TO_GET_TANGENTS}")
     missing = np.ones(len(part.vertices), np.bool_)
     for values in (part.uvs, part.tangents):
         if values is not None:
             missing &= np.isnan(values).any(axis=1)
-    if missing.any():
-        raise ArgumentValueError(f"{part.label} has no texture coordinates; {HOW_TO_GET_TANGENTS}")
+    if (faces := np.flatnonzero(missing[part.faces].any(axis=1) & ~is_plain)).size:
+        name = part.geometry_names[part.geometries[faces[0]]]
+        raise ArgumentValueError(
+            f"{ref('mesh')}'s geometry {name!r} has no texture coordinates; {_HOW_TO_GET_TANGENTS}"
+        )

@@ -6,7 +6,7 @@ A part has the faces of one geometry with one material. A key is the name of a g
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from warpdiff.scene.mesh_import import Surface
 
 REST = "*"
 
@@ -37,13 +36,33 @@ class _Part(NamedTuple):
         return matches.index(True) if any(matches) else None
 
 
-def key_of_faces(surface: Surface, keys: Sequence[str], argument: str) -> NDArray[np.int32]:
+class NamedFaces(Protocol):
+    """Mesh whose faces have geometries and materials with names."""
+
+    @property
+    def geometries(self) -> NDArray[np.int32]:
+        """For each face, the index of its geometry in ``geometry_names``."""
+
+    @property
+    def geometry_names(self) -> tuple[str, ...]:
+        """Names of the geometries, which all differ."""
+
+    @property
+    def materials(self) -> NDArray[np.int32]:
+        """For each face, the index of its material in ``material_names``; −1 without one."""
+
+    @property
+    def material_names(self) -> tuple[str, ...]:
+        """Names of the materials, which all differ."""
+
+
+def key_of_faces(surface: NamedFaces, keys: Sequence[str], argument: str) -> NDArray[np.int32]:
     """Return for each face the index of the key that selects it.
 
     A key ``geometry/material`` takes precedence over the name of a geometry or a material, and these over ``"*"``.
 
     Args:
-        surface: The prepared mesh.
+        surface: The mesh.
         keys: Keys of parts, each once.
         argument: Name of the argument in messages.
 

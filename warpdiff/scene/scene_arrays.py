@@ -182,8 +182,11 @@ def warn_of_features(parts: list[ScenePart]) -> None:
             continue
         names = dict.fromkeys(part.appearance.not_rendered)
         texture = part.appearance.base_texture
-        if part.colours is not None and texture is not None and texture.image is not None:
-            names["vertex colours on a texture"] = None
+        if texture is not None and texture.image is not None:
+            if texture.uv_set not in part.uvs:
+                names["texture without texture coordinates"] = None
+            elif part.colours is not None:
+                names["vertex colours on a texture"] = None
         if names:
             features.setdefault(part.appearance.name, {}).update(names)
     if features:
@@ -211,7 +214,6 @@ def joined(parts: list[SceneArrays]) -> SceneArrays:
             f"{ref('mesh')} must have at most one texture image, got a scene with {len(textures)}, of "
             f"{', '.join(textured)}; render its geometries one by one, or bake them into one texture"
         )
-    without_uvs = [part.label for part in parts if part.uvs is None and part.tangents is None]
     geometry_names, geometries = _joined_names([(part.geometry_names, part.geometries) for part in parts])
     material_names, materials = _joined_names([(part.material_names, part.materials) for part in parts])
     vertex_start = np.cumsum([0, *(len(part.vertices) for part in parts)])
@@ -240,7 +242,7 @@ def joined(parts: list[SceneArrays]) -> SceneArrays:
         count=int(source_start[-1]), normals=gather("normals", 3), tangents=gather("tangents", 4),
         uvs=gather("uvs", 2), texture=textures[0] if textures else None, colours=colours, geometries=geometries,
         geometry_names=geometry_names, materials=materials, material_names=material_names,
-        label=without_uvs[0] if without_uvs else ref("mesh"),
+        label=ref("mesh"),
     )  # fmt: skip
 
 

@@ -1,21 +1,23 @@
 """BSDF plug-in ``warpdiff`` for Mitsuba 3: path tracing with baked lobes.
 
-In spectral variants each wavelength λ of a ray looks up the power spectrum (``BakedSpectrum``) at q = (u, v)/λ and
-κ = w/λ. In RGB variants a ray looks up colours (``BakedLobes``) at (u, v) and w. (u, v, w) is the scattering vector.
-Both give the absolute BRDF of ``warpdiff.brdf``,
+In Mitsuba's spectral variants, each wavelength λ of a ray looks up the power spectrum (``BakedSpectrum``) at q = (u,
+v)/λ and κ = w/λ. In RGB variants a ray looks up colours (``BakedLobes``) at (u, v) and w. (u, v, w) is the scattering
+vector. Both look-ups give the absolute BRDF f of ``warpdiff.brdf``:
 
     f cos θo = R(θd) M (1 + ωi·ωo)² / (cos θi w²) · D.
 
-R is Schlick's power reflectance, θd half of the angle between ωi and ωo, M the masking factor, and D the density of the
-reflected power over (u, v), which integrates to 1. For a coherence window, D is 4πσ²/λ² ⟨|P|²⟩. For a source with the
-spread s, D is ⟨|P|²⟩ / 2πs². Scalar diffraction does not conserve energy, so the reflected power may exceed the
-incident power. The reflected power divided by the incident power is the sum of the efficiencies of
-``warpdiff.order_efficiencies``.
+The unit vectors ωi and ωo point away from the surface along the incoming and the outgoing path, at the angles θi and θo
+from the normal. R is Schlick's power reflectance, θd half of the angle between ωi and ωo, M the masking factor, and D
+the density of the reflected power over (u, v), which integrates to 1. With the surface's power ⟨|P|²⟩ of a coherence
+window of standard deviation σ, D is 4πσ²/λ² ⟨|P|²⟩. For a source with the angular spread s, D is ⟨|P|²⟩ / 2πs². Scalar
+diffraction does not conserve energy, so the reflected power may exceed the incident power. The reflected power divided
+by the incident power is the sum of the efficiencies of ``warpdiff.order_efficiencies``.
 
 Outgoing directions are drawn in two steps. First q is drawn, either from the table's cells in proportion to their power
-or from the Gaussian lobe of the zeroth order, the reflection of the mean plane. Then ωo = −ωi − λ q, with
-dω = λ²/cos θo dq. The sampling draws one of the ray's wavelengths, and the density is the mean over all of them (hero
-wavelengths, Wilkie et al. 2014).
+or from the Gaussian lobe of the zeroth order, the reflection of the mean plane. Second, ωo follows from ωi + ωo = −λ q
+along the surface; solid angles are dω = λ²/cos θo dq. The sampling uses one of the ray's wavelengths, which is drawn at
+random. The density of a direction is the mean of the densities at all wavelengths of the ray (hero wavelengths, Wilkie
+et al. 2014).
 """
 
 from __future__ import annotations
@@ -33,26 +35,28 @@ from warpdiff.core.wording import ArgumentValueError, ref
 Variant: TypeAlias = Any
 
 NAME = "warpdiff"
-# An outgoing direction is drawn from the lobe of the zeroth order or from the table of the other orders. First number:
-# part of the table's probability that is spread evenly over the disc of its coordinates, so that no lobe is missed.
-# Second and third number: least and largest probability of drawing from the lobe of the zeroth order. All three only
-# change the noise.
+# An outgoing direction is drawn either from the lobe of the zeroth order or from the table of the other orders. `_EVEN`
+# is the part of the table's probability that is spread evenly over the disc of (u, v), so that no lobe is missed. The
+# probability of drawing from the lobe of the zeroth order is from `_LEAST_MIRROR` to `_MOST_MIRROR`. These numbers
+# change only the noise.
 _EVEN, _LEAST_MIRROR, _MOST_MIRROR = 0.05, 0.05, 0.9
-# Texels per side of the table of colours over (u, v). Limit: twice the number requires four times the memory.
+# Texels per side of the table of colours over (u, v). The number is limited because twice as many texels per side
+# require four times the memory.
 _SIZE = 1024
-# The sampling probabilities of a table's cells are its powers at one κ, or its colours at one w. First number: this κ,
-# as a fraction of its range. Second number: this w. They only change the noise.
+# Directions are drawn from the table's cells in proportion to their powers at one κ = w/λ, or to their colours at one
+# w. `_TYPICAL_KAPPA` is this κ, as a fraction of the tabulated range, and `_TYPICAL_W` is this w. These numbers change
+# only the noise.
 _TYPICAL_KAPPA, _TYPICAL_W = 0.5, 1.4
-# Smallest cosine of the angle between a direction and the normal; for smaller cosines the BSDF is 0. Limit: the
-# geometry factor diverges at the horizon.
+# Smallest cosine of the angle between a direction and the normal; for smaller cosines the BSDF is 0. Without this
+# limit, the geometry factor would diverge at the horizon.
 _LEAST_COSINE = 1e-4
 
 
 def register_mitsuba_bsdf(name: str = NAME) -> None:
     """Register the plug-in with Mitsuba, for its current variant.
 
-    A scene then uses the BSDF ``{"type": "warpdiff", "filename": "lobes.npz"}``. Its options ``ior`` (default 1.5) and
-    ``masking`` (default True) are those of :func:`warpdiff.shade`. Spectral variants read a file of
+    A scene then uses the BSDF ``{"type": "warpdiff", "filename": "lobes.npz"}``. The options ``ior`` (default 1.5) and
+    ``masking`` (default True) of the BSDF are those of :func:`warpdiff.shade`. Spectral variants read a file of
     ``BakedSpectrum.save``. RGB variants read a file of ``BakedLobes.save``, baked with ``Coherence("source")``. The
     tangent is the direction along the mesh in which the first texture coordinate increases and the second one is
     constant. Only the outside of the surface reflects. A ``twosided`` BSDF around the plug-in reflects on both sides.
@@ -186,7 +190,7 @@ def _spectrum(filename: str) -> _Table:
     span = baked.largest_kappa - baked.least_kappa
     entry = round(_TYPICAL_KAPPA * (len(baked.functions) - 1))
     # The baked powers are multiplied by this factor. The products are the density of the reflected power over q, which
-    # integrates to 1: λ² times the density D over (u, v).
+    # integrates to 1. This density is λ² times the density D over (u, v) of the module's docstring.
     scale = 4.0 * math.pi * baked.sigma_um**2
     return _Table(
         scale * baked.powers, baked.functions, baked.zeroth, largest=baked.largest_q, first=baked.least_kappa,
@@ -261,7 +265,7 @@ def _bsdf_class(table_of: Variant) -> Variant:
             return self._normal + (1.0 - self._normal) * rest * rest * rest * rest * rest
 
         def _mirror_share(self, cos_i: Variant, scale: Variant) -> Variant:
-            """Return the probability that the sampling draws from the zeroth order's lobe, for one wavelength.
+            """Return the probability with which the sampling draws from the zeroth order's lobe, for one wavelength.
 
             The probability is the power of the zeroth order in the mirror direction, limited to the range from 0.05 to
             0.9.

@@ -26,9 +26,10 @@ _AXES: tuple[Against, Against] = ("wavelength_nm", "angle_deg")
 # Largest size of the text file of a curve [bytes], about a million rows. If doubled, a wrong file is read for longer
 # before it is refused.
 _MOST_BYTES = 64 << 20
-# Least number of measured values in a curve. Limit: the correlation of two values with any others is always 1 or −1.
+# Least number of measured values in a curve. With only two values, the correlation with any computed curve would be 1
+# or −1.
 _LEAST_ROWS = 3
-# Upper limit of the view angles from the normal [degrees]. Limit: at 90° the view direction is at the horizon.
+# Upper limit of the view angles from the normal [degrees]. At 90° the view direction is at the horizon.
 _MOST_DEG = 90.0
 # Words that mark a column as errors of the measured values, anywhere in the name of the column.
 _ERROR = re.compile(r"error|uncertainty|std|sigma|deviation")
@@ -70,7 +71,7 @@ def read_curve(path: str | os.PathLike[str]) -> MeasuredCurve:
 
     Args:
         path: Text file with a column ``wavelength_nm`` or ``angle_deg``, one column of measured values, and optionally
-            one column of their errors, with ``error``, ``std`` or ``uncertainty`` in its name.
+            one column of the errors of these values, with ``error``, ``std`` or ``uncertainty`` in its name.
 
     Raises:
         FileNotFoundError: The file does not exist.

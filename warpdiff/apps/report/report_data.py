@@ -36,35 +36,38 @@ if TYPE_CHECKING:
 
 _T = TypeVar("_T")
 # Largest number of samples along an axis of the field from which periods and diffraction are computed; a larger field
-# is cropped to its middle. Limit: a report takes 30 s on two cores. If doubled, the time is four times as long.
+# is cropped to its middle. The number was chosen so that a report takes 30 s on two cores. If doubled, the time is four
+# times as long.
 MOST_SAMPLES = 1536
-# View angles for which a report computes colours [degrees]. The step is about half of the width of the lobe around an
-# order with the default coherence window.
+# View angles for which a report computes colours [degrees]. The step is about half of the angular width of a
+# diffraction order with the default coherence window.
 ANGLES_DEG = np.arange(-89.5, 89.6, 0.25)
-# Width and height of the reflectance map [pixels]. Limit: it fills a third of the width of a printed page at 150 dots
-# per inch.
+# Width and height of the reflectance map [pixels]. It was chosen so that the map fills a third of the width of a
+# printed page at 150 dots per inch.
 _MAP_PIXELS = 300
-# Largest diffraction order of a period in the table of the orders. Limit: higher orders are far weaker than the noise
-# of a scan.
+# Largest number m of a diffraction order of a period in the table of the orders. It was chosen because orders with
+# larger m are far weaker than the noise of a scan.
 _MOST_ORDER = 20
 # Largest number of diffraction orders of the field from which diffraction is computed; a larger field is cropped to its
-# middle. At 450 nm this middle is a square of 100 µm, which is wider than the default coherence window. Limit: the
-# computation takes seconds. If doubled, the time doubles.
+# middle. At 450 nm this middle is a square of 100 µm, which is wider than the default coherence window. The number was
+# chosen so that the computation takes seconds. If doubled, the time doubles.
 _MOST_PATCH_ORDERS = 2e5
-# Least length of the cropped field, as a share of the length of the whole field, at which it counts as the whole field.
-# Limit: rounding of lengths.
+# Least length of the cropped field, as a share of the length of the whole field, at which the cropped field counts as
+# the whole field. The share is below 1 because lengths are rounded.
 _WHOLE = 0.999
 # A field in which no wave repeats counts as a single period of a grating if it has at most this number of diffraction
-# orders. Limit: their table fits on a page. Patches of rough surfaces have thousands of orders.
+# orders. The number was chosen so that the table of these orders fits on a page. Patches of rough surfaces have
+# thousands of orders.
 _MOST_CELL_ORDERS = 60
-# Angle of the light from the normal if the caller gives no ``to_light`` [degrees]. Choice: common in goniometers.
+# Angle of the light from the normal if the caller gives no ``to_light`` [degrees]. It was chosen because this angle is
+# common in goniometers.
 DEFAULT_INCIDENCE_DEG = 30.0
-# Share of integer samples at the ends of their range above which a report warns that heights may be clipped. Limit: a
-# scan that is scaled to this range has at least one sample at each end. If doubled, small clipped peaks are not
-# reported.
+# Heights in a file of integers may be clipped. A report warns if more than this share of the samples have the smallest
+# or the largest integer. The share is above 0 because a scan that is scaled to the range of the integers has at least
+# one sample at each end. If doubled, small clipped peaks are not reported.
 _MOST_CLIPPED = 1e-4
-# Least sine of the angle between the light and the normal for which both define a plane of incidence. Limit: rounding
-# of unit vectors.
+# Least sine of the angle between the light and the normal for which both define a plane of incidence. Smaller sines may
+# be rounding errors of unit vectors.
 _LEAST_SINE = 1e-9
 
 
@@ -101,8 +104,8 @@ class ReportData:
 
     Attributes:
         request: Checked arguments of the report.
-        part: Field from which periods are computed, with its gaps; a field with too many samples is cropped to its
-            middle.
+        part: Field from which periods are computed; missing samples are not interpolated. A field with too many samples
+            is cropped to its middle.
         to_light: Unit vector to the light, shape (3,).
         azimuth_deg: Azimuth of the plane of the view angles [degrees], above −90 and at most 90.
         periods: Periodic waves in ``part``, strongest first.
@@ -112,8 +115,8 @@ class ReportData:
         flat_powers: Power that a flat surface of the material reflects at each wavelength, relative to the incident
             power, shape (m,).
         efficiencies: Efficiencies of the orders that the picture of the orders shows.
-        orders: Table of the orders; for a field without orders, of the power in the mirror direction and the scattered
-            power.
+        orders: Table of the diffraction orders. For a field without orders, the table has the power in the mirror
+            direction and the scattered power.
         patch_um: Size (y, x) of the field from which diffraction is computed [µm], after cropping.
         is_cell: Whether the field counts as one period of a grating, because nothing repeats in it and it has few
             orders.
@@ -163,12 +166,12 @@ class ReportData:
 
     @property
     def is_cropped(self) -> bool:
-        """Whether periods are computed from the middle of the field, because it has too many samples."""
+        """Whether periods are computed from the middle of the field, because the field has too many samples."""
         return self.part is not self.request.heightfield
 
     @property
     def has_patch(self) -> bool:
-        """Whether diffraction is computed from the middle of the field, because it has too many orders."""
+        """Whether diffraction is computed from the middle of the field, because the field has too many orders."""
         shares = (own / whole for own, whole in zip(self.patch_um, self.request.heightfield.size_um, strict=True))
         return 0.0 < min(shares) < _WHOLE
 
@@ -210,7 +213,8 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
     data.warnings += _doubts(data)
     progress(0.2)
     data.is_cell = not data.periods and _order_count(part, float(request.wavelengths_nm.min())) <= _MOST_CELL_ORDERS
-    # A single period of a grating may be a tilted plane, such as a blazed groove. Only the mean is subtracted from it.
+    # A single period of a grating may be a tilted plane, such as a blazed groove. Only the mean is subtracted from such
+    # a field.
     data.roughness = data.attempt("roughness", lambda: request.heightfield.roughness(0 if data.is_cell else 1))
     progress(0.3)
     _set_geometry(data)
@@ -280,7 +284,10 @@ def central_part(heightfield: HeightField) -> HeightField:
 
 
 def _order_count(part: HeightField, wavelength_nm: float) -> float:
-    """Return the number of diffraction orders of a field as one period of a grating, over all angles of the light."""
+    """Return the number of diffraction orders of a field that repeats as one period of a grating.
+
+    The number counts the orders that propagate for at least one angle of the light.
+    """
     counts = [2e3 * size / wavelength_nm + 1.0 for n, size in zip(part.shape, part.size_um, strict=True) if n > 1]
     return math.prod(counts)
 
@@ -314,14 +321,14 @@ def _set_geometry(data: ReportData) -> None:
 def wave_azimuth_deg(heightfield: HeightField) -> float:
     """Return the azimuth of the strongest wave vector of a field [degrees], above −90 and at most 90.
 
-    It is rounded to 0.1°. If nothing repeats in the field, it is the azimuth of the x axis, or of the y axis for a
-    field of a single column.
+    The azimuth is rounded to 0.1°. If nothing repeats in the field, the result is the azimuth of the x axis, or of the
+    y axis for a field of a single column.
     """
     try:
         periods = central_part(heightfield).periods()
     except (ValueError, MemoryError):
-        # If the periods cannot be computed, the page states the reason: `collect` computes them too and stores its
-        # error.
+        # If the periods cannot be computed, the error is ignored here. `collect` also computes them, and stores the
+        # same error, so that the page states the reason.
         periods = None
     if not periods:
         return 0.0 if heightfield.shape[1] > 1 else 90.0
@@ -386,8 +393,10 @@ def _of_periods(
 ) -> tuple[Table, OrderEfficiencies]:
     """Return the table of the orders of all periods, and the efficiencies of the orders of the strongest period.
 
-    The field as one period of a grating has orders that are much denser than those of the periods in it. Each dense
-    order is added to the nearest order of a period, up to half of the shortest wave vector away.
+    The efficiencies in ``result`` are those of a grating whose one period is the whole field. The orders of this
+    grating are much denser than the orders of the periods that were measured in the field. The efficiency of a dense
+    order is added to the nearest order of a measured period, if the distance is at most half of the shortest wave
+    vector.
     """
     angles = order_angles(periods, data.to_light, data.request.wavelengths_nm, most_order=_MOST_ORDER)
     numbers = np.array([(wave, m) for wave in range(len(periods)) for m in range(-_MOST_ORDER, _MOST_ORDER + 1)])
@@ -427,9 +436,9 @@ def _of_periods(
 
 
 def _of_grating(table: Table, period_um: float, result: OrderEfficiencies) -> OrderEfficiencies:
-    """Return the orders of one period as efficiencies that can be plotted.
+    """Return the efficiencies of the orders of one period, in a form that can be plotted.
 
-    The table lists each order by its number m. In the result it is the order (0, m) of a grating along x.
+    The table lists an order by its number m. The result lists the same order as (0, m), an order of a grating along x.
     """
     is_own = table["period_um"] == period_um
     orders = np.unique(table["order"][is_own]).astype(int)
@@ -445,7 +454,7 @@ def _of_grating(table: Table, period_um: float, result: OrderEfficiencies) -> Or
 
 
 def _compared(data: ReportData, optical: HeightField, measured: MeasuredCurve) -> CurveComparison:
-    """Compute the quantity that was measured, and compare the computed with the measured curve."""
+    """Compute the quantity that the user has measured, and compare the computed with the measured curve."""
     request = data.request
     names = {option.name for option in fields(SpectralSettings)}
     spectral = {name: value for name, value in request.settings.items() if name in names}

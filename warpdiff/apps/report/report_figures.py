@@ -26,23 +26,26 @@ if TYPE_CHECKING:
     from warpdiff.evaluate.orders import OrderEfficiencies
     from warpdiff.image.image import Image
 
-# Resolution of PNG pictures [dots per inch]. Limit: a page has a few megabytes. If doubled, it has four times as many.
+# Resolution of PNG pictures [dots per inch]. It was chosen so that a page has a few megabytes. If doubled, a page has
+# four times as many.
 _DPI = 150
-# Largest number of samples along an axis of a height map; larger fields are thinned. Limit: at 150 dots per inch, more
-# samples are not visible.
+# Largest number of samples along an axis of a height map; larger fields are thinned. The number was chosen because more
+# samples are not visible at 150 dots per inch.
 _MOST_DRAWN = 1400
-# Width of pictures of curves, and of pictures of maps [inches]. Limit: their text is legible on a screen of 400 pixels.
+# Width of pictures of curves, and of pictures of maps [inches]. Both were chosen so that the text of the pictures is
+# legible on a screen with a width of 400 pixels.
 _WIDE, _SQUARE = 5.6, 5.4
-# Side of the middle part of a field that the report also shows enlarged [µm], and the least size of the field, relative
-# to this side.
+# The report also shows the middle of a field enlarged, a square with the side `_ZOOM_UM` [µm]. This picture exists only
+# if each side of the field is at least `_LEAST_FIELD` times as long as the side of the square.
 _ZOOM_UM, _LEAST_FIELD = 10.0, 2.0
-# Highest frequency of the enlarged power spectrum, relative to that of the strongest period.
+# Highest frequency of the enlarged power spectrum, relative to the frequency of the strongest period.
 _SPECTRUM_PERIODS = 4.0
 # Factor of the exposure of the additional colour strip, which shows weak orders.
 _BRIGHTER = 16.0
 # Angles with a label below a colour strip [degrees].
 _TICKS_DEG = range(-75, 76, 15)
-# Azimuth of a wave vector, without its sign, above which it is nearer to the y axis than to the x axis [degrees].
+# Largest angle between the x axis and a wave vector at which the wave vector counts as nearer to the x axis than to the
+# y axis [degrees].
 _NEARER_TO_Y_DEG = 45.0
 
 
@@ -90,7 +93,7 @@ def _drawn(
     # names of elements in an SVG picture are the same in each run.
     style = {"font.family": "DejaVu Sans", "font.size": 9.5, "axes.titlesize": 10.5, "svg.hashsalt": "warpdiff"}
     with mpl.rc_context(style):
-        # A single plot needs no automatic layout, because its empty margins are cut off when it is saved.
+        # A figure with a single plot needs no automatic layout, because empty margins are cut off when it is saved.
         canvas = Canvas(figsize=(width, height), dpi=_DPI, layout="constrained" if rows > 1 else None)
         draw(canvas.subplots(rows, 1))
         stream = io.BytesIO()
@@ -101,7 +104,7 @@ def _drawn(
 
 
 def _thinned(heightfield: HeightField) -> HeightField:
-    """Return a field for the height map, with every n-th sample if there are more than are visible."""
+    """Return a field for the height map, with only every n-th sample if the height map cannot show all samples."""
     steps = [-(-n // _MOST_DRAWN) for n in heightfield.shape]
     if max(steps) == 1:
         return heightfield

@@ -85,7 +85,7 @@ def _sha256(file: Path) -> str | None:
 
 
 def _settings(data: ReportData) -> JsonObject:
-    """Return the arguments of the report, and the settings of its evaluations with their defaults, by name."""
+    """Return the arguments of the report, and all settings of its evaluations including default values, by name."""
     request = data.request
     settings = EvaluationSettings(**request.settings)
     values = {option.name: getattr(settings, option.name) for option in dataclasses.fields(settings)}
@@ -100,7 +100,7 @@ def _settings(data: ReportData) -> JsonObject:
 
 
 def tables_of(data: ReportData) -> dict[str, Table]:
-    """Return the tables of all results, by the name of their CSV file without its ending."""
+    """Return the tables of all results, by the names of their CSV files without ``.csv``."""
     tables: dict[str, Table] = {}
     if data.roughness is not None:
         tables["roughness"] = data.roughness.table()

@@ -20,13 +20,14 @@ if TYPE_CHECKING:
     from warpdiff.core.table import Table
     from warpdiff.heightfield.roughness import RoughnessParameter
 
-# Largest number of orders that the page lists for each wavelength, the strongest ones. Limit: a table that fits on a
-# page; the CSV file has all orders.
+# Largest number of orders that the page lists for each wavelength, the strongest ones. It was chosen so that the table
+# fits on a page; the CSV file has all orders.
 _MOST_ORDERS = 15
-# Largest number of entries that the page lists from the metadata of a scan. Limit: some instruments write hundreds.
+# Largest number of entries that the page lists from the metadata of a scan. It was chosen because some instruments
+# write hundreds of entries.
 _MOST_METADATA = 30
-# Largest length of an entry of the metadata on the page [characters]; longer entries are cut. Limit: some contain whole
-# logs.
+# Largest length of an entry of the metadata on the page [characters]; longer entries are cut. The length is limited
+# because some entries contain whole logs.
 _MOST_TEXT = 200
 # Prefix that distinguishes absent pictures from absent results in the names of `ReportData.reasons`.
 _PICTURE = "picture of "
@@ -34,16 +35,16 @@ _PICTURE = "picture of "
 _NOT_DISTINGUISHABLE = "not distinguishable from zero"
 # Azimuth of the y axis [degrees].
 _Y_DEG = 90.0
-# Largest distance of the end of a unit vector from the plane of the light, at which its direction counts as in this
-# plane. It is the sine of 0.06°.
+# The direction of a diffraction order counts as in the plane of the light and the normal if the end of its unit vector
+# is at most this far from the plane. The number is the sine of 0.06°.
 _IN_PLANE = 1e-3
-# Height below which the page states heights in nanometres [µm], and the number of nanometres per micrometre.
+# Height [µm] below which the page states heights in nanometres, and number of nanometres per micrometre.
 _LEAST_MICROMETRES, _NM_PER_UM = 1.0, 1e3
 _GRADES = (
     "Reliable: use colours, and efficiencies that exceed their error. Qualitative: use the positions of colours, and "
     "not their brightness. Invalid: use nothing but the angles of orders."
 )
-# Sentences that explain causes of an error, by the reason of a verdict.
+# Sentences that explain why scalar diffraction has an error, by the reason in the verdict.
 _CAUSES = {
     "energy": (
         " Scalar diffraction does not conserve energy: the efficiencies of all orders sum to more or less than the "
@@ -267,7 +268,7 @@ def _surface(data: ReportData, numbers: JsonObject) -> str:
 
 
 def _stated(arguments: dict[str, str]) -> str:
-    """Return in words which of size and unit the user states, and which the file states."""
+    """Return a text that lists the sizes and units that the user has stated, or says that the file states them."""
     names = [f"{name} = {value}" for name, value in arguments.items() if name not in ("channel", "rows")]
     return f"stated by the user: {', '.join(names)}" if names else "from the file"
 

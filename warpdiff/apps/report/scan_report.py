@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.request.keywords import EvaluationKeywords
 
-# Largest number of coherence windows, and of wavelengths, of a report. Limit: their tables and pictures fit on one
-# page.
+# Largest number of coherence windows, and of wavelengths, of a report. Both were chosen so that the tables and pictures
+# of all windows and wavelengths fit on one page.
 _MOST_SIGMAS, _MOST_WAVELENGTHS = 6, 12
 
 
@@ -85,9 +85,10 @@ def report(
     """Write the report of a height field: one web page without links to other files, and its numbers.
 
     The page has the map of the heights and a profile, the cleaning steps, the ISO 25178 parameters, the power spectrum
-    and its periods, the verdict on scalar diffraction, the orders with their angles and efficiencies, colours against
-    the view angle, and a reflectance map. Each number has its error, or the reason why it has none. A field without
-    some of these results has a page that says what could not be found. The report requires the extra ``plot``.
+    and its periods, the verdict on scalar diffraction (its expected error), the diffraction orders with their angles
+    and efficiencies, colours against the view angle, and a reflectance map. Each number has its error, or the reason
+    why it has none. If a field has not all of these results, the page states which are absent. The report requires the
+    extra ``plot``.
 
     Missing samples are interpolated before diffraction is computed. Do all other cleaning first, see
     `HeightField.levelled`. Large fields are cropped to their middle: periods are computed from at most 1,536 samples
@@ -104,7 +105,8 @@ def report(
         sigmas_um: Standard deviations of the coherence windows whose colours are shown [µm], one to six.
         compare: Text file of a measured spectrum or goniometer curve, which is drawn over the computed one. It has a
             column ``wavelength_nm`` or ``angle_deg``, one column of values, and optionally one with ``error`` in its
-            name. View angles are from the normal in the plane of the light, positive towards +x, or +y where x is 0.
+            name. View angles are from the normal in the plane of the light. They are positive towards +x, or towards +y
+            if this plane contains the y axis.
         illuminant: Name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
         title: Title of the page; None is the name of the file of the height field.
         progress: Function that is called with the finished share of the work, 0 to 1; True shows a progress bar.
@@ -132,8 +134,8 @@ def report(
         heightfield, _direction(to_light, "to_light"), _direction(to_view, "to_view"), _wavelengths(wavelengths_nm),
         _sigmas(sigmas_um), illuminant, None if compare is None else read_curve(compare), dict(settings),
     )  # fmt: skip
-    # A wrong setting must raise an error. Without this check, the page would only state it as the reason why results
-    # are absent.
+    # A wrong setting must raise an error. Without this check, the page would only state the error as the reason why
+    # results are absent.
     flat = HeightField.of_known_scale([[0.0]], 1.0)
     Evaluation.of(flat, EvaluationSettings(**settings), illuminants=(illuminant,))
     target = files.made_folder(folder)

@@ -29,11 +29,12 @@ if TYPE_CHECKING:
     from warpdiff.render.renderer import Renderer
     from warpdiff.request.settings import DisplaySettings
 
-# Number of times that a frame, or the pickled renderer, is sent to workers again after a worker was lost. Limit: a
-# worker that always crashes must end the sequence. If doubled, the error of such a sequence appears later.
+# Number of times that a frame, or the pickled renderer, is sent to workers again after a worker was lost. The number is
+# limited so that a worker that always crashes ends the sequence. If doubled, the error of such a sequence appears
+# later.
 _RETRIES = 5
-# Number of frames that are sent to the workers in advance, per thread of a worker. Limit: finished frames wait in
-# memory until they are written. If doubled, they require twice the memory.
+# Number of frames that are sent to the workers in advance, per thread of a worker. The number is limited because
+# finished frames wait in memory until they are written. If doubled, they require twice the memory.
 _AHEAD = 2
 # Number of environment lights whose arrays of 14 MB each stay on the device. With 2, an environment that is the same in
 # all frames is uploaded only once. If doubled, the arrays require twice the memory.
@@ -169,8 +170,8 @@ def draw_by_workers(
                 for more in submit(1):
                     ready.add(more)
         except CancelledError:
-            # At this point, no worker has the pickle any more. Dask cannot recompute data that was sent from here, so
-            # that the next attempt sends the pickle again.
+            # At this point, no worker has the pickle of renderer and shots any more. Dask cannot recompute data that
+            # was sent from here, so that the next attempt sends the pickle again.
             if attempt == _RETRIES:
                 raise
         finally:

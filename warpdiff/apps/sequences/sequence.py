@@ -40,8 +40,9 @@ FORMATS: tuple[Format, ...] = get_args(Format)
 # arguments; frames of the old release are then not reused.
 _VERSION = 2
 _MANIFEST = "sequence.json"
-# Number of small frames from which automatic exposure is measured, and length of their longer side in pixels. Limits:
-# the measurement must be much faster than one frame. If the length is doubled, it requires four times the time.
+# Number of small frames from which automatic exposure is measured, and length of their longer side in pixels. Both are
+# limited because the measurement must be much faster than one frame. If the length is doubled, the measurement requires
+# four times the time.
 _METERED, _METERED_WIDTH = 16, 160
 
 
@@ -117,7 +118,7 @@ def sequence(
     if factor is None:
         factor = _metered(renderer, shots, shown.display, report) if exposure is None else exposure
         _write(target / _MANIFEST, json.dumps({"key": key, "frames": len(shots), "exposure": factor}).encode())
-    # EXR files have the exposure of the caller, and otherwise none. Their metadata state the exposure of the PNG files.
+    # EXR files have the exposure that the caller gives, or none. Their metadata state the exposure of the PNG files.
     shown = dataclasses.replace(shown, exposure=factor)
     scale = 1.0 if exposure is None else exposure_factor(shown, ())
     job = FrameJob(key, suffixes, shown, background, scale)
@@ -145,7 +146,7 @@ def sequence(
 
 
 def check_files(suffixes: tuple[str, ...], animation: object) -> Path | None:
-    """Check the formats of frames and the file of the animation; return its path, or None without an animation."""
+    """Check the formats of frames and the file of the animation; return the path of this file, or None."""
     if not suffixes:
         raise ArgumentValueError(f"{ref('formats')} must name at least one of {' and '.join(FORMATS)}, got none")
     return None if animation is None else animated.check_target(animation, suffixes)
@@ -203,8 +204,8 @@ def _key(renderer: Renderer, shots: Sequence[Shot], saving: Any) -> str:
     for shot in shots:
         digest.update(repr(shot).encode())
         for light in shot.lights:
-            # The text of a shot contains spectra only by name, and settings of an environment only rounded. Their exact
-            # values and arrays are therefore hashed as well.
+            # The text of a shot contains only the names of spectra, and rounded settings of environments. Exact
+            # settings and all arrays of spectra and environments are therefore hashed as well.
             if isinstance(light, LobeLight) and not isinstance(light.illuminant, str):
                 _feed(digest, light.illuminant)
             elif isinstance(light, Environment):
@@ -241,7 +242,7 @@ def _manifest(folder: Path, key: str, *, overwrite: bool) -> dict[str, Any]:
     Args:
         folder: Folder of the frames.
         key: Hash of the sequence to draw.
-        overwrite: Whether frames of another sequence are deleted; otherwise they raise a ``ValueError``.
+        overwrite: Whether frames of another sequence are deleted; otherwise such frames raise a ``ValueError``.
     """
     path = folder / _MANIFEST
     manifest: dict[str, Any] = {}

@@ -25,14 +25,15 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-# Largest number of shots. Limit: one hour at 24 frames per second has 86,400 frames. A shot requires a few kilobytes.
+# Largest number of shots. It was chosen so that a sequence of one hour is possible, which has 86,400 frames at 24
+# frames per second. A shot requires a few kilobytes.
 MOST_SHOTS = 100_000
-# Largest number of turns. Limit: a larger number is probably an angle in degrees.
+# Largest number of turns. It was chosen because a larger number is probably an angle in degrees.
 _MOST_TURNS = 1e6
 Count = Annotated[int, Interval(ge=1, le=MOST_SHOTS)]
 Turns = Annotated[float, Interval(ge=-_MOST_TURNS, le=_MOST_TURNS)]
-# Smallest sine of the angle between two directions that define a great circle. Limit: for smaller angles, the axis of
-# the rotation consists of rounding errors.
+# Smallest sine of the angle between two directions that define a great circle. For smaller angles, the axis of the
+# rotation would consist of rounding errors.
 _LEAST_SINE = 1e-9
 _COLUMNS = ("eye_x", "eye_y", "eye_z", "target_x", "target_y", "target_z")
 _MORE_COLUMNS = ("up_x", "up_y", "up_z", "fov_y_deg")

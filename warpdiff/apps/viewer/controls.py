@@ -1,7 +1,7 @@
 """Controls of the viewer's page: options of the library with labels, groups and sliders.
 
-Type, choices, unit and meaning come from the descriptions of options. An option of pictures or of their display gets a
-control from its description alone if it has no entry in :func:`controls`.
+Type, choices, unit and meaning come from the descriptions of options. Without an entry in :func:`controls`, an option
+of a picture or of its display gets a control that follows from the description alone.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.lights.directional import ONE_LOBE_DEG, DirectionalLight
 from warpdiff.lights.environment import Environment
 from warpdiff.optics.coherence import DEFAULT_SIGMA_UM, Coherence
-from warpdiff.request.settings import DisplaySettings, PictureSettings
+from warpdiff.request.settings import TANGENT_RULES, DisplaySettings, PictureSettings
 from warpdiff.samples import gratings
 from warpdiff.scene.camera import View
 
@@ -38,10 +38,12 @@ METALS = {
     "Al": "aluminium", "Ag": "silver", "Au": "gold", "Cr": "chromium", "Cu": "copper", "Ni": "nickel",
 }  # fmt: skip
 MATERIALS = {"dielectric": "dielectric", "mirror": "perfect mirror"} | METALS
-AXES = {"x": "world x", "y": "world y", "z": "world z"}
+# Labels of the values of ``tangents`` that are rules.
+RULES = {rule: rule.replace("around-", "around world ") if len(rule) > 1 else f"world {rule}" for rule in TANGENT_RULES}
 # Options of pictures and of their display that have no control of the same name on the page.
 EXCLUDED = (
-    # Options that several other controls set together: controls of coherence, material, and the height field's x axis.
+    # Options of which each is set by several controls: the controls of coherence, of material, and of the height
+    # field's x axis.
     *("coherence", "material", "tangents"),
     # Options that the command line of ``warpdiff view`` sets.
     *("device", "threads"),
@@ -64,7 +66,10 @@ _DISPLAYS = {"aces": "ACES 2.0", "colorimetric": "colorimetric", "clip": "clippe
 # Picture heights that the page offers [pixels].
 _ROWS = {240: "240", 360: "360", 480: "480", 720: "720", 960: "960"}
 # Texts by which error messages on the page name the arguments of the library that no control sets.
-_WORDS = {"lights": "light", "heightfield": "height field", "to_light": "direction of the light", "view": "camera"}
+_WORDS = {
+    "lights": "light", "heightfield": "height field", "to_light": "direction of the light", "view": "camera",
+    "tangents": _X_AXIS[0],
+}  # fmt: skip
 _UNITS = {"um": "µm", "deg": "°"}
 # Lowest value, highest value and step of a slider; None is no slider.
 Slider = tuple[float, float, float] | None
@@ -170,8 +175,8 @@ def controls(
     """
     bodies, surfaces, named_skies = _files(meshes) | BODIES, _files(heights) | GRATINGS, _files(environments)
     skies, none = named_skies | {CLEAR_SKY: "clear sky with a sun"}, {"none": "none"}
-    # The first choice of a control is its default. If the page offers environment files, it starts with the first file
-    # and no other light; otherwise it starts with a directional light.
+    # The first choice of a control is its default. If there are environment files, the page starts with the first file
+    # and no other light. Otherwise the page starts with a directional light.
     lights = (none if environments else {}) | {"directional": "directional", "point": "point"} | none
     others = tuple(name for name in bodies if name not in LONG_BODIES)
     picture, window, display = describe(PictureSettings), describe(Coherence), describe(DisplaySettings)
@@ -185,8 +190,8 @@ def controls(
     entries = [
         _own("mesh", "Body", "mesh", "Mesh whose surface carries the height field.", labels=bodies),
         _own("along", "Body", *_X_AXIS, shown_if={"mesh": LONG_BODIES},
-             labels={"around": "around the body", "along": "along the body"} | AXES),
-        _own("tangent", "Body", *_X_AXIS, shown_if={"mesh": others}, labels={"texture": "texture's u"} | AXES),
+             labels={"around": "around the body", "along": "along the body"} | RULES),
+        _own("tangent", "Body", *_X_AXIS, shown_if={"mesh": others}, labels={"texture": "texture's u"} | RULES),
         Control(picture["pigment"], "Body", "pigment", (0.0, 2.0, 0.01), default=0.05, call="picture"),
         Control(picture["smooth"], "Body", "smooth normals", call="picture"),
         _own("surface", "Surface", "height field", "Height field on the body's surface.", labels=surfaces),
@@ -268,9 +273,9 @@ def _files(names: Sequence[str]) -> dict[str, str]:
 
 
 def _own(name: str, group: str, label: str, text: str, default: Any = None, unit: str = "", **more: Any) -> Control:
-    """Return a control for a value that is no option of the library: a choice, a flag or a number.
+    """Return a control for a value that is not an option of the library: a choice, a flag or a number.
 
-    It is a choice if ``labels`` are given, and the first of them is the default.
+    With the argument ``labels``, the control is a choice, and the first label is its default.
     """
     labels = more.get("labels")
     kind: Kind = "choice" if labels else "flag" if isinstance(default, bool) else "number"
@@ -285,7 +290,7 @@ def _of_gratings(argument: str, label: str, slider: Slider, *kinds: str, **more:
 
 
 def _further(settings: type, call: str, known: set[str]) -> list[Control]:
-    """Return controls for those flags, choices and bounded numbers of a class whose names are not in ``known``.
+    """Return controls for the options of a class that are flags, choices or bounded numbers, unless ``known`` has them.
 
     Args:
         settings: Class of settings.

@@ -20,21 +20,22 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.apps.viewer.page_calls import Call, PageRequest
+    from warpdiff.request.settings import TangentRule
 
-# Vertical field of view of the initial camera [degrees]. Choice: a wide angle distorts the body.
+# Vertical field of view of the initial camera [degrees]. A small angle was chosen because a wide one distorts the body.
 _FOV_Y_DEG = 25.0
 # Direction from the body to the initial camera, a unit vector in the world frame.
 _TOWARDS_EYE = (0.0, 0.6, 0.8)
 
 
-def surface_of(mesh: Call | Path, tangents: tuple[float, float, float] | None) -> Surface:
-    """Return the surface of a mesh file or of a sample body.
+def surface_of(mesh: Call | Path, tangents: TangentRule | None) -> Surface:
+    """Return the prepared mesh (surface) of a mesh file or of a sample body.
 
     Sample bodies are stored in the disk cache, because making one requires more time than rendering a picture.
 
     Args:
         mesh: Path of a mesh file, or the call that makes a sample body.
-        tangents: Direction of the height field's x axis, world frame; None uses the texture coordinates.
+        tangents: Rule for the direction of the height field's x axis; None uses the texture coordinates.
     """
     if not hasattr(mesh, "make"):
         return prepare_surface(str(mesh), tangents=tangents)
@@ -70,7 +71,7 @@ def local_directions(
     surface: Surface, view: wd.View, light: wd.DirectionalLight | wd.PointLight, column: int, row: int, *, smooth: bool,
     device: wp.Device, threads: int,
 ) -> LocalDirections | None:  # fmt: skip
-    """Return the local directions where the ray through a pixel's centre hits the body; None if the ray misses."""
+    """Return the local directions where the ray through a pixel's centre hits the body; None without a hit."""
     frame = view.frame()
     x = frame.half_width * (2.0 * (column + 0.5) / view.width - 1.0)
     y = frame.half_height * (1.0 - 2.0 * (row + 0.5) / view.height)
@@ -125,9 +126,10 @@ def angles_deg(direction: Sequence[float]) -> dict[str, float]:
 
 
 def height_field_of(call: Call) -> wd.HeightField:
-    """Return the height field that a call makes.
+    """Return the height field that a library call makes.
 
-    Synthetic gratings are stored in the disk cache, because making the one called nano-fingers requires half a second.
+    Synthetic gratings are stored in the disk cache, because making the grating with nano-fingers requires half a
+    second.
     """
     if not call.function.startswith("gratings."):
         result: wd.HeightField = call.make()
@@ -142,7 +144,7 @@ def height_field_of(call: Call) -> wd.HeightField:
 
 
 def resting_view(request: PageRequest, body: Surface) -> wd.View:
-    """Return the camera of a page's full-size picture: that of the request, or else the initial camera of the body."""
+    """Return the camera of a page's full-size picture. It is that of the request, or the body's initial camera."""
     height = request.values["height"]
     width = max(round(request.aspect * height), 1)
     if request.camera is None:

@@ -13,7 +13,7 @@ import numpy as np
 
 import warpdiff as wd
 from warpdiff.apps.cli_options import CLEANING, COHERENCE_FLAGS
-from warpdiff.apps.viewer.controls import AXES, LONG_BODIES, METALS, arguments, controls
+from warpdiff.apps.viewer.controls import LONG_BODIES, METALS, RULES, arguments, controls
 from warpdiff.core import forks
 from warpdiff.core.options import REQUIRED, describe
 from warpdiff.core.wording import ArgumentValueError, ref
@@ -24,11 +24,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from warpdiff.apps.viewer.controls import Control
+    from warpdiff.request.settings import TangentRule
 
-# Number of directions in which an environment light is sampled per pixel of a preview, while the user drags with a
-# mouse button or a finger down. Limit: with 16, the viewer shows about 14 pictures per second; with more, fewer.
+# Number of directions in which an environment light is sampled per pixel of an unrefined preview. With 16, the viewer
+# shows about 14 pictures per second while the user drags; with more, it shows fewer.
 _MOVING_DIRECTIONS = 16
-# Decimal places of coordinates in printed code. Limit: further decimals do not change a picture.
+# Decimal places of coordinates in printed code. Further decimals would not change a picture.
 _DIGITS = 7
 _DISC_PITCHES_UM = {"CD": 0.08, "DVD": 0.06, "Blu-ray": 0.04}
 
@@ -156,8 +157,8 @@ class Scene:
     def of(cls, values: Mapping[str, Any], files: NamedFiles) -> Scene:
         """Return the scene that the checked values of the controls describe.
 
-        If the selected light is a point light, this scene has a directional light instead. :meth:`placed` replaces it,
-        once centre and radius of the body are known.
+        If the selected light is a point light, this scene has a directional light instead. :meth:`placed` replaces this
+        light by the point light, once centre and radius of the body are known.
         """
         known = files.controls
         mesh, tangents = _mesh(values, files)
@@ -186,8 +187,8 @@ class Scene:
     def placed(self, centre: Sequence[float], radius: float) -> Scene:
         """Return the scene with a point light at its position, which depends on centre and radius of the body.
 
-        The point light's power is such that it illuminates the body's centre like the directional light that it
-        replaces.
+        The power of the point light is such that the body's centre is as bright as in the light of the directional
+        light, which the point light replaces.
 
         Args:
             centre: Centre of the body, world frame.
@@ -203,16 +204,16 @@ class Scene:
 
     @property
     def normal(self) -> float:
-        """Reflectance at normal incidence by which pictures are divided; 1 for a material with its own spectrum."""
+        """Reflectance at normal incidence by which pictures are divided; 1 if the body has a ``Material``."""
         shading = self.shading
         return check_reflection(shading.get("ior"), shading.get("material"))[0]
 
     def at(self, tolerance: float | None) -> Scene:
-        """Return the scene for a preview or an intermediate picture, which is simpler if it has an environment light.
+        """Return the scene for a preview or an intermediate picture. With an environment light, that scene is simpler.
 
-        The larger the tolerance, the fewer directions of an environment are sampled. For an unrefined preview,
-        ``tolerance`` is None: it samples 16 directions and has no shadows, because 320 × 240 pixels require 1.9 s with
-        shadows and 0.1 s without.
+        The larger the tolerance, the fewer directions of an environment are sampled. An unrefined preview has the
+        ``tolerance`` None. Such a preview samples 16 directions per pixel and has no shadows, because shadows increase
+        the time for 320 × 240 pixels from 0.1 s to 1.9 s.
         """
         if self.sky is None:
             return self
@@ -224,7 +225,7 @@ class Scene:
 
     @property
     def shading(self) -> dict[str, Any]:
-        """Options of ``Renderer`` and ``shade`` by name. An option that is a call, such as a material, is evaluated."""
+        """Options of ``Renderer`` and ``shade`` by name; values that are calls, as for a material, are executed."""
         return {name: _result(value) for name, value in self.options}
 
     def python(self, view: wd.View, tolerance: float, saving: Mapping[str, Any]) -> str:
@@ -262,8 +263,8 @@ class Scene:
         """Return the command line that renders the scene and saves the picture.
 
         The picture of the command may differ from the viewer's picture by up to twice the tolerance, because each has
-        an error of up to the tolerance. The command makes a plan for this one camera, and the viewer makes a plan for
-        many cameras.
+        an error of up to the tolerance. The command plans its computation for this one camera, and the viewer plans its
+        computations for many cameras.
         """
         words = ["warpdiff", "render", _named(self.mesh), "--heightfield", *_height_field_words(self.heightfield)]
         if self.light is not None:
@@ -290,7 +291,10 @@ def _texts(value: Any) -> Iterator[str]:
 
 
 def _flags(options: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    """Yield options as words of a command line. For a value that is a call, such as a material, yield its arguments."""
+    """Yield options as words of a command line.
+
+    A value that a function call makes, such as ``Material.dielectric(1.4)``, becomes the arguments of the call.
+    """
     for name, value in options.items():
         flag = COHERENCE_FLAGS.get(name, f"--{'no-' if value is False else ''}{prefix}{name.replace('_', '-')}")
         if isinstance(value, Call):
@@ -350,15 +354,14 @@ def _environment(values: Mapping[str, Any], files: NamedFiles) -> Call | None:
     return Call.of("Environment.clear_sky", _rounded(to_sun), **options)
 
 
-def _mesh(values: Mapping[str, Any], files: NamedFiles) -> tuple[Call | Path, tuple[float, float, float] | None]:
-    """Return the selected body, and the world direction of the height field's x axis.
+def _mesh(values: Mapping[str, Any], files: NamedFiles) -> tuple[Call | Path, TangentRule | None]:
+    """Return the selected body, and the rule for the direction of the height field's x axis.
 
-    The direction is None if the texture coordinates of the body determine it.
+    The rule is None if the texture coordinates of the body determine the direction.
     """
     name = values["mesh"]
     axis = values["along" if name in LONG_BODIES else "tangent"]
-    unit = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-    tangents = unit[axis] if axis in AXES else None
+    tangents = axis if axis in RULES else None
     if (path := _file(name, files.meshes)) is not None:
         return path, tangents
     return Call(f"meshes.{name}", options=(("tangent", "along"),) if axis == "along" else ()), tangents

@@ -1,8 +1,8 @@
 """Web server of ``warpdiff view``. It serves one HTML page and a web socket, to at most 8 pages at once.
 
-A page loads no other file and connects to no other host. Over the socket it sends small JSON messages. It receives each
-picture as one message: four bytes with the length of the JSON part, the JSON part, and the bytes of a picture file. The
-server answers requests under these conditions:
+A page loads no other file and connects to no other host. Over the socket, the page sends small JSON messages. The page
+receives each picture as one message: four bytes with the length of the JSON part, the JSON part, and the bytes of a
+picture file. The server answers requests under these conditions:
 
 - The header ``Host`` names this server, and the ``Origin`` of a socket is this server's page. Other web pages in the
   same browser can therefore not use the viewer.
@@ -47,20 +47,21 @@ if TYPE_CHECKING:
     from warpdiff.apps.viewer.page_calls import NamedFiles
     from warpdiff.apps.viewer.session import Studio
 
-# Largest number of pages that are open at once. Limit: one thread renders for all pages, so that each page becomes
-# slower.
+# Largest number of pages that are open at once. The number is limited because one thread renders for all pages, so that
+# each additional page makes all pages slower.
 MOST_PAGES = 8
 # Largest accepted size of a message from a page [bytes]. The requests of a page have about 2 kB.
 _MOST_MESSAGE_BYTES = 16 * 1024
-# Largest number of messages that wait to be sent to a page. Limit: messages to a page that does not read them require
-# memory.
+# Largest number of messages that wait to be sent to a page. The number is limited because messages to a page that does
+# not read them require memory.
 _MOST_QUEUED = 12
-# Longest time within which a new connection must send its first request [s]. Limit: idle connections use resources.
+# Longest time within which a new connection must send its first request [s]. The time is limited because idle
+# connections use resources.
 _OPENING_S = 5.0
 _LOOPBACK = {"127.0.0.1", "localhost", "::1"}
 _FOLDER = Path(__file__).with_name("page")
 _ASPECTS = (0.2, 5.0)
-# Largest generation of a request. Limit: JavaScript represents integers exactly only up to this number.
+# Largest generation (number of a request of a page). JavaScript represents integers exactly only up to this number.
 _MOST_GENERATION = 2**53 - 1
 
 
@@ -99,7 +100,7 @@ def run(
                 threading.Thread(target=webbrowser.open, args=(server.address,), daemon=True).start()
 
         serving = asyncio.ensure_future(server.run(ready))
-        # If the drawing thread or the server could not start, this loop raises its error.
+        # If the drawing thread or the server could not start, this loop raises the error.
         done, _ = await asyncio.wait({studio, serving}, return_when=asyncio.FIRST_COMPLETED)
         for task in done:
             task.result()
@@ -188,7 +189,8 @@ class ViewServer:
     def _is_ours(self, host: str) -> bool:
         """Whether a ``Host`` header names this server.
 
-        If other machines can reach the server, any name is accepted, because the server does not know its names.
+        If other machines can reach the server, any name is accepted, because the server does not know all names of its
+        machine.
         """
         if self.host not in _LOOPBACK:
             return bool(host)
@@ -292,7 +294,7 @@ class _Page:
             await self._connection.send(await self._queue.get())
 
     async def _take(self, message: str | bytes) -> None:
-        """Execute a message of the page: request a picture, save the last one, or note that one was shown."""
+        """Execute a message of the page: request a picture, save the last one, or note that the page has shown one."""
         try:
             content = json.loads(message) if isinstance(message, str) else None
         except (ValueError, RecursionError):

@@ -44,35 +44,34 @@ if TYPE_CHECKING:
     from warpdiff.apps.viewer.page_calls import NamedFiles, PageRequest
     from warpdiff.scene.mesh_import import Surface
 
-# Tolerances of the intermediate pictures that precede the picture with the requested tolerance.
+# Tolerances of the intermediate pictures that are drawn before the picture with the requested tolerance.
 TOLERANCES = (0.1, 0.03)
-# If a page is idle for this time while a mouse button is still down, its picture is refined [s]. Limit: users notice a
-# delay of twice this time.
+# If a page is idle for this time while a mouse button is still down, its picture is refined [s]. The time is limited
+# because users notice a delay of twice this time.
 _REST_S = 0.15
-# Largest number of pictures that are sent to a page before it has shown the first of them. Limit: twice the number
-# doubles the delay on a slow connection.
+# Largest number of pictures that are sent to a page before it has shown the first of them. The number is limited
+# because twice the number doubles the delay on a slow connection.
 _MOST_IN_FLIGHT = 2
-# Time limits for rendering a preview during a movement [s]; they correspond to about 15 and 12 pictures per second. A
-# preview that is expected to exceed the first limit gets fewer pixels. The second limit applies to previews of at most
-# `_LEAST_PIXELS` pixels.
+# Time limits for rendering a preview during a movement [s]. A preview that is expected to exceed `_MOVING_S` gets fewer
+# pixels, but not fewer than `_LEAST_PIXELS`. If a preview of this size is expected to exceed `_LEAST_MOVING_S`, it gets
+# still fewer pixels. The limits correspond to about 15 and 12 pictures per second.
 _MOVING_S, _LEAST_MOVING_S = 0.065, 0.08
 # Factors by which the width and height of a preview may be reduced during a movement.
 _SCALES = (1.0, 0.75, 0.5, 0.375)
-# Number of pixels to which a preview may be reduced to meet the first time limit of a movement, `_MOVING_S`. A preview
-# gets fewer pixels only if a preview with this number of pixels is expected to exceed the second time limit,
-# `_LEAST_MOVING_S`.
+# Number of pixels to which a preview may be reduced to meet the time limit `_MOVING_S` of a movement.
 _LEAST_PIXELS = 320 * 240
-# First number: the median time of this many previews predicts the time of the next one. Second number: the size of
-# previews increases only if the predicted time is below this share of the limit. Without this margin, the size would
+# The median time of the last `_TIMED` previews predicts the time of the next preview. The size of previews increases
+# only if the predicted time is below the share `_HEADROOM` of the time limit. Without this margin, the size would
 # change back and forth.
 _TIMED, _HEADROOM = 5, 0.8
 # Maximum memory of all cached renderers, and approximate memory of a renderer per pixel [bytes].
 _MOST_BYTES, _BYTES_PER_PIXEL = 1.5e9, 300
-# Width and height of the reflectance map [pixels]. Limit: twice the size needs four times as long.
+# Width and height of the reflectance map [pixels]. The size is limited because twice the width and height require four
+# times the time.
 MAP_SIZE = 192
 # Shortest time between two progress messages to a page [s].
 _REPORT_S = 0.5
-# Settings of an environment light that do not change its radiance maps.
+# Options of an environment light that do not change its radiance maps.
 _SKY_SETTINGS = ("rotation_deg", "scale", "directions")
 # Smallest coverage at which a pixel counts as completely covered by the body. It is below 1 because of rounding errors.
 _FULL_COVERAGE = 0.999
@@ -107,12 +106,12 @@ class Session:
 
     Attributes:
         send: Function that sends a message to the page. Its arguments are a description and the bytes of a file or
-            None. The drawing thread calls it.
+            None. The drawing thread calls ``send``.
         request: Newest request of the page.
         in_flight: Number of sent pictures that the page has not shown yet.
         open: Whether the page is connected.
-        generation: Generation of the request whose stages are drawn.
-        stage: Index of the next stage to draw.
+        generation: Generation (number) of the request whose stages are drawn.
+        stage: Index of the next stage to draw; see :class:`Stage`.
         drawn_at: Time at which the last picture was sent, by ``time.monotonic`` [s].
         drawn_request: Request that the last picture answered.
         exposure: Automatic exposure factor of the last picture that was not a preview of a movement.
@@ -167,8 +166,9 @@ class Studio:
         self._sessions: list[Session] = []
         self._changed = threading.Condition()
         self._caches = _Caches()
-        # Times of the last previews divided by the square root of their number of pixels [s]. Part of the time does not
-        # depend on the number of pixels, so that the square root predicts better than the number itself.
+        # Rendering times of the last previews, each divided by the square root of the preview's number of pixels [s].
+        # Part of the time does not depend on the number of pixels, so that the square root predicts better than the
+        # number itself.
         self._times: deque[float] = deque(maxlen=_TIMED)
         # Number of pixels of the last preview.
         self._last_pixels = math.inf
@@ -198,14 +198,14 @@ class Studio:
 
     @staticmethod
     def saved(session: Session, suffix: str) -> bytes:
-        """Return the bytes of a file with the last picture of a page, ``suffix`` being ``png`` or ``exr``."""
+        """Return the bytes of a file with the last picture of a page. ``suffix`` is ``png`` or ``exr``."""
         if session.picture is None:
             raise ArgumentValueError("there is no picture to save yet")
         image, display = session.picture
         return encoding.saved(image, suffix, display)
 
     def acknowledge(self, session: Session) -> None:
-        """Note that a page has shown one more of the sent pictures."""
+        """Count one more picture that a page reports as shown, of those that were sent to it."""
         with self._changed:
             session.in_flight = max(session.in_flight - 1, 0)
             self._changed.notify()
@@ -260,8 +260,8 @@ class Studio:
                     pictures = len(stages_to(request.values["tolerance"]))
                     if session.generation != request.generation:
                         session.generation = request.generation
-                        # If only the probe has moved, the picture remains valid: it is not drawn again, and its
-                        # refinement continues.
+                        # The probe is the point on the body whose local directions the page shows. If only the probe
+                        # has moved, the picture remains valid: it is not drawn again, and its refinement continues.
                         is_drawn = not request.moving and _has_same_picture(session.drawn_request, request)
                         session.stage = min(session.stage, pictures) if is_drawn else 0
                     if session.stage == 0 and _is_released(session, request) and session.picture:
@@ -283,7 +283,7 @@ class Studio:
                 self._changed.wait(min(waits, default=None))
 
     def _is_current(self, session: Session, request: PageRequest, index: int) -> bool:
-        """Whether a stage should be finished: its request is the newest, and no other page waits for a preview."""
+        """Whether to finish a stage: its request is the page's newest, and no other page waits for a preview."""
         newest = session.request
         if not session.open or newest is None:
             return False
@@ -315,7 +315,8 @@ class Studio:
     def _serve(self, session: Session, request: PageRequest, index: int) -> None:
         """Draw and send the pictures of a request, starting at the stage with the index ``index``.
 
-        If all pictures were sent, send the directions at the probe and the reflectance map instead.
+        If all pictures were sent, send the local directions at the probe, a point that the user selects, and the
+        reflectance map instead.
         """
         progress = self._progress(session, request, index)
         scene = Scene.of(request.values, self.files)
@@ -375,7 +376,7 @@ class Studio:
             session.send(description | result, data)
 
         # Without an environment, one call of the renderer draws all remaining stages, each of which refines the
-        # previous one. With an environment, each stage is a call of its own, because it samples another number of
+        # previous one. With an environment, each stage is a call of its own, because stages sample different numbers of
         # directions.
         last = len(stages) - 1 if index and scene.sky is None else index
         previews = {stage.tolerance: send for stage in stages[index:last] if stage.tolerance is not None}
@@ -387,7 +388,7 @@ class Studio:
             self._times.append((time.perf_counter() - built) / math.sqrt(view.width * view.height))
 
     def _smaller(self, view: wd.View) -> wd.View:
-        """Return the camera of a preview: ``view`` with the most pixels that meet the time limit of a movement."""
+        """Return the camera of a preview: ``view`` with as many pixels as the time limits of a movement allow."""
         pixels = view.width * view.height
         least = min(math.sqrt(_LEAST_PIXELS / pixels), 1.0)
         expected = statistics.median(self._times) if self._times else 0.0
@@ -463,7 +464,8 @@ class Studio:
     def _base(self, scene: Scene, report: Callable[[], None]) -> wd.Renderer:
         """Make a renderer of small pictures, from which renderers of any picture size are derived.
 
-        The disk cache stores its plan, because planning requires seconds.
+        The disk cache stores the plan of this renderer (method and numbers of samples), because planning requires
+        seconds.
         """
         report()
         heightfield, surface, options = self._height_field(scene), self._surface(scene), scene.shading
@@ -491,7 +493,10 @@ class Studio:
     def _send_angles_and_map(
         self, session: Session, request: PageRequest, scene: Scene, view: wd.View, progress: Callable[[float], None]
     ) -> None:
-        """Send the local directions at the probe, and the reflectance map for the light direction at that point."""
+        """Send the local directions at the probe, and the reflectance map for the light at this point.
+
+        The probe is a point on the body that the user selects.
+        """
         image, display = session.picture or (None, {})
         pixel = None
         if image is not None:
@@ -553,5 +558,5 @@ def _illuminants(scene: Scene) -> tuple[str, ...]:
 
 
 def _is_released(session: Session, request: PageRequest) -> bool:
-    """Whether a movement has just ended: the last picture was a part of it, and the new request is not."""
+    """Whether a movement has just ended: the last picture was a part of the movement, and the new request is not."""
     return session.drawn_request is not None and session.drawn_request.moving and not request.moving

@@ -1,4 +1,4 @@
-"""Function ``export_html``, which writes a web page that needs no server. It shows a mesh by colours that are baked."""
+"""Function ``export_html``, which writes a web page that needs no server. The page shows a mesh with baked colours."""
 
 from __future__ import annotations
 
@@ -35,21 +35,23 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
+    from warpdiff.request.settings import TangentRule
     from warpdiff.scene.mesh_import import Surface
 
-# Smallest distance of a point light from the centre of the mesh [radii of the mesh]. Limit: the shadow map of a light
-# covers only what is in front of the light, so that the light must be outside of the mesh.
+# Smallest distance of a point light from the centre of the mesh [radii of the mesh]. The distance is limited because
+# the shadow map of a light covers only what is in front of the light, so that the light must be outside of the mesh.
 _NEAREST = 1.1
 # Texels per side of the Cartesian grid over (u, v) to which the page resamples the lobes, and number of frames that it
-# averages while nothing moves. Limits: twice the texels require four times the graphics memory; twice the frames
-# require twice the time.
+# averages while nothing moves. Both are limited: twice the texels per side require four times the graphics memory, and
+# twice the frames require twice the time.
 _SIZE, _FRAMES = 1024, 1024
-# Number of wavelengths over which a page sums the zeroth order. Limit: browsers guarantee 64 texture fetches per
-# fragment, and the look-up of the lobes needs most of them.
+# Number of wavelengths over which a page sums the zeroth order. The number is limited because a page allows 64 texture
+# fetches per fragment, of which the look-up of the lobes needs most.
 _WAVELENGTHS = 10
-# Number of samples of the zeroth order's power over |w|. Limit: the page interpolates linearly between samples.
+# Number of samples of the zeroth order's power over |w|, between which the page interpolates linearly.
 _ENTRIES_OF_W = 512
-# Largest number of lights of a page. Limit: each light renders the mesh and a shadow map in every frame.
+# Largest number of lights of a page. The number is limited because the page renders the mesh and a shadow map for every
+# light in every frame.
 _MOST_LIGHTS = 8
 # Suffixes of the file of a page.
 SUFFIXES = (".html", ".htm")
@@ -66,27 +68,28 @@ def export_html(
     lights: DirectionalLight | PointLight | Sequence[DirectionalLight | PointLight], view: View, *,
     ior: Annotated[float, Interval(gt=1.0, le=math.inf)] | None = None, masking: bool = True,
     pigment: Annotated[float, Ge(0.0)] = 1.0, shadows: bool = True, smooth: bool = True,
-    tangents: ArrayLike | None = None, exposure: Annotated[float, Ge(validation.LEAST)] | None = None,
-    title: str = "warpdiff",
+    tangents: TangentRule | ArrayLike | None = None,
+    exposure: Annotated[float, Ge(validation.LEAST)] | None = None, title: str = "warpdiff",
 ) -> Path:  # fmt: skip
     """Write one HTML file that shows a mesh whose surface carries baked lobes, in any browser with WebGL 2.
 
     The file is complete: it loads nothing else. On the page you can rotate, pan and zoom, rotate the lights and set the
-    exposure. A picture at rest accumulates 1,024 frames with jittered pixel positions. It then equals that of
-    :func:`warpdiff.shade` except for quantisation, the edges of shadows, and footprints that are narrower than the
-    page's grid over (u, v); the page states its resolution.
+    exposure. A picture at rest accumulates 1,024 frames with jittered pixel positions. This average equals the picture
+    of :func:`warpdiff.shade` except for quantisation, the edges of shadows, and pixel footprints that are narrower than
+    the page's grid over (u, v); the page states the resolution of this grid.
 
     Args:
         path: File with the suffix ``.html`` or ``.htm``.
         mesh: Mesh, as for :func:`warpdiff.shade`.
         lobes: Table of :func:`warpdiff.bake`.
         lights: One to eight directional or point lights with the illuminant of ``lobes``. A disc light may have a
-            diameter of at most 5°. It requires lobes that were baked with a coherence of the kind ``"averaged"``. The
-            page renders it as a Gaussian of the same variance, with a hard shadow. The distance of point lights from
-            the mesh's centre is at least 1.1 radii of its bounding sphere. Environments are refused: use a directional
-            light for the sun, ``DirectionalLight(sun_direction, angular_diameter_deg=0.53)``.
+            diameter of at most 5°. A disc light requires lobes that were baked with a coherence of the kind
+            ``"averaged"``. The page renders it as a Gaussian of the same variance, with a hard shadow. The distance of
+            point lights from the mesh's centre is at least 1.1 radii of its bounding sphere. Environments are refused:
+            use a directional light for the sun, ``DirectionalLight(sun_direction, angular_diameter_deg=0.53)``.
         view: First view, by a perspective camera. The size of the picture is that of the browser's window.
-        ior: Index of refraction; ``math.inf`` is a perfect mirror. None is 1.5, or the material of the lobes.
+        ior: Index of refraction; ``math.inf`` is a perfect mirror. None is 1.5, or the material with which the lobes
+            were baked.
         masking: Whether V-cavity masking and shadowing of the relief is included.
         pigment: Strength of the mesh's base colour (texture, vertex colours or plain), which lies under the relief.
         shadows: Whether the mesh can occlude the lights, by shadow maps of 4096 × 4096 texels.

@@ -1,4 +1,4 @@
-"""Compression of a page's arrays: quantised numbers are stored as differences, in planes of bytes, and deflated.
+"""Compression of a page's arrays: integers are stored as differences, all lowest bytes first, and deflated.
 
 The function ``unpack`` of ``page/page.js`` decompresses the arrays.
 """
@@ -14,7 +14,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Largest integer for a coordinate of a position or of an octahedral direction. Limit: 16 bits per coordinate.
+# Largest integer for a coordinate of a position or of an octahedral direction. A coordinate is stored in 16 bits.
 STEPS = 65_535
 
 

@@ -1,4 +1,4 @@
-"""Readers of height field files. Each module registers its reader by suffix and content when it is imported here."""
+"""Readers of height field files. Each module registers its readers by suffix and content when it is imported."""
 
 from warpdiff.heightfield.readers import image_reader as image_reader
 from warpdiff.heightfield.readers import numpy_reader as numpy_reader

@@ -33,13 +33,13 @@ _OTHER_FORMAT = (
 def read_image(file: Path) -> FileContent:
     """Read a grey image without a conversion of its samples."""
     with openimageio.in_use() as oiio:
-        # Files in the format PFM store the bottom row first; this attribute makes OpenImageIO return the top row first.
-        # Readers of other formats ignore it.
+        # Files in the format PFM store the bottom row first. This attribute makes OpenImageIO return the top row first;
+        # for other formats, OpenImageIO ignores the attribute.
         configuration = oiio.ImageSpec()
         configuration.attribute("pnm:pfmflip", 1)
         image = oiio.ImageInput.open(str(file), configuration)
         if image is None:
-            # The error message is read here even if it is not used, because OpenImageIO prints unread messages when the
+            # The error message is read even if it is not used, because OpenImageIO prints unread messages when the
             # process ends.
             reason = _unknown(_reason(oiio))
             raise refusal(file, reason if file.suffix.lower() in _SUFFIXES else _OTHER_FORMAT)
@@ -50,7 +50,7 @@ def read_image(file: Path) -> FileContent:
 
 
 def _unknown(reason: str) -> str:
-    """Return the text of the error for a file that OpenImageIO cannot open, from the message of OpenImageIO."""
+    """Return the error message for a file that OpenImageIO cannot open, which includes OpenImageIO's own message."""
     return f"cannot be read as an image ({reason}); give a grey image, .npy, .npz, .x3p or a text"
 
 
@@ -72,7 +72,7 @@ def _samples_of(image: Any, file: Path) -> np.ndarray:
 
 
 def _upright(samples: np.ndarray, orientation: object) -> np.ndarray:
-    """Return samples rotated and flipped as the image is displayed, by its orientation tag (TIFF, EXIF), 1 to 8."""
+    """Return samples in the orientation in which an image is displayed, by its orientation tag (TIFF, EXIF), 1 to 8."""
     if orientation not in range(2, 9):
         return samples
     turned = {5: samples.T, 6: np.rot90(samples, -1), 7: np.rot90(samples, 2).T, 8: np.rot90(samples)}

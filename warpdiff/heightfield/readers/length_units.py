@@ -20,14 +20,14 @@ _WORDS = {
 
 def factor_of(text: str) -> float | None:
     """Return the size [µm] of a unit by its symbol or name in a file; None if the text is no unit of length."""
-    # The normal form joins the characters that Unicode has for µ, for Å and for symbols such as ㎚. "Âµ" is a micro
-    # sign in UTF-8 that was decoded as Latin-1.
+    # Unicode has several characters for µ and Å, and single characters for units such as ㎚. The normal form replaces
+    # them by the usual ones. "Âµ" is a micro sign in UTF-8 that was decoded as Latin-1.
     name = unicodedata.normalize("NFKC", html.unescape(text)).strip().strip("[](){}.").strip()
     name = name.replace("μ", "µ").replace("Âµ", "µ")
     if name in SYMBOLS:
         return SYMBOLS[name]
     lower = name.lower()
-    # Symbols in capital letters are accepted, but "Nm" is a unit of torque and "Mm" a million metres.
+    # Symbols in capital letters, such as NM, are accepted, but "Nm" is a unit of torque and "Mm" a million metres.
     if lower in SYMBOLS and len(name) > 1 and name.isupper():
         return SYMBOLS[lower]
     if lower == "å":

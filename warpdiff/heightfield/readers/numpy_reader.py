@@ -34,16 +34,25 @@ def read_npy(file: Path) -> FileContent:
 
 @register_reader(".npz", title="file of `HeightField.save`", states="everything in the file")
 def read_npz(file: Path) -> FileContent:
-    """Read heights and pitch, as `HeightField.save` writes them."""
-    heights, pitch = (
-        _read_array(file, functools.partial(_member, file, name), "HeightField.save")
-        for name in ("heights_um", "pitch_um")
-    )
-    return FileContent(heights, pitch.tolist(), is_known_scale=True)
+    """Read heights, pitch and history, as `HeightField.save` writes them. A file without a history is accepted."""
+    heights, pitch = _member(file, "heights_um"), _member(file, "pitch_um")
+    with zipfile.ZipFile(file) as archive:
+        has_history = "history.npy" in archive.namelist()
+    history = _member(file, "history") if has_history else np.zeros(0, dtype=np.str_)
+    if history.ndim != 1 or history.dtype.kind != "U":
+        raise refusal(
+            file, f"must have a list of sentences as history, got shape {history.shape} of type {history.dtype}"
+        )
+    return FileContent(heights, pitch.tolist(), is_known_scale=True, notes=tuple(history.tolist()))
+
+
+def _member(file: Path, name: str) -> np.ndarray:
+    """Read the array with the given name in a ``.npz`` file."""
+    return _read_array(file, functools.partial(_opened_member, file, name), "HeightField.save")
 
 
 @contextlib.contextmanager
-def _member(file: Path, name: str) -> Iterator[IO[bytes]]:
+def _opened_member(file: Path, name: str) -> Iterator[IO[bytes]]:
     """Open the array with the given name in a ``.npz`` file as a stream."""
     with zipfile.ZipFile(file) as archive, archive.open(f"{name}.npy") as stream:
         yield stream
@@ -52,8 +61,8 @@ def _member(file: Path, name: str) -> Iterator[IO[bytes]]:
 def _read_array(file: Path, opened: Callable[[], AbstractContextManager[IO[bytes]]], writer: str) -> np.ndarray:
     """Read an array in NumPy's format from a stream.
 
-    The function ``opened`` opens the stream. It is called twice: for the shape, by which the memory is checked, and for
-    the numbers.
+    The function ``opened`` opens the stream. The function is called twice: first to read the shape, by which the memory
+    is checked, and then to read the numbers.
     """
     try:
         with opened() as stream:

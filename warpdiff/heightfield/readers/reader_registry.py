@@ -1,4 +1,4 @@
-"""Registry of readers of height files, and conversion of the content of a file to heights [µm] and their pitch."""
+"""Registry of readers of height files, and conversion of the content of a file to heights [µm] and a pitch [µm]."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 Rows = Literal["down", "up"]
 # Width or height of a field above which a file is refused [µm]: 1 m, larger than the field of any instrument. Readers
-# that confuse units give such sizes. If doubled, sizes that are wrong by a smaller factor are accepted.
+# that confuse units return such sizes. If doubled, wrong sizes are accepted if the factor between the units is small.
 _MOST_EXTENT_UM = 1e6
 # Largest relative difference between the pitch that a file states and the pitch that the caller states. Small
-# differences are accepted, because headers are rounded. If doubled, arguments that contradict a file slightly more are
-# ignored.
+# differences are accepted, because headers are rounded; the pitch of the file is then used. If doubled, arguments are
+# ignored that contradict a file slightly more.
 _MOST_DIFFERENCE = 1e-3
 
 
@@ -40,11 +40,13 @@ class FileContent:
             and ``uint16`` samples have no unit; the caller states their full scale. Floating-point numbers are heights,
             NaN for a missing sample.
         pitch_um: Distance of the samples [µm], one number or a pair (dy, dx); None if the file does not state it.
-        rows: Default orientation: ``"down"`` puts row 0 at y = 0, ``"up"`` makes row 0 the top of the picture.
-        has_unit: Whether floating-point samples are in µm. If False, the caller states their unit.
-        pitch_in_unit: Pair (dy, dx) in the unit that the caller states, for files with coordinates without a unit.
-        is_known_scale: Whether the file was written by `HeightField.save`. Its units are then certain, and no check
-            asks whether the sizes and heights are plausible.
+        rows: Default orientation of the samples: ``"down"`` puts row 0 at y = 0, ``"up"`` makes row 0 the top of the
+            picture.
+        has_unit: Whether floating-point samples are in µm. If False, the caller states the unit of the samples.
+        pitch_in_unit: Distance of the samples (dy, dx) in the unit that the caller states, for files with coordinates
+            without a unit; otherwise None.
+        is_known_scale: Whether the file was written by `HeightField.save`. The units of such a file are certain, and no
+            check asks whether the sizes and heights are plausible.
         metadata: Facts about instrument and measurement that the file states, as text by name.
         notes: Changes of the samples by the reader, as sentences for the history of the field.
         why_no_pitch: Reason why the file's statements of the pitch were not read, for the error that asks for it.
@@ -63,7 +65,7 @@ class FileContent:
     why_no_unit: str = ""
 
 
-# Channels of a file by name, the default one first. A channel is read only when its function is called.
+# Channels of a file by name; the default channel is the first one. A channel is read only when its function is called.
 Channels = Mapping[str, Callable[[], FileContent]]
 Reader = Callable[[Path], FileContent | Channels]
 
@@ -76,10 +78,10 @@ class RegisteredReader:
         read: Function that reads a file of this format from its path.
         suffixes: Suffixes of files of this format, with their dot.
         title: Name of the format.
-        states: Text for the documentation: the facts that a file contains, and those that the caller states.
-        recognises: Function of a path that returns whether the content of the file has this format. It is required for
-            files with other suffixes, and for suffixes that several formats use. None if the suffix alone identifies
-            the format.
+        states: Text for the documentation: the facts that a file contains, and the facts that the caller has to state.
+        recognises: Function of a path that returns whether the content of the file has this format. The function is
+            required if files of this format have other suffixes, or if other formats use the same suffixes. None if the
+            suffix alone identifies the format.
         extra: Name of warpdiff's optional extra that installs the library for this format, or an empty string.
     """
 
@@ -97,7 +99,7 @@ class Source(NamedTuple):
     Attributes:
         path: Path of the file; an empty string for an object in memory.
         channel: Name of the channel; an empty string if the file has only one array of heights.
-        rows: Orientation: ``"down"`` if row 0 of the file is at y = 0, ``"up"`` if it is the top of the picture.
+        rows: Orientation: ``"down"`` if row 0 of the file is at y = 0, ``"up"`` if row 0 is the top of the picture.
         metadata: Facts about instrument and measurement that the file states, as text by name.
         stated: Arguments by which the caller stated size, unit, channel or orientation, as text by name.
         clipped: Share of integer samples with the smallest or the largest value of their type; 0 for floating-point
@@ -112,9 +114,11 @@ class Source(NamedTuple):
     clipped: float
 
 
-# Readers by suffix, in the order of registration. If several readers recognise a file, the last one reads it.
+# Readers by suffix, in the order of registration. If several readers recognise the content of a file, the reader that
+# was registered last reads it.
 _readers: dict[str, tuple[RegisteredReader, ...]] = {}
-# Suffix of the reader for files that no other reader recognises: OpenImageIO, which identifies images by their content.
+# Suffix of the reader for files that no other reader recognises. This reader is OpenImageIO, which identifies images by
+# their content.
 _FALLBACK = ".png"
 
 
@@ -125,14 +129,14 @@ def register_reader(
     """Register the decorated function as the reader of files with these suffixes, for `HeightField.load`.
 
     Args:
-        suffixes: Suffixes with their dot, such as ``".spm"``, in upper or lower case. A reader replaces an earlier one
-            of the same suffix, for the files that it recognises.
+        suffixes: Suffixes with their dot, such as ``".spm"``, in upper or lower case. For the files that it recognises,
+            the reader replaces readers of the same suffix that were registered before.
         title: Name of the format in the documentation; by default the suffixes.
-        states: Text for the documentation: the facts that a file contains, and those that the caller states.
+        states: Text for the documentation: the facts that a file contains, and the facts that the caller has to state.
         recognises: Function of a path that returns whether the content of the file has this format. Without this
-            function, the reader reads all files of its suffixes and no others. With it, the reader also reads files of
-            other suffixes that it recognises, unless a reader of their suffix accepts them. Readers that were
-            registered later are asked first.
+            function, the reader reads all files of its suffixes and no others. With this function, the reader also
+            reads files with other suffixes whose content it recognises, unless a reader of these suffixes accepts them.
+            Readers that were registered later are tried first.
         extra: Name of warpdiff's optional extra that installs the libraries of the reader.
     """
 
@@ -154,8 +158,8 @@ def registered() -> tuple[RegisteredReader, ...]:
 def reader_of(file: Path) -> RegisteredReader:
     """Return the reader of a file, by its suffix and content."""
     own = _readers.get(file.suffix.lower(), ())[::-1]
-    # Readers that were registered later are tried first. The text reader, for example, is registered early and would
-    # accept the text header of some binary files of instruments.
+    # Readers that were registered later are tried first. The text reader, for example, is registered early. It would
+    # accept some binary files of instruments, because they begin with a text header.
     known = (*own, *(entry for entry in registered()[::-1] if entry not in own and entry.recognises))
     with files.naming_file(file):
         for entry in known:
@@ -179,7 +183,7 @@ def existing(path: str | os.PathLike[str]) -> Path:
 
 @contextlib.contextmanager
 def _naming(file: Path) -> Iterator[None]:
-    """Add the name of the file to errors of a reader whose messages do not contain it."""
+    """Add the name of the file to those errors of a reader whose messages do not contain this name."""
     try:
         yield
     except (ArgumentValueError, ArgumentTypeError):
@@ -189,20 +193,20 @@ def _naming(file: Path) -> Iterator[None]:
 
 
 def channels_of(file: Path) -> tuple[str, ...]:
-    """Return the names of the channels of a file; no names if the file has a single array of heights without a name."""
+    """Return the names of the channels of a file; empty if the file has a single array without a name."""
     content = _read(file)
     return () if isinstance(content, FileContent) else tuple(content)
 
 
 def _read(file: Path) -> FileContent | Channels:
-    """Return the content of a file with one array of heights, or the channels of a file with several ones."""
+    """Return the content of a file with one array of heights, or the channels of a file with several arrays."""
     reader = reader_of(file).read
     with _naming(file):
         return reader(file)
 
 
 def read(file: Path, channel: str | None) -> tuple[FileContent, str]:
-    """Return the content of one channel of a file, and its name; an empty name if the file has a single array."""
+    """Return the content of one channel of a file, and the channel's name, empty if the file has a single array."""
     content = _read(file)
     name = ""
     if not isinstance(content, FileContent):
@@ -233,14 +237,14 @@ def check_texts(channel: object, unit: object) -> None:
 
 
 def rows_of(content: FileContent, rows: object) -> Rows:
-    """Return the orientation of rows: the argument ``rows`` of the caller, or the default of the file if it is None."""
+    """Return the orientation of rows: the argument ``rows``, or the default of the file if the argument is None."""
     return content.rows if rows is None else validation.choice(rows, "rows", get_args(Rows))  # type: ignore[return-value]
 
 
 def heights_of(
     content: FileContent, file: Path, height_range_um: float | None, unit: str | None
 ) -> NDArray[np.float64]:
-    """Return samples as heights [µm]: scale integers by their full scale, and floating-point numbers by their unit."""
+    """Return samples as heights [µm]: integers are scaled by their full scale, floating-point numbers by their unit."""
     samples = content.samples
     if samples.dtype in (np.uint8, np.uint16):
         full = int(np.iinfo(samples.dtype).max)
@@ -271,7 +275,7 @@ def heights_of(
 def _factor(content: FileContent, file: Path, unit: str | None) -> float:
     """Return the factor from floating-point samples to heights [µm].
 
-    It is 1 for a file with a unit, and otherwise follows from the argument ``unit``.
+    The factor is 1 for a file that states its unit, and otherwise follows from the argument ``unit``.
     """
     if content.has_unit:
         if unit is not None:
@@ -287,7 +291,7 @@ def _factor(content: FileContent, file: Path, unit: str | None) -> float:
 
 
 def clipped_share(samples: NDArray[Any]) -> float:
-    """Return the share of integer samples with the smallest or the largest value of their type, otherwise 0."""
+    """Return the share of integer samples with the smallest or largest value of their type; 0 for other samples."""
     if samples.dtype.kind != "u" or not samples.size:
         return 0.0
     is_extreme = (samples == 0) | (samples == np.iinfo(samples.dtype).max)
@@ -295,12 +299,12 @@ def clipped_share(samples: NDArray[Any]) -> float:
 
 
 def _because(reason: str) -> str:
-    """Return the reason why a file's statement was not read, as the continuation of an error message."""
+    """Return the reason why a line of a file was not read, in the form in which it continues an error message."""
     return f" (header: {reason})" if reason else ""
 
 
 def refusal(file: Path, reason: str) -> ArgumentValueError:
-    """Return the error for a refused file. Its message is the file's name, continued by ``reason``."""
+    """Return the error for a refused file. The message is the file's name, continued by ``reason``."""
     return ArgumentValueError(f"{ref('path')}: {str(file)!r} {reason}")
 
 
@@ -324,7 +328,7 @@ def pitch_of(
     content: FileContent, file: Path, extent_um: float | tuple[float, float] | None,
     pitch_um: float | tuple[float, float] | None, unit: str | None,
 ) -> float | tuple[float, float]:  # fmt: skip
-    """Return the pitch of a file [µm]: its own, or from exactly one of the arguments of `HeightField.load`."""
+    """Return the pitch of a file [µm]: the stated one, or from exactly one of the arguments of `HeightField.load`."""
     ny, nx = content.samples.shape
     names = [name for name, value in (("extent_um", extent_um), ("pitch_um", pitch_um)) if value is not None]
     own = content.pitch_um
@@ -355,7 +359,8 @@ def _agrees(
 ) -> bool:  # fmt: skip
     """Whether the pitch that a file states agrees with the pitch that the arguments state.
 
-    Files of `HeightField.save` never agree: their pitch is exact, and an argument for it is refused.
+    The result is False for a file of `HeightField.save`: the pitch in such a file is exact, and an argument for the
+    pitch is refused.
     """
     if content.is_known_scale or (extent_um is not None and pitch_um is not None):
         return False

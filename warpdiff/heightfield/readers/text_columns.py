@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.readers.text_table import Form
 
-# Words in headings by axis. Rows and lines are counted along y, columns and pixels of a line along x.
+# Words in headings of columns, by the axis that they name. Rows and lines are counted along y, columns and pixels of a
+# line along x.
 _AXES = {
     **dict.fromkeys(("x", "ix", "xi"), "x"), **dict.fromkeys(("y", "iy", "yi"), "y"), "z": "z",
     **dict.fromkeys(("row", "rows", "line", "zeile", "ligne", "riga", "fila", "linha", "行"), "row"),
@@ -27,13 +28,14 @@ _AXES = {
 
 @dataclass
 class Columns:
-    """Columns of points x, y, z in a text.
+    """Columns of a text that lists points x, y, z.
 
     Attributes:
         positions: Indices of the columns of x, y and z.
         units: Sizes of the units of x, y and z [µm]; None for a column without a unit.
-        counts_rows: Whether y is the number of a row, which is counted from the top of the picture.
-        names_z: Whether a heading names the heights. Otherwise they are the only column besides x and y.
+        counts_rows: Whether y is a row number, which is counted from the top of the picture.
+        names_z: Whether a heading names the column of heights. Otherwise the heights are the only column that is not x
+            or y.
     """
 
     positions: tuple[int, int, int]
@@ -43,7 +45,7 @@ class Columns:
 
 
 def columns_of(header: Sequence[str], form: Form, width: int) -> Columns | None:
-    """Return the columns of x, y and z by their headings in the last header lines; None without such headings."""
+    """Return the columns of x, y and z by headings in the last header lines; None if there are no such headings."""
     lines = [line for line in header[-3:] if len(line) <= text_header.MOST_LENGTH]
     for index in range(len(lines) - 1, -1, -1):
         for cells in _cells(lines[index], form):
@@ -51,7 +53,7 @@ def columns_of(header: Sequence[str], form: Form, width: int) -> Columns | None:
             for position, cell in enumerate(cells):
                 if axis := _axis_of(cell):
                     axes.setdefault(axis, position)
-            # Words of a sentence are no headings.
+            # A line whose words form a sentence has no headings of columns.
             if len(cells) != width and not all(map(_axis_of, cells)):
                 continue
             names = ("x", "y") if {"x", "y"} <= set(axes) else ("column", "row")
@@ -68,7 +70,7 @@ def columns_of(header: Sequence[str], form: Form, width: int) -> Columns | None:
 
 
 def unclear_headings(header: Sequence[str], form: Form, width: int) -> list[str] | None:
-    """Return headings of three or four columns that do not say which columns are x and y; None without headings."""
+    """Return headings of three or four columns that do not name the columns of x and y; None without headings."""
     if not header or text_header.is_statement(header[-1]):
         return None
     for cells in _cells(header[-1], form):
@@ -95,15 +97,15 @@ def _without_unit(cell: str) -> str:
 
 
 def _cells(line: str, form: Form) -> Iterator[list[str]]:
-    """Yield the cells of a header line, split by the separator of the numbers, and then by other common separators."""
+    """Yield the cells of a header line: it is split by the separator of the numbers, then by other usual separators."""
     line = unicodedata.normalize("NFKC", line.strip().lstrip("#%;/*'!\\ \t").strip())
     if form.separator is not None:
         yield [cell.strip('" ') for cell in form.cells(line)]
     for separator in (";", ",", "\t"):
         if separator in line:
             yield [cell.strip('" ') for cell in line.split(separator) if cell.strip()]
-    # A name and its unit are joined before the line is split at white space, for headings such as "X [nm] Y [nm] Z
-    # [nm]", "x(µm) y(µm) z(nm)" and "x in um  y in um  z in nm".
+    # Before a line of headings is split at white space, each name is joined with the unit after it. Examples are "X
+    # [nm] Y [nm] Z [nm]", "x(µm) y(µm) z(nm)" and "x in um y in um z in nm".
     joined = re.sub(r"\s*(?:/|\bin\b)\s*", "/", re.sub(r"\s+([\[(])", r"\1", line))
     yield joined.split()
 
@@ -117,7 +119,7 @@ def _unit_of_cell(cell: str, *, is_alone: bool) -> float | None:
 
 
 def unit_of_corner(cell: str) -> float | None:
-    """Return the size [µm] of the unit in the corner of a table with axes, such as "x / y [µm]"; None without one."""
+    """Return the size [µm] of the unit in the corner of a table with axes, such as "x / y [µm]"; None without unit."""
     words = re.findall(r"[^\W\d_]+", text_keys.IN_KEY.sub(" ", cell).lower())
     is_position = bool(words) and {_AXES.get(word) for word in words} <= {"x", "y"}
     return text_keys.unit_in_key(cell)[0] if is_position else None

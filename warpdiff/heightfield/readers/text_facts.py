@@ -1,4 +1,4 @@
-"""Facts that the header of a text export states, and the pitch, the gaps and the unit that follow from them."""
+"""Facts in the header of a text export of heights, and the pitch, missing samples and unit that follow from them."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from warpdiff.heightfield.readers.reader_registry import refusal
 if TYPE_CHECKING:
     from pathlib import Path
 
-# Largest relative difference of two statements of the same length that count as equal. If doubled, contradictions pass
-# more often.
+# Largest relative difference at which two statements of the same length count as equal. If doubled, more contradictions
+# are accepted.
 MOST_DIFFERENCE = 1e-3
-# Largest ratio of the pitches along x and y that is accepted from a header. A larger one suggests that the header
-# states the range of the heights and not a size. If doubled, more such ranges are mistaken for sizes.
+# Largest ratio of the pitches along x and y that is accepted from a header. A larger ratio suggests that a "height" in
+# the header is the range of the heights and not a size. If doubled, more ranges of heights are mistaken for sizes.
 _MOST_ASPECT = 50.0
-# Largest relative difference between the size that a header states and its number of samples times its pitch. If
-# doubled, more contradictions are accepted.
+# Largest relative difference between the size that a header states and the product of the stated number of samples and
+# pitch. If doubled, more contradictions are accepted.
 _MOST_RATIO = 0.01
-# Absolute value above which a code of missing samples is compared with a tolerance, and that relative tolerance: such
-# codes are limits of number types, which programs round. Limit: no height has this size in any unit.
+# Codes of missing samples may be limits of number types, which programs round. A code whose absolute value is above the
+# first number is therefore compared with a tolerance, and the second number is this relative tolerance. The first
+# number is limited by real heights, which are smaller in any unit.
 _LEAST_ROUNDED_CODE, _MOST_CODE_DIFFERENCE = 1e30, 1e-5
 
 
@@ -37,16 +38,18 @@ class Facts:
         pitch_x: Distance of samples along x.
         pitch_y: Distance of samples along y.
         counts: Number of columns ("x") and rows ("y"), each with its header line.
-        units: Sizes of all units that the header states for the heights. Several ones contradict each other.
-        factor_line: Line with a factor of the heights that is not applied. The file is refused. An empty string if
-            there is none.
-        not_length: Unit of the values if it is no unit of length, such as V; an empty string if there is none.
+        units: Sizes of all units that the header states for the heights, with their header lines. Several units
+            contradict each other.
+        factor_line: Header line with a factor of the heights that is not applied, so that the file is refused; an empty
+            string if there is no such line.
+        not_length: Unit of the values if the unit is not a length, such as V; otherwise an empty string.
         lateral: Size of the unit of the positions along x and y.
-        global_unit: Size of the unit of all numbers of the file, heights and positions, if there is one.
+        global_unit: Size of the unit of all numbers of the file, heights and positions, if the header states such a
+            unit.
         channel: Name of the channel; an empty string if it is not stated.
-        no_data: Numbers that the header states as codes of missing samples, each with its line, and with whether it is
-            certainly a code and not a number of samples.
-        metadata: Lines "key: value", as text.
+        no_data: Numbers that the header states as codes of missing samples, with their header lines. A flag states
+            whether the number is certainly a code and not a number of samples.
+        metadata: Values of header lines "key: value", as text by key.
         signs: Decimal signs of the header's numbers that are certainly no thousands signs.
         unclear_size: Reason why a line about the size or the pitch was not read, for an error message.
         without_unit: Reason why a line about the size or the pitch without a unit was not read.
@@ -76,8 +79,8 @@ class Facts:
     def add(self, name: str, length: float, line: str, *, names_axis: bool) -> None:
         """Add the length that a header line states for the fact ``name``, a size or a pitch.
 
-        ``names_axis`` is whether the key of the line names x or y. If the key of any line for this fact does, lines
-        with a key such as "Height" or "Spacing", which names no axis, are ignored.
+        ``names_axis`` is whether the key of the line names x or y. Keys such as "Height" or "Spacing" name no axis.
+        Lines with such keys are ignored if another line states the same fact with a key that names an axis.
         """
         self._stated.setdefault(name, []).append((names_axis, length, line))
 
@@ -94,11 +97,11 @@ class Facts:
             self.unclear_size = f"{self._stated['aspect'][0][2]} states an aspect ratio"
 
     def line_of(self, name: str) -> str:
-        """Return the quoted line that states a size or a pitch."""
+        """Return the header line that states a size or a pitch, in quotes."""
         return next(line for _, length, line in self._stated[name] if length == getattr(self, name))
 
     def merge(self, first: Facts) -> None:
-        """Take the facts that this header does not state from those of the file's first header."""
+        """Take the facts that this header does not state from the facts of the file's first header."""
         if not self.has_scale and not self.unclear_size:
             for name in (
                 "size_x",
@@ -124,12 +127,12 @@ class Facts:
 
     @property
     def unit(self) -> float | None:
-        """Size of the unit of heights [µm]; None if the header does not state one, or states two different ones."""
+        """Size of the unit of heights [µm]; None if the header does not state a unit, or states two different units."""
         return next(iter(self.units)) if len(self.units) == 1 and not self.unclear_unit else None
 
     @property
     def why_no_unit(self) -> str:
-        """Reason why the unit of the heights is not known, for an error message; or an empty string."""
+        """Reason why the unit of the heights is not known, for an error message; an empty string if it is known."""
         if len(self.units) > 1:
             lines = list(self.units.values())
             return f"{lines[0]} contradicts {lines[1]}" if lines[0] != lines[1] else f"{lines[0]} states two units"
@@ -137,7 +140,7 @@ class Facts:
 
 
 def require_length(file: Path, facts: Facts) -> None:
-    """Raise an error if the header states that the values are no lengths."""
+    """Raise an error if the header states a unit of the values that is not a length."""
     if facts.not_length and facts.unit is None:
         raise refusal(file, f"has values in {facts.not_length[:20]!r}, which is no unit of length; export the heights")
 
@@ -161,7 +164,7 @@ def without_codes(file: Path, heights: np.ndarray, facts: Facts) -> tuple[np.nda
 
 
 def pitch_of(facts: Facts, nx: int, ny: int) -> tuple[tuple[float, float] | None, str]:
-    """Return the pitch (dy, dx) [µm] that a header states, and the reason if it states none, for an error message."""
+    """Return the pitch (dy, dx) [µm] that a header states, or None and the reason, for an error message."""
     if facts.unclear_size:
         return None, facts.unclear_size
     for axis, count in (("x", nx), ("y", ny)):
@@ -171,21 +174,21 @@ def pitch_of(facts: Facts, nx: int, ny: int) -> tuple[tuple[float, float] | None
             )
     dx = facts.pitch_x or (facts.size_x / nx if facts.size_x else None)
     dy = facts.pitch_y or (facts.size_y / ny if facts.size_y else None)
-    # A header may state one size without an axis. It is used only if both axes have equally many samples, because it is
-    # ambiguous otherwise.
+    # A header may state one size without an axis. This size is used only if both axes have equally many samples,
+    # because its axis is ambiguous otherwise.
     reason = facts.without_unit
     if facts.size_of_both is not None and nx == ny:
         dx, dy = dx or facts.size_of_both / nx, dy or facts.size_of_both / ny
     elif facts.size_of_both is not None:
         reason = f"{facts.line_of('size_of_both')} states one size for {nx} × {ny} samples (x × y)"
-    # If the pitch along y is more than 50 times the pitch along x, or less than 1/50 of it, the "height" in the header
-    # is probably the range of the heights and not the size along y.
+    # The "height" in a header may be the range of the heights and not the size along y. This is probable if the pitch
+    # along y is more than 50 times the pitch along x, or less than 1/50 of it.
     is_likely = dx is not None and dy is not None and dx / _MOST_ASPECT <= dy <= dx * _MOST_ASPECT
     return ((dy, dx), "") if is_likely else (None, reason)  # type: ignore[return-value]
 
 
 def contradict(size: float | None, pitch: float | None, count: int) -> bool:
-    """Whether a size contradicts a pitch: ``count`` pitches, or one less, do not give the size."""
+    """Whether a size contradicts a pitch: neither ``count`` nor ``count`` − 1 times the pitch is the size."""
     if size is None or pitch is None:
         return False
     return not (1.0 - _MOST_RATIO) * (count - 1) <= size / pitch <= (1.0 + _MOST_RATIO) * count

@@ -1,4 +1,4 @@
-"""Header of a text export: finds the sizes and pitches with their units, the unit of heights, the channel and gaps."""
+"""Header of a text export: search for sizes, pitches, the unit of heights, the channel and missing-sample codes."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.readers.text_statements import Signs, Statement
     from warpdiff.heightfield.readers.text_table import Form
 
-# Number of header lines that are searched for facts: the last ones before the numbers.
+# Number of header lines that are searched for facts: the last lines before the numbers.
 _MOST_LINES = 400
-# Number of characters above which a header line is not searched. Limit: longer lines are free text.
+# Number of characters above which a header line is not searched for facts. The value was chosen because longer lines
+# are free text.
 MOST_LENGTH = 400
-# Number of numbers in a line above which it is no statement of sizes, but a row of a table.
+# Number of numbers in a header line above which the line is not a statement of sizes, but a row of a table.
 _MOST_NUMBERS = 4
 _WHOLE = re.compile(r"\d{1,9}(?:\.0*)?")
 _CHANNEL = re.compile(
@@ -30,7 +31,7 @@ _ASPECT = re.compile(r"\baspect(?: ratio)?\b[\s:=]*(?!1(?:[.,]0*)?(?:\s*[:/]\s*1
 
 
 def is_statement(line: str) -> bool:
-    """Whether a header line states a fact, such as "heights in nm". Otherwise it may contain headings of columns."""
+    """Whether a header line states a fact, such as "heights in nm". Other lines may contain headings of columns."""
     return any(sign in line for sign in ":=") or re.search(r"\bin\b", line) is not None
 
 
@@ -70,8 +71,8 @@ def facts_of(header: Sequence[str], form: Form, signs: Signs) -> Facts:
 def _plain(line: str, form: Form) -> str:
     """Return a header line without comment signs and quotes.
 
-    Separate cells for a key, a value and a unit are joined to "key: value unit". Characters with several forms, such
-    as µ, Å, ㎚ and the wide colon, get the usual one.
+    Separate cells for a key, a value and a unit are joined to "key: value unit". Characters that have several forms in
+    Unicode, such as µ, Å, ㎚ and the wide colon, get the usual form.
     """
     line = unicodedata.normalize("NFKC", line.strip().lstrip("#%;/*'!\\ \t").strip()).replace("μ", "µ")
     if form.separator in (",", ";", "\t") and form.separator in line:
@@ -83,7 +84,10 @@ def _plain(line: str, form: Form) -> str:
 
 
 def _add_statement(facts: Facts, statement: Statement, line: str, signs: Signs) -> float | None:
-    """Add to ``facts`` the numbers that a line states. If its key is not known, return its length [µm] instead."""
+    """Add to ``facts`` the numbers that a header line states, such as a size or a number of columns.
+
+    If the words before the number are no known key, and the number is a length, return it [µm]; otherwise None.
+    """
     if text_keys.states_no_data(statement.words):
         _add_no_data(facts, statement, line, signs)
         return None
@@ -110,7 +114,7 @@ def _add_statement(facts: Facts, statement: Statement, line: str, signs: Signs) 
 
 
 def _are_counts(statement: Statement, facts: Facts) -> bool:
-    """Whether all numbers of a statement are whole and have no unit."""
+    """Whether all numbers of a statement in a header line are whole and have no unit."""
     units = statement.units(facts.lateral if statement.key.kind != "count" else None)
     return all(
         unit is None and measure.counts != "other" and _WHOLE.fullmatch(measure.number)
@@ -119,14 +123,15 @@ def _are_counts(statement: Statement, facts: Facts) -> bool:
 
 
 def _add_counts(facts: Facts, statement: Statement, line: str) -> None:
-    """Add the numbers of columns and rows that a line states, if their axes are clear."""
+    """Add to ``facts`` the numbers of columns and rows that a line states, if it is clear which number is which."""
     key, measures = statement.key, statement.measures
     axes = ["x" if measure.counts == "columns" else "y" if measure.counts == "rows" else "" for measure in measures]
     if not any(axes):
         is_pair = len(measures) == 2 and not key.axis and (key.kind != "" or not statement.words)
         axes = list(statement.axes() or "xy") if is_pair else [key.axis] * len(measures)
     elif axes == ["y"]:
-        # A number of lines alone, such as "Header: 5 lines", may not be that of the matrix.
+        # A line that states only a number of lines, such as "Header: 5 lines", may not state the number of rows of the
+        # matrix.
         return
     for axis, measure in zip(axes, measures, strict=True):
         if axis and _WHOLE.fullmatch(measure.number):
@@ -134,9 +139,10 @@ def _add_counts(facts: Facts, statement: Statement, line: str) -> None:
 
 
 def _add_no_data(facts: Facts, statement: Statement, line: str, signs: Signs) -> None:
-    """Add the codes of missing samples that a line states.
+    """Add to ``facts`` the codes of missing samples that a line states.
 
-    A line such as "Missing: 6" may also state how many samples are missing: then the number is whole and positive.
+    A line such as "Missing: 6" may state how many samples are missing, and not their code. This is possible only if the
+    number is whole and positive.
     """
     is_code = text_keys.states_code(statement.words)
     for measure in statement.measures:
@@ -147,9 +153,10 @@ def _add_no_data(facts: Facts, statement: Statement, line: str, signs: Signs) ->
 
 
 def _add_lengths(facts: Facts, statement: Statement, line: str, signs: Signs) -> None:
-    """Add to ``facts`` the sizes or pitches that a line states, or the reason why the line is not clear."""
+    """Add to ``facts`` the sizes or pitches that a header line states, or the reason why the line is not clear."""
     key = statement.key
-    # A second number in brackets, such as "6 µm (12 px)" or "0.006 mm (6 µm)", is a number of samples or the same size.
+    # In a size such as "6 µm (12 px)" or "0.006 mm (6 µm)", the number in brackets is a number of samples or the same
+    # size in another unit.
     pixels = [measure for measure in statement.measures if measure.counts == "pixels"]
     if pixels and len(pixels) < len(statement.measures):
         statement = statement.without(pixels)

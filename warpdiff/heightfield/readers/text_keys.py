@@ -1,4 +1,4 @@
-"""Keys of header lines of text exports, by the fact that they state: sizes, pitches, numbers of samples, units."""
+"""Keys of lines "key: value" in headers of text exports, by the fact that they state: sizes, pitches, counts, units."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from warpdiff.heightfield.readers import length_units
 Kind = Literal["size", "pitch", "count", "size or count", ""]
 Axis = Literal["x", "y", ""]
 
-# Letters of units, with both characters of µ.
+# Matches the letters of a unit of length, with both Unicode characters of µ.
 UNIT = r"[A-Za-zµμÅåÂ\u212b][A-Za-zµμÅåèö]*"
 # Matches the unit in a key, such as "Width (µm)", "X length in µm" or "Size X/µm".
 IN_KEY = re.compile(
@@ -20,11 +20,12 @@ IN_KEY = re.compile(
 
 
 def _names(*lines: str) -> frozenset[str]:
-    """Return the set of keys in lines of text; vertical bars separate the keys of a line."""
+    """Return the set of keys in strings; vertical bars separate the keys of a string."""
     return frozenset("|".join(lines).split("|"))
 
 
-# Keys in lower case. They are the words of common programs and languages; those of Gwyddion are complete.
+# Keys that state a size, in lower case. The keys are those of usual programs, in many languages. The list has all
+# translations of the program Gwyddion.
 _WIDTH = _names(
     "width|breite|largeur|larghezza|ancho|anchura|largura|bredd|bredde|szerokość|šířka|ширина|genişlik|szélesség",
     "leveys|幅|폭|宽度|field width|image width|scan width",
@@ -36,7 +37,7 @@ _HEIGHT = _names(
 _SIZES = _names(
     "size|scan size|scansize|scan range|extent|field of view|fov|image size|field size|physical size|area|scan area"
 )
-# Keys of a size if they name an axis.
+# Keys that state a size only if they also name an axis.
 _SIZES_OF_AXIS = _names("amplitude|range|length|l|real|dimension|scan length|taille|tamaño|größe")
 _PITCHES = _names(
     "pixel size|pixelsize|pixel pitch|pixel spacing|lateral sampling|sampling interval|sampling distance",
@@ -44,8 +45,8 @@ _PITCHES = _names(
     "xy justierung|dxy|xy step|xy pitch|camera res|camera resolution|pixelgröße|pixelabstand|punktabstand",
     "taille de pixel|tamaño de píxel|dimensione pixel|tamanho do pixel",
 )
-# Keys of a pitch if they name an axis. "Step" and "pitch" alone are not among the others, because they may state the
-# step of the focus along z.
+# Keys that state a pitch only if they also name an axis. Without an axis, "step" and "pitch" may state the step of the
+# focus along z.
 _PITCHES_OF_AXIS = _names("d|δ|step|step size|pitch|increment|sampling|interval|pixel")
 _OWN_PITCHES: dict[str, Axis] = {"pixel width": "x", "pixel height": "y"}
 _OF_ROWS = re.compile(r"(?:line|row)s? (?=spacing|distance|pitch|step)")
@@ -57,7 +58,8 @@ _COUNTS: dict[str, Axis] = {
     **dict.fromkeys(("h", "rows", "nrows", "lines", "number of rows", "number of lines", "num rows", "numrows"), "y"),
     **dict.fromkeys(("vertical", "vertikal", "zeilen"), "y"),
 }
-# Keys of a number of samples along x if they name this axis, or of a pair of numbers.
+# Keys that state numbers of samples: along an axis if they also name this axis, otherwise along both axes. The keys
+# "n", "res" and "dim" must name an axis.
 _COUNTS_OF_AXIS = _names(
     "n|res|dim|pixel|pixels|points|samples|resolution|number of pixels|number of points|image size|size|grid",
     "data points",
@@ -68,7 +70,7 @@ _UNITS_Z = _names(
     "unité|unités|unità|unità valore|unidad|unidades|unidades de valor|jednotky hodnot|единицы измерения",
     "値の単位|값 단위|单位|z axis unit|vertical unit|vertical units",
 )
-# Keys that state a unit only if their value is the unit alone.
+# Keys that state the unit of the heights only if their value is a unit without a number.
 _WEAK_UNITS_Z = _names("heights|values|z")
 _UNITS_XY = re.compile(r"(?:x|y|xy|lateral) units?|units? (?:x|y|xy)")
 GLOBAL_UNITS = _names("units|einheiten|unités")
@@ -86,13 +88,13 @@ _GLUED = re.compile(rf"([xy])({_AXIS_WORDS})|({_AXIS_WORDS}|[dnlδ∆])([xy])")
 
 
 class Key(NamedTuple):
-    """Fact that the key of a header line states about the matrix.
+    """Fact that the key of a header line states about the matrix of heights.
 
     Attributes:
         kind: Whether the key states a size, a pitch or a number of samples. Keys such as "x size" state a size or, if
             the number has no unit, a number of samples.
-        axis: Axis of the fact; an empty string for both.
-        names_axis: Whether the key names the axis x or y. Such statements outweigh keys like "Height".
+        axis: Axis of the fact; an empty string for both axes.
+        names_axis: Whether the key names the axis x or y. Such a key has priority over keys like "Height".
     """
 
     kind: Kind
@@ -101,7 +103,7 @@ class Key(NamedTuple):
 
 
 def words_of(key: str) -> str:
-    """Return a key in the form of the sets of keys: in lower case, without units, hyphens and underscores."""
+    """Return a key in the form in which keys are listed here: in lower case, without units, hyphens and underscores."""
     match = IN_KEY.search(key)
     if match is not None and (match["bracket"] or length_units.factor_of(match["word"]) is not None):
         key = f"{key[: match.start()]} {key[match.end() :]}"
@@ -139,7 +141,7 @@ def key_of(text: str, *, per_pixel: bool = False) -> Key:
 
 
 def _axis_and_base(text: str) -> tuple[Axis, str]:
-    """Return the axis that a key names, an empty string for none, and the key without it."""
+    """Return the axis that a key names, an empty string for none, and the key without this axis."""
     axes, base = [], []
     for word in text.split():
         glued = _GLUED.fullmatch(word)
@@ -154,7 +156,7 @@ def _axis_and_base(text: str) -> tuple[Axis, str]:
 
 
 def unit_in_key(key: str) -> tuple[float | None, bool]:
-    """Return the size [µm] of the unit in a key, None if it has no unit of length, and whether it is per pixel."""
+    """Return the size [µm] of the unit in a key, None without a unit of length, and whether the unit is per pixel."""
     match = IN_KEY.search(key)
     if match is None:
         return None, False
@@ -162,7 +164,7 @@ def unit_in_key(key: str) -> tuple[float | None, bool]:
 
 
 def states_unit_z(words: str, *, is_plain: bool) -> bool:
-    """Whether a key states the unit of the heights. Keys such as "z" do so only if the value is a single word."""
+    """Whether a key states the unit of the heights. For keys such as "z", the value must be a single word."""
     return words in _UNITS_Z or (is_plain and words in _WEAK_UNITS_Z)
 
 
@@ -172,15 +174,15 @@ def states_unit_xy(words: str) -> bool:
 
 
 def states_factor(words: str) -> bool:
-    """Whether a key states a factor of the heights."""
+    """Whether a key states a factor by which the numbers are multiplied to give heights."""
     return words in _FACTORS or _FACTOR_OF_HEIGHTS.search(words) is not None
 
 
 def states_no_data(words: str) -> bool:
-    """Whether a key speaks of missing samples."""
+    """Whether a key states the code or the number of missing samples."""
     return _NO_DATA.search(words) is not None
 
 
 def states_code(words: str) -> bool:
-    """Whether a key of missing samples states their code, and not how many there are."""
+    """Whether a key about missing samples states their code, and not how many samples are missing."""
     return _CODE.search(words) is not None

@@ -1,4 +1,4 @@
-"""Points x, y, z in text exports: heights on an even grid, or the reason why the points are on none."""
+"""Points x, y, z in text exports: heights on an even grid, or the reason why the points are on no such grid."""
 
 from __future__ import annotations
 
@@ -21,15 +21,17 @@ if TYPE_CHECKING:
 
 # Number of the line, counted from 1, in which a Zygo XYZ file states the size of a pixel.
 _ZYGO_LINES = 8
-# Share of the positions of a grid up to which points x, y, z are no grid. Hexagonal grids fill one half.
+# Share of the positions of a grid that must have a point, at least, so that points x, y, z count as a grid. A hexagonal
+# arrangement fills one half of the positions and is no grid.
 _MOST_EMPTY = 0.5
 
-# Even grid: for x and then for y, the position of each column or row, and their distance, in the unit of the text.
+# Even grid of points: for x and then for y, the coordinates of all columns or rows of the grid, and the distance
+# between two of them, in the unit of the text.
 _Grid = tuple[tuple[np.ndarray, float], tuple[np.ndarray, float]]
 
 
 def zygo_pitch(lines: Sequence[str]) -> float | None:
-    """Return the size of a pixel [µm] in a Zygo XYZ file, 0 if the file does not state it; None for other files.
+    """Return the size of a pixel [µm] in a Zygo XYZ file, 0 if the file does not state this size; None for other files.
 
     The size [m] is the seventh number in the eighth line. The unit of the heights depends on a setting of the program
     that wrote the file, and is not in the file.
@@ -49,9 +51,9 @@ def of_points(file: Path, block: Block, form: Form, facts: Facts, zygo: float | 
 
     Args:
         file: Path of the file, for error messages.
-        block: Block of numbers.
-        form: Form of the numbers.
-        facts: Facts of the header.
+        block: Block of numbers of the text, one row per point.
+        form: Form of the numbers in the text: separator, decimal sign and thousands sign.
+        facts: Facts that the header of the text states.
         zygo: Result of :func:`zygo_pitch`.
     """
     width = block.values.shape[1]
@@ -74,8 +76,8 @@ def of_points(file: Path, block: Block, form: Form, facts: Facts, zygo: float | 
     column, row = np.rint((x - at_x[0]) / dx).astype(np.int64), np.rint((y - at_y[0]) / dy).astype(np.int64)
     heights = np.full((len(at_y), len(at_x)), np.nan)
     heights[row, column] = z
-    # The rows of a picture go from the largest y to the smallest. In Zygo files, y is a row number of the camera, which
-    # is 0 at the top, as other numbers of rows.
+    # In a picture, row 0 has the largest y. In Zygo files, and under headings that name row numbers, y is counted from
+    # the top of the picture, so that the rows keep their order.
     heights = heights if zygo is not None or columns.counts_rows else heights[::-1]
     unit_x, unit_y, unit_z = columns.units
     if unit_x is None and unit_y is None:
@@ -89,7 +91,7 @@ def of_points(file: Path, block: Block, form: Form, facts: Facts, zygo: float | 
     elif unit_x is not None and unit_y is not None:
         pitch = unit_y * dy, unit_x * dx
     elif facts.has_scale and dx == dy == 1.0:
-        # Positions with a step of 1 and no unit are indices of the samples, and the header states the size.
+        # Positions with a step of 1 and no unit are indices of the samples. The size then comes from the header.
         pitch, why_no_pitch = text_facts.pitch_of(facts, *heights.shape[::-1])
     else:
         own = dy, dx
@@ -100,16 +102,16 @@ def of_points(file: Path, block: Block, form: Form, facts: Facts, zygo: float | 
 
 
 def _unit_z(heading: float | None, facts: Facts) -> tuple[float | None, str]:
-    """Return the unit of the heights [µm] from their heading or the header, and the reason if there is none."""
+    """Return the unit of heights [µm] from the column's heading or the header, and the reason if there is none."""
     others = [line for unit, line in facts.units.items() if unit != heading]
-    # The unit of all columns does not contradict the heading of one column.
+    # A header may state one unit of all columns and the heading of the heights another one. This is no contradiction.
     if heading is None or (facts.global_unit is not None and len(facts.units) <= 2):
         return heading or facts.unit, facts.why_no_unit
     return (None, f"{others[0]} contradicts the heading of the heights") if others else (heading, "")
 
 
 def _grid(file: Path, x: np.ndarray, y: np.ndarray, *, is_named: bool) -> _Grid | None:
-    """Return the even grid of points, or None if there is none.
+    """Return the even grid on which points lie, or None if there is no such grid.
 
     If headings name the columns (``is_named``), points on no grid raise an error instead.
     """
@@ -122,15 +124,15 @@ def _grid(file: Path, x: np.ndarray, y: np.ndarray, *, is_named: bool) -> _Grid 
 
 
 def _grid_or_reason(x: np.ndarray, y: np.ndarray) -> _Grid | str:
-    """Return the even grid of points, or the reason why there is none, for an error message."""
+    """Return the even grid on which points lie, or the reason why there is no such grid, for an error message."""
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         return "without a position"
     along_x, along_y = text_table.even_steps(x), text_table.even_steps(y)
     if along_x is None or along_y is None:
         return "on no even grid"
     nx, ny = len(along_x[0]), len(along_y[0])
-    # Two or three rows of a matrix with three columns could be read as points on a diagonal of a grid. There must
-    # therefore be more points than the grid has columns, and more than it has rows.
+    # Two or three rows of a matrix with three columns could be read as points on a diagonal of a grid. The number of
+    # points must therefore exceed the number of columns of the grid, and its number of rows.
     if len(x) < 4 or len(x) <= max(nx, ny) or len(x) <= _MOST_EMPTY * nx * ny:
         return f"at {len(x)} of the {nx} × {ny} positions of a grid"
     nodes = np.rint((y - along_y[0][0]) / along_y[1]) * nx + np.rint((x - along_x[0][0]) / along_x[1])

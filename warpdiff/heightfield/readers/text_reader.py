@@ -1,7 +1,7 @@
 """Reader of heights in text: matrices and points x, y, z on a grid, as programs of instruments export them.
 
-One procedure reads the exports of all programs. It finds the separator and the decimal sign by trying which ones give
-the most numbers. It takes units from the header and never guesses them.
+One procedure reads the exports of all programs. The procedure tries several separators and decimal signs, and uses the
+pair that gives the most numbers. Units come from the header and are never guessed.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 # Measured peak memory while a text is read, per byte of a text with numbers of one digit. If doubled, texts that fit
 # into memory are refused.
 _BYTES_PER_LETTER = 18.0
-# Largest number of rows for which three columns of numbers, without a header, are read as a matrix. With more rows,
-# they are probably points or a list and not a scan that is three samples wide.
+# Largest number of rows for which three columns of numbers, without a header, are read as a matrix. If there are more
+# rows, the numbers are probably points x, y, z or a list, and not a scan that is three samples wide.
 _MOST_NARROW_ROWS = 9
 # Least number of rows or columns of a matrix from which its first column or row may count as indices or positions
-# instead of heights. A matrix with positions in both is refused. If halved, more small matrices are refused, whose
-# heights have even steps by chance.
+# instead of heights. A matrix with positions in both is refused. If halved, more small matrices are refused because
+# their heights have even steps by chance.
 _LEAST_NUMBERED = 4
 
 
@@ -55,14 +55,16 @@ def read_text(file: Path) -> FileContent | Channels:
     if lines[0].startswith("Wyko ASCII"):
         raise refusal(file, "is a Wyko ASCII export, whose lines run along y, without a unit; save it as .opd")
     use = text_table.decimal_use(lines, form)
-    # Commas before three digits in all numbers do not show whether those of the header are decimal signs.
+    # If three digits follow the comma in all numbers of a text, the comma may separate thousands. The rows of numbers
+    # then do not show whether a comma in the header is a decimal sign.
     is_open = use == "none" or (use == "all" and form.decimal == ",")
     signs = Signs("" if is_open else form.decimal, form.thousands)
     blocks = text_table.blocks_of(lines, form)
     same = _equal_blocks(file, blocks)
     facts = [_facts_of(block, form, signs, blocks[0].header) for block in same]
     _check_signs(file, use, form.decimal, facts[0])
-    # Matrices whose unit is a length come first, because the first channel is the default.
+    # A text may have several matrices as channels. Those whose unit is a length come first, because the first channel
+    # is the default.
     order = sorted(range(len(same)), key=lambda k: bool(facts[k].not_length) and facts[k].unit is None)
     channels: dict[str, Callable[[], FileContent]] = {}
     for k in order:
@@ -77,7 +79,7 @@ def read_text(file: Path) -> FileContent | Channels:
 
 
 def _equal_blocks(file: Path, blocks: list[Block]) -> list[Block]:
-    """Return the largest block of numbers and all other blocks of the same shape, which are channels of the file.
+    """Return the blocks of numbers that have the shape of the largest block; they are the channels of the file.
 
     The file is refused if other blocks have as many columns but another number of rows.
     """
@@ -86,7 +88,7 @@ def _equal_blocks(file: Path, blocks: list[Block]) -> list[Block]:
     if min(shape) < 2:
         return [largest]
     same = [block for block in blocks if block.values.shape[1] == shape[1]]
-    # A block of a single row before the first matrix belongs to the header.
+    # A single row of numbers before the first matrix belongs to the header of the text.
     while len(same[0].values) == 1:
         del same[0]
     if any(block.values.shape != shape for block in same):
@@ -95,7 +97,7 @@ def _equal_blocks(file: Path, blocks: list[Block]) -> list[Block]:
 
 
 def _facts_of(block: Block, form: Form, signs: Signs, first_header: list[str]) -> Facts:
-    """Return the facts of a block's header. If it states no size or pitch, those of the file's first header apply."""
+    """Return the facts of the header above a block of numbers; the first header of the file completes missing facts."""
     facts = text_header.facts_of(block.header, form, signs)
     if first_header is not block.header:
         facts.merge(text_header.facts_of(first_header, form, signs))
@@ -103,9 +105,9 @@ def _facts_of(block: Block, form: Form, signs: Signs, first_header: list[str]) -
 
 
 def _check_signs(file: Path, use: str, sign: str, facts: Facts) -> None:
-    """Raise an error if the sign in all numbers may separate thousands, and the header does not show that it does not.
+    """Raise an error if the comma or point in the numbers may be a decimal sign, but also separate thousands.
 
-    It is a decimal sign if all numbers have it, and if no number of the header has the other decimal sign.
+    If all numbers have this sign, it is a decimal sign unless a number of the header has the other decimal sign.
     """
     other = "," if sign == "." else "."
     if sign in facts.signs or use in ("none", "certain") or (use == "all" and other not in facts.signs):
@@ -141,7 +143,7 @@ def _content(file: Path, block: Block, form: Form, facts: Facts, zygo: float | N
 
 
 def _check_block(file: Path, block: Block, form: Form) -> None:
-    """Raise an error if a row of a block has text among its numbers, or more or fewer numbers than the others."""
+    """Raise an error if a row of a block has text among its numbers, or more or fewer numbers than the other rows."""
     width = block.values.shape[1]
     if block.odd_cell:
         cell, line = block.odd_cell
@@ -204,10 +206,11 @@ def _of_matrix(file: Path, block: Block, form: Form, facts: Facts) -> FileConten
 
 
 def _with_outer_columns(file: Path, values: np.ndarray, block: Block, facts: Facts) -> np.ndarray:
-    """Return a matrix with its empty first or last column if it has missing samples, and without it if not.
+    """Return a matrix with its empty first or last column if the column has missing samples, otherwise without it.
 
-    An empty first column has missing samples. An empty last column comes from separators at the ends of the lines,
-    unless the header counts it or other cells are empty, too.
+    If the header states the number of columns, this number shows whether an empty column belongs to the matrix.
+    Otherwise an empty first column has missing samples, and an empty last column comes from separators at the ends of
+    the lines. The file is refused if other cells are empty, too, or if the header contradicts the number of columns.
     """
     nx = values.shape[1]
     counts = [count for axis, count, _ in facts.counts if axis == "x"]
@@ -227,7 +230,7 @@ def _with_outer_columns(file: Path, values: np.ndarray, block: Block, facts: Fac
 
 
 def _has_headings(block: Block, form: Form) -> bool:
-    """Whether the line above the numbers has headings: a word for each column, or for each but the first."""
+    """Whether the line above the numbers has headings: a word for each column, or for each column but the first."""
     words = [cell for cell in (form.cells(block.header[-1]) if block.header else []) if cell]
     is_key = not block.header or text_header.is_statement(block.header[-1])
     width = block.values.shape[1]
@@ -235,7 +238,7 @@ def _has_headings(block: Block, form: Form) -> bool:
 
 
 def _without_labels(file: Path, block: Block, form: Form) -> tuple[np.ndarray, tuple[float, float] | None]:
-    """Return a matrix without its row and column of indices or positions, and the pitch of these positions or None."""
+    """Return a matrix without its row and column of indices or positions, and the pitch of the positions or None."""
     values = block.values
     labels = _labels_around(block, form)
     if labels is not None:
@@ -246,22 +249,23 @@ def _without_labels(file: Path, block: Block, form: Form) -> tuple[np.ndarray, t
     first, has_headings = values[:, 0], _has_headings(block, form)
     if has_headings and not _is_counted(first) and len(values) > 2 and text_table.is_even(first):
         raise refusal(file, "has a first column of even steps under a heading, as positions have; remove it")
-    # A first row or column of whole numbers that count from 0 or 1 has indices and not heights, if the other numbers
-    # have fractions.
+    # If the first row or column has whole numbers that count from 0 or 1, and the other numbers have fractions, the
+    # first row or column contains indices and not heights.
     inner = values[1:, 1:]
     has_fractions = bool(np.any(np.mod(inner[np.isfinite(inner)], 1.0)))
     if _is_counted(first) and (has_headings or (has_fractions and len(values) >= _LEAST_NUMBERED)):
         return values[:, 1:], None
     if _is_counted(values[0]) and has_fractions and len(values[0]) >= _LEAST_NUMBERED:
         return values[1:], None
-    # The heights of a tilted plane are also equally spaced, but in every row. The second row is therefore tested, too.
+    # Equal steps in the first row may be positions. On a tilted plane, heights also have equal steps, but in every row.
+    # The second row is therefore tested, too.
     if min(values.shape) > _LEAST_NUMBERED and _has_even_edges(values) and not text_table.is_even(values[1, 1:]):
         raise refusal(file, "has a first row and a first column of even steps, as positions have; remove them")
     return values, None
 
 
 def _labels_around(block: Block, form: Form) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return a matrix without its labels, and the labels of its columns and rows; None if the matrix has none.
+    """Return a matrix without its labels, and the labels of its columns and rows; None if there are no labels.
 
     Labels are indices or positions in the first row and the first column, whose common corner has no number.
     """
@@ -286,14 +290,15 @@ def _is_counted(values: np.ndarray) -> bool:
 
 
 def _has_even_edges(values: np.ndarray) -> bool:
-    """Whether the first row and the first column of a matrix are equally spaced numbers; their corner is ignored."""
+    """Whether the first row and the first column of a matrix, without their common corner, have equal steps."""
     return text_table.is_even(values[0, 1:]) and text_table.is_even(values[1:, 0])
 
 
 def _at_positions(inner: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, tuple[float, float] | None]:
-    """Return a matrix with rows from the largest y to the smallest and x ascending, and its pitch (dy, dx).
+    """Return a matrix in the order of a picture, by the positions of its columns and rows, and its pitch (dy, dx).
 
-    If the labels ``x`` and ``y`` are only indices, the matrix is unchanged and the pitch is None.
+    The first row has the largest y, and x increases along a row. If the positions ``x`` and ``y`` are only indices, the
+    matrix is unchanged and the pitch is None.
     """
     if _is_counted(x) and _is_counted(y):
         return inner, None

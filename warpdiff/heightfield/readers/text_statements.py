@@ -1,4 +1,4 @@
-"""Statements in header lines of text exports: keys with one number or two, and their units and axes."""
+"""Statements in header lines of text exports: a key with one number or two, which have units and axes."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.readers.text_keys import Axis, Key
 
-# Number of characters of a header line that an error message quotes. Limit: a longer message is unreadable.
+# Number of characters of a header line that an error message quotes. The value was chosen because longer messages are
+# hard to read.
 _MOST_QUOTED = 80
-# A number with thousands signs, with a decimal sign or without, or a plain number.
+# Matches a plain number, or a number with thousands signs, with or without a decimal sign.
 NUMBER = (
     r"[-+]?(?:\d{1,3}(?:,\d{3})+\.\d+|\d{1,3}(?:\.\d{3})+,\d+|\d{1,3}(?:(?:,\d{3}){2,}|(?:\.\d{3}){2,})"
     r"|\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:[eEdD][-+]?\d+)?"
@@ -26,11 +27,11 @@ _UNIT = re.compile(
     rf"\s*[;,\t)]?\s*(?P<open>[\[(])?\s*(?P<word>{UNIT})(?P<power>\^?-?\d)?(?!\w)"
     r"(?P<per>\s*(?:/|per\b)\s*(?:pixel|pix|px|sample|pt|point)s?\b)?(?P<other>\s*/\s*[^\W\d]\w*)?(?(open)\s*[\])])"
 )
-# Matches a unit with other signs than letters, such as "%", or with a letter that was lost.
+# Matches the beginning of a unit that does not begin with a letter: "%", or a letter that was damaged in the file.
 _STRANGE_UNIT = re.compile(r"\s*[^\s\d,;:=()\[\]|/×*+\-–—….~]")
 _PIXELS = frozenset(("px", "pix", "pixel", "pixels", "pts", "points", "samples", "píxeles", "pixeles"))
 _COLUMNS, _ROWS = frozenset(("columns", "cols")), frozenset(("rows", "lines"))
-# Words between the numbers of a pair that are no unit and no key.
+# Words between two numbers of a pair that are neither a unit nor a key, such as "x" and "by".
 _LINKS = frozenset(("x", "y", "by", "to", "and", "und", "et", "along", "in", "per", "axis", "direction", "at", "of"))
 _PRODUCT = re.compile(r"\s*(?:[x×*]|by)\s*", re.IGNORECASE)
 _LABEL = r"[(\s:]*(?:along |in )?\b([xy])\b(?:[ -](?:axis|direction))?[)\s]*[:=]?\s*"
@@ -39,12 +40,13 @@ _LATER_LABEL = re.compile(rf"(?:[\s,;()]|\band\b)*{_LABEL}$", re.IGNORECASE)
 _LABEL_BEHIND = re.compile(_LABEL, re.IGNORECASE)
 _WORDS_X = "x|width|breite|w|columns|points|pixels|horizontal"
 _WORDS_Y = "y|height|höhe|h|rows|lines|vertical"
-# Matches the order of two numbers, such as "(height x width)", "(x, y)" or "X/Y".
+# Matches text that says which of two numbers is along x, such as "(height x width)", "(x, y)" or "X/Y".
 _ORDER = re.compile(
     rf"[(\[]?\b(?:(?P<x>{_WORDS_X})\s*[x×*,/]\s*(?:{_WORDS_Y})|(?P<y>{_WORDS_Y})\s*[x×*,/]\s*(?:{_WORDS_X}))\b[)\]]?",
     re.IGNORECASE,
 )
-# Matches two words in brackets, such as "(slow x fast)", which are the order of two numbers.
+# Matches two words in brackets that are not names of x and y, such as "(slow x fast)". They say which of two numbers is
+# along which axis.
 _OTHER_ORDER = re.compile(r"[(\[]\s*\w+\s*[x×*,/]\s*\w+\s*[)\]]", re.IGNORECASE)
 _CLOSE_PRODUCT = re.compile(r"(?<=\d)\s*([x×*])\s*(?=\d)", re.IGNORECASE)
 _TOLERANCE = re.compile(rf"(?:±|\+/-)\s*{NUMBER}\s*(?:{UNIT})?")
@@ -57,16 +59,16 @@ def quoted(line: str) -> str:
 
 
 class Signs(NamedTuple):
-    """Decimal sign and thousands sign of the numbers of a text; an empty string for a sign that does not occur."""
+    """Decimal sign and thousands sign in the numbers of a text; an empty string for a sign that does not occur."""
 
     decimal: str
     thousands: str = ""
 
 
 def value_of(text: str, signs: Signs) -> float | None:
-    """Return the value of a number in a header; None if its sign may be a decimal sign or a thousands sign.
+    """Return the value of a number in a header; None if its comma or point may be a decimal or a thousands sign.
 
-    A number is also unclear if its comma may separate two numbers.
+    The result is also None if the comma may separate two numbers.
     """
     points, commas = text.count("."), text.count(",")
     if points and commas:
@@ -87,7 +89,7 @@ def value_of(text: str, signs: Signs) -> float | None:
 
 
 def certain_sign(text: str) -> str:
-    """Return the decimal sign of a number; an empty string if it has none, or if it may be a thousands sign."""
+    """Return the decimal sign of a number; an empty string without a sign, or if it may be a thousands sign."""
     signs = re.findall(r"[.,]", text)
     if not signs or len(signs) != signs.count(signs[0]):
         return signs[-1] if signs else ""
@@ -100,10 +102,10 @@ class Measure:
 
     Attributes:
         number: Text of the number.
-        unit: Size of its unit of length [µm]; None if it has none.
+        unit: Size of the number's unit of length [µm]; None without a unit of length.
         per_pixel: Whether the unit is per pixel.
-        counts: "pixels", "columns" or "rows" for a number of these; "other" for a number with another unit; otherwise
-            an empty string.
+        counts: "pixels", "columns" or "rows" if the number counts them; "other" if it has another unit; otherwise an
+            empty string.
     """
 
     number: str
@@ -120,7 +122,7 @@ class Statement:
         text: Text of the key.
         measures: Numbers with their units.
         between: Texts between consecutive numbers.
-        tail: Text behind the last number.
+        tail: Text after the last number.
     """
 
     text: str
@@ -130,15 +132,15 @@ class Statement:
 
     @property
     def words(self) -> str:
-        """Key without units, axes and the order of two numbers in brackets."""
+        """Key of the statement, without units, axes, and words in brackets that name the order of two numbers."""
         return text_keys.words_of(_ORDER.sub(" ", self.text))
 
     @property
     def key(self) -> Key:
-        """Fact that the key states."""
+        """Fact that the key of the statement states, such as a size or a pitch."""
         per_pixel = self._unit_of_key()[1] or any(measure.per_pixel for measure in self.measures)
         key = text_keys.key_of(self.words, per_pixel=per_pixel)
-        # The order of two numbers, such as "(x, y)", also names the axes of a key such as "Step".
+        # Words such as "(x, y)", which name the order of two numbers, also name the axes of a key such as "Step".
         order = _ORDER.search(self.text)
         if key.kind or len(self.measures) != 2 or order is None:
             return key
@@ -156,7 +158,7 @@ class Statement:
         return text_keys.unit_in_key(self.text)
 
     def units(self, lateral: float | None) -> list[float | None]:
-        """Return the unit [µm] of each number: its own, that of a later number, of the key, or of all positions."""
+        """Return the unit of each number [µm]: its own, or that of a later number, of the key, or of all positions."""
         of_key = self._unit_of_key()[0]
         result: list[float | None] = []
         later = None
@@ -166,13 +168,13 @@ class Statement:
         return result[::-1]
 
     def without(self, measures: Sequence[Measure]) -> Statement:
-        """Return the statement without some of its numbers; the texts behind them are part of the tail."""
+        """Return the statement without some of its numbers; the texts after these numbers become part of the tail."""
         rest = [measure for measure in self.measures if measure not in measures]
         tail = self.tail if len(rest) > 1 else "".join([*self.between, self.tail])
         return Statement(self.text, rest, self.between[: len(rest) - 1], tail)
 
     def axes(self) -> list[Axis] | None:
-        """Return the axis of each number, an empty string for both axes; None if the line does not say it clearly."""
+        """Return the axis of each number, an empty string if a number is for both axes; None if this is unclear."""
         named = self.key.axis
         if len(self.measures) == 1:
             behind = _LABEL_BEHIND.match(self.tail)
@@ -213,20 +215,20 @@ def statements_of(line: str) -> Iterator[Statement]:
 
 
 def _states_key(text: str, measure: Measure) -> bool:
-    """Whether a text between two numbers is a known key of the second one."""
+    """Whether the text between two numbers is a known key of the second number."""
     words = text_keys.words_of(text)
     is_resolution = measure.per_pixel and len(words.split()) > 1
     return bool(text_keys.key_of(words).kind) or (is_resolution and text_keys.key_of(words, per_pixel=True).names_axis)
 
 
 def _split(text: str) -> tuple[str, str]:
-    """Return the text behind a number and the key of the next number, which are parts of the text between both."""
+    """Split the text between two numbers into the text that belongs to the first and the key of the second number."""
     match = re.search(r"^(.*?(?:[,;|\t)]|\s{2,}))([^,;|\t]*)$", text)
     return (match[1], match[2]) if match is not None and match[2].strip(" :=)") else ("", text)
 
 
 def _parts(line: str) -> Iterator[tuple[str, Measure]]:
-    """Yield the text before each number and the number with its unit, and finally the text behind the last number."""
+    """Yield the text before each number and the number with its unit, and finally the text after the last number."""
     end = 0
     previous = ""
     count = 0
@@ -251,7 +253,7 @@ def _parts(line: str) -> Iterator[tuple[str, Measure]]:
 
 
 def _add_unit(measure: Measure, match: re.Match[str], *, has_count: bool) -> bool:
-    """Add the word behind a number to it if this word is a unit, and return whether it is one."""
+    """Set the unit of a number to the word after it if this word is a unit; return whether the word is a unit."""
     word = match["word"].lower()
     unit = length_units.factor_of(match["word"])
     if match["power"] or match["other"]:

@@ -1,4 +1,4 @@
-"""Tables of numbers in text files: finds encoding, separator and decimal sign, and blocks of rows of equal length."""
+"""Tables of numbers in text files: detection of encoding, separator, decimal sign, and blocks of equally long rows."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Size above which a text file is refused, after decompression [bytes]: 100 million numbers of ten characters. The limit
+# Size of the decompressed text above which a file is refused [bytes]: 100 million numbers of ten characters. The limit
 # also stops small compressed files that expand to very large texts.
 MOST_BYTES = 1 << 30
-# Number of lines, and number of characters, of the sample of a text in which separators and decimal signs are tried. If
-# doubled, the choice is as good and takes twice as long.
+# Separators and decimal signs are tried on a sample of the text. The numbers are the largest numbers of lines and of
+# characters of this sample. If doubled, the choice is as good and takes twice as long.
 _SAMPLE_LINES, _SAMPLE_CHARACTERS = 400, 200_000
-# Number of bytes at the beginning of a file by which it is identified as text.
+# Number of bytes at the beginning of a file that are read to find out whether the file is text.
 _HEAD_BYTES = 4096
 _GZIP = b"\x1f\x8b"
 _MARKS = (
@@ -40,13 +40,14 @@ _GAPS = frozenset({
 })  # fmt: skip
 # Matches "no data" in a cell, but not in a header line that states the code of missing samples.
 _NO_DATA = re.compile(r"(?i)\bno[ _-]?data\b(?!\s*(?:value|code|[:=]))")
-# Matches an apostrophe that separates thousands, and spaces that some programs write for this purpose.
+# `_APOSTROPHE` matches an apostrophe between digits that separates thousands. `_GROUPED` matches a number with any
+# thousands sign. `_SPACES` matches the narrow spaces that some programs use as this sign.
 _APOSTROPHE = re.compile(r"(?<=\d)['’](?=\d{3}(?!\d))")
 _GROUPED = re.compile(r"\d[,. \xa0]\d{3}(?!\d)")
 _SPACES = re.compile("[\u2009\u202f]")
 _NUMBERS = {
     (".", ""): re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"),
-    # With a decimal comma, digits must follow the comma. A comma without digits after it is a separator.
+    # If the decimal sign is a comma, digits must follow it in a number. A comma without digits after it is a separator.
     (",", ""): re.compile(r"[-+]?(?:\d+(?:,\d+)?|,\d+)(?:[eEdD][-+]?\d+)?"),
     **{
         (decimal, sign): re.compile(
@@ -56,24 +57,26 @@ _NUMBERS = {
     },
 }
 # Pairs of a separator and a decimal sign that are tried; a separator of None is white space. If several pairs give
-# equally many numbers, the first one is used.
+# equally many numbers, the first of these pairs is used.
 _FORMS: tuple[tuple[str | None, str], ...] = (
     ("\t", "."), (";", "."), (",", "."), (None, "."), ("\t", ","), (";", ","), (",", ","), (None, ","),
 )  # fmt: skip
-# Thousands signs that are tried after these pairs, by the decimal sign. A no-break space also stands for other spaces,
-# and is not tried if white space separates the numbers.
+# Thousands signs that are tried, by the decimal sign, after the pairs above without a thousands sign. A no-break space
+# also stands for other kinds of spaces, and is not tried if white space separates the numbers.
 _THOUSANDS = {".": (",", "\xa0"), ",": (".", "\xa0")}
-# Largest distance between a rounded position and the even axis, and largest width of a group of equal positions with
-# noise, both as shares of the step. If doubled, more scattered points are taken for a grid.
+# Positions of points are assigned to an evenly spaced axis. A rounded position may differ from the axis by at most the
+# first number. Positions with noise that count as equal may spread over at most the second number. Both are shares of
+# the step of the axis. If doubled, more scattered points are taken for a grid.
 _MOST_ROUNDING, _MOST_NOISE = 0.1, 0.01
-# Smallest gap between two groups of equal positions, as a share of the largest gap. If doubled, axes of which more
-# positions are missing are refused if they have noise.
+# Positions that are equal up to noise form a group. The number is the smallest gap between two groups, as a share of
+# the largest gap. If doubled, positions with noise are refused if ten neighbouring positions of the axis have no point,
+# instead of twenty.
 _GROUP_GAP = 0.05
 _LINE_END = re.compile(r"\r\n?|\n")
 
 
 def is_text(file: Path) -> bool:
-    """Whether the first bytes of a file are text that contains digits."""
+    """Whether the first 4096 bytes of a file are text that contains digits."""
     with file.open("rb") as stream:
         head = stream.read(_HEAD_BYTES)
     if head.startswith(_GZIP):
@@ -85,7 +88,7 @@ def is_text(file: Path) -> bool:
 
 
 def unpacked(file: Path, most: int) -> bytes:
-    """Return the bytes of a file, decompressed if it is a gzip file, and at most ``most`` + 1 of them.
+    """Return at most ``most`` + 1 bytes of a file, which is decompressed if it is a gzip file.
 
     Raises:
         ValueError: The compressed data are damaged.
@@ -109,14 +112,14 @@ def decode(data: bytes) -> str:
             return data.decode(name, errors="replace")
     head = data[:400]
     if head.count(0) > len(head) // 4:
-        # In UTF-16, one of the two bytes of a Latin letter is zero: the second one in little-endian order, the first
-        # one in big-endian order.
+        # In UTF-16, one of the two bytes of a Latin letter is zero: the second byte in little-endian order, the first
+        # byte in big-endian order.
         return data.decode("utf-16-le" if head[1::2].count(0) >= head[::2].count(0) else "utf-16-be", errors="replace")
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError:
-        # Text that is not UTF-8 is read as Windows-1252. It contains all printable characters of Latin-1 at the same
-        # places.
+        # Text that is not UTF-8 is read as Windows-1252. This encoding contains all printable characters of Latin-1
+        # with the same codes.
         return data.decode("cp1252", errors="replace")
 
 
@@ -126,7 +129,7 @@ class Form(NamedTuple):
     Attributes:
         separator: Separator between the numbers; None is white space.
         decimal: Decimal sign.
-        thousands: Thousands sign; an empty string for none.
+        thousands: Thousands sign; an empty string if numbers have none.
     """
 
     separator: str | None
@@ -134,7 +137,7 @@ class Form(NamedTuple):
     thousands: str = ""
 
     def cells(self, line: str) -> list[str]:
-        """Return the texts between the separators of a line."""
+        """Return the cells of a line: the texts between its separators."""
         if self.separator is None:
             return line.split()
         if '"' in line:
@@ -157,15 +160,15 @@ class Form(NamedTuple):
         return float(cell.replace(",", ".").upper().replace("D", "E"))
 
     def row(self, line: str) -> list[float] | None:
-        """Return the numbers of a line; None if a cell is no number, or if the only cell is a missing sample."""
+        """Return the numbers of a line; None if a cell is no number, or if the line is one missing sample."""
         if self.decimal == "." and not self.thousands and '"' not in line and "_" not in line:
             try:
                 fast = list(map(float, line.split(self.separator)))
             except ValueError:
                 pass
             else:
-                # Lines with infinite numbers are not accepted here: "inf" means a missing sample, while a number that
-                # overflows does not. The slower code below distinguishes them.
+                # Lines with infinite numbers are not accepted here. The word "inf" means a missing sample, but a number
+                # that is too large for float64 also becomes infinite. The slower code below distinguishes them.
                 if fast and all(map(math.isfinite, fast)):
                     return fast
         cells = self.cells(line)
@@ -175,13 +178,13 @@ class Form(NamedTuple):
         return numbers  # type: ignore[return-value]
 
     def _is_gap(self, cell: str) -> bool:
-        """Whether a cell does not begin with a number."""
+        """Whether the text of a cell does not begin with a number."""
         return _NUMBERS[self.decimal, self.thousands].match(cell) is None
 
 
 @dataclass
 class Block:
-    """Block of consecutive rows of a text that have equally many numbers.
+    """Block of consecutive rows of a text in which all rows have equally many numbers.
 
     Attributes:
         header: Lines of text between the previous block and this one.
@@ -189,12 +192,13 @@ class Block:
         parts: Number of rows in each part of the block; blank lines separate the parts.
         line: Line number of the block's first row, from 1.
         is_cut: Whether the next line is a row with more or fewer numbers.
-        above: Numbers of the row directly above the block, which has more or fewer of them; None if there is no such
-            row.
+        above: Numbers of the row directly above the block, which has more or fewer numbers than the block's rows; None
+            if there is no such row.
         outer: Number of empty columns at the end of each row that are not part of ``values``, 0 or 1. Such a column
             comes from a separator at the end of the line, or from missing samples.
         has_gaps: Whether other cells of the text are empty, too.
-        odd_cell: Text of a cell among numbers that is no number, and its line number; None if there is none.
+        odd_cell: Text of a cell that is no number in a row of numbers, and its line number; None if there is no such
+            cell.
     """
 
     header: list[str]
@@ -209,7 +213,7 @@ class Block:
 
 
 def lines_of(text: str) -> list[str]:
-    """Return the lines of a text. Minus signs become ASCII, and "no data" becomes "nan".
+    """Return the lines of a text. Unicode minus signs become hyphens, and "no data" becomes "nan".
 
     Apostrophes that separate thousands are removed.
     """
@@ -220,7 +224,7 @@ def lines_of(text: str) -> list[str]:
 
 
 def _sample_of(lines: Sequence[str]) -> list[str]:
-    """Return the lines of a text in which separators and signs are tried."""
+    """Return a part of the lines of a text, on which separators and decimal signs are tried."""
     filled = [line for line in lines if line.strip()]
     mean = sum(map(len, filled)) / max(len(filled), 1)
     count = max(min(_SAMPLE_LINES, int(_SAMPLE_CHARACTERS / max(mean, 1.0))), 5)
@@ -228,12 +232,12 @@ def _sample_of(lines: Sequence[str]) -> list[str]:
 
 
 def form_of(lines: Sequence[str]) -> Form | None:
-    """Return the separator and signs that give the most numbers in rows of equal length; None if none do."""
+    """Return the separator and signs that give the most numbers in rows of equal length; None if no row has numbers."""
     sample = _sample_of(lines)
     has_quotes = any('"' in line for line in sample)
     plain = [Form(*pair) for pair in _FORMS]
     best, chosen = _best_form(plain, sample, has_quotes=has_quotes)
-    # Thousands signs are tried only if a line that is no row of numbers has a number with such a sign.
+    # Thousands signs are tried only if a line that is not read as a row of numbers has a number with such a sign.
     if any(_GROUPED.search(line) and (chosen is None or chosen.row(line) is None) for line in sample):
         grouped = [Form(*pair, sign) for pair in _FORMS for sign in _THOUSANDS[pair[1]] if pair[0] or sign != "\xa0"]
         score, form = _best_form(grouped, sample, has_quotes=has_quotes)
@@ -242,12 +246,15 @@ def form_of(lines: Sequence[str]) -> Form | None:
 
 
 def _best_form(forms: Sequence[Form], sample: Sequence[str], *, has_quotes: bool) -> tuple[int, Form | None]:
-    """Return the largest number of numbers in rows of equal length, and the form that gives it."""
+    """Return the form of numbers that reads the most numbers in equally long rows, after the number of these.
+
+    A form has the separator of cells and the decimal and thousands signs.
+    """
     best, chosen = 0, None
     for form in forms:
         counts = dict[int, int]()
-        # If a comma separates the cells and is also in their numbers, only quotes around the cells show which commas
-        # are separators.
+        # If a comma separates the cells of a line and is also used in numbers, only quotes around the cells show which
+        # commas are separators.
         if form.separator in (form.decimal, form.thousands) and not has_quotes:
             continue
         for line in sample:
@@ -262,8 +269,9 @@ def _best_form(forms: Sequence[Form], sample: Sequence[str], *, has_quotes: bool
 def decimal_use(lines: Sequence[str], form: Form) -> Literal["none", "all", "some", "certain"]:
     """Return how the numbers of a text use their decimal sign, which may be a thousands sign instead.
 
-    "none": no number has the sign. "all": three digits follow it in all numbers, so that it may separate thousands.
-    "some": the same, but other numbers are whole, which is usual for thousands. "certain": it is a decimal sign.
+    "none": no number has the sign. "all": in all numbers, three digits follow the sign, so that it may separate
+    thousands. "some": three digits follow the sign in some numbers, and the other numbers are whole, as usual with
+    thousands signs. "certain": the sign is a decimal sign.
     """
     if form.thousands:
         return "certain"
@@ -328,7 +336,7 @@ def blocks_of(lines: Sequence[str], form: Form) -> list[Block]:
 
 
 def odd_cell(form: Form, line: str, width: int) -> str | None:
-    """Return the first text in a line of ``width`` cells that are mostly numbers; None for other lines."""
+    """Return the first cell that is no number, in a line of ``width`` cells that are mostly numbers; otherwise None."""
     cells = form.cells(line)
     if len(cells) != width or width < 3:
         return None
@@ -337,11 +345,11 @@ def odd_cell(form: Form, line: str, width: int) -> str | None:
 
 
 def _without_last_separators(lines: Sequence[str], form: Form) -> tuple[Sequence[str], int, bool]:
-    """Return lines without the separator after the last number, if every row has it.
+    """Return lines without the separator after the last number, if every row has such a separator.
 
     The separator may also mean that the last column is empty, because its samples are missing. The second result is the
-    number of such possible columns: 1 if a separator was removed, otherwise 0. The third result is whether other cells
-    of the text are empty, too.
+    number of columns that may be empty: 1 if a separator was removed, otherwise 0. The third result is whether other
+    cells of the text are empty, too.
     """
     separator = form.separator
     if separator is None:
@@ -366,7 +374,7 @@ def is_even(values: NDArray[np.float64]) -> bool:
 
 
 def even_steps(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], float] | None:
-    """Return the positions of an evenly spaced axis on which all values lie, and its step; None if there is none.
+    """Return the positions of an evenly spaced axis that contains all values, and its step; None if no axis does.
 
     The function accepts values that were rounded in a text, and axes of which some positions have no value.
     """
@@ -374,8 +382,8 @@ def even_steps(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]
     extent = float(ordered[-1] - ordered[0])
     if not extent > 0.0:
         return None
-    # Equal positions may differ by rounding errors, and by noise. Gaps between groups of equal positions are far larger
-    # than the differences inside a group.
+    # Positions that should be equal may differ by rounding errors and by noise; they form a group. Gaps between groups
+    # are far larger than the differences inside a group.
     gaps = np.diff(ordered)
     for bound, most_width in ((1e-9 * extent, math.inf), (_GROUP_GAP * float(np.max(gaps)), _MOST_NOISE)):
         ends = np.flatnonzero(np.append(gaps > bound, True))
@@ -385,7 +393,7 @@ def even_steps(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]
             continue
         if most_width == math.inf:
             return axis
-        # All values together give a more precise step than the first and the last group.
+        # A line fit through all values gives a more precise step than the first and the last group of values.
         numbers = np.rint((values - axis[0][0]) / axis[1])
         step, low = (float(number) for number in np.polyfit(numbers, values, 1))
         return low + step * np.arange(len(axis[0]), dtype=np.float64), step
@@ -393,14 +401,14 @@ def even_steps(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]
 
 
 def _axis_through(centres: NDArray[np.float64]) -> tuple[NDArray[np.float64], float] | None:
-    """Return the positions and the step of an even axis on which ascending positions lie; None if there is none."""
+    """Return the positions and the step of an even axis that contains the ascending ``centres``, or None."""
     low, high = float(centres[0]), float(centres[-1])
     steps = np.diff(centres)
     for typical in (float(np.median(steps)), float(np.min(steps))):
         count = round((high - low) / typical)
         if not 1 <= count <= 4 * len(centres):
             continue
-        # The mean of the rounded steps is more precise than one of them.
+        # The mean over all steps is more precise than a single step, because positions are rounded.
         step = (high - low) / count
         if np.all(np.abs((centres - low) / step - np.round((centres - low) / step)) <= _MOST_ROUNDING):
             return low + step * np.arange(count + 1, dtype=np.float64), step

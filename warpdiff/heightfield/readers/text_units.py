@@ -1,4 +1,4 @@
-"""Header lines of text exports about the unit of the heights, about the unit of the positions, and about factors."""
+"""Header lines of text exports that state a unit of heights, a unit of positions, or a factor of heights."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _COUNT_IS = re.compile(
 
 
 def add_unit(facts: Facts, line: str, signs: Signs) -> None:
-    """Add to ``facts`` the unit of heights, the unit of lengths along x and y, or the factor of heights of a line."""
+    """Add to ``facts`` the unit of heights, the unit of lengths along x and y, or the factor of heights in a line."""
     if match := _CONVERSION.search(line) or _COUNT_IS.fullmatch(line):
         _add_unit_z(facts, line, match["unit"], match["number"], signs)
         return
@@ -65,7 +65,7 @@ def add_unit(facts: Facts, line: str, signs: Signs) -> None:
 
 
 def _add_unit_xy(facts: Facts, line: str, text: str) -> None:
-    """Add the unit of lengths along x, y or both; two different ones contradict each other."""
+    """Add to ``facts`` the unit of lengths along x, y or both; two different units contradict each other."""
     unit = length_units.factor_of(text)
     if facts.lateral not in (None, unit):
         facts.unclear_size = f"{quoted(line)} contradicts another unit"
@@ -89,7 +89,7 @@ def _add_stated_unit(facts: Facts, line: str, words: str, text: str, signs: Sign
 
 
 def _add_heights_in(facts: Facts, line: str, signs: Signs) -> bool:
-    """Add the units in texts such as "heights in nm" or "Z [µm]", and return whether there is one."""
+    """Add the units in texts such as "heights in nm" or "Z [µm]", and return whether the line has such a unit."""
     has_unit = False
     for match in _HEIGHTS_IN.finditer(line):
         text = match["bracket"] or match["word"]
@@ -100,7 +100,7 @@ def _add_heights_in(facts: Facts, line: str, signs: Signs) -> bool:
 
 
 def _add_unit_z(facts: Facts, line: str, text: str, number: str | None, signs: Signs) -> None:
-    """Add a unit of the heights, or a number of such units."""
+    """Add to ``facts`` a unit of the heights, or a multiple of a unit such as "0.5 nm"."""
     unit, factor = length_units.factor_of(text), 1.0 if number is None else text_statements.value_of(number, signs)
     if unit is None:
         facts.not_length = facts.not_length or text
@@ -111,7 +111,7 @@ def _add_unit_z(facts: Facts, line: str, text: str, number: str | None, signs: S
 
 
 def _add_factor(facts: Facts, line: str, key: str, text: str, signs: Signs) -> None:
-    """Add a factor of the heights: a length per count is a unit, and other factors except 1 are not applied."""
+    """Add a factor of the heights: a length per count of the instrument is a unit; other factors are not applied."""
     value = _VALUE.fullmatch(text)
     in_key = re.search(rf"[\[(]\s*(?P<unit>{UNIT}){_PER_COUNT}\s*[\])]", key, re.IGNORECASE)
     if value is not None and value["number"] and value["per"]:

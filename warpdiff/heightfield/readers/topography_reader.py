@@ -1,4 +1,4 @@
-"""Readers of instrument files by the library SurfaceTopography, and conversion of its objects."""
+"""Readers of instrument files by the library SurfaceTopography, and conversion of the library's objects."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ _PARK_TAG = 50432
 _TIFF = {b"II*\0": "<", b"MM\0*": ">"}
 # Largest number of tags of a TIFF file that are compared with the tag of Park Systems.
 _MOST_TAGS = 1000
-# First bytes by which two formats are recognised that share their suffixes with other formats.
+# First bytes by which two formats are recognised. Other formats use the same suffixes.
 _NANOSCOPE = (b"\\*File list", b"\\*Force file list", b"?*File list")
 _METROPRO = (b"\x88\x1b\x03\x6f", b"\x88\x1b\x03\x70", b"\x88\x1b\x03\x71")
 # Words in the names of channels that contain no heights. Some programs state a length as the unit of such channels, so
-# that the unit does not exclude them.
+# that only the name shows that a channel contains no heights.
 _OTHER_SIGNALS = ("amplitude", "error", "deflection", "phase", "friction", "lateral", "potential", "current")
 
 
@@ -67,9 +67,9 @@ def _is_park(file: Path) -> bool:
             return False
 
 
-# Formats that the library reads: title, name in the library, suffixes, and a function that recognises files if other
-# formats share the suffixes. Other formats of the library are absent, because it reads no sizes (.h5, .mat) or wrong
-# sizes (.nms), or because the files are profiles (.xlsx).
+# Formats that the library SurfaceTopography reads: title, name in the library, suffixes, and a function that recognises
+# files by content if other formats share the suffixes. Other formats of the library are absent, because the library
+# reads no sizes (.h5, .mat) or wrong sizes (.nms), or because the files are profiles (.xlsx).
 _FORMATS: tuple[tuple[str, str, tuple[str, ...], Callable[[Path], bool] | None], ...] = (
     ("Alicona", "al3d", (".al3d",), None),
     ("BCR-STM", "bcr", (".bcr", ".bcrf"), None),
@@ -105,7 +105,7 @@ _FORMATS: tuple[tuple[str, str, tuple[str, ...], Callable[[Path], bool] | None],
 
 
 def _read(name: str, file: Path) -> Channels:
-    """Return the channels of a file that contain heights. ``name`` is SurfaceTopography's name of its format."""
+    """Return the channels of a file that contain heights. ``name`` is SurfaceTopography's name of the file format."""
     try:
         from SurfaceTopography.IO import open_topography
     except ImportError as error:
@@ -120,9 +120,10 @@ def _read(name: str, file: Path) -> Channels:
     except MemoryError:
         raise
     except Exception as error:
-        # All exceptions are converted, because the library's readers raise many types of them for damaged files.
+        # All exceptions are converted, because the library's readers raise many types of exceptions for damaged files.
         raise _damaged(file, name, error) from None
-    # The default channel of the library comes first, unless its name is that of another signal, such as a phase.
+    # The default channel of the library comes first, unless its name shows that it has no heights but a phase or the
+    # like.
     listed.sort(key=lambda entry: (_is_other_signal(entry[1]), entry[0] != default))
     if not listed:
         raise refusal(file, "has no channel of heights with a unit of length on a grid; export the height channel")
@@ -134,7 +135,7 @@ def _read(name: str, file: Path) -> Channels:
 
 
 def _numbered(label: str) -> Iterator[str]:
-    """Yield a name, and then the name with the numbers 2, 3, …, for several channels of the same name."""
+    """Yield a name, and after that the name with the numbers 2, 3, …, for several channels of the same name."""
     yield label
     number = 2
     while True:
@@ -155,7 +156,7 @@ def _name(channel: Any) -> str:
 
 
 def _is_other_signal(name: str) -> bool:
-    """Whether the name of a channel is that of another signal than a height, such as a phase or a current."""
+    """Whether the name of a channel shows that it has no heights but another signal, such as a phase or a current."""
     return any(word in name.lower() for word in _OTHER_SIGNALS)
 
 
@@ -171,7 +172,7 @@ def _content(channel: Any, file: Path, name: str) -> FileContent:
     """Read the heights of one channel of a file."""
     nx, ny = channel.nb_grid_pts
     require_memory(file, (ny, nx), _BYTES_PER_SAMPLE)
-    # If the file states no size, the library requires one. The arbitrary size given here is discarded below.
+    # If the file states no size, the library requires an argument for it. This arbitrary size is discarded below.
     sizes = {} if channel.physical_sizes is not None else {"physical_sizes": (1.0, 1.0)}
     try:
         content = content_of(channel.topography(**sizes))
@@ -187,7 +188,7 @@ def _content(channel: Any, file: Path, name: str) -> FileContent:
 def content_of(topography: Any) -> FileContent:
     """Return the heights of a 2-D topography of SurfaceTopography, in the orientation in which Gwyddion shows them.
 
-    The heights of the library have the shape (nx, ny). Their transpose is in the order of the picture and is not
+    The heights of the library have the shape (nx, ny). Transposed heights are in the order of the picture, and are not
     flipped.
     """
     for name in ("heights", "physical_sizes", "unit", "dim"):

@@ -21,16 +21,16 @@ if TYPE_CHECKING:
 # Measured peak memory while a file is read [bytes per sample]: samples of the file, float64 heights, mask of missing
 # samples, and the height field. If doubled, files that fit into memory are refused.
 _BYTES_PER_SAMPLE = 40.0
-# Size of the XML header above which a file is refused [bytes]. A header that contains the heights themselves has about
-# a million of them at this size. The limit stops compressed headers that expand a thousandfold.
+# Size of the XML header above which a file is refused [bytes]. A header may contain the heights themselves; at this
+# size it has about a million heights. The limit stops compressed headers that expand a thousandfold.
 _MOST_XML_BYTES = 1 << 25
-# Nesting depth of XML elements above which a file is refused. The headers of the format have 6 levels.
+# Nesting depth of XML elements above which a file is refused. The XML headers of the format have a depth of 6.
 _MOST_DEPTH = 32
-# Largest number of members of the archive that are searched for the XML header. The archives of the format have about
-# 5.
+# Largest number of members of the zip archive that are searched for the XML header. Archives of the format have about 5
+# members.
 _MOST_MEMBERS = 1000
 _TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
-# Micrometres per metre, which is the unit of all lengths in the format.
+# Micrometres per metre; the metre is the unit of all lengths in the format.
 _UM_PER_M = 1e6
 _HEADER, _ARCHIVE, _RESOURCES = "main.xml", b"PK\x03\x04", "__MACOSX"
 # Paths of the elements of the XML header that become metadata, by the name of the metadata.
@@ -50,12 +50,12 @@ def _is_x3p(file: Path) -> bool:
         with zipfile.ZipFile(file) as archive:
             return _header_name(archive) is not None
     except Exception:
-        # All exceptions are caught, because damaged archives raise many types of them.
+        # All exceptions are caught, because damaged archives cause many types of exceptions.
         return False
 
 
 def _header_name(archive: zipfile.ZipFile) -> str | None:
-    """Return the name of the XML header in an archive, which may be in a folder; None if there is none."""
+    """Return the name of the XML header in an archive, where it may be in a folder; None if there is no XML header."""
     for name in archive.namelist()[:_MOST_MEMBERS]:
         if name.rsplit("/", 1)[-1] == _HEADER and not name.startswith(_RESOURCES):
             return name
@@ -88,7 +88,7 @@ def _damaged(file: Path, reason: str) -> Exception:
 
 
 def _member(archive: zipfile.ZipFile, name: str, most: int, file: Path, *, least: int = 0) -> bytes:
-    """Return the bytes of a file in the archive.
+    """Return the bytes of a file in the archive, after a check of its size.
 
     An error is raised if the file has fewer than ``least`` bytes, the number that the header states. If ``least`` is 0,
     the header states no number, and an error is raised if the file has more than ``most`` bytes. To find this out, at
@@ -109,11 +109,11 @@ def _member(archive: zipfile.ZipFile, name: str, most: int, file: Path, *, least
 
 
 class _HeaderError(ValueError):
-    """Raised for an XML header that lacks a required value, has an invalid one, or describes an unsupported surface."""
+    """Raised for an XML header in which a value is missing or invalid, or that describes an unsupported surface."""
 
 
 class _Header:
-    """Texts of the elements of the XML header, by their path without namespaces. Listed heights are stored separately.
+    """Texts of the elements of the XML header, by path without namespaces; heights in the header are separate.
 
     Attributes:
         texts: Text of each element by its path below the root, such as ``"Record1/Axes/CX/Increment"``. Of several
@@ -127,8 +127,8 @@ class _Header:
         self._path: list[str] = []
         self._text: list[str] = []
         parser = expat.ParserCreate()
-        # A document type is refused. Only with it could the header define entities, which may expand without limit or
-        # read other files.
+        # A document type is refused. Only a document type could define entities, which may expand without limit or read
+        # other files.
         parser.StartDoctypeDeclHandler = self._refuse
         parser.StartElementHandler = self._begin
         parser.EndElementHandler = self._end
@@ -154,7 +154,7 @@ class _Header:
         self._text.clear()
 
     def number(self, path: str) -> float:
-        """Return the number at a path of the header; raise an error if there is none."""
+        """Return the number at a path of the XML header; raise an error if there is no number."""
         try:
             return float(self.texts[path])
         except (KeyError, ValueError):
@@ -201,7 +201,7 @@ def _content(file: Path, archive: zipfile.ZipFile, folder: str, header: _Header)
 
 
 def _increment(header: _Header, axis: str) -> float:
-    """Return the distance of samples along an axis [µm], ``"CX"`` or ``"CY"``."""
+    """Return the distance of samples [µm] along the axis ``"CX"`` (x) or ``"CY"`` (y)."""
     path = f"Record1/Axes/{axis}"
     if header.texts.get(f"{path}/AxisType", "I") != "I":
         raise _HeaderError(f"positions along {axis} are stated one by one, and a regular grid is required")
@@ -229,7 +229,7 @@ def _scaled(samples: np.ndarray, header: _Header) -> np.ndarray:
 
 
 def _of_list(header: _Header, shape: tuple[int, int]) -> np.ndarray:
-    """Return the heights [m] that the XML header lists as text, each as "z" or as "x;y;z"."""
+    """Return the heights [m] that the XML header lists as texts of the form "z" or "x;y;z"."""
     if len(header.data) != math.prod(shape):
         raise _HeaderError(f"it lists {len(header.data)} heights, and the header states {math.prod(shape)}")
     last = (text.replace(",", ";").rsplit(";", 1)[-1].strip() for text in header.data)

@@ -89,8 +89,8 @@ function hello(message) {
   notice("");
   build(message.controls);
   // After a new connection, the page requests a picture of its current generation again, and the server counts the
-  // stages from 0 again. Without this reset, the page would take the first picture for an older one, and would not show
-  // it.
+  // stages of this generation from 0 again. Without this reset, the page would take the new picture for an older one,
+  // and would not show the new picture.
   shown = [-1, -1];
   requestPicture();
 }
@@ -125,7 +125,8 @@ function file(message, data) {
 
 // ---- Pictures ------------------------------------------------------------------------------------------------------
 
-// Generation and stage of the picture on the canvas. A picture that arrives later but is older is not shown.
+// Generation (number of the request) and stage (index among the pictures of decreasing tolerance) of the picture on the
+// canvas. A picture that arrives later but is older is not shown.
 let shown = [-1, -1];
 const times = [];
 
@@ -190,8 +191,9 @@ async function map(message, data) {
   byId("angles").textContent = [...lines, caption].join("\n");
   byId("angles").style.whiteSpace = "pre-line";
   byId("map").dataset.generation = message.generation;
-  // The reflectance map is the last message that answers a request. If only the probe has moved, the server sends a new
-  // map but no new picture. The picture on the canvas is still valid, and it gets the generation of the request.
+  // The reflectance map is the last message that answers a request. The probe is the point that the user has clicked.
+  // If only the probe has moved, the server sends a new map but no new picture. The picture on the canvas is still
+  // valid, and it gets the generation of the request.
   canvas.dataset.generation = message.generation;
   if (message.at) probed = message.at;
   place();

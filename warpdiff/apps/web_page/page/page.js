@@ -5,15 +5,17 @@
 
 const header = JSON.parse(document.getElementById("header").textContent);
 const canvas = document.getElementById("canvas");
-// First number: frames that a picture at rest averages. Second number: standard deviation of the blur of one frame,
-// relative to that of the pixel filter. The jittered positions of the frames add the rest of the filter.
+// FRAMES_AT_REST is the number of frames that a picture at rest averages. OWN_SHARE is the standard deviation of the
+// blur of one frame, relative to that of the pixel filter. The jittered positions of the frames add the rest of the
+// filter.
 const FRAMES_AT_REST = header.frames, OWN_SHARE = 0.2;
 // Rendering time between two updates of the display while the picture is at rest [ms].
 const PICTURE_MS = 14;
 // Pixel filter [pixels]: parameter σ of the Gaussian, distance at which it is truncated, and standard deviation of the
 // truncated Gaussian.
 const FILTER = 0.5, CUT = 1.5, DEVIATION = 0.4933;
-// First number: texels per side of a shadow map. Second number: frames that share a shadow map if there is one light.
+// SHADOW_SIZE is the number of texels per side of a shadow map. FRAMES_OF_SHADOW is the number of frames that share a
+// shadow map if there is one light.
 const SHADOW_SIZE = 4096, FRAMES_OF_SHADOW = 8;
 
 function fail(sentence) {
@@ -74,7 +76,7 @@ function turned(v, axis, angle) {
     const c = Math.cos(angle), s = Math.sin(angle), across = cross(axis, v), along = dot(axis, v) * (1 - c);
     return v.map((x, i) => c * x + s * across[i] + along * axis[i]);
 }
-// Returns the columns of a matrix, given its rows. WebGL expects matrices column by column.
+// Returns the columns of a matrix from its rows, because WebGL expects matrices column by column.
 const columns = (rows) => new Float32Array([0, 1, 2, 3].flatMap((c) => rows.map((row) => row[c])));
 const columns3 = (rows) => new Float32Array([0, 1, 2].flatMap((c) => rows.map((row) => row[c])));
 
@@ -156,10 +158,10 @@ const SIZE = Math.min(Number(new URLSearchParams(location.search).get("size")) |
     gl.getParameter(gl.MAX_TEXTURE_SIZE));
 const HALF_LARGEST = 1e4;
 const lobesUnit = lobes.scale / HALF_LARGEST;
-// A fragment may use at most MOST_FETCHES texture fetches. At each of TAPS points along a footprint, it fetches every
-// layer of the grid. It also fetches every group of functions of w, every wavelength of the zeroth order, the shadow
-// and the base colour. TAPS is the largest number of points for which the fetches suffice. The points extend over
-// DEVIATIONS standard deviations of the footprint to either side, and are STEP standard deviations apart.
+// A fragment may use at most MOST_FETCHES texture fetches. At each of TAPS points along a footprint, the fragment
+// fetches every layer of the grid. It also fetches every group of functions of w, every wavelength of the zeroth order,
+// the shadow and the base colour. TAPS is the largest number of points for which the fetches suffice. The points extend
+// over DEVIATIONS standard deviations of the footprint to either side, and are STEP standard deviations apart.
 const MOST_FETCHES = 64;
 const TAPS = Math.min(16, Math.floor((MOST_FETCHES - 2 - groups - header.variances.length) / layers));
 const DEVIATIONS = 2.4, STEP = 1.5;
@@ -298,8 +300,8 @@ const start = () => structuredClone({ view: header.view, lights: header.lights }
 let { view, lights } = start();
 let exposure = header.exposure, stops = 0;
 const radius = header.radius, centre = header.centre;
-// Returns a point in mesh coordinates, given its world coordinates. In mesh coordinates, the mesh lies in the unit
-// sphere.
+// Returns the coordinates of a point relative to the mesh from its world coordinates. In mesh coordinates, the mesh
+// lies in the unit sphere.
 const local = (point) => sub(point, centre).map((x) => x / radius);
 
 function camera(width, height, shift) {
@@ -318,9 +320,9 @@ function camera(width, height, shift) {
 // Returns the position of a point light, or the direction to a directional light, in mesh coordinates.
 const placed = (light) => (light.position ? local(light.position) : unit(light.to_light));
 
-// Returns the projection of a light's shadow map. The map covers the part of the mesh that the camera sees. The
+// Returns the projection of a light's shadow map. The map covers the part of the mesh that is in the picture. The
 // projection is orthographic for a directional light, and perspective from the light's position for a point light.
-// `texel` is the width of a texel; for a point light, that at the distance 1.
+// `texel` is the width of a texel; for a point light, it is the width at the distance 1 from the light.
 function lightCamera(light, matrix, positions) {
     const place = placed(light), away = light.position ? Math.hypot(...place) : 0;
     const back = unit(place), right = unit(cross(Math.abs(back[1]) < 0.9 ? [0, 1, 0] : [1, 0, 0], back));
@@ -533,7 +535,7 @@ function colours() {
 }
 
 // Returns the automatic exposure factor. It maps the mean luminance of the illuminated pixels, without the brightest
-// 0.01 %, to the mean that suits ACES.
+// 0.01 %, to the mean luminance that suits the display transform ACES.
 function metered() {
     const xyz = colours(), luminance = [];
     for (let k = 0; k < xyz.length; k += 4) if (xyz[k + 1] > 0) luminance.push(xyz[k + 1]);
@@ -741,11 +743,10 @@ async function begin() {
     changed();
 }
 
-// Interface for other scripts. After `await warpdiff.ready`, call
-// `warpdiff.render({ width, height, view, lights, exposure, frames, more })`; all fields are optional. It returns
-// { width, height, xyz }. `xyz` has the mean XYZ and the coverage over `frames` frames, four numbers per pixel, bottom
-// row first. The canvas shows the picture until a user changes the view. With `more`, the frames are added to those of
-// the last call.
+// Interface for other scripts. After `await warpdiff.ready`, call `warpdiff.render({ width, height, view, lights,
+// exposure, frames, more })`; all fields are optional. The call returns { width, height, xyz }. `xyz` has the mean XYZ
+// and the coverage over `frames` frames, four numbers per pixel, bottom row first. The canvas shows the picture until a
+// user changes the view. With `more`, the frames are added to those of the last call.
 window.warpdiff = {
     ready: begin(),
     header,

@@ -1,0 +1,275 @@
+"""Direction fields on a mesh without texture coordinates: along or around an axis, or as smooth as possible."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.scene.mesh_geometry import FaceGeometry, compacted, dot, sum_at, tangential, unit
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+    from scipy.sparse import csr_array
+
+    from warpdiff.request.settings import TangentRule
+
+# Largest number of positions of a connected part for a smooth field. Limit: 99,000 positions of a torus required 5 s
+# and 0.6 GB, and twice as many require more than twice of both.
+MOST_POSITIONS = 100_000
+# Cosine of the angle between normals from which vertices at one position belong to opposite sides of a thin sheet:
+# 150°. Choice: edges of solid bodies are blunter.
+_OPPOSITE_COSINE = float(np.cos(np.radians(150.0)))
+# Smallest and largest weight of an edge. Limits: negative weights, of obtuse angles, would reward turns along the edge,
+# and weights of slivers would exceed the accuracy of float64.
+_LEAST_WEIGHT, _MOST_WEIGHT = 1e-3, 1e3
+# Least area of a node, relative to the mean area. Limit: areas of slivers underflow.
+_LEAST_MASS = 1e-9
+# Shift of the eigenvalues, in units of 1 / area of a connected part. Limit: the least eigenvalue of a plane is 0, and
+# its matrix cannot be factorised. The eigenvalues of round bodies are about 10.
+_SHIFT = 1e-4
+# Number of random columns of the subspace, largest number of iterations, and relative change of the least eigenvalue
+# at which they end. Choice: the energy of the field is then within 0.1 % of its minimum.
+_RANDOM, _MOST_ITERATIONS, _CONVERGED = 2, 40, 1e-4
+# Eigenvectors whose eigenvalues exceed the least one by at most this share count as equally smooth. Choice: those of a
+# sphere are equal, but those of its triangles differ by about this much.
+_EQUAL_SHARE = 0.02
+# Values of an eigenvector below this share of the largest one have no direction. Limit: rounding.
+_LEAST_SIZE = 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Vertices and faces on which a direction field is computed.
+
+    Attributes:
+        vertices: Positions, shape (3, n).
+        faces: Vertex indices, shape (3, m).
+        normals: Unit vertex normals, shape (3, n); zero where no direction is defined.
+        welded: Number of each vertex's position, shape (n,).
+        objects: Number of the object to which each face belongs, shape (m,).
+        is_used: Whether each face needs directions, shape (m,). Smooth fields are zero elsewhere.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    normals: NDArray[np.float64]
+    welded: NDArray[np.int64]
+    objects: NDArray[np.int64]
+    is_used: NDArray[np.bool_]
+
+    @property
+    def needs_directions(self) -> NDArray[np.bool_]:
+        """Whether each vertex belongs to a face that needs directions, shape (n,)."""
+        result = np.zeros(self.vertices.shape[1], np.bool_)
+        result[self.faces[:, self.is_used]] = True
+        return result
+
+
+def direction_field(rule: TangentRule, body: Body) -> NDArray[np.float64]:
+    """Return directions at the vertices of a body by a rule, shape (3, n), of any length and not always tangential."""
+    if rule == "smooth":
+        return _smooth(body)
+    axis = np.eye(3)["xyz".index(rule[-1])]
+    if rule.startswith("around"):
+        return _around(axis, body)
+    return np.tile(axis[:, None], body.vertices.shape[1])
+
+
+def _around(axis: NDArray[np.float64], body: Body) -> NDArray[np.float64]:
+    """Return directions around an axis through the centre of area of each object."""
+    areas = FaceGeometry(body.vertices, body.faces).twice_area
+    count = int(body.objects.max()) + 1
+    middles = np.stack([component.take(body.faces).mean(axis=0) for component in body.vertices])
+    centres = np.stack([sum_at(body.objects, areas * middle, count) for middle in middles])
+    # An object whose faces all have no area has no faces here.
+    centres /= np.maximum(sum_at(body.objects, areas, count), np.finfo(float).tiny)
+    of_vertices = np.zeros(body.vertices.shape[1], np.int64)
+    of_vertices[body.faces] = body.objects
+    return np.cross(axis, body.vertices - centres.take(of_vertices, axis=1), axisb=0, axisc=0)
+
+
+def _smooth(body: Body) -> NDArray[np.float64]:
+    """Return the unit directions at vertices that turn least over the surface.
+
+    The field is the least eigenvector of the connection Laplacian, which minimises the integral of the squared
+    derivative (Knöppel, Crane, Pinkall and Schröder, "Globally optimal direction fields", 2013, section 3). A vector is
+    transported along an edge by the smallest rotation between the normals at its ends. This also works on meshes that
+    are no manifolds, unlike the angles of Sharp, Soliman and Crane ("The vector heat method", 2019, section 5).
+    """
+    used, faces = compacted(body.faces.compress(body.is_used, axis=1), body.vertices.shape[1])
+    result = np.zeros_like(body.vertices)
+    if len(used):
+        normals = body.normals.take(used, axis=1)
+        net = _Net.of(body.vertices.take(used, axis=1), faces, normals, body.welded[used])
+        field = np.zeros(len(net.mass), np.complex128)
+        for nodes in net.components():
+            field[nodes] = _smoothest(net, nodes)
+        at_nodes = field.real * net.first + field.imag * net.second
+        node = net.node
+        result[:, used] = _rotated(at_nodes.take(node, axis=1), net.normals.take(node, axis=1), normals)
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class _Net:
+    """Positions of a mesh as nodes, with a plane of complex numbers at each one, and the connection Laplacian.
+
+    A complex number z at a node is the tangential vector Re z · ``first`` + Im z · ``second``.
+
+    Attributes:
+        node: Node of each vertex, shape (n,).
+        positions: Positions of the nodes, shape (3, k).
+        normals: Unit normals of the nodes, shape (3, k).
+        first: First unit vector of each plane, shape (3, k).
+        second: Second unit vector of each plane, shape (3, k).
+        mass: Area of each node, shape (k,).
+        laplacian: Connection Laplacian, complex and Hermitian, shape (k, k).
+    """
+
+    node: NDArray[np.int64]
+    positions: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    first: NDArray[np.float64]
+    second: NDArray[np.float64]
+    mass: NDArray[np.float64]
+    laplacian: csr_array
+
+    @classmethod
+    def of(
+        cls, vertices: NDArray[np.float64], faces: NDArray[np.int64], normals: NDArray[np.float64],
+        welded: NDArray[np.int64],
+    ) -> _Net:  # fmt: skip
+        """Return the net of a mesh; vertices at one position share a node unless they have opposite normals."""
+        from scipy.sparse import coo_array
+
+        geometry = FaceGeometry(vertices, faces)
+        first_vertex = np.zeros(int(welded.max()) + 1, np.int64)
+        first_vertex[welded[::-1]] = np.arange(len(welded))[::-1]
+        is_opposite = dot(normals, normals.take(first_vertex[welded], axis=1)) < _OPPOSITE_COSINE
+        _, node = np.unique(2 * welded + is_opposite, return_inverse=True)
+        count = int(node.max()) + 1
+        positions = np.stack([sum_at(node, component, count) for component in vertices]) / np.bincount(node)
+        weights = sum_at(faces, geometry.angles, len(welded))
+        of_nodes = unit(np.stack([sum_at(node, weights * component, count) for component in normals]))
+        first, second = _planes(of_nodes)
+
+        # The weight of an edge is half the sum of the cotangents of the angles opposite to it.
+        corners = node[faces]
+        start, end = corners[[1, 2, 0]].ravel(), corners[[2, 0, 1]].ravel()
+        weight = 0.5 * (geometry.products / geometry.twice_area).ravel().clip(_LEAST_WEIGHT, _MOST_WEIGHT)
+        moved = _rotated(first.take(end, axis=1), of_nodes.take(end, axis=1), of_nodes.take(start, axis=1))
+        turn = unit(np.stack([dot(moved, axes.take(start, axis=1)) for axes in (first, second)]))
+        entries = -weight * (turn[0] + 1j * turn[1])
+        ends = np.concatenate([start, end])
+        diagonal = sum_at(ends, np.concatenate([weight, weight]), count)
+        laplacian = coo_array(
+            (np.concatenate([entries, entries.conj(), diagonal]),
+             (np.concatenate([ends, np.arange(count)]), np.concatenate([end, start, np.arange(count)]))),
+            shape=(count, count),
+        ).tocsr()  # fmt: skip
+        mass = sum_at(corners, np.broadcast_to(geometry.twice_area / 6.0, corners.shape), count)
+        return cls(node, positions, of_nodes, first, second, mass, laplacian)
+
+    def components(self) -> list[NDArray[np.int64]]:
+        """Return the nodes of each connected component; raise an error if one of them is too large."""
+        from scipy.sparse import csgraph
+
+        _, component = csgraph.connected_components(abs(self.laplacian), directed=False)
+        sizes = np.bincount(component)
+        if sizes.max() > MOST_POSITIONS:
+            raise ArgumentValueError(
+                f"{ref('tangents', 'smooth')} requires connected parts of at most {MOST_POSITIONS:,} positions, got "
+                f"{sizes.max():,}: use a mesh with fewer faces, or another rule, such as {ref('tangents', 'x')}"
+            )
+        return np.split(np.argsort(component, kind="stable"), np.cumsum(sizes)[:-1])
+
+    def candidates(self, nodes: NDArray[np.int64]) -> NDArray[np.complex128]:
+        """Return unit fields along the three axes and around them at some nodes, shape (len(nodes), 6).
+
+        Bodies of revolution, plates and other symmetric bodies have one of them as their smooth field.
+        """
+        positions, mass, normals = (
+            self.positions.take(nodes, axis=1),
+            self.mass[nodes],
+            self.normals.take(nodes, axis=1),
+        )
+        arms = positions - (positions @ mass / mass.sum())[:, None]
+        axes = np.eye(3)
+        fields = [np.tile(axis[:, None], len(nodes)) for axis in axes]
+        fields += [np.cross(axis, arms, axisb=0, axisc=0) for axis in axes]
+        units = [unit(tangential(field, normals)) for field in fields]
+        first, second = self.first.take(nodes, axis=1), self.second.take(nodes, axis=1)
+        return np.stack([dot(field, first) + 1j * dot(field, second) for field in units], axis=1)
+
+
+def _smoothest(net: _Net, nodes: NDArray[np.int64]) -> NDArray[np.complex128]:
+    """Return the smoothest field on one connected component, unit complex numbers at its nodes.
+
+    If several eigenvectors are equally smooth, which they always are by a common rotation, the field is that
+    combination of them which is nearest to a candidate field. Candidates are ordered by preference. One is accepted if
+    it has at least half of the largest share in these eigenvectors that any candidate has.
+    """
+    mass = net.mass[nodes] / net.mass[nodes].sum()
+    root = np.sqrt(np.maximum(mass, _LEAST_MASS / len(nodes)))
+    candidates = root[:, None] * net.candidates(nodes)
+    eigenvectors = _least_eigenvectors(net.laplacian[nodes][:, nodes], root, candidates)
+    parts = eigenvectors.conj().T @ candidates
+    shares = np.sum(np.abs(parts) ** 2, axis=0)
+    chosen = parts[:, np.argmax(shares >= 0.5 * shares.max())] if shares.max() > 0.0 else np.eye(len(parts))[0]
+    field = eigenvectors @ chosen
+    sizes = np.abs(field)
+    is_zero = sizes <= _LEAST_SIZE * sizes.max()
+    return np.asarray(np.where(is_zero, 0.0, field / np.where(is_zero, 1.0, sizes)))
+
+
+def _least_eigenvectors(
+    laplacian: csr_array, root: NDArray[np.float64], start: NDArray[np.complex128]
+) -> NDArray[np.complex128]:
+    """Return the eigenvectors of the least eigenvalue, by inverse iteration of a subspace (Rayleigh and Ritz).
+
+    Args:
+        laplacian: Connection Laplacian of one connected component, shape (k, k).
+        root: Square roots of the areas of the nodes, whose sum is 1, shape (k,).
+        start: First columns of the start of the iteration, shape (k, columns).
+
+    Returns:
+        Orthonormal columns, shape (k, columns); a field is a column divided by ``root``.
+    """
+    from scipy.sparse import diags_array, eye_array
+    from scipy.sparse.linalg import splu
+
+    scale = diags_array(1.0 / root)
+    matrix = (scale @ laplacian @ scale).tocsc()
+    shifted = (matrix + _SHIFT * eye_array(len(root))).tocsc()
+    factors = splu(shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    # Random columns prevent that the least eigenvector is perpendicular to the start.
+    random = np.exp(2j * np.pi * np.random.default_rng(0).random((len(root), _RANDOM)))
+    block, least = np.concatenate([start, root[:, None] * random], axis=1), np.inf
+    for _ in range(_MOST_ITERATIONS):
+        block = np.linalg.qr(factors.solve(block)).Q
+        eigenvalues, rotation = np.linalg.eigh(block.conj().T @ (matrix @ block))
+        block, last, least = block @ rotation, least, eigenvalues[0]
+        if last - least <= _CONVERGED * least + _SHIFT:
+            break
+    return np.asarray(block[:, eigenvalues <= (1.0 + _EQUAL_SHARE) * least + _SHIFT])
+
+
+def _planes(normals: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return two unit vectors perpendicular to each unit normal and to each other (Duff et al. 2017)."""
+    x, y, z = normals
+    sign = np.where(z >= 0.0, 1.0, -1.0)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    return np.stack([1.0 + sign * x**2 * a, sign * b, -sign * x]), np.stack([b, sign + y**2 * a, -y])
+
+
+def _rotated(
+    vectors: NDArray[np.float64], before: NDArray[np.float64], after: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return vectors, perpendicular to the normals ``before``, after the smallest rotation to the normals ``after``."""
+    # Between opposite normals, the axis of the rotation is undefined. The denominator then remains positive.
+    factor = dot(vectors, after) / np.maximum(1.0 + dot(before, after), 1e-6)
+    return np.asarray(vectors - factor * (before + after))
