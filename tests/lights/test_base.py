@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
+from trimesh.visual.material import PBRMaterial
 
 import warpdiff as wd
 from warpdiff import meshes
@@ -152,3 +153,29 @@ def test_lobes_of_all_lights_are_refined_together_unless_a_part_has_its_own_pass
         coherence=wd.Coherence(sigma_um=4.0),
     )  # fmt: skip
     assert [(type(part), len(part.lobes)) for part in renderer._mine.parts] == [(LobeSet, 3), (OwnPass, 1)]
+
+
+def test_plain_surfaces_reflect_the_light_of_a_spotlight_times_its_profile():
+    corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    steel = PBRMaterial(baseColorFactor=[200, 180, 160, 255], metallicFactor=0.7, roughnessFactor=0.4)
+    bodies = {
+        name: trimesh.Trimesh(
+            corners + np.array([0.0, y, 0.0]), [[0, 1, 2], [0, 2, 3]], process=False,
+            visual=trimesh.visual.TextureVisuals(uv=corners[:, :2], material=material),
+        )
+        for name, y, material in (("steel", 0.0, steel), ("grating", -4.0, None))
+    }  # fmt: skip
+    surfaces, view = (
+        {"grating": wd.gratings.sinusoidal(1.5, 0.1), "*": None},
+        wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=1.5, width=12, height=12),
+    )
+    options = {"coherence": wd.Coherence(sigma_um=5.0), "tolerance": 0.1, "refine": False, "footprint": False}
+    position, axis = np.array([0.2, 0.3, 2.0]), (0.0, 0.0, -1.0)
+    spot = wd.shade(
+        trimesh.Scene(bodies), surfaces, SpotLight(tuple(position), axis=axis), view, **options, layers=["position"]
+    )
+    point = wd.shade(trimesh.Scene(bodies), surfaces, wd.PointLight(tuple(position)), view, **options)
+    away = spot.layers["position"] - position
+    profile = (-away[..., 2] / np.linalg.norm(away, axis=-1)) ** 8
+    assert profile.min() < 0.5 * profile.max()
+    np.testing.assert_allclose(spot.xyz, profile[..., None] * point.xyz, rtol=1e-4)
