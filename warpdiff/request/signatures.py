@@ -98,6 +98,6 @@ def _with_options(text: str, options: list[Option]) -> str:
 
 
 def _facts(option: Option) -> str:
-    """Return the range, choices, unit and default of an option as text in brackets, for its docstring."""
+    """Return the range, choices, unit and default of an option as text in brackets, for a docstring."""
     facts = list(filter(None, (option.range, " | ".join(map(repr, option.choices)), option.unit)))
     return f"({'; '.join([*facts, f'default {option.default!r}'])})"
