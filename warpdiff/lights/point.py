@@ -20,8 +20,8 @@ class PointLight(LobeLight):
     Attributes:
         position: Position, world frame.
         illuminant: Name of a CIE illuminant or of a light source of colour-science, or a ``Spectrum``.
-        power: Linear factor, specified at distance 1 in mesh units: with 1, a flat mirror at this distance that
-            reflects the light has Y = 1.
+        power: Linear factor, specified at a distance of 1 mesh unit. With the power 1, a flat mirror at this distance
+            that reflects the light has Y = 1.
 
     Examples:
         >>> import warpdiff as wd
