@@ -30,7 +30,8 @@ def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.in
             return UNSEEN
         offset = sampling.places[ray % rays]
 
-    # The start of the ray is moved close to the mesh in float64, because the eye may be thousands of radii away.
+    # The start of the ray is moved close to the mesh in float64, because the eye may be thousands of radii away from
+    # the mesh.
     two = wp.float64(2.0)
     column = wp.float64(pixel % camera.width) + wp.float64(0.5) + offset[0]
     row = wp.float64(pixel // camera.width) + wp.float64(0.5) + offset[1]

@@ -245,8 +245,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         for j in range(first_y, last_y + 1):
             g = gy
             if wp.static(form == "source"):
-                # The coefficients under a source lie within a slanted ellipse, so that each row of coefficients begins
-                # at another column.
+                # The Fourier coefficients that contribute under a light source lie within a slanted ellipse. Each row
+                # of coefficients therefore begins at another column.
                 centre = fx - window.slant * (wp.float32(j) - fy)
                 first_x = wp.int32(wp.ceil(centre - radius_x))
                 last_x = wp.int32(wp.floor(centre + radius_x))
@@ -333,7 +333,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def set_for(quadrature: Quadrature, scattering_vector: wp.vec3d, to_light: wp.vec3f) -> wp.int32:
-        """Return the index of the set of wavelengths that suffices for the bandwidth of a direction."""
+        """Return the index of the smallest set of wavelengths that suffices for a direction."""
         u = wp.float32(scattering_vector[0])
         v = wp.float32(scattering_vector[1])
         if wp.static(form == "source"):
@@ -362,8 +362,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
             chosen = set_for(quadrature, scattering_vector, to_lights[i])
             start = quadrature.firsts[chosen]
             end = quadrature.firsts[chosen + 1]
-            # The sum over thousands of wavelengths is computed in float64. In float32, its rounding errors would exceed
-            # the smallest tolerances.
+            # The sum over thousands of wavelengths is computed in float64. In float32, the rounding errors of the sum
+            # would exceed the smallest tolerances.
             colour = wp.vec3d()
             if wp.static(form == "replicas"):
                 # The interference factor of the periods changes fast with the wavelength but requires little time. It

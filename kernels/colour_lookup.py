@@ -87,7 +87,7 @@ def gaussian(away: wp.float32, variance: wp.float32) -> wp.float32:
 
 
 def variance_before(deviations: float) -> float:
-    """Return the variance of a normal distribution that has variance 1 after it is truncated at ±``deviations``."""
+    """Return the variance of a normal distribution whose variance is 1 after it is truncated at ±``deviations``."""
     variance = 1.0
     for _ in range(20):
         end = deviations / math.sqrt(variance)
@@ -199,7 +199,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
                 total += gaussian(wp.float32(nearest + j) - place, variance)
             for ring in range(rings):
                 values_out[azimuth * rings + ring] = row_t()
-            # Several azimuths are added in each pass, because a pass reads and writes the sums of all rings.
+            # Several azimuths are added in one pass over the rings, because a pass reads and writes the sums of all
+            # rings.
             starts = starts_t()
             weights = weights_t()
             for begin in range(-half_taps, half_taps + 1, wp.static(_TAPS)):

@@ -68,8 +68,8 @@ def draw_disc(
     bitangent = wp.normalize(lights.deviations[light_index, 1])
     radius = 2.0 * wp.length(lights.deviations[light_index, 0])
     spread = wp.sqrt(lobe * lobe + extent * extent * radius * radius)
-    # Directions at the angle θ from the disc's axis are mapped to a plane, at the distance √(2 (1 − cos θ)) from its
-    # origin. The map preserves areas.
+    # Directions at the angle θ from the disc's axis are mapped to a plane, at the distance √(2 (1 − cos θ)) from the
+    # origin of the plane. The map preserves areas.
     edge = 2.0 * wp.sin(0.5 * radius * wp.sqrt(wp.max(1.0 - 4.0 * extent * extent, 0.0)))
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):

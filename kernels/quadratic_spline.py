@@ -1,4 +1,4 @@
-"""Constants and weights of the quadratic B-spline between equally spaced nodes, for kernels and the host."""
+"""Constants and weights of the quadratic B-spline between equally spaced nodes, for kernels and for Python code."""
 
 import math
 

@@ -14,7 +14,8 @@ import warp as wp
 ORDER_SEED, ORDER_SEED_OF_FILTER = wp.constant(wp.uint32(0x9E3779B9)), wp.constant(wp.uint32(0x7F4A7C15))
 SEED_X, SEED_Y = wp.constant(wp.uint32(0x85EBCA6B)), wp.constant(wp.uint32(0xC2B2AE35))
 SEED_FILTER_X, SEED_FILTER_Y = wp.constant(wp.uint32(0x27D4EB2F)), wp.constant(wp.uint32(0x165667B1))
-# Multipliers of the hash of Laine and Karras. They are even, so that a bit is flipped depending on lower bits only.
+# Multipliers of the hash of Laine and Karras. The multipliers are even, so that a bit is flipped depending on lower
+# bits only.
 MIX_1, MIX_2 = wp.constant(wp.uint32(0x6C50B47C)), wp.constant(wp.uint32(0xB82F1E52))
 MIX_3, MIX_4 = wp.constant(wp.uint32(0xC7AFE638)), wp.constant(wp.uint32(0x8D22F6E6))
 PER_UNIT = wp.constant(wp.float32(2.0**-24))
@@ -73,7 +74,7 @@ def morton_index(column: wp.int32, row: wp.int32) -> wp.uint32:
 
 @wp.func
 def sample_point(index: wp.uint32, order_seed: wp.uint32, seed_x: wp.uint32, seed_y: wp.uint32) -> wp.vec2f:
-    """Return the point with the given index in a shuffled and scrambled (0, 2) sequence, in [0, 1)²."""
+    """Return the point with the index ``index`` in a shuffled and scrambled (0, 2) sequence, in [0, 1)²."""
     shuffled = owen_scramble(index, order_seed)
     x = owen_scramble(reverse_bits(shuffled), seed_x)
     y = owen_scramble(second_sobol(shuffled), seed_y)

@@ -1,4 +1,4 @@
-"""Shading frames at hits, and the origins of shadow rays."""
+"""Shading frames (normal, tangent, bitangent) at the hits of camera rays, and the origins of shadow rays."""
 
 import warp as wp
 

@@ -50,7 +50,10 @@ class ShadowGrid:
 
 @wp.func
 def light_coordinates(grid: ShadowGrid, position: wp.vec3f) -> wp.vec3d:
-    """Return a position in the axes of an occluder grid: along ``across`` and ``up`` [steps], and along ``towards``."""
+    """Return the coordinates of a position along the axes ``across``, ``up`` and ``towards`` of an occluder grid.
+
+    The coordinates along ``across`` and ``up`` are whole numbers of steps.
+    """
     at = wp.vec3d(position)
     return wp.vec3d(
         wp.rint(wp.dot(at, grid.across) * STEPS), wp.rint(wp.dot(at, grid.up) * STEPS), wp.dot(at, grid.towards)
@@ -70,7 +73,8 @@ def cell_of(place: wp.float64, low: wp.float64, per_step: wp.float64) -> wp.int3
 def left_of(a: wp.vec3f, b: wp.vec3f, x: wp.float64, y: wp.float64) -> wp.float64:
     """Return twice the signed area of the triangle (a, b, (x, y)), exactly.
 
-    It is positive if the point (x, y) is to the left of the edge from a to b; x points to the right and y upwards.
+    The area is positive if the point (x, y) is to the left of the edge from a to b; x points to the right and y
+    upwards.
     """
     ax = wp.float64(a[0])
     ay = wp.float64(a[1])

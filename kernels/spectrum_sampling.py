@@ -65,7 +65,7 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
         azimuth = first + wp.tid()
         angle = wp.float64(2.0 * wp.PI) * wp.float64(azimuth) / wp.float64(azimuths)
         per_sample = wp.float64(wp.static(math.log(2.0))) / wp.float64(rings_per_octave * divisions)
-        # The spline of a ring begins one and a half rings before the ring.
+        # The B-spline of a ring, which weights the spectrum, begins one and a half rings before the ring.
         first_t = wp.exp(log_low + (wp.float64(0.5) - wp.float64(1.5) * wp.float64(divisions)) * per_sample)
         sample_azimuth(
             table, bases, wp.sin(angle) * table.length_y, wp.cos(angle) * table.length_x, rings_per_octave, first_t,
@@ -148,7 +148,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
         rings: wp.int32, octave: wp.int32, first_azimuth: wp.int32, sequence: wp.array(dtype=values_t), at: wp.int32,
         length: wp.int32,
     ):  # fmt: skip
-        """Copy the rows from which the colours of one octave are computed to working memory, for a few azimuths."""
+        """Copy the spectrum rows for the colours of one octave to working memory, for a few azimuths."""
 
     @wp.func_native(
         f"warpdiff::project_azimuths<{lanes}, {w_basis_size}, {abreast}>(sequence, at, length, skipped, matrices, "
@@ -203,7 +203,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
 
 @functools.cache
 def adder(w_basis_size: int) -> wp.Kernel:
-    """Return the kernel that adds rows, multiplied by factors, to the rows of a colour table."""
+    """Return the kernel that multiplies rows of colours by factors and adds them to the rows of a colour table."""
     row_t = lookup(w_basis_size).row
 
     @wp.kernel(module="unique", module_options=OPTIONS)

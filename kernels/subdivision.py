@@ -212,8 +212,8 @@ class FilteredSums:
     # array has the standard deviation of the mean instead.
     changes: wp.array(dtype=wp.float32)
     ranks: wp.array(dtype=wp.int32)
-    # Factors that normalise sums over cells, for each level and each of three pixels in a row: the integral of the
-    # pixel filter over the pixel, divided by the sum of the weights of its cells.
+    # Factors that normalise sums over cells, for each level and each of three pixels in a row. A factor is the integral
+    # of the pixel filter over one pixel, divided by the sum of the weights of the cells of that pixel.
     filter_normalisation: wp.array2d(dtype=wp.float32)
 
 
@@ -246,7 +246,7 @@ def quadrant_at(
 
 @wp.func
 def second_difference2(before: wp.vec4f, own: wp.vec3f, after: wp.vec4f) -> wp.float32:
-    """Return the squared second difference of three neighbouring colours; 0 if ``before`` or ``after`` is missing."""
+    """Return the squared second difference of the colours of three quadrants; 0 without ``before`` or ``after``."""
     second = wp.vec3f(before[0], before[1], before[2]) - 2.0 * own + wp.vec3f(after[0], after[1], after[2])
     return wp.where(before[3] * after[3] > 0.0, wp.length_sq(second), 0.0)
 
@@ -386,7 +386,7 @@ def raise_levels(
             for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
                 there = (row + line - 1) * width + column + side - 1
                 if marks[there] != wp.uint8(0):
-                    # More cells of a tile cannot reduce the error that the other eight tiles cause.
+                    # More cells of this tile cannot reduce the error of a pixel that the other eight tiles cause.
                     share = FILTER_SHARES[line] * FILTER_SHARES[side]
                     error = wp.min(errors[there], SCATTER_CAUTION * SCATTER_FACTOR * share * scatter)
                     excess = wp.max(excess, error / (tolerance * wp.max(wp.length(colours[there]), floor[0])))
@@ -486,7 +486,7 @@ def accumulate(
     first: wp.int32, run: wp.int32,
     xyz_out: wp.array(dtype=wp.vec3f), errors_out: wp.array(dtype=wp.float32), illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Add the colours, errors and illuminated pixels of one light to the sums over lights."""
+    """Add the colours, errors and illuminated pixels of one part of the lights to the sums over all parts."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         xyz_out[i] = xyz_out[i] + colours[i]

@@ -1,4 +1,4 @@
-"""Thresholds that kernels and hosts share: plain numbers without Warp."""
+"""Thresholds that kernels and Python code share: plain numbers without Warp."""
 
 # Least cosine of the angle between the normal and a direction that counts as above the horizon, 0.00006° from the
 # horizon. The value is limited by the geometry factor (gain), which tends to infinity at the horizon.
@@ -14,5 +14,6 @@ FLOOR = 1e-3
 # percentile of the luminance Y. The value was chosen so that a few outliers do not determine plans, as with a larger
 # share.
 PERCENTILE = 0.99
-# Least floor of relative errors, which prevents division by 0 in black pictures: the smallest normal float32.
+# Least floor of relative errors (the smallest divisor of an error), which prevents division by 0 in black pictures. The
+# value is the smallest normal float32.
 TINY = 2.0**-126

@@ -75,7 +75,7 @@ def running_max(
     begins: wp.bool,
     most_out: wp.array(dtype=wp.int32),
 ):
-    """Set the output to a count if the count is larger than the output. If ``begins``, set it in any case."""
+    """Set the output to a count if the count is larger than the output. With ``begins``, set it in any case."""
     most_out[0] = wp.where(begins, counts[0], wp.max(counts[0], most_out[0]))
 
 
@@ -110,7 +110,7 @@ def mark_shared(
     levels: wp.array(dtype=wp.uint8), width: wp.int32, height: wp.int32, first: wp.int32, run: wp.int32,
     marks_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Mark a pixel as ``SHARED`` if it has no mark, but it and its eight neighbours all have a level."""
+    """Mark a pixel as ``SHARED`` if it has no mark, but the pixel and its eight neighbours all have a level."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if marks_out[i] == wp.uint8(0) and marks_around(levels, i, width, height)[0] != wp.uint8(0):
             marks_out[i] = SHARED
@@ -154,7 +154,7 @@ def advance_batch(
     copied_out: wp.array(dtype=wp.int32),
     has_more_out: wp.array(dtype=wp.int32),
 ):
-    """Increase the number of copied pixels by ``count``, and store whether pixels of the list remain."""
+    """Increase the number of copied pixels of a list by ``count``, and store whether pixels of the list remain."""
     copied_out[0] += count
     has_more_out[0] = wp.int32(0)
     if copied_out[0] < counts[0]:

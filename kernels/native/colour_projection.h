@@ -26,8 +26,8 @@ struct AzimuthRows {
     }
 };
 
-// Interpolate the rows of all rings halfway between two azimuths, by the Lagrange polynomial through four azimuths on
-// each side.
+// Interpolate the rows of the spectrum on all rings halfway between two azimuths, by the Lagrange polynomial through
+// four azimuths on each side.
 template <int TERMS, class Rows>
 WARPDIFF_INLINE void interpolate_halfway(
     const Rows& values, long long first, int before, int azimuths, int rings, typename AzimuthRows<TERMS>::Vector* out)

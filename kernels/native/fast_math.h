@@ -38,11 +38,12 @@ struct LogPolar {
     float turns; // angle [turns], from 0 to 1
 };
 
-// Convert a point (u, v) to its angle and the logarithm of its radius. Radii below `least` are replaced by `least`.
+// Convert a point (u, v) to polar coordinates: its angle and the logarithm of its radius. Radii below `least` are
+// replaced by `least`.
 WARPDIFF_INLINE LogPolar log_polar(float u, float v, float least)
 {
-    // The squared radius is a power of two times m, and m lies between √½ and √2. The logarithm of m is a series in (m
-    // − 1)/(m + 1).
+    // The squared radius is a power of two times m, where m lies between √½ and √2. The logarithm of m is a series in
+    // (m − 1)/(m + 1).
     const float uv2 = u * u + v * v, least2 = least * least;
     const int above = bits_of(uv2 > least2 ? uv2 : least2) - 0x3f3504f3;
     const float m = float_of((above & 0x7fffff) + 0x3f3504f3);

@@ -59,7 +59,7 @@ struct Footprints {
 };
 
 // Parts of the footprints of several pixels: a wide footprint is divided into parts, which are looked up separately. A
-// part has a position in the table, and is blurred across rings and azimuths.
+// part has a position in the table, and its colour is blurred across rings and azimuths.
 template <int N>
 struct Parts {
     int count;
@@ -156,7 +156,7 @@ WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels,
             pixels.ratio2[i] = polar.ratio2;
             pixels.both[i] = polar.both;
             // The centres of a footprint's parts lie on a line through its centre, in the direction of the covariance
-            // of (u, v) with the polar angle.
+            // between (u, v) and the polar angle of (u, v).
             const float whole = wp::sqrt(pixels.angle2[i]), per_whole = whole > 0.0f ? 1.0f / whole : 0.0f;
             pixels.along_u[i] = polar.angle_u * per_whole;
             pixels.along_v[i] = polar.angle_v * per_whole;
@@ -192,7 +192,7 @@ WARPDIFF_INLINE bool is_wide(const Table& table, const Footprints<N>& pixels, in
     return pixels.xx[i] + pixels.yy[i] > WIDE * WIDE * uv2;
 }
 
-// Index of the pixel that is processed next, and index of the next part of its footprint.
+// Index of the pixel that is processed next, and index of the part of its footprint that is processed next.
 struct NextPart {
     int pixel, part;
 };
@@ -239,7 +239,7 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
         parts.ratio2[k] = pixels.ratio2[i];
         parts.both[k] = pixels.both[i];
         if (all > 1) {
-            // The covariance within a part is converted to polar coordinates at the (u, v) of that part.
+            // The covariance within a part of a footprint is converted to polar coordinates at the (u, v) of the part.
             const PolarCovariance polar =
                 to_polar(table, parts.u[k], parts.v[k], pixels.xx[i] - cut * along_u * along_u,
                     pixels.xy[i] - cut * along_u * along_v, pixels.yy[i] - cut * along_v * along_v);
@@ -345,7 +345,7 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
         }
 }
 
-// Index of the part of a footprint that is processed next, and index of its next ring.
+// Index of the part of a footprint that is processed next, and index of the ring that is processed next.
 struct NextRing {
     int part, ring;
 };
@@ -451,8 +451,9 @@ WARPDIFF_INLINE RingRows rows_of_ring(const Table& table, const Taps& taps, cons
     };
 }
 
-// Rows and weights of all rings of segments. On the CPU, they are stored for a whole batch before any ring is summed. A
-// GPU computes them for each ring when it sums the ring.
+// Rows and weights of all rings of segments. A segment is a group of consecutive rings. On the CPU, rows and weights
+// are stored for a whole batch before any ring is summed. A GPU computes the rows and weights of a ring when it sums
+// the ring.
 template <int N>
 struct SegmentRings {
     static constexpr int RINGS = ON_GPU ? 1 : SEGMENT_RINGS;
@@ -502,7 +503,8 @@ struct SegmentRings {
     }
 };
 
-// Sum the rows of segments. After the last segment of a part, convert the sum to a colour and add it to the pixel.
+// Sum the rows of segments. After the last segment of a part of a footprint, convert the sum to a colour and add this
+// colour to the pixel.
 template <int WIDTH, int N, class Table, class Taps>
 WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGaussian cut, const Footprints<N>& pixels,
     const Parts<N>& parts, const Segments<N>& segments, SegmentRings<N>& rings, WeighedRows<WIDTH>& sum, float* xyz)

@@ -11,7 +11,8 @@ namespace warpdiff {
 // The table of the scattered light has rings of |(u, v)|. Light within this number of octaves from the innermost ring
 // counts as light near the mirror direction. The value was chosen freely: other values change the noise, not the mean.
 constexpr float OCTAVES_OF_MIRROR = 2.0f;
-// Largest number of groups of lights whose sums are stored. The value is limited by the size of a local array.
+// Largest number of groups of lights for which the summed brightness is stored. The value is limited by the size of a
+// local array.
 constexpr int GROUPS = 32;
 // Least sum of the cosines of light and view, which is |w|. A smaller |w| would make geometry factors (gains) too
 // large.

@@ -37,7 +37,7 @@ WARPDIFF_INLINE void place_points(const Table& table, Points<N>& points)
 }
 
 // Return the table row of a ring on the first of the three azimuths around an angle. `aside` receives the distance of
-// the angle from the middle azimuth, in azimuths.
+// the angle from the middle azimuth, in distances of azimuths.
 template <int WIDTH, class Table>
 WARPDIFF_INLINE const float* row_at(const Table& table, float turns, int ring, int octave, float& aside)
 {

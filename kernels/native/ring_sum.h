@@ -118,7 +118,8 @@ WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian,
     }
 }
 
-// Return the sum of all rows of the table, weighted by a Gaussian around (u, v), from the outermost ring inwards.
+// Return the sum of all rows of the table, weighted by a Gaussian around (u, v). The rings are added from the outermost
+// ring inwards.
 template <int WIDTH, class Table>
 inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, float xx, float xy, float yy)
 {
@@ -130,8 +131,8 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
     const float narrow2 = larger((a * d - b * b) / widest2, least * least);
     const float widest = wp::sqrt(widest2), narrow = wp::sqrt(narrow2), middle = wp::sqrt(u * u + v * v);
     const float turns = log_polar(u, v, table.least_uv).turns;
-    // Angle of the direction perpendicular to the long axis of the Gaussian, and distance of that axis from the mirror
-    // direction.
+    // Angle of the direction perpendicular to the long axis of the Gaussian, and distance of the long axis from the
+    // mirror direction.
     const float across = 0.5f * log_polar(a - d, 2.0f * b, 0.0f).turns + 0.25f;
     float x, y;
     on_circle(across, x, y);

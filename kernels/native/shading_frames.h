@@ -1,4 +1,4 @@
-// Shading frames of pixels, and start points of their shadow rays.
+// Shading frames (normal, tangent, bitangent) of pixels, and start points of shadow rays.
 
 #pragma once
 
@@ -109,7 +109,8 @@ WARPDIFF_INLINE void find_frames(
     }
 }
 
-// Store one vector per pixel, with zeros for pixels that do not hit the mesh. To skip these pixels would be slower.
+// Store one vector per pixel, with zeros for pixels that do not hit the mesh. A loop that skips these pixels would be
+// slower.
 template <int N>
 WARPDIFF_INLINE void put_vectors(float* out, const Batch<N> (&vectors)[3], const Batch<N, bool>& met, int count)
 {

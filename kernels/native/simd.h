@@ -57,8 +57,8 @@ struct FloatVector<8> {
 };
 #endif
 
-// A row of WIDTH floats, stored as the longest vectors into which it can be divided. On the CPU, WIDTH is a multiple of
-// four.
+// A row of WIDTH floats, stored as the longest vectors into which the row can be divided. On the CPU, WIDTH is a
+// multiple of four.
 template <int WIDTH>
 struct Row {
     static constexpr int LANES = ON_GPU ? 1 : WIDTH % 8 == 0 ? 8 : 4;

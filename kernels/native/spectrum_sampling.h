@@ -132,8 +132,8 @@ struct SplineSums {
         behind.clear();
     }
 
-    // Add a sample of the spectrum to the three integrals. `f` is the distance of the sample from the middle ring, in
-    // rings.
+    // Add a sample of the spectrum to the integrals of three rings. `f` is the distance of the sample from the middle
+    // ring, in rings.
     WARPDIFF_INLINE void add(const Row<WIDTH>& value, float f, float scale)
     {
         float weights[3];

@@ -22,7 +22,10 @@ def terms(count: int) -> NDArray[np.float64]:
 
 
 def to_series(count: int) -> NDArray[np.float64]:
-    """Return the matrix that converts values at the Chebyshev nodes to coefficients of T_n, one row per node."""
+    """Return the matrix that converts values at Chebyshev nodes to coefficients of the polynomials T_n.
+
+    The matrix has one row per node.
+    """
     result = terms(count).T * (2.0 / count)
     result[:, 0] /= 2.0
     return result

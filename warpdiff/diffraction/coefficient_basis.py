@@ -53,7 +53,7 @@ _LEAST_TRUNCATION_ERROR = 1e-7
 # weight as all coefficients together. Without this weight, the specular reflection, which is only one of a million
 # coefficients, would hardly affect the fit.
 _STRONGEST_ROWS = 64
-# Number of coefficients of a height field on which the truncation error of a fitted basis is measured.
+# Number of Fourier coefficients of a height field on which the truncation error of a fitted basis is measured.
 _SAMPLED_ROWS = 20_000
 # Percentile of the truncation errors of coefficients that is reported; 0.1 % of the coefficients may have larger
 # errors.
@@ -101,7 +101,7 @@ class Coefficients:
         return int(self.rows.shape[-1])
 
     def basis_at(self, kappas: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the basis functions at |κ| [1/µm], by cubic interpolation, shape (len(kappas), terms)."""
+        """Return the basis functions at |κ| = |w|/λ [1/µm], by cubic interpolation, shape (len(kappas), terms)."""
         steps = (np.asarray(kappas) - self.kappa_low) / self.step
         entry = np.clip(np.floor(steps), 0, len(self.basis) - 4).astype(int)
         basis = self.basis.astype(np.float64)
@@ -135,7 +135,7 @@ def holds_powers(method: str, *, adds_powers: bool) -> bool:
 
 
 def series_terms(heightfield: HeightField, kappas: tuple[float, float]) -> int:
-    """Return the number of terms that the Jacobi-Anger series requires before a basis can be fitted to it."""
+    """Return the number of terms of the Jacobi-Anger series to which a basis is fitted, for a range of |κ|."""
     series = EXPANSIONS["jacobi-anger"]
     argument = 2.0 * math.pi * _entries(heightfield, kappas)[-1] * series.offset_and_scale(heightfield)[1]
     return series.term_count(argument, _SERIES_TOLERANCE)
@@ -213,12 +213,15 @@ def fitted(
 
 
 def _radians_per_kappa(heightfield: HeightField) -> float:
-    """Return the highest angular frequency at which a power oscillates over κ: 2π times the height range [rad·µm]."""
+    """Return the highest angular frequency at which a power oscillates over κ = w/λ [rad·µm].
+
+    The result is 2π times the height range, and at least 1e-3.
+    """
     return max(2.0 * math.pi * heightfield.height_range_um, 1e-3)
 
 
 def _entries(heightfield: HeightField, kappas: tuple[float, float]) -> tuple[float, int, float]:
-    """Return the step of |κ| in the table of a basis, the number of steps from the least |κ|, and the largest |κ|."""
+    """Return the step of |κ| = |w|/λ in a table of basis functions, the number of steps, and the largest |κ|."""
     low, high = kappas
     step = min(1.0 / (_STEPS_PER_RADIAN * _radians_per_kappa(heightfield)), (high - low) / _FEWEST_STEPS or 1.0)
     count = math.ceil((high - low) / step) + 2
@@ -226,7 +229,7 @@ def _entries(heightfield: HeightField, kappas: tuple[float, float]) -> tuple[flo
 
 
 def _table_kappas(heightfield: HeightField, kappas: tuple[float, float]) -> tuple[float, NDArray[np.float64]]:
-    """Return the step of |κ| in the table of a basis [1/µm], and the |κ| of all its entries."""
+    """Return the step of |κ| = |w|/λ in a table of basis functions [1/µm], and the |κ| of all entries."""
     step, count, _ = _entries(heightfield, kappas)
     return step, np.asarray(kappas[0] + step * np.arange(-1, count + 1), dtype=np.float64)
 

@@ -55,8 +55,8 @@ class Grid:
 def patch_grid(heightfield: HeightField) -> Grid:
     """Return the frequencies of an infinite periodic surface: r/Lx and s/Ly for integers r and s.
 
-    Along an axis with a single sample the surface is constant and has order 0 only. ``_CONSTANT_AXIS_UM`` replaces its
-    length, so that order 0 is the nearest order for every direction.
+    Along an axis with a single sample the surface is constant and has order 0 only. ``_CONSTANT_AXIS_UM`` replaces the
+    length of the axis, so that order 0 is the nearest order for every direction.
     """
     lengths = [
         _CONSTANT_AXIS_UM if n == 1 else length
@@ -72,7 +72,7 @@ def fine_grid(heightfield: HeightField, kernel_transform: Callable[[NDArray[np.f
     this division. ``kernel_transform`` is the transform, a function of arguments from −1/4 to 1/4.
     """
     shape = [1 if n == 1 else 2 * n for n in heightfield.shape]
-    # The spectrum is constant along an axis of one sample and needs no interpolation.
+    # The spectrum is constant along an axis with a single sample, and needs no interpolation there.
     taper = [
         1.0 / kernel_transform((np.arange(n) - n // 2) / m) if n > 1 else np.ones(1)
         for n, m in zip(heightfield.shape, shape, strict=True)

@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
 
 # Largest number of terms of a series. With 128 terms, a series represents height ranges of about 30 cycles of phase.
-# The memory of a table of coefficients is proportional to the number of terms.
+# The value is limited by memory: the size of a table of coefficients is proportional to the number of terms.
 MAX_TERMS = 128
 # Maximum number of cycles of phase over the height range. The value is limited by memory: tables of coefficients for
 # more cycles are very large.
 _MOST_CYCLES = 100.0
-# Maximum exponent of e where the error bound of a Taylor series is computed: e^710 would overflow float64.
+# Maximum exponent of e when the error bound of a Taylor series is computed: e^710 would overflow float64.
 _LARGEST_EXPONENT = 700.0
 
 
@@ -72,7 +72,7 @@ class Expansion:
     growth: Callable[[float], float]
 
     def offset_and_scale(self, heightfield: HeightField) -> tuple[float, float]:
-        """Return the offset c and the scale a of heights [µm], as in g = (h − c)/a; a is 0 for a flat height field."""
+        """Return the offset c and the scale a of heights [µm], of g = (h − c)/a; a is 0 for a flat height field."""
         low, high = float(heightfield.heights_um.min()), float(heightfield.heights_um.max())
         return ((low + high) / 2.0, (high - low) / 2.0) if self.centred else (low, high - low)
 
@@ -152,7 +152,7 @@ def _powers(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
 
 
 def _chebyshev(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    """Yield T_0(g), T_1(g), … without end; the recurrence is stable for −1 … 1."""
+    """Yield Chebyshev polynomials T_0(g), T_1(g), … without end; the recurrence is stable for g from −1 to 1."""
     now, after = np.ones_like(g), g
     while True:
         yield now

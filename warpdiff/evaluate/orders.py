@@ -407,7 +407,7 @@ class _OrderMatrix:
     def efficiencies(self, powers: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the normalised efficiencies of the light's orders, for a perfect mirror.
 
-        ``powers`` are the squared magnitudes |H|² of the coefficients of all elements, shape (rows · columns,).
+        ``powers`` are the squared magnitudes |H|² of the Fourier coefficients of all elements, shape (rows · columns,).
         """
         cosines, views = self._cosines, self._views
         stam = energy_normalisation.stam(cosines[:, None], views[:, 2], self._entering @ views[:, :2].T)
@@ -459,7 +459,7 @@ def _term_count(argument: float) -> int:
 
 
 def _warn_of_aliasing(heightfield: HeightField, orders: NDArray[np.int64]) -> None:
-    """Warn if orders propagate that the samples cannot represent: their power appears in lower orders (aliasing)."""
+    """Warn if orders propagate that the samples cannot represent, so that lower orders get their power (aliasing)."""
     for name, axis in (("y", 0), ("x", 1)):
         largest = int(np.max(np.abs(orders[:, axis]), initial=0))
         if 2 * largest > heightfield.shape[axis] > 1:

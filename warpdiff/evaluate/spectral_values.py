@@ -40,7 +40,7 @@ class SpectralSum:
         self, heightfield: HeightField, plan: Plan, direction_range: DirectionRange,
         wavelengths_nm: NDArray[np.float64], *, device: wp.Device, threads: int,
     ) -> None:  # fmt: skip
-        """Prepare the table of coefficients of a plan, for the directions and wavelengths of a range."""
+        """Prepare the table of Fourier coefficients of a plan, for the directions and wavelengths of a range."""
         self._heightfield, self._plan = heightfield, plan
         self.wavelengths_nm = wavelengths_nm
         self._where: dict[str, Any] = {"device": device, "threads": threads}

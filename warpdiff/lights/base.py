@@ -85,7 +85,7 @@ class LightPart(ABC):
 
 
 class EmissionProfile(ABC):
-    """Factor of a light's power that depends on the direction of emission. Subclasses are frozen dataclasses."""
+    """Factor of a light's power by the direction in which the light is emitted. Subclasses are frozen dataclasses."""
 
     @abstractmethod
     def kernel_call(self, lights: Lights, lobe: int, batch: RayBatch) -> KernelCall:
@@ -146,7 +146,7 @@ class LobeSet(LightPart):
         )  # fmt: skip
 
     def make_pass(self, context: PassContext) -> LightPass:
-        """Return the pass in which every ray adds the colours of all lobes."""
+        """Return the pass in which every ray adds the colours under all lobes."""
         from warpdiff.lights.lobe_pass import LobePass
 
         return LobePass(self, context)
@@ -157,7 +157,7 @@ class LobeChoice(LobeSet):
     """Set of many lobes with one illuminant, each with a single direction. A subpixel cell chooses one at random."""
 
     def make_pass(self, context: PassContext) -> LightPass:
-        """Return the pass in which every subpixel cell adds the colour of one lobe, chosen at random."""
+        """Return the pass in which every subpixel cell adds the colour under one lobe, chosen at random."""
         # Warp is imported here, so that the help of the command line can describe lights without loading Warp.
         from warpdiff.lights.choice_pass import ChoicePass
 
@@ -183,7 +183,7 @@ class DiscPart(LobeSet):
 
 
 class LobeLight(Checked, Light):
-    """Base class of lights that consist of lobes. Subclasses are frozen dataclasses."""
+    """Base class of lights that consist of lobes (Gaussians of directions). Subclasses are frozen dataclasses."""
 
     illuminant: str | Spectrum
 

@@ -1,4 +1,4 @@
-"""Pass of many directional lights: each ray chooses a light by the colours of the surface, and traces a shadow ray."""
+"""Pass of many directional lights: each ray chooses a light by its colours on the surface, and traces a shadow ray."""
 
 from __future__ import annotations
 

@@ -43,8 +43,8 @@ def clear_sky_radiance(sun_altitude: float, sun: float, ground_albedo: float) ->
         sun: Linear factor of the sun.
         ground_albedo: Share of the light that the ground reflects.
     """
-    # The image has the same pixels as the grid on which environments store a sky. Resampling would spread the power of
-    # the sun.
+    # The pixels of the image are the cells of the grid on which environments store a sky. Resampling would spread the
+    # power of the sun.
     along = grid_directions()
     solid = np.repeat(
         -np.diff(np.cos(np.arange(ROWS + 1) / ROWS * math.pi))[:, None] * math.pi / ROWS, 2 * ROWS, axis=1
@@ -70,9 +70,9 @@ def clear_sky_radiance(sun_altitude: float, sun: float, ground_albedo: float) ->
 def relative_luminance(along: NDArray[np.float64], to_sun: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the luminance of the sky in directions above the horizon, relative to the luminance of the zenith.
 
-    By CIE S 011/E:2003 the relative luminance is f(χ) φ(Z) / (f(Zs) φ(0)). The gradation is φ(Z) = 1 + a exp(b / cos
-    Z). The indicatrix is f(χ) = 1 + c (exp(d χ) − exp(d π/2)) + e cos² χ. Z is the direction's angle to the zenith, χ
-    its angle to the sun, and Zs the sun's angle to the zenith; y is up.
+    By CIE S 011/E:2003 the relative luminance is f(χ) φ(Z) / (f(Zs) φ(0)). The gradation is φ(Z) = 1 + a
+    exp(b / cos Z). The indicatrix is f(χ) = 1 + c (exp(d χ) − exp(d π/2)) + e cos² χ. Z is the direction's angle to the
+    zenith, χ its angle to the sun, and Zs the sun's angle to the zenith; y is up.
 
     Args:
         along: Unit vectors of the directions, shape (..., 3).

@@ -277,7 +277,7 @@ class SkyPart(LightPart):
     """Sky of an environment, without its suns; it illuminates from the whole hemisphere.
 
     Attributes:
-        grid: Powers of the sky by direction.
+        grid: Grid with the powers of the sky by direction.
     """
 
     grid: SkyGrid

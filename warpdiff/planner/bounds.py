@@ -157,7 +157,7 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
 
 
 def _with_wavelengths(plan: Plan) -> Plan:
-    """Return the plan with the number of wavelengths that its bandwidth requires.
+    """Return the plan with the number of wavelengths that its ``bandwidth_um`` requires.
 
     If light of a source arrives near the horizon, the number is limited.
     """

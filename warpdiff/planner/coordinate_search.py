@@ -162,7 +162,7 @@ def more_terms(plan: Plan, trial: Trial, registers: int) -> Plan:
 
 
 def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[Coordinate]:
-    """Return the coordinates of a plan, in the order in which the search coarsens them."""
+    """Return the coordinates (the parameters that a search changes) of a plan, in the order of the search."""
 
     def neighbours(plan: Plan, steps: int) -> Plan:
         least = trial.reference.least_weight

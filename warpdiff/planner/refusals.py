@@ -100,7 +100,7 @@ def _longest_sigma_um(coherence: Coherence) -> float:
 
 
 def check_error(request: Evaluation, plan: Plan) -> None:
-    """Raise an error for a plan that cannot meet its tolerance, or warn if the request is not strict."""
+    """Raise an error for a plan that cannot meet its tolerance, or warn if ``strict`` of ``request`` is False."""
     heightfield = request.heightfield
     # If errors were measured, ``plan.error`` is the error on the validation set times a safety factor of at least
     # SEARCH_SAFETY. A plan is also accepted if it meets the tolerance only without this factor.

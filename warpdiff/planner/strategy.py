@@ -59,7 +59,7 @@ _SEARCH_DIRECTIONS = 16_000
 # directions do not justify.
 _FEWEST_TRIED = 16
 # Assumed number of calls that use the same table, because pictures are often rendered again with another light or view.
-# If doubled, the planner prefers a table already for calls with about half as many directions.
+# If the number is doubled, the planner prefers a table already for calls with about half as many directions.
 _EXPECTED_REPEATS = 3
 
 
@@ -242,7 +242,7 @@ def _pays_to_search(request: Evaluation, upper: Plan, direction_range: Direction
 
 
 def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, upper: Plan) -> Plan:
-    """Return the upper-bound plan, completed without a trial, with its mean cost over the sampled directions."""
+    """Return the upper-bound plan, completed without a trial, with the mean of its cost over the sampled directions."""
     if _method(request) == "auto":
         # Without a trial, a method that adds amplitudes is selected, because series of powers may lose their digits in
         # float32. Trials are omitted only if a call has few directions. For few directions, methods that add amplitudes

@@ -1,4 +1,4 @@
-"""Table ladder: search for the smallest colour table that meets a tolerance on the validation set."""
+"""Table ladder: search for the smallest colour table that meets a tolerance on the validation directions."""
 
 from __future__ import annotations
 

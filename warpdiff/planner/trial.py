@@ -269,7 +269,7 @@ class Trial:
         return np.asarray(results, dtype=np.float64)
 
     def with_w_basis(self, plan: Plan) -> Plan:
-        """Return the plan with its field ``w_basis_size`` set: the number of functions of w in its table."""
+        """Return the plan with ``w_basis_size``, the number of functions of w (the normal component) in its table."""
         options: dict[str, Any] = {"device": self._device, "threads": self._threads}
         counts = [
             colour_table.function_count(self.heightfield, plan, self._range, light, **options)
@@ -284,7 +284,7 @@ class Trial:
         return self._series_terms if plan.method in EXPANSIONS else self.fitted(plan).terms
 
     def fitted(self, plan: Plan) -> coefficient_basis.Coefficients:
-        """Return the coefficients of the height field in the fitted basis of a plan."""
+        """Return the Fourier coefficients of the height field, in the basis that is fitted for a plan."""
         extent = coefficient_table.neighbour_extent(plan, self.heightfield)
         coefficients, _, _ = coefficient_table.coefficients_for(
             self.heightfield, plan.method, plan.coherence, self._range, extent, terms=plan.terms, threads=self._threads
@@ -336,8 +336,8 @@ def _percentile(values: NDArray[np.float64], weights: NDArray[np.float64], share
     total = np.cumsum(weights[order])
     if not len(total) or not total[-1] > 0.0:
         return 0.0
-    # A small margin is subtracted from the share. Otherwise rounding errors in the sum of equal weights could select
-    # the next larger value.
+    # A small margin is subtracted from the share of the total weight. Otherwise rounding errors in the sum of equal
+    # weights could select the next larger value.
     least = (share - float(np.finfo(np.float32).eps)) * total[-1]
     return float(values[order[min(np.searchsorted(total, least), len(order) - 1)]])
 
@@ -360,5 +360,5 @@ def worst_percentile(errors: NDArray[np.float64], group: Group, included: NDArra
 
 
 def _luminance(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return Y of XYZ, shape (..., 3), or the reflectance ρ itself, shape (..., 1)."""
+    """Return the luminance Y of colours XYZ, shape (..., 3), or unchanged reflectances ρ, shape (..., 1)."""
     return np.asarray(values[..., values.shape[-1] // 2])

@@ -69,7 +69,7 @@ def candidates(
 def sampled(
     candidates: DirectionSample, is_edge_case: NDArray[np.bool_], luminance: NDArray[np.float64], floor: float
 ) -> tuple[DirectionSample, DirectionSample]:
-    """Return a training set and a validation set, drawn from the candidates.
+    """Return a training set and a validation set, drawn from the candidate directions.
 
     If the candidates are few, the validation set contains all of them.
 
@@ -112,8 +112,8 @@ def _draw(
     if len(among) <= count:
         return candidates.some(among, represents * candidates.weights[among])
     share = measure[among] / measure[among].sum() * count
-    # A direction whose computed probability exceeds 1 is drawn exactly once, and the probabilities of the others
-    # increase accordingly.
+    # A direction whose computed probability exceeds 1 is drawn exactly once, and the probabilities of the other
+    # directions increase accordingly.
     while (excess := share > 1.0).any():
         share[excess] = 1.0
         rest = share < 1.0
@@ -135,8 +135,8 @@ def _edge_cases(
     u, v, w = sample.scattering_vectors.T
     across, light = np.hypot(u, v), sample.to_lights[:, 2]
     order_rates = order_rate(heightfield, plan.coherence, sample.scattering_vectors, sample.to_lights)
-    # Each strong order is a separate kind of edge case, because errors near one order do not indicate errors near other
-    # orders.
+    # Each strong diffraction order is a separate kind of edge case, because errors near one order do not indicate
+    # errors near other orders.
     order_light = _order_light(heightfield, direction_range, sample, plan, threads=threads)
     scores = [-across, sample.gains, *order_light.T, across, order_rates, w, -w, -light, light + w]
     return np.unique(np.concatenate([np.argpartition(score, -_EDGE_CASES)[-_EDGE_CASES:] for score in scores]))

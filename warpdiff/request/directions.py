@@ -185,7 +185,7 @@ def order_rate(
 
 
 def hemisphere_pairs(count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return random pairs of unit vectors, uniform over the hemisphere, both of shape (count, 3)."""
+    """Return two arrays of random unit vectors, uniform over the hemisphere, both of shape (count, 3)."""
     rng = np.random.default_rng(seed)
     z = rng.uniform(0.0, 1.0, (2, count))
     phi = rng.uniform(0.0, 2.0 * math.pi, (2, count))

@@ -127,5 +127,5 @@ class Evaluation:
 
     @property
     def integrates(self) -> bool:
-        """Whether the result is a colour, an integral over λ, and not a spectrum."""
+        """Whether the result is a colour, which is an integral over the wavelength λ, and not a spectrum."""
         return self.wavelengths_nm is None

@@ -186,7 +186,8 @@ class Plan:
         for name, (least, most) in _SCOPE.items():
             validation.number(getattr(self, name), name, least=least, most=most)
         for name in (*_ERRORS, "energy_spread", "aliasing", "scalar_error", "multiply_adds", "table_multiply_adds"):
-            # Predicted errors may have any finite value: the error bound of a diverging series may be very large.
+            # Predicted errors may have any finite value, because the error bound of a diverging series may be very
+            # large.
             validation.number(getattr(self, name), name, least=0.0, most=sys.float_info.max)
         validation.choice(self.scalar_reason, "scalar_reason", get_args(Reason))
         validation.flag(self.is_measured, "is_measured")

@@ -100,7 +100,7 @@ class PlanSettings(CommonSettings):
     """Options of ``plan``.
 
     Attributes:
-        masking: Whether V-cavity masking and shadowing of the relief is included; it has no effect for
+        masking: Whether V-cavity masking and shadowing of the relief is included; the option has no effect for
             ``energy="normalised"``.
     """
 
@@ -112,7 +112,7 @@ class PlannedSettings(CommonSettings):
     """Options of functions that accept an explicit plan.
 
     Attributes:
-        plan: Explicit plan instead of ``tolerance``, ``method``, ``integration`` and ``coherence``; implies
+        plan: Explicit plan instead of ``tolerance``, ``method``, ``integration`` and ``coherence``. A plan implies
             ``strict=False``. Pictures with several surfaces also accept a mapping from parts of the mesh to plans.
     """
 
@@ -138,9 +138,9 @@ class EnergySettings(CommonSettings):
 
     Attributes:
         energy: With ``"stam"``, the order efficiencies of a perfect mirror may sum to more or less than 1. With
-            ``"normalised"``, they sum to 1 for every direction: instead of masking, colours are multiplied by a(ωi)
-            a(ωr), the factors of :func:`warpdiff.order_efficiencies` averaged over the wavelengths. The factors require
-            about two seconds, once per height field.
+            ``"normalised"``, these efficiencies sum to 1 for every direction: instead of masking, colours are
+            multiplied by a(ωi) a(ωr), the factors of :func:`warpdiff.order_efficiencies` averaged over the wavelengths.
+            The factors require about two seconds, once per height field.
     """
 
     energy: Energy = "stam"

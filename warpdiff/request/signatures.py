@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from warpdiff.core.options import Option
 
 Function = TypeVar("Function", bound="Callable[..., Any]")
-# Line width of generated docstrings [characters], equal to that of the code.
+# Line width of generated docstrings [characters], equal to the line width of the code.
 _WIDTH = 120
 
 

@@ -80,7 +80,7 @@ class CoefficientRange:
 
     @classmethod
     def covering(cls, direction_range: DirectionRange) -> CoefficientRange:
-        """Return the range of coefficients for a range of directions and wavelengths."""
+        """Return the range of Fourier coefficients for a range of directions and wavelengths."""
         shortest = min(direction_range.lambda_min_nm, colorimetry.LAMBDA_MIN_NM)
         longest = max(direction_range.lambda_max_nm, colorimetry.LAMBDA_MAX_NM)
         return cls(
@@ -244,7 +244,7 @@ def kernels_for(method: str, coherence: Coherence, terms: int) -> Any:
 def table_for(
     heightfield: HeightField, plan: Plan, direction_range: DirectionRange, *, device: wp.Device, threads: int
 ) -> Table:
-    """Return the coefficient table for a plan and for the directions of a call, from the cache if possible."""
+    """Return the table of Fourier coefficients for a plan and the directions of a call, from the cache if possible."""
     coherence = plan.coherence
     # A fitted basis depends on the range of directions to which it is fitted. Here it is fitted to the range of the
     # plan, which is extended only if the call exceeds it. All calls within the range of a plan therefore give
@@ -291,7 +291,7 @@ def table_for(
 
 
 def without_zeroth_order(table: Table) -> Table:
-    """Return a new table with its rows replaced by copies in which the zeroth order is 0."""
+    """Return a new table with copies of the rows in which the zeroth order (the mean plane's reflection) is 0."""
     arguments = table.arguments
     rows = arguments.rows.numpy().copy()
     rows[arguments.origin_y * arguments.count_x + arguments.origin_x] = 0.0
@@ -320,8 +320,8 @@ def radius(plan: Plan) -> float:
 def neighbour_extent(plan: Plan, heightfield: HeightField) -> tuple[int, int]:
     """Return the number of Fourier coefficients along (y, x) on either side of a direction that a table must contain.
 
-    All plans whose least weight is above ``_LEAST_EXTENT_WEIGHT`` have the same extent, so that they share one fitted
-    basis.
+    All plans whose least Gaussian weight of coefficients is above ``_LEAST_EXTENT_WEIGHT`` have the same extent, so
+    that they share one fitted basis.
     """
     if plan.coherence.kind == "replicas":
         return coefficient_sum.TAPS, coefficient_sum.TAPS
@@ -399,7 +399,7 @@ def _set_taps(table: Any, kernels: Any, heightfield: HeightField, device: wp.Dev
 
 
 def _rotated(rows: NDArray[np.float32], phase: NDArray[np.complex128]) -> NDArray[np.float32]:
-    """Return amplitudes, shape (my, mx, 2, terms), multiplied by complex phase factors, shape (my, mx)."""
+    """Return rows of amplitudes, shape (my, mx, 2, terms), multiplied by complex phase factors, shape (my, mx)."""
     cosine, sine = (part.astype(np.float32)[:, :, None] for part in (phase.real, phase.imag))
     re, im = rows[:, :, 0], rows[:, :, 1]
     return np.stack([re * cosine - im * sine, re * sine + im * cosine], axis=2)

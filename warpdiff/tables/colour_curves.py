@@ -40,8 +40,8 @@ _LEAST_SCALE_OVER_W = 1e-2
 # Number of wavelengths from one ring of the table to the next at which the colour curves are sampled. Splines are
 # fitted to these samples.
 _SAMPLES_PER_NODE = 64
-# Errors in the fit of splines are relative to the values of a colour curve, which vanish at both ends of the spectrum.
-# The divisor is at least this share of the largest value of the curve.
+# Errors in the fit of splines are relative to the values of a colour curve, which vanish at both ends of the visible
+# range. The divisor is at least this share of the largest value of the curve.
 _LEAST_SCALE = 0.005
 # Colour curves include the reflectance of the material at one angle θd, which is half of the angle between the
 # directions to the light and to the viewer. `_MIDDLE_COSINE` is its cosine. The reflectance at another angle divided by
@@ -148,8 +148,8 @@ def make_projection(
     matrix *= relative
     values, vectors = np.linalg.eigh(matrix @ matrix.T)
     squares, left = np.maximum(values, 0.0), vectors[:, ::-1]
-    # Entry n of `remaining` is the truncation error with the first n functions of w. It is the largest error over all
-    # |w| and not the mean, because a call may use a single |w|.
+    # Entry n of `remaining` is the truncation error with the first n functions of w. The error is the largest one over
+    # all |w| and not the mean, because a call may use a single |w|.
     remaining = np.sqrt(np.append(np.cumsum(squares * vectors**2, axis=1).max(axis=0)[::-1], 0.0))
     needed = int(np.argmax(remaining <= terms.share * plan.tolerance))
     m = plan.w_basis_size or min(W_BASIS_STEP * math.ceil(max(needed, 1) / W_BASIS_STEP), MOST_W_BASIS)
@@ -257,7 +257,8 @@ def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool 
     Args:
         rings: Number of rings per octave of the table.
         illuminated: Illuminant, and the material whose reflectance at cos θd = `_MIDDLE_COSINE` the curves include.
-        lines: Whether rows are powers per unit area of frequency, as ``holds_lines`` of :class:`SpectrumBasis`.
+        lines: Whether rows of the spectrum are powers per unit area of frequency, as ``holds_lines`` of
+            :class:`SpectrumBasis` states.
 
     Returns:
         Weights of consecutive rings, shape (ring_count(rings), 3). The first ring is one ring below the ring of the
@@ -267,7 +268,8 @@ def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool 
     if lines:
         products = products / (1e-3 * np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))[:, None] ** 2
     result = _projected(products, rings)
-    # A constant power spectrum must give the exact colour of white, up to rounding. The weights are scaled accordingly.
+    # A constant power spectrum must give the exact colour of white, up to rounding. The weights of rings are scaled
+    # accordingly.
     return np.asarray(result * products.sum(axis=0) / (math.log(2.0) / rings * result.sum(axis=0)))
 
 
@@ -301,6 +303,6 @@ def _projected(products: NDArray[np.float64], rings_per_octave: int) -> NDArray[
 
 
 def spline(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the quadratic B-spline at distances from its centre, in units of its knot spacing."""
+    """Return the quadratic B-spline at distances from its centre, in units of the knot spacing."""
     away = np.abs(x)
     return np.where(away < 0.5, 0.75 - away**2, 0.5 * np.maximum(1.5 - away, 0.0) ** 2)

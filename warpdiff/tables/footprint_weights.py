@@ -101,7 +101,7 @@ def _tap_weights(most: int, rule: TapRule) -> tuple[NDArray[np.float32], NDArray
 
 @np.errstate(under="ignore")
 def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Return the weights of spline coefficients that blur a spline by a Gaussian, truncated at the outermost taps."""
+    """Return the weights of spline coefficients that blur a spline by a Gaussian, truncated at the outermost one."""
     # The blur is computed by a discrete Fourier transform, which is periodic. The interval extends to 16 sample
     # distances from the centre, where even the widest Gaussian is negligible.
     fine = np.arange(-1024, 1024) / 64.0
@@ -142,12 +142,12 @@ def _inverse_products(count: int) -> NDArray[np.float64]:
 
 
 def _filtered(at: NDArray[np.float64], filters: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Return a Gaussian with the area 1 and a given variance, convolved with a discrete filter, at positions ``at``."""
+    """Return a Gaussian with the area 1, convolved with the discrete filter ``filters``, at the positions ``at``."""
     away = at[..., None] - (np.arange(len(filters)) - len(filters) // 2)
     gaussian = np.exp(-0.5 * away**2 / variance)
     return np.asarray(gaussian @ filters / math.sqrt(2.0 * math.pi * variance))
 
 
-# Taps for spectral lines extend further than taps for a spectrum under a window, because the tails of single lines are
-# visible.
+# Taps are the samples that a look-up adds. For spectral lines, they extend further than for a smooth spectrum under a
+# coherence window, because the tails of single lines are visible.
 SPECTRUM_TAPS, LINE_TAPS = TapRule(2.5, _closest), TapRule(3.1, _cut_off)

@@ -101,7 +101,7 @@ class ColourLookup:
         )
 
     def copy_with(self, plan: Plan) -> ColourLookup:
-        """Return a look-up of the same directions by another plan, with tables of its own."""
+        """Return a look-up of the same directions by another plan; it has tables of its own."""
         return ColourLookup(
             self.heightfield, plan, self._range, zeroth_order=self._zeroth_order, device=self.device,
             threads=self._threads,
@@ -156,7 +156,7 @@ class ColourLookup:
     def _sample(self, directions: list[wp.array], illuminated: IlluminatedMaterial, xyz: wp.array) -> KernelCall:
         """Return the kernel call that integrates over sampled wavelengths and adds the colours to ``xyz``."""
         heightfield, plan, device = self.heightfield, self.plan, self.device
-        # The coefficient table is stored in an attribute of this object, because the shared cache may discard it
+        # The coefficient table is stored in an attribute of this object, because the shared cache may discard the table
         # between two calls.
         if self._table is None:
             self._table = coefficient_table.table_for(

@@ -27,8 +27,8 @@ _FEWEST_DIVISIONS = 2.0
 # Radius of the innermost ring, in standard deviations of the spectrum's blur by the coherence window. The number was
 # derived from a Gaussian of this width: within the radius, it deviates from a constant by at most (1/50)²/2 = 2e-4.
 _FLAT_WITHIN_SIGMAS = 0.02
-# Standard deviation by which the lines of a source's spectrum are blurred in a table, in distances of azimuth samples.
-# Splines represent lines of this width accurately.
+# Standard deviation by which the spectral lines under a light source are blurred in a table, in distances of azimuth
+# samples. Splines represent lines of this width accurately.
 _LINE_BLUR_SPACINGS = 0.8
 # Number of azimuth samples of a mip level per standard deviation of the total blur of this level.
 _BLURRED_AZIMUTHS_PER_WIDTH = 1.2
@@ -75,8 +75,8 @@ class MipLayout:
         """Return the layout of a table for a coherence window, whose spectrum is smooth and is sampled."""
         rings, width = plan.rings_per_octave, blur(plan.coherence)
         step = math.log(2.0) / rings
-        # A colour uses up to three rings beyond its octave of frequencies, and the spline of a look-up uses two more.
-        # The outermost octave of frequencies ends five rings beyond the largest frequency.
+        # A colour uses up to three rings beyond its octave of frequencies, and the spline of a look-up uses two further
+        # rings. The outermost octave of frequencies ends five rings beyond the largest frequency.
         top = math.log(max(highest, width)) + 5.0 * step
         octaves = max(math.ceil((top - math.log(_FLAT_WITHIN_SIGMAS * width)) / math.log(2.0)), 2)
         log_low = top - octaves * math.log(2.0)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.request.plan import Plan
 
-# Smallest number of azimuth samples of a ring.
+# Smallest number of azimuth samples of a ring of a table.
 FEWEST_AZIMUTHS = 16
 # Wavelength in the middle of the visible range [µm].
 MIDDLE_UM = 0.55
@@ -48,8 +48,8 @@ LOG_RED, LOG_BLUE = (
 TABLE_SIZES = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1), (96, 2.6), (128, 3.0))
 # Order of convergence p: the error of a table with n rings per octave is proportional to n^−p.
 ERROR_ORDER = 2.0
-# Distance of neighbouring diffraction orders above which they count as separate, in standard deviations of an order in
-# the spectrum.
+# Distance of neighbouring diffraction orders above which they count as separate, in standard deviations of the peak of
+# an order in the spectrum.
 _ORDERS_APART_SIGMAS = 4.0
 # Expected error of a table for skies, as a share of the tolerance. The remaining part of the tolerance is for the
 # random scatter of the sky samples. The share was fitted to a smooth sky viewed at 80°, with a tolerance of 0.1. There,
@@ -149,19 +149,22 @@ def orders_are_separate(heightfield: HeightField, coherence: Coherence) -> bool:
 
 
 def table_sizes(coherence: Coherence) -> list[tuple[int, float]]:
-    """Return the available table sizes in ascending order, as pairs like those of ``TABLE_SIZES``."""
+    """Return the available table sizes in ascending order, as pairs of rings per octave and azimuths per width."""
     factor = _MORE_AZIMUTHS_OF_SOURCES if coherence.kind == "source" else 1.0
     return [(rings_per_octave, factor * azimuths) for rings_per_octave, azimuths in TABLE_SIZES]
 
 
 def smallest_sufficient_size(plan: Plan, share: float = 1.0) -> tuple[int, float] | None:
-    """Return the smallest table size whose typical error is at most ``share`` of a plan's tolerance, or None."""
+    """Return the smallest table size whose typical error is at most ``share`` of a plan's tolerance, or None.
+
+    A size is a pair like those of ``TABLE_SIZES``. None means that no size suffices.
+    """
     sizes = table_sizes(plan.coherence)
     return next((size for size in sizes if table_error(size[0]) <= share * plan.tolerance), None)
 
 
 def size_for_skies(plan: Plan) -> tuple[int, float]:
-    """Return the table size for look-ups under a sky, at most that of the plan's own table.
+    """Return the table size for look-ups under a sky, at most the size of the plan's own table.
 
     A smaller table suffices for a sky, because the errors of a table change their sign between neighbouring directions
     and partly cancel in the sum over the sky.

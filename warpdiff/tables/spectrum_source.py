@@ -1,4 +1,4 @@
-"""Power spectra from which colour tables are computed: a sampled spectrum under a window, or spectral lines."""
+"""Power spectra from which colour tables are computed: a sampled spectrum, or a sum of spectral lines."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ _FUNCTIONS_SHARE, _CARDINALS_SHARE = 0.5, 0.05
 # `_ROWS_FOR_TERM_SIZES` is the number of Fourier coefficients from whose rows the typical size of each basis term is
 # computed. `_LEAST_TERM_SIZE` is the smallest size that is assumed for a term, relative to the largest term.
 _ROWS_FOR_TERM_SIZES, _LEAST_TERM_SIZE = 4096, 1e-3
-# Number of values of |κ| at which the power of the zeroth order is tabulated.
+# Number of values of |κ| = |w|/λ at which the power of the zeroth order is tabulated.
 _ZEROTH_ENTRIES = 2048
 # Peak memory while spectral lines are listed [bytes per line]. It was derived by adding the sizes of the arrays in the
 # code.
 _BYTES_PER_LINE = 80.0
-# Distance in angle at which the Gaussian blur of a spectral line is truncated, in standard deviations of the blur.
+# Angle from a spectral line at which the Gaussian blur of the line is truncated, in standard deviations of the blur.
 _LINE_RADIUS_SIGMAS = 4.5
 
 
@@ -107,7 +107,7 @@ class SpectrumSource(ABC):
 
     @abstractmethod
     def kernels(self, w_basis_size: int) -> list[Any]:
-        """Return all kernels that sample the spectrum and project it to colours, so that callers can load them."""
+        """Return all kernels that sample the spectrum and project it to colours; callers load these kernels."""
 
     @abstractmethod
     def sampled(self, **options: Any) -> Any:
@@ -144,7 +144,7 @@ class SpectrumSource(ABC):
 
 
 class WindowedSpectrum(SpectrumSource):
-    """Power spectrum under an averaged or centred window, sampled on a polar grid of frequencies."""
+    """Power spectrum under an averaged or centred coherence window, sampled on a polar grid of frequencies."""
 
     has_lines, tap_rule = False, SPECTRUM_TAPS
 
@@ -154,7 +154,7 @@ class WindowedSpectrum(SpectrumSource):
         return spectrum_sampling.resampler(lanes, self.table.coefficients.rows.shape[2] == 1, width)
 
     def kernels(self, w_basis_size: int) -> list[Any]:
-        """Return the kernel that samples the spectrum, and the kernel that projects two octaves of samples."""
+        """Return the kernel that samples the spectrum, and the kernel that projects two octaves of it to colours."""
         return [self._sampler.resample, self.projection_kernels(w_basis_size).project]
 
     def sampled(self, **options: Any) -> list[wp.array]:
@@ -174,7 +174,7 @@ class WindowedSpectrum(SpectrumSource):
         return [values, *(wp.array(counts, dtype=wp.int32, device=device) for counts in (starts, grid.azimuths))]
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Return a function that projects samples of the spectrum, in one octave and the next one, to colours."""
+        """Return a function that projects samples of the spectrum, in one octave and the next octave, to colours."""
         azimuths, terms, rings = self.layout.levels[0].azimuths, len(self.basis.sizes), self.layout.spectrum.rings
         # Working memory in which each azimuth sample has room for its rings of one octave and the next one. On the CPU,
         # the threads use only the beginning of this memory, and the rest of the allocation occupies no memory.
@@ -209,7 +209,7 @@ NODES_OF_LINE = 42.0
 
 
 class LineSpectrum(SpectrumSource):
-    """Power spectrum of an infinite surface under a source: one line at the frequency of each coefficient."""
+    """Power spectrum of an infinite surface under a source: one line at the frequency of each Fourier coefficient."""
 
     has_lines, tap_rule = True, LINE_TAPS
 
@@ -244,7 +244,7 @@ class LineSpectrum(SpectrumSource):
         return Lines(coefficient_rows[order], angles[order], 0.5 * np.log(squared[inside][order]))
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Return a function that adds the lines of one octave to a grid and projects the sums to colours."""
+        """Return a function that adds the spectral lines of one octave to a grid, and projects the sums to colours."""
         grid, sampler, terms, device = self.layout.spectrum, self._sampler, len(self.basis.sizes), options["device"]
         rings = grid.rings + len(curves) - 1 + 2 * FILTER_REACH
 

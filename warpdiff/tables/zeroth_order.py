@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Number of height levels of the histogram from which the zeroth order is computed. With this number, the phases of
-# heights have an error of at most 1e-4 rad.
+# Number of height levels of the histogram from which the zeroth order is computed. With this number, the phases that
+# heights cause have an error of at most 1e-4 rad.
 _HEIGHTS = 65_536
 
 
@@ -58,7 +58,7 @@ class ZerothOrder:
         return cls(np.asarray(np.abs(means) ** 2, dtype=np.float32), *kappas, coherence)
 
     def at(self, kappas: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the power at the peak of the lobe for |κ| = |w|/λ within the tabulated range, shape (n,)."""
+        """Return the power at the peak of the zeroth order for |κ| = |w|/λ within the tabulated range, shape (n,)."""
         shares = (kappas - self.least_kappa) / (self.largest_kappa - self.least_kappa)
         return between_entries(self.power[:, None], shares)[:, 0]
 
@@ -73,9 +73,9 @@ class ZerothOrder:
 
 
 def between_entries(entries: NDArray[Any], shares: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Interpolate linearly between equally spaced entries.
+    """Interpolate linearly between equally spaced entries of a table.
 
-    ``entries`` has the shape (n, m). The positions ``shares`` run from 0 at the first entry to 1 at the last one.
+    ``entries`` has the shape (n, m). The positions ``shares`` run from 0 at the first entry to 1 at the last entry.
     """
     at = shares * (len(entries) - 1)
     first = np.clip(at.astype(np.int64), 0, len(entries) - 2)
