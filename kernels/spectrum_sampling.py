@@ -211,7 +211,7 @@ def adder(w_basis_size: int) -> wp.Kernel:
         values: wp.array(dtype=row_t), factors: wp.array(dtype=wp.float32), begins: wp.bool, first: wp.int32,
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Multiply rows by the factors of their rings, and add them to ``rows_out``; overwrite it if ``begins``."""
+        """Multiply rows by factors of rings, and add the products to ``rows_out``; overwrite it if ``begins``."""
         rings = factors.shape[0]
         at = (first + wp.tid()) * rings
         for ring in range(rings):

@@ -78,8 +78,8 @@ def estimate_errors(
 ):  # fmt: skip
     """Estimate the errors ‖ΔXYZ‖ of pixels with one ray each, and mark the pixels to subdivide.
 
-    The contrast of a pixel is its largest difference of colour from a neighbour. Pixels that do not hit the mesh do not
-    count as neighbours.
+    The contrast of a pixel is the largest difference of its colour from the colour of a neighbouring pixel. Pixels that
+    do not hit the mesh do not count as neighbours.
 
     Args:
         colours: Colours of the pixels of the picture, row by row.
@@ -207,9 +207,9 @@ class FilteredSums:
     quadrants: wp.array2d(dtype=wp.vec3f)
     levels: wp.array(dtype=wp.uint8)
     lighting: wp.array(dtype=wp.uint8)
-    # For each tile, ``splat_cells`` writes the difference between the mean colour of its cells and the colour by one
-    # ray. ``select_levels`` replaces this difference by the estimated error of 2 × 2 cells. For sampled lights the
-    # array has the standard deviation of the mean instead.
+    # For each subdivided pixel (tile), ``splat_cells`` writes the difference between the mean colour of its cells and
+    # the colour by one ray. ``select_levels`` replaces this difference by the estimated error of 2 × 2 cells. For
+    # sampled lights the array has the standard deviation of the mean instead.
     changes: wp.array(dtype=wp.float32)
     ranks: wp.array(dtype=wp.int32)
     # Factors that normalise sums over cells, for each level and each of three pixels in a row. A factor is the integral
@@ -231,7 +231,7 @@ def quadrant_at(
     sums: FilteredSums, levels: wp.array(dtype=wp.uint8), row: wp.int32, column: wp.int32, width: wp.int32,
     height: wp.int32,
 ) -> wp.vec4f:  # fmt: skip
-    """Return the colour of a quadrant of a tile, and 1 as a fourth number; four zeros if the pixel is not a tile.
+    """Return the colour of a quadrant of a subdivided pixel, and 1 as a fourth number; four zeros for other pixels.
 
     ``row`` and ``column`` count quadrants of the picture, two per pixel.
     """
@@ -341,7 +341,10 @@ def mean_scatter(
     sums: FilteredSums, levels: wp.array(dtype=wp.uint8), row: wp.int32, column: wp.int32, width: wp.int32,
     height: wp.int32,
 ) -> wp.float32:  # fmt: skip
-    """Return the root mean square of the scatter of a tile and its neighbours, weighted by the pixel filter."""
+    """Return the root mean square of the random scatter of a tile (subdivided pixel) and its neighbours.
+
+    The squares are weighted by the pixel filter.
+    """
     square = wp.float32(0.0)
     weight = wp.float32(0.0)
     for line in range(wp.max(1 - row, 0), wp.min(height + 1 - row, 3)):
@@ -363,7 +366,7 @@ def raise_levels(
     run: wp.int32,
     levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Raise the levels of the tiles at ``level`` that cause errors of pixels above the tolerance.
+    """Raise the levels of tiles (subdivided pixels) at ``level`` that cause errors of pixels above the tolerance.
 
     The new levels follow from a prediction of how fast the random scatter decreases with more cells. ``errors`` has the
     estimated errors of pixels. The other arguments are those of :func:`select_levels`. ``colours`` and ``errors`` are
@@ -386,7 +389,8 @@ def raise_levels(
             for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
                 there = (row + line - 1) * width + column + side - 1
                 if marks[there] != wp.uint8(0):
-                    # More cells of this tile cannot reduce the error of a pixel that the other eight tiles cause.
+                    # More cells of this tile (subdivided pixel) cannot reduce the error that the other eight tiles
+                    # cause.
                     share = FILTER_SHARES[line] * FILTER_SHARES[side]
                     error = wp.min(errors[there], SCATTER_CAUTION * SCATTER_FACTOR * share * scatter)
                     excess = wp.max(excess, error / (tolerance * wp.max(wp.length(colours[there]), floor[0])))
@@ -432,9 +436,9 @@ def resolve_pixels(
             continue
         row = pixel // width
         column = pixel % width
-        # If the nine tiles have the same level, the sum over all cells is divided by the sum of all weights
-        # (``together``). This result is closest to the pixel filter. Otherwise the sum over each tile is scaled to the
-        # tile's share of the filter (``apart``). Without this scaling, steps between levels would be visible.
+        # If the nine tiles (subdivided pixels) have the same level, the sum over all cells is divided by the sum of all
+        # weights (``together``). This result is closest to the pixel filter. Otherwise the sum over each tile is scaled
+        # to the tile's share of the filter (``apart``). Without this scaling, steps between levels would be visible.
         least = wp.int32(refinement_levels.MOST_LEVEL)
         most = wp.int32(0)
         all_levels = wp.int32(0)

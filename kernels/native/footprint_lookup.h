@@ -33,11 +33,11 @@ constexpr float WIDE = 0.25f;
 // direction, and polar coordinates do not describe such footprints.
 constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
 // The weights of rings are tabulated for blurs with a variance of at most `MOST_TABULATED` [rings²]. For larger
-// variances, they are values of a Gaussian. Wide blurs do not require all rings. `MOST_APART` is the largest distance
-// of the rings that are added, in units of 1/√(1/σ₁² + 1/σ₂² + …). Each σ is the standard deviation of the blur, or of
-// a feature of the colours over rings, so that the smallest σ counts most. `CURVES` is the standard deviation σ of the
-// narrowest colour curve over ln λ. A colour curve is the product of illuminant, colour-matching function and
-// reflectance.
+// variances, the weights are values of a Gaussian. Wide blurs do not require all rings. `MOST_APART` is the largest
+// distance of the rings that are added, in units of 1/√(1/σ₁² + 1/σ₂² + …). Each σ is the standard deviation of the
+// blur, or of a feature of the colours over rings, so that the smallest σ counts most. `CURVES` is the standard
+// deviation σ of the narrowest colour curve over ln λ. A colour curve is the product of illuminant, colour-matching
+// function and reflectance.
 constexpr float MOST_TABULATED = 1.5f, MOST_APART = 1.5f, CURVES = 0.047f;
 
 // Gaussian for wide blurs across rings. It is truncated at `deviations` standard deviations from its centre, and has
@@ -373,8 +373,8 @@ WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, Ne
     }
 }
 
-// Select the mip level of each segment. Compute the azimuth, the blur in angle and the first row of each segment on its
-// level.
+// Select the mip level of each segment, a group of rings within one octave. Compute the azimuth, the blur in angle and
+// the first row of each segment on its level.
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const Parts<N>& parts, Segments<N>& segments)
 {
@@ -407,8 +407,8 @@ WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const 
         }
 }
 
-// Return the weight of a segment's m-th ring: the value of a skewed Gaussian around the centre of the part of the
-// footprint, up to a constant factor.
+// Return the weight of the m-th ring of a segment (a group of rings): the value of a skewed Gaussian around the centre
+// of the part of the footprint, up to a constant factor.
 template <int N>
 WARPDIFF_INLINE float gaussian_weight(const Segments<N>& segments, CutGaussian cut, int s, int m)
 {
@@ -417,9 +417,9 @@ WARPDIFF_INLINE float gaussian_weight(const Segments<N>& segments, CutGaussian c
     return falloff * larger(1.0f + segments.skew[s] * t * (t2 - 3.0f), 0.0f);
 }
 
-// Compute the azimuth of the footprint's centre at a segment's m-th ring, and the remaining blur as an index of the
-// table of weights. The width of a footprint in (u, v) is the same at all rings, so that its angular width is inversely
-// proportional to the radius.
+// Compute the azimuth of the footprint's centre at the m-th ring of a segment (a group of rings), and the remaining
+// blur as an index of the table of weights. The width of a footprint in (u, v) is the same at all rings, so that its
+// angular width is inversely proportional to the radius.
 template <int N, class Table, class Taps>
 WARPDIFF_INLINE void place_ring(
     const Table& table, const Taps& taps, const Segments<N>& segments, int s, int m, float& position, int& step)
@@ -431,8 +431,8 @@ WARPDIFF_INLINE void place_ring(
         (float)((int)taps.weights.shape[0] - 1));
 }
 
-// Return which rows around an azimuth are added for a segment's m-th ring, `count` in number, and the index of the
-// weights of these rows.
+// Return which rows around an azimuth are added for the m-th ring of a segment (a group of rings), `count` in number.
+// Return also the index of the weights of these rows.
 template <int N, class Table, class Taps>
 WARPDIFF_INLINE RingRows rows_of_ring(const Table& table, const Taps& taps, const Segments<N>& segments, int s, int m,
     float position, int step, int count)

@@ -117,7 +117,8 @@ WARPDIFF_INLINE void choose_light(const Lights& lights, const Table& table, floa
     float rest = random * total, share = 0.0f;
     int group = 0;
     while ((group + 1) * size < count && !(sums[group] > rest)) rest -= sums[group++];
-    // If rounding makes the sum of a group too small, the last light of the group above the horizon is chosen.
+    // If rounding makes the summed brightness of a group of lights too small, the last light of the group above the
+    // horizon is chosen.
     long long chosen = -1;
     for (int first = group * size; first < wp::min((group + 1) * size, count) && rest >= 0.0f; first += N) {
         expect_brightness(lights, table, point, diffuse, first, expected);

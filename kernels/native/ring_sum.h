@@ -26,8 +26,8 @@ constexpr float OUTWARDS = 3.2f, INWARDS = 4.5f;
 constexpr float RINGS_APART = 0.1f, RINGS_PER_DEVIATION = 1.2f, WITHIN = 0.5f;
 // Smallest radius of the rings that are added. It is the smaller of two products. One is `INNERMOST` times the smaller
 // standard deviation of the Gaussian. The other is `INNERMOST_OF_LOBE` times the standard deviation of an order's peak
-// in (u, v). `NARROWEST` is the least standard deviation of the Gaussian, relative to that of the peak. The values are
-// limited by time: smaller values add more rings.
+// in (u, v). `NARROWEST` is the least standard deviation of the Gaussian, relative to the standard deviation of the
+// peak. The values are limited by time: smaller values add more rings.
 constexpr float INNERMOST = 0.1f, INNERMOST_OF_LOBE = 0.3f, NARROWEST = 0.3f;
 // Rule for the mip level whose rows are added. `MOST_BLUR2` is the maximum variance of the blur of the level, relative
 // to the variance of the Gaussian along the ring. `AZIMUTHS_APART` is the maximum distance of the level's azimuths, in

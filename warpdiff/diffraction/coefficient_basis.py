@@ -67,8 +67,8 @@ _NOISE_POWER = 1e-26
 _SMALL_KAPPA = 0.1
 # Number of coefficients that a fit processes at once. The value is limited by memory, which is proportional to it.
 _CHUNK = 65_536
-# Largest magnitude of the values of a Taylor basis, within the range of float32. Where |κ| is too large for the series
-# to converge in float32, values would be larger than this, and are clipped.
+# Largest magnitude of the values of a Taylor basis, within the range of float32. Where |κ| = |w|/λ is too large for the
+# series to converge in float32, values would be larger than this, and are clipped.
 _LARGEST = 1e30
 
 
@@ -124,7 +124,7 @@ class Coefficients:
         return places, powers.ravel()[places].astype(np.float64)
 
     def terms_within(self, tolerance: float) -> int:
-        """Return the smallest number of terms whose truncation error is within a tolerance; at most all terms."""
+        """Return the smallest number of basis functions whose truncation error is within a tolerance; at most all."""
         enough = np.flatnonzero(self.truncation_errors <= tolerance)
         return max(1, int(enough[0])) if enough.size else self.terms
 
@@ -168,7 +168,7 @@ def of_series(
 def fitted(
     heightfield: HeightField, method: str, series: Coefficients, kappas: tuple[float, float], *, adds_powers: bool
 ) -> Coefficients:
-    """Return Fourier coefficients in a basis that is fitted to them, with the accuracy of float32.
+    """Return Fourier coefficients in a basis that is fitted to these coefficients, with the accuracy of float32.
 
     ``kappas`` is the range of |κ| = |w|/λ [1/µm]. ``method`` is ``"low-rank"`` or ``"power"``; ``series`` has the
     coefficients in the Jacobi-Anger series with as many terms as :func:`series_terms` returns.

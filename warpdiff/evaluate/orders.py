@@ -48,9 +48,9 @@ _MOST_DEVIATION = 0.2
 # Lower bound of the reflectance of a flat surface where this reflectance divides the sum of the efficiencies. The
 # reflectance of an antireflective film may be 0 up to rounding.
 _LEAST_REFLECTANCE = 1e-12
-# Measured memory of `order_efficiencies` [bytes]. The first number is per height sample, and the second is per order
-# and wavelength. The third is per order and per term of the polynomials that interpolate Fourier coefficients over
-# κ = w/λ.
+# Measured memory of `order_efficiencies` [bytes]. `_BYTES_A_SAMPLE` is per height sample, and `_BYTES_A_LINE` is per
+# order and wavelength. `_BYTES_A_TERM` is per order and per term of the polynomials that interpolate Fourier
+# coefficients over κ = w/λ.
 _BYTES_A_SAMPLE, _BYTES_A_LINE, _BYTES_A_TERM = 100, 120, 16
 # Number of matrix elements up to which the directions to the light share Fourier transforms of the height field. The
 # matrices are those of the energy normalisation. The value is limited by memory.
@@ -459,7 +459,7 @@ def _term_count(argument: float) -> int:
 
 
 def _warn_of_aliasing(heightfield: HeightField, orders: NDArray[np.int64]) -> None:
-    """Warn if orders propagate that the samples cannot represent, so that lower orders get their power (aliasing)."""
+    """Warn if orders propagate that the samples cannot represent; the power of these orders aliases to lower orders."""
     for name, axis in (("y", 0), ("x", 1)):
         largest = int(np.max(np.abs(orders[:, axis]), initial=0))
         if 2 * largest > heightfield.shape[axis] > 1:

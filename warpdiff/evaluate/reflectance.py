@@ -47,8 +47,8 @@ _DIRECT_SETTLED = 0.05
 # Maximum number of wavelengths of the direct method. The value is limited by computing time, which is proportional to
 # it; one direction with so many wavelengths requires several seconds.
 _DIRECT_MOST_WAVELENGTHS = 20_000
-# Measured memory [bytes]. The first number is per direction of a call. The second is added for a spectrum, per
-# direction and wavelength. The third is per direction of a reflectance map.
+# Measured memory [bytes]. `_BYTES_PER_DIRECTION` is per direction of a call. A spectrum requires `_BYTES_PER_VALUE`
+# more, per direction and wavelength. `_BYTES_OF_MAP` is per direction of a reflectance map.
 _BYTES_PER_DIRECTION, _BYTES_PER_VALUE, _BYTES_OF_MAP = 170, 16, 190
 _REMEDY = "take a larger tolerance, fewer directions at a time, or a smaller heightfield"
 

@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 # Largest power of a light, a linear factor. The value is limited by kernels, which square colours in float32; float32
 # ends at 3e38.
 MOST_POWER = 1e12
-# Smallest number of directional lights with the same illuminant at which each subpixel cell chooses one of them at
-# random, instead of evaluating all. The number was fitted to pictures of a snake and of a tube: with fewer lights, one
-# of these pictures requires less time if all lights are evaluated.
+# Smallest number of directional lights with the same illuminant at which each subpixel cell chooses one light at
+# random, instead of evaluating all lights. The number was fitted to pictures of a snake and of a tube: with fewer
+# lights, one of these pictures requires less time if all lights are evaluated.
 MANY_LIGHTS = 64
 # Number of random directions per pixel to a disc light that is too wide for one lobe, in pictures with
 # ``refine=False``. The value is limited by time, which is proportional to it.

@@ -1,4 +1,4 @@
-"""Distributions from which directions to a sky are drawn: by the light of the sky, and by that of the surface."""
+"""Distributions from which directions to a sky are drawn: by the sky's brightness, and by the surface's colours."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import IlluminatedMaterial
     from warpdiff.tables.lookup import ColourLookup
 
-# Grid of (u, v) on which directions are drawn by the surface's colours. The first number is the number of rings per
-# octave of |(u, v)|, and the second is the largest |(u, v)|. The third is the radius of a disc in the middle without
-# rings, in standard deviations of the lobe of a diffraction order. All values were chosen freely: they change only the
-# noise.
+# Grid of (u, v) on which directions are drawn by the surface's colours. `_RINGS_PER_OCTAVE` is the number of rings per
+# octave of |(u, v)|, and `_FARTHEST` is the largest |(u, v)|. `_DISC_RADIUS` is the radius of a disc in the middle
+# without rings, in standard deviations of the lobe of a diffraction order. All values were chosen freely: they change
+# only the noise.
 _RINGS_PER_OCTAVE, _FARTHEST, _DISC_RADIUS = 6, 2.05, 0.5
-# Number of azimuth samples on a ring of (u, v). The first value is the distance of neighbouring samples, in standard
-# deviations of the lobe of a diffraction order. The others are the least and the largest number of samples per ring.
-# The largest number was chosen by the errors of pictures: with at most 64 samples per ring, they are 1.5 times as large
-# (docs/decisions/environments.md).
+# Azimuth samples on a ring of (u, v). The first number is the distance of neighbouring samples, in standard deviations
+# of the lobe of a diffraction order. The other numbers are the least and the largest number of samples per ring. The
+# largest number was chosen by the errors of pictures: with at most 64 samples per ring, the errors are 1.5 times as
+# large (docs/decisions/environments.md).
 _SPOKES_APART, _FEWEST_SPOKES, _MOST_SPOKES = 1.0, 16, 512
 # Values of |w| = cos θi + cos θr at which colours of the surface are looked up. θi and θr are the angles of light and
 # view from the normal. The mean of the colours determines the probability of a direction. The values were chosen
@@ -182,8 +182,7 @@ def _of_sky(grid: SkyGrid) -> tuple[NDArray[np.float64], NDArray[np.float64], ND
     """
     bright = grid.powers.sum(axis=2)
     # Kernels interpolate the sky between the centres of cells, so that a bright cell brightens its neighbours. A
-    # neighbour may be in another block. The brightness of a cell therefore counts as that of the brightest cell around
-    # it.
+    # neighbour may be in another block. A cell therefore counts with the brightness of the brightest cell around it.
     bright = np.maximum.reduce([np.roll(bright, shift, axis=1) for shift in (-1, 0, 1)])
     bright[1:-1] = np.maximum.reduce([bright[:-2], bright[1:-1], bright[2:]])
     rows, columns = (size // _CELLS_OF_BLOCK for size in bright.shape)

@@ -1,8 +1,8 @@
 """Upper-bound plan: numbers of terms, coefficients and wavelengths that suffice for any surface and all directions.
 
-"All directions" are those of the range of a call. Calls with few directions use the upper-bound plan directly. For
-calls with many directions, a search for a cheaper plan starts from the upper-bound plan. The search measures errors
-against a plan with more wavelengths than the upper-bound plan.
+"All directions" are the directions within the range of a call. Calls with few directions use the upper-bound plan
+directly. For calls with many directions, a search for a cheaper plan starts from the upper-bound plan. The search
+measures errors against a plan with more wavelengths than the upper-bound plan.
 """
 
 from __future__ import annotations

@@ -32,13 +32,13 @@ if TYPE_CHECKING:
 # repair by twice as many steps as the repair before. The value was chosen so that a search tries fewer than fifty
 # plans.
 _REPAIRS = 3
-# Largest number of factors of 2 by which a search reduces a bandwidth. Upper bounds are less than 2³ times as large as
-# the bandwidth that calls require.
+# Largest number of factors of 2 by which a search reduces a bandwidth, the number of wavelength samples per unit of
+# 1/λ. Upper bounds are less than 2³ times as large as the bandwidth that calls require.
 _OCTAVES = 3
-# Tolerance for which the upper bound of the bandwidth is the reference of a grid. Searches try only bandwidths that are
-# 2^(n/SETS_PER_OCTAVE) times this upper bound, where n is a whole number, whatever the tolerance of the call is.
-# Without a common grid, a call with a larger tolerance could get a slightly more expensive plan than a call with a
-# smaller one.
+# Tolerance for which the upper bound of the bandwidth is the reference of a grid. The bandwidth is the number of
+# wavelength samples per unit of 1/λ. Searches try only bandwidths that are 2^(n/SETS_PER_OCTAVE) times this upper
+# bound, where n is a whole number, whatever the tolerance of the call is. Without a common grid, a call with a larger
+# tolerance could get a slightly more expensive plan than a call with a smaller one.
 _GRID_TOLERANCE = 1e-2
 # Number of bright validation directions below which a search uses only a part of its error budget. Fewer directions do
 # not represent the bright directions of a call well. The number was fitted to random calls with few bright directions
@@ -195,9 +195,10 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
     if trial.integrates and plan.subdivisions > 1:
         steps.append(("quadrature", bright, octave_steps, subdivisions))
     if trial.integrates:
-        # The bandwidth has three parts: for the order rate, for |w| and for the colour-matching functions. The search
-        # first coarsens all parts together. It then coarsens the part for the order rate alone, and the other two parts
-        # alone. In the reverse order, the first of these coordinates could use the whole error budget.
+        # The bandwidth, the number of wavelength samples per unit of 1/λ, has three parts: for the order rate, for |w|
+        # and for the colour-matching functions. The search first coarsens all parts together. It then coarsens the part
+        # for the order rate alone, and the other two parts alone. In the reverse order, the first of these coordinates
+        # could use the whole error budget.
         steps += [("quadrature", bright, octave_steps, part) for part in (bandwidth, order_rate, rest)]
     return [
         Coordinate(source, error + share * max(target - error, 0.0) * number / len(steps), most, coarser)
@@ -219,8 +220,8 @@ def _coarsened(plan: Plan, error: float, trial: Trial, coordinate: Coordinate) -
         middle = (low + high) // 2
     if best.wavelengths == coefficient_table.wavelength_set_size(0.0):
         # The plan has the smallest possible number of wavelengths. Steps beyond this number reduced only the bandwidth
-        # that the plan records, and saved no time. The loop undoes these steps. Otherwise a repair, which refines by
-        # steps, would first have to undo them.
+        # (samples per unit of 1/λ) that the plan records, and saved no time. The loop undoes these steps. Otherwise a
+        # repair, which refines by steps, would first have to undo them.
         while low > 0 and replace(finer := coordinate.coarser(plan, low - 1), bandwidth_um=best.bandwidth_um) == best:
             best, low = finer, low - 1
     return best, error
@@ -232,7 +233,10 @@ def _octave_steps(steps: int) -> float:
 
 
 def _on_grid(plan: Plan, trial: Trial) -> Plan:
-    """Return the plan with least weight and bandwidth rounded to the grid of values that all searches try."""
+    """Return the plan with least weight and bandwidth rounded to the grid of values that all searches try.
+
+    The least weight is for Fourier coefficients. The bandwidth is the number of wavelength samples per unit of 1/λ.
+    """
     plan = replace(plan, least_weight=math.exp(math.floor(math.log(plan.least_weight))))
     if not trial.integrates:
         return plan
@@ -256,8 +260,8 @@ def _with_bandwidth(plan: Plan, trial: Trial, bandwidth_um: tuple[float, float, 
     """Return the plan with the bandwidth ``bandwidth_um`` and the number of wavelengths that it requires."""
     per_rate, per_w, constant = bandwidth_um
     # If a source is near the horizon, the number of wavelengths is limited, and the plan is valid only up to a certain
-    # order rate. With a smaller bandwidth, the same number of wavelengths suffices for larger order rates, up to
-    # `served`. The new plan is then valid for these rates, too.
+    # order rate (how fast orders pass a direction as 1/λ changes). With a smaller bandwidth, the same number of
+    # wavelengths suffices for larger order rates, up to `served`. The new plan is then valid for these rates, too.
     served = ((plan.wavelengths - 1.0) / cost_model.SPAN - per_w * plan.max_w - constant) / per_rate
     rate = max(plan.max_order_rate, min(served, trial.max_order_rate))
     result = replace(plan, bandwidth_um=bandwidth_um, max_order_rate=rate)

@@ -42,7 +42,11 @@ _COST_OF_ROW_COLOUR, _COST_OF_DENSE_MULTIPLY_ADD = 105.0, 0.2
 
 
 def wavelength_count(plan: Plan, order_rate: _Numbers, w: _Numbers) -> _Numbers:
-    """Return the number of wavelengths that each direction requires, from its order rate and |w|."""
+    """Return the number of wavelengths that each direction requires, from its order rate and |w|.
+
+    The order rate is how fast orders pass a direction as 1/λ changes. w is the normal component of the scattering
+    vector.
+    """
     per_rate, per_w, constant = plan.bandwidth_um
     return SPAN * (per_rate * order_rate + per_w * w + constant) + 1.0
 

@@ -35,7 +35,7 @@ _PATCH_IN_SIGMAS = 20.0
 # integral over wavelengths, which is proportional to it.
 _MOST_SAMPLES = 2_000_000
 # Relative excess of a call over the range of an explicit plan up to which no warning is raised. Such an excess is
-# harmless, because coefficients are computed for a range that is larger than that of the plan by more than this.
+# harmless, because coefficients are computed for a range that exceeds the range of the plan by more than this.
 _RANGE_MARGIN = 0.03
 _LESS_COHERENT = {
     "averaged": f"a smaller {ref('sigma_um')}",
@@ -185,8 +185,8 @@ def warn_outside(
 ) -> None:
     """Warn if the directions, wavelengths or heights of a call are outside of the range of its explicit ``plan``.
 
-    If ``integrates`` is True, the call computes colours by an integral over wavelengths. The order rate of the call is
-    then compared, too.
+    If ``integrates`` is True, the call computes colours by an integral over wavelengths. The order rate of the call
+    (how fast orders pass a direction as 1/λ changes) is then compared, too.
     """
     shortest, longest = NM_PER_UM / plan.lambda_min_nm, NM_PER_UM / plan.lambda_max_nm
     numbers = [
@@ -196,7 +196,8 @@ def warn_outside(
         ("a height range [µm] of", heightfield.height_range_um, plan.height_range_um, 1.0),
     ]
     if integrates and plan.wavelengths and not plan.rings_per_octave and plan.coherence.sigma_um is None:
-        # For coherence windows, the order rate need not be compared: it equals |(u, v)|, which is compared above.
+        # For coherence windows, the order rate (how fast orders pass as 1/λ changes) need not be compared: it equals
+        # |(u, v)|, which is compared above.
         numbers.append(("an order rate up to", direction_range.max_order_rate, plan.max_order_rate, 1.0))
     if plan.method not in EXPANSIONS:
         # A fitted basis is valid only if |w|/λ is at least the product of the smallest |w| and the smallest 1/λ of its

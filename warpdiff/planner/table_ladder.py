@@ -25,9 +25,10 @@ if TYPE_CHECKING:
 # the planning times of 32 calls (docs/decisions/plans_and_tolerance.md). If doubled, half of the first tables miss the
 # tolerance, and another table must be computed.
 _FIRST_SHARE = 0.35
-# A search tries a larger table only if the present table was better than those before it. This is the largest ratio of
-# its error to their least error. Its error must also be at most twice the error that the order of convergence predicts.
-# The ratio must exceed 0.6, because the smallest step of the table size, 1.3 times the rings, reduces the error to 0.6.
+# A search tries a larger table only if the present table was better than the tables before. This number is the largest
+# ratio of the present error to the least error before. The present error must also be at most twice the error that the
+# order of convergence predicts. The ratio must exceed 0.6, because the smallest step of the table size, 1.3 times the
+# rings, reduces the error to 0.6.
 _HELPS = 0.7
 
 

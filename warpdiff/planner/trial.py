@@ -174,12 +174,16 @@ class Trial:
 
     @property
     def max_order_rate(self) -> float:
-        """Largest order rate of the call's directions, which may exceed the largest rate of the upper-bound plan."""
+        """Largest order rate of the call's directions.
+
+        The order rate is how fast orders pass a direction as 1/λ changes. The result may exceed the largest rate of the
+        upper-bound plan.
+        """
         return self._range.max_order_rate
 
     @forks.cached_property
     def rates(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Order rate, |w| and weight of each candidate: three arrays of the shape (n,).
+        """Order rate, |w| and weight of each candidate direction: three arrays of the shape (n,).
 
         The weight is proportional to the number of the call's directions that a candidate represents. The predicted
         cost of a call is the weighted mean of the costs of all candidates. The cost of a candidate depends on its order
@@ -308,8 +312,8 @@ class Trial:
         exact = self.exact(self.validation_set)
         errors = self.validation_set.errors(self.run(plan, self.validation_set), exact)
         # The reference plan has a limited number of wavelengths, which may be too few if the light of a source arrives
-        # near the horizon. The reference values are then wrong for directions whose order rate is larger than these
-        # wavelengths resolve.
+        # near the horizon. The reference values are then wrong for directions which orders pass faster, as 1/λ changes,
+        # than these wavelengths resolve.
         resolved = self._order_rates(self.validation_set.sample) <= self.reference.max_order_rate
         return worst_percentile(
             errors, self.validation_set, np.repeat(resolved, self._points) if resolved.any() else None

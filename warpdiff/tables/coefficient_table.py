@@ -338,8 +338,9 @@ def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: Illuminate
     per_lateral, per_w, constant = plan.bandwidth_um
     largest = per_lateral * plan.max_order_rate + per_w * plan.max_w + constant
     counts = [plan.wavelengths]
-    # Directions whose bandwidth is smaller than the largest one use sets with fewer wavelengths. The smallest useful
-    # set is the one for the constant part of the bandwidth, which every direction requires.
+    # The bandwidth of a direction is the number of wavelengths that it requires per unit of 1/λ. Directions of smaller
+    # bandwidth use sets with fewer wavelengths. The smallest useful set is for the constant part of the bandwidth,
+    # which every direction requires.
     levels = math.floor(SETS_PER_OCTAVE * (math.log2(largest) - math.log2(constant))) if plan.adaptive else 0
     for level in range(1, levels + 1):
         fewer = wavelength_set_size(plan.wavelengths * 2.0 ** (-level / SETS_PER_OCTAVE))

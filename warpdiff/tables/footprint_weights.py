@@ -1,4 +1,4 @@
-"""Weights of look-ups in mip levels: Gaussian taps over azimuths and rings, and the parts of a long footprint."""
+"""Weights with which look-ups add azimuths and rings of a mip level, and the parts of a long footprint."""
 
 from __future__ import annotations
 
@@ -85,8 +85,8 @@ def _parts(most: int) -> NDArray[np.float64]:
 def _tap_weights(most: int, rule: TapRule) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Return the tabulated weights of taps, shape (variances, positions, most), and the number of taps per variance.
 
-    The tabulated positions are those of the centre of the Gaussian relative to the centre of the taps, from −1/2 to 1/2
-    distances of samples.
+    Taps are the samples that a look-up adds. A tabulated position is the centre of the Gaussian relative to the centre
+    of the taps, from −1/2 to 1/2 distances of samples.
     """
     fractions = (np.arange(_TAP_POSITIONS) + 0.5) / _TAP_POSITIONS - 0.5
     weights = np.zeros((_REMAINING_BLURS, _TAP_POSITIONS, most))
@@ -101,7 +101,7 @@ def _tap_weights(most: int, rule: TapRule) -> tuple[NDArray[np.float32], NDArray
 
 @np.errstate(under="ignore")
 def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Return the weights of spline coefficients that blur a spline by a Gaussian, truncated at the outermost one."""
+    """Return weights of spline coefficients that blur a spline by a Gaussian; it is truncated at the outermost one."""
     # The blur is computed by a discrete Fourier transform, which is periodic. The interval extends to 16 sample
     # distances from the centre, where even the widest Gaussian is negligible.
     fine = np.arange(-1024, 1024) / 64.0

@@ -96,7 +96,7 @@ class MipLayout:
 
     @classmethod
     def _of_lines(cls, plan: Plan, highest: float) -> MipLayout:
-        """Return the layout of a table for a source, whose spectrum is a sum of lines; they are added to the grid."""
+        """Return the layout of a table for a source, whose spectrum is a sum of lines; lines are added to the grid."""
         rings, spread = plan.rings_per_octave, plan.coherence.spread
         step = math.log(2.0) / rings
         # The grid ends three rings beyond the largest frequency, because the spline of a look-up uses these rings, too.

@@ -1,4 +1,4 @@
-"""Polar grids of (u, v) and of frequencies, and the sizes of colour tables on them.
+"""Polar grids of (u, v) and of frequencies, and the sizes of colour tables on these grids.
 
 The power spectrum under an averaged or centred window is smooth: its Fourier transform is the autocorrelation of the
 surface times exp(−r²/4σ²). A table over logarithmic polar coordinates (rings whose radii have equal ratios) resolves
@@ -48,8 +48,8 @@ LOG_RED, LOG_BLUE = (
 TABLE_SIZES = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1), (96, 2.6), (128, 3.0))
 # Order of convergence p: the error of a table with n rings per octave is proportional to n^−p.
 ERROR_ORDER = 2.0
-# Distance of neighbouring diffraction orders above which they count as separate, in standard deviations of the peak of
-# an order in the spectrum.
+# Distance above which neighbouring diffraction orders count as separate, in standard deviations of the peak of an order
+# in the spectrum.
 _ORDERS_APART_SIGMAS = 4.0
 # Expected error of a table for skies, as a share of the tolerance. The remaining part of the tolerance is for the
 # random scatter of the sky samples. The share was fitted to a smooth sky viewed at 80°, with a tolerance of 0.1. There,

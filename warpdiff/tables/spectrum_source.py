@@ -135,7 +135,7 @@ class SpectrumSource(ABC):
 
     @property
     def sampled_bytes(self) -> float:
-        """Size of the spectrum samples [bytes]; 0 for lines, which are processed octave by octave."""
+        """Size of the spectrum samples [bytes]; 0 for spectral lines, which are processed octave by octave."""
         return 0.0 if self.has_lines else 4.0 * len(self.at_kappas) * self.layout.spectrum.nodes
 
     def projection_kernels(self, w_basis_size: int) -> Any:
@@ -255,8 +255,8 @@ class LineSpectrum(SpectrumSource):
             places = (samples.log_frequencies - log_begin) * (grid.rings / math.log(2.0))
             inside = np.flatnonzero((places > -0.5) & (places < rings - 0.5))
             angles = samples.angles[inside]
-            # Angles are periodic: the blur of a line near the angle 0 extends to angles below 2π, and vice versa.
-            # Copies of such lines are therefore added at the other end of the range of angles.
+            # Angles are periodic: the blur of a spectral line near the angle 0 extends to angles below 2π, and vice
+            # versa. Copies of such lines are therefore added at the other end of the range of angles.
             far = _LINE_RADIUS_SIGMAS * blur
             after, before = np.searchsorted(angles, far), np.searchsorted(angles, 2.0 * math.pi - far)
             rotated = np.concatenate([angles[before:] - 2.0 * math.pi, angles, angles[:after] + 2.0 * math.pi])

@@ -63,7 +63,7 @@ class ZerothOrder:
         return between_entries(self.power[:, None], shares)[:, 0]
 
     def lobe_variance(self, wavelength_um: float) -> float:
-        """Return the variance of the lobe along u or v at a wavelength [µm].
+        """Return the variance of the zeroth order's lobe along u or v at a wavelength [µm].
 
         Under a source, the variance depends on the direction of the light; the result is for normal incidence.
         """
