@@ -165,7 +165,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def basis_at(table: Table, kappa: wp.float64) -> row_t:
-        """Return the values of the basis functions at |κ|, by a cubic polynomial through four entries of the table."""
+        """Return the values of the basis functions at |κ| = |w|/λ, by a cubic polynomial through four table entries."""
         steps = wp.max((kappa - table.kappa_low) * table.steps, wp.float64(0.0))
         entry = wp.min(wp.int32(steps), table.basis.shape[0] - 4)
         t = wp.float32(steps - wp.float64(entry))
@@ -280,8 +280,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
                 y = 0
         if wp.static(not adds_powers):
             total = total_re * total_re + total_im * total_im
-        # ⟨|P|²⟩ is at most 1. If the caller requests a κ far beyond the range of a series, the series may overflow to
-        # infinity or NaN. wp.min then returns 1.
+        # The power ⟨|P|²⟩ is at most 1. If a plan is used at a κ = w/λ far beyond the range of its series, the series
+        # may overflow to infinity or NaN. wp.min then returns 1.
         return wp.min(total, wp.float32(1.0))
 
     @wp.func

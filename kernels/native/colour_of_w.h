@@ -8,8 +8,9 @@
 
 namespace warpdiff {
 
-// Cubic interpolation in the table of the basis functions of w, which has equal steps in |w|. Each of N pixels uses
-// four consecutive entries of the table. The index of the first entry and the four weights are stored.
+// Cubic interpolation in the table of the basis functions of w, the normal component of the scattering vector. The
+// table has equal steps in |w|. Each of N pixels uses four consecutive entries of the table. The index of the first
+// entry and the four weights are stored.
 template <int N>
 struct AtW {
     Batch<N, int> entry;

@@ -102,8 +102,8 @@ WARPDIFF_INLINE void filter_to_spline(typename AzimuthRows<TERMS>::Vector* rows,
     }
 }
 
-// Division of a row's W_BASIS_SIZE coefficients, one for each basis function of w, into SIMD vectors. The last vector
-// may overlap the one before it.
+// Division of a row's W_BASIS_SIZE coefficients, one for each basis function of w (the normal component of the
+// scattering vector), into SIMD vectors. The last vector may overlap the one before it.
 template <int W_BASIS_SIZE>
 struct FunctionVectors {
     static constexpr int LANES = ON_GPU ? 1 : W_BASIS_SIZE > 4 ? 8 : 4;
@@ -117,9 +117,9 @@ struct FunctionVectors {
 };
 
 // Compute the colour at one ring on AZIMUTHS azimuths as a weighted sum over `taps` rows of the spectrum. A matrix
-// converts the terms of a row to coefficients of the basis functions of w; each row has its own matrix, the same for
-// all azimuths. The weights of the rows for X, Y and Z are in `colour`. The rows of neighbouring azimuths are `apart`
-// floats from each other in memory.
+// converts the terms of a row to coefficients of the basis functions of w, the normal component of the scattering
+// vector; each row has its own matrix, the same for all azimuths. The weights of the rows for X, Y and Z are in
+// `colour`. The rows of neighbouring azimuths are `apart` floats from each other in memory.
 template <int TERMS, int W_BASIS_SIZE, int AZIMUTHS>
 WARPDIFF_INLINE void project_ring(const float* row, long long apart, const float* factor, const float* colour, int taps,
     int terms, float* out, long long out_apart)

@@ -110,9 +110,9 @@ class Coefficients:
 
     @forks.cached_property
     def strongest(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the flat indices of the largest coefficients, and their powers in descending order.
+        """Return the flat indices of the largest Fourier coefficients, and their powers in descending order.
 
-        The powers are computed at one |κ| in the middle of the range.
+        The powers are computed at one |κ| = |w|/λ in the middle of the range.
         """
         high = self.kappa_low + self.step * (len(self.basis) - 3)
         middle = math.sqrt(max(self.kappa_low, _SMALL_KAPPA * high) * high)
@@ -135,7 +135,7 @@ def holds_powers(method: str, *, adds_powers: bool) -> bool:
 
 
 def series_terms(heightfield: HeightField, kappas: tuple[float, float]) -> int:
-    """Return the number of terms of the Jacobi-Anger series to which a basis is fitted, for a range of |κ|."""
+    """Return the number of terms of the Jacobi-Anger series to which a basis is fitted, for a range of |w|/λ."""
     series = EXPANSIONS["jacobi-anger"]
     argument = 2.0 * math.pi * _entries(heightfield, kappas)[-1] * series.offset_and_scale(heightfield)[1]
     return series.term_count(argument, _SERIES_TOLERANCE)
@@ -186,9 +186,9 @@ def fitted(
     if powers:
         values = (values[:, 0] ** 2 + values[:, 1] ** 2)[:, None]
 
-    # Near κ = 0, all coefficients except the specular one are proportional to κ or to a higher power of κ. The powers
-    # of these coefficients are proportional to κ² or to a higher power. The weights therefore make the fit minimise
-    # errors relative to κ, or relative to κ² for powers.
+    # Near κ = w/λ = 0, all Fourier coefficients except the specular one are proportional to κ or to a higher power of
+    # κ. The powers of these coefficients are proportional to κ² or to a higher power. The weights therefore make the
+    # fit minimise errors relative to κ, or relative to κ² for powers.
     weights = 1.0 / np.hypot(nodes, _SMALL_KAPPA * high or 1.0) ** (2 if powers else 1)
     shape = (*series.rows.shape[:2], values.shape[1], -1)
     scales = np.abs(values * weights.astype(np.float32)).max(axis=(1, 2), initial=0.0)
@@ -248,9 +248,9 @@ def _principal_functions(
 ) -> NDArray[np.float64]:
     """Return the principal functions of κ of all coefficients, orthonormal, in order of importance, shape (m, m).
 
-    The functions are sampled at m Chebyshev nodes. With the first n functions, the sum of the squared errors of all
-    coefficients is smaller than with any other n functions. In this sum, the error of a coefficient is relative to the
-    largest value of this coefficient. The strongest coefficients have a larger weight.
+    κ is w/λ. The functions are sampled at m Chebyshev nodes. With the first n functions, the sum of the squared errors
+    of all coefficients is smaller than with any other n functions. In this sum, the error of a coefficient is relative
+    to the largest value of this coefficient. The strongest coefficients have a larger weight.
     """
     count = values.shape[-1]
     gram = np.zeros((count, count))

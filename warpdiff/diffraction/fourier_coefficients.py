@@ -36,15 +36,15 @@ _CONSTANT_AXIS_UM = 0.01
 
 @dataclass(frozen=True)
 class Grid:
-    """Grid of the frequencies at which coefficients are computed.
+    """Grid of the spatial frequencies at which Fourier coefficients are computed.
 
     Attributes:
         shape: Number of distinct frequencies (ny, nx).
         lengths_um: Inverse of the distance of neighbouring frequencies along (y, x) [µm]. This is the size of the
             patch, or twice the size if half orders are included.
-        taper: Factors by which the rows and columns of exp(2πiκh) are multiplied before the Fourier transform, shapes
-            (hy,) and (hx,). The origin of x and y is then the middle sample. None means no factors; the origin is then
-            the first sample.
+        taper: Factors by which the rows and columns of the samples of exp(2πiκh), with κ = w/λ, are multiplied before
+            the Fourier transform, shapes (hy,) and (hx,). The origin of x and y is then the middle sample. None means
+            no factors; the origin is then the first sample.
     """
 
     shape: tuple[int, int]

@@ -1,8 +1,8 @@
 """Gridding kernel: Kaiser-Bessel interpolation of the spectrum of a patch between half orders.
 
 The spectrum of a patch is a smooth function of frequency, because the patch has a finite length. First, the samples of
-exp(2πiκh) are divided by the Fourier transform of the kernel. Then the spectrum is computed at twice as many
-frequencies as the patch has samples. At any other frequency, the spectrum is a weighted sum over a few of these
+exp(2πiκh) at the heights h are divided by the Fourier transform of the kernel. Then the spectrum is computed at twice
+as many frequencies as the patch has samples. At any other frequency, the spectrum is a weighted sum over a few of these
 frequencies (non-uniform FFT; Fessler and Sutton 2003, Barnett et al. 2019).
 """
 
@@ -28,7 +28,10 @@ def _shape(taps: int) -> float:
 
 
 def kernel(distance: NDArray[np.float64], taps: int) -> NDArray[np.float64]:
-    """Return the Kaiser-Bessel kernel at distances in steps of the frequency grid: 1 at 0, and 0 beyond ``taps``/2."""
+    """Return the Kaiser-Bessel kernel at distances in steps of the frequency grid: 1 at 0, and 0 beyond ``taps``/2.
+
+    It covers ``taps`` frequencies of the grid.
+    """
     inside = 1.0 - (2.0 * distance / taps) ** 2
     values = np.i0(_shape(taps) * np.sqrt(np.maximum(inside, 0.0))) / np.i0(_shape(taps))
     return np.where(inside >= 0.0, values, 0.0)
@@ -37,7 +40,8 @@ def kernel(distance: NDArray[np.float64], taps: int) -> NDArray[np.float64]:
 def kernel_transform(frequency: NDArray[np.float64], taps: int) -> NDArray[np.float64]:
     """Return the Fourier transform of the Kaiser-Bessel kernel, ∫ kernel(t) e^{2πiνt} dt, at frequencies |ν| <= 1/4.
 
-    The transform is W sinh(b)/(b I0(β)) with b² = β² − (πWν)², where W is the number of taps and β the shape parameter.
+    The transform is W sinh(b)/(b I0(β)) with b² = β² − (πWν)², where W = ``taps`` is the number of frequencies that the
+    kernel covers, and β is the shape parameter.
     """
     root = np.sqrt(_shape(taps) ** 2 - (math.pi * taps * frequency) ** 2)
     return np.asarray(taps * np.sinh(root) / (root * np.i0(_shape(taps))))

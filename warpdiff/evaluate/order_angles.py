@@ -87,7 +87,8 @@ def order_angles(
     }  # fmt: skip
     for (frequency, period, error), most in zip(waves, highest, strict=True):
         orders = np.arange(-most, most + 1)
-        # The x and y components of ωi + ωr by the grating equation, shape (wavelengths, orders, 2).
+        # The x and y components of the sum of the directions of light and order, by the grating equation, shape
+        # (wavelengths, orders, 2).
         steps = wavelengths_um[:, None, None] * orders[:, None] * frequency[::-1]
         tangential = steps - light[:2]
         upward = 1.0 - np.sum(tangential**2, axis=-1)

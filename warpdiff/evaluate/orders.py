@@ -431,11 +431,11 @@ def _coefficients(
     power. ``indices`` are the pairs (s, r), shape (n, 2), and ``kappas`` is the κ of each pair [1/µm], shape (n,).
     """
     heights = heightfield.heights_um - (heightfield.heights_um.max() + heightfield.heights_um.min()) / 2.0
-    # Centre and half of the width of the range of κ in which coefficients are interpolated. The width is at least 1e-9,
-    # because a single order has only one κ, and a width of 0 would cause a division by zero.
+    # Centre and half of the width of the range of κ = w/λ in which Fourier coefficients are interpolated. The width is
+    # at least 1e-9, because a single order has only one κ, and a width of 0 would cause a division by zero.
     middle, half = (kappas.max() + kappas.min()) / 2.0, max(np.ptp(kappas), 1e-9) / 2.0
-    # In this range of κ, exp(2πiκh) is a series of Chebyshev polynomials in κ. The terms of this series decrease fast
-    # from the index `argument` on. The required number of terms is therefore computed from `argument`.
+    # In this range of κ = w/λ, exp(2πiκh) is a series of Chebyshev polynomials in κ. The terms of this series decrease
+    # fast from the index `argument` on. The required number of terms is therefore computed from `argument`.
     argument = math.pi * half * heightfield.height_range_um
     count = _term_count(argument)
     low, high = middle - half, middle + half

@@ -35,8 +35,8 @@ MOST_POWER = 1e12
 # random, instead of evaluating all lights. The number was fitted to pictures of a snake and of a tube: with fewer
 # lights, one of these pictures requires less time if all lights are evaluated.
 MANY_LIGHTS = 64
-# Number of random directions per pixel to a disc light that is too wide for one lobe, in pictures with
-# ``refine=False``. The value is limited by time, which is proportional to it.
+# Number of random directions per pixel to a disc light that is too wide for one lobe (a Gaussian of directions), in
+# pictures with ``refine=False``. The value is limited by time, which is proportional to it.
 DISC_SAMPLES = 128
 
 
@@ -146,7 +146,7 @@ class LobeSet(LightPart):
         )  # fmt: skip
 
     def make_pass(self, context: PassContext) -> LightPass:
-        """Return the pass in which every ray adds the colours under all lobes."""
+        """Return the pass in which every ray adds the colours under all lobes (Gaussians of directions)."""
         from warpdiff.lights.lobe_pass import LobePass
 
         return LobePass(self, context)
@@ -193,7 +193,7 @@ class LobeLight(Checked, Light):
 
     @abstractmethod
     def lobes(self) -> tuple[Lobe, ...]:
-        """Return the lobes of the light."""
+        """Return the lobes of the light: Gaussians of directions or of positions."""
 
     def parts(self, coherence: Coherence, *, single_lobe: bool, name: str) -> Sequence[LightPart]:  # noqa: ARG002 (of discs and environments)
         """Return the lobes as the only part of the light."""

@@ -69,7 +69,7 @@ class DirectionalLight(LobeLight):
         return (Lobe(self.to_light, self.illuminant, self.power, deviations),)
 
     def parts(self, coherence: Coherence, *, single_lobe: bool, name: str) -> Sequence[LightPart]:
-        """Return one part: a lobe for a narrow disc, or random directions for a wide disc.
+        """Return one part: a lobe (a Gaussian) for a narrow disc, or random directions for a wide disc.
 
         The arguments are those of :meth:`warpdiff.lights.base.Light.parts`.
         """

@@ -34,7 +34,7 @@ _MEASURED = 16
 class DiscPass(LobePass):
     """Pass of a disc light whose directions are drawn at random.
 
-    Lobe indices below ``lobe_count`` stand for one random direction each. The index ``lobe_count`` stands for a
+    An index of a lobe below ``lobe_count`` stands for one random direction. The index ``lobe_count`` stands for a
     Gaussian lobe with the extent of the whole disc.
     """
 
@@ -61,7 +61,8 @@ class DiscPass(LobePass):
     def measured_lobes(self) -> range:
         """Indices of the lobes whose scattering vectors determine the range of directions for which a plan is chosen.
 
-        A few lobes suffice, because every pixel draws other directions on the disc.
+        A lobe stands for one random direction. A few lobes suffice, because every pixel draws other directions on the
+        disc.
         """
         return range(_MEASURED)
 

@@ -68,7 +68,7 @@ class LobePass(LightPass):
                 getattr(self._lights, name).assign(np.array(value))
 
     def _source(self, lobe: Lobe) -> tuple[tuple[float, ...], NDArray[np.float64], float]:
-        """Return the place, the standard deviations and the power of a lobe, in mesh coordinates.
+        """Return place, standard deviations and power of a lobe (a Gaussian of directions), in mesh coordinates.
 
         The place has four homogeneous coordinates: a direction and 0, or a position and 1. For a position, the returned
         power is the power at a distance of one mesh radius; users specify the power at a distance of one mesh unit.
@@ -100,7 +100,7 @@ class LobePass(LightPass):
         return len(self._grids) == len(self.part.lobes)
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:
-        """Prepare one occluder grid per lobe.
+        """Prepare one occluder grid per lobe (Gaussian of directions).
 
         The grids of point lights and of lobes with an emission profile are empty, because a grid serves only one
         direction. Shadow rays to such lobes use the hierarchy of bounding boxes.

@@ -137,7 +137,7 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
     """
     if coherence.kind == "replicas":
         # As 1/λ changes, the power of one patch with the sides Lx and Ly oscillates with at most |u|Lx + |v|Ly cycles
-        # per unit of 1/λ. This number is at most proportional to the order rate.
+        # per unit of 1/λ. This number is at most proportional to the order rate, which is |(u Lx, v Ly)|.
         per_order = _SAMPLES_PER_ORDER * tolerance ** (-1.0 / _CUBIC_ORDER)
         return per_order, per_order * heightfield.height_range_um, _COLOUR_BANDWIDTH_UM
     quintic = tolerance ** (-1.0 / _QUINTIC_ORDER)

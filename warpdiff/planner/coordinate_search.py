@@ -195,10 +195,10 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
     if trial.integrates and plan.subdivisions > 1:
         steps.append(("quadrature", bright, octave_steps, subdivisions))
     if trial.integrates:
-        # The bandwidth, the number of wavelength samples per unit of 1/λ, has three parts: for the order rate, for |w|
-        # and for the colour-matching functions. The search first coarsens all parts together. It then coarsens the part
-        # for the order rate alone, and the other two parts alone. In the reverse order, the first of these coordinates
-        # could use the whole error budget.
+        # The bandwidth, the number of wavelength samples per unit of 1/λ, has three parts: for the order rate (how fast
+        # orders pass as 1/λ changes), for |w| and for the colour-matching functions. The search first coarsens all
+        # parts together. It then coarsens the part for the order rate alone, and the other two parts alone. In the
+        # reverse order, the first of these coordinates could use the whole error budget.
         steps += [("quadrature", bright, octave_steps, part) for part in (bandwidth, order_rate, rest)]
     return [
         Coordinate(source, error + share * max(target - error, 0.0) * number / len(steps), most, coarser)
@@ -228,7 +228,10 @@ def _coarsened(plan: Plan, error: float, trial: Trial, coordinate: Coordinate) -
 
 
 def _octave_steps(steps: int) -> float:
-    """Return the factor by which a bandwidth changes in ``steps`` steps: 2 for ``SETS_PER_OCTAVE`` steps."""
+    """Return the factor by which a bandwidth changes in ``steps`` steps: 2 for ``SETS_PER_OCTAVE`` steps.
+
+    The bandwidth is the number of wavelength samples per unit of 1/λ.
+    """
     return float(2.0 ** (steps / SETS_PER_OCTAVE))
 
 
@@ -248,7 +251,7 @@ def _on_grid(plan: Plan, trial: Trial) -> Plan:
 def _scaled(
     bandwidth_um: tuple[float, float, float], rate_factor: float, rest_factor: float
 ) -> tuple[float, float, float]:
-    """Return a bandwidth (a, b, c) as (a · ``rate_factor``, b · ``rest_factor``, c · ``rest_factor``).
+    """Return the bandwidth (a, b, c) times factors: (a · ``rate_factor``, b · ``rest_factor``, c · ``rest_factor``).
 
     ``bounds.bandwidth_um`` defines a, b and c.
     """

@@ -102,8 +102,8 @@ def table_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
         neighbours = math.pi * area * -math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence)
         sampling = layout.samples * parts * (_COST_OF_SAMPLE + neighbours * lanes)
     # A row of the sampled spectrum has about one number per term of the basis. If amplitudes add, it has two numbers
-    # per term. A table needs about as many functions of w as such a row has numbers, and stores X, Y and Z for each
-    # function.
+    # per term. A table needs about as many functions of w (the normal component of the scattering vector) as such a row
+    # has numbers, and stores X, Y and Z for each function.
     powers = parts * plan.terms
     rings = polar_grid.ring_count(plan.rings_per_octave)
     projection = layout.levels[0].nodes * rings * powers * (powers + 2.0)

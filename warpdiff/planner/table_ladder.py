@@ -94,7 +94,7 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
         last_rings = rings
         if not w_basis_size and (not helps or (larger is None and error <= 2.0 * plan.tolerance)):
             # If more rings do not reduce the error, or if no larger size exists, the search increases the number of
-            # functions of w in the table.
+            # functions of w (the normal component) in the table.
             w_basis_size = min(candidate.w_basis_size + W_BASIS_STEP, MOST_W_BASIS)
             continue
         size = larger if helps else None

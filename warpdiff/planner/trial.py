@@ -306,8 +306,8 @@ class Trial:
     def validation_error(self, plan: Plan) -> float:
         """Return the 99.5th percentile of a plan's errors on the validation set.
 
-        Bright and dim directions have separate percentiles. The result is the larger one. Directions beyond the largest
-        order rate of the reference plan are excluded, unless all directions are beyond this rate.
+        Bright and dim directions have separate percentiles. The result is the larger one. Directions that orders pass
+        faster, as 1/λ changes, than the reference plan resolves are excluded, unless all directions are such.
         """
         exact = self.exact(self.validation_set)
         errors = self.validation_set.errors(self.run(plan, self.validation_set), exact)
@@ -349,8 +349,8 @@ def _percentile(values: NDArray[np.float64], weights: NDArray[np.float64], share
 def worst_percentile(errors: NDArray[np.float64], group: Group, included: NDArray[np.bool_] | None = None) -> float:
     """Return the larger of the 99.5th percentiles of the errors of bright and of dim directions.
 
-    ``errors`` has the shape (rows, n), with one row per illuminant and floor. The result is the largest percentile of
-    all rows. Only the directions in the mask ``included`` count.
+    ``errors`` has the shape (rows, n), with one row per illuminant and floor of relative errors. The result is the
+    largest percentile of all rows. Only the directions in the mask ``included`` count.
     """
     included = np.ones(errors.shape[1], dtype=bool) if included is None else included
     # The tolerance limits the 99th percentile of the errors of all directions of a call. Percentiles of a small sample

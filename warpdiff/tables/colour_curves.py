@@ -31,11 +31,12 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
     from warpdiff.tables.mip_layout import MipLayout
 
-# Number of values of |w| at which the functions of w of a colour table are tabulated. Each oscillation of a function
-# has at least 32 of them. Cubics interpolate between these values.
+# Number of values of |w| at which the functions of w of a colour table are tabulated. w is the normal component of the
+# scattering vector. Each oscillation of a function has at least 32 values. Cubics interpolate between these values.
 _ENTRIES_OVER_W = 160
-# A colour table has only a limited number of functions of w. The error by truncating them is relative to the size of
-# the colours at the same |w|. The divisor is at least this share of the largest size of the colours over all |w|.
+# A colour table has only a limited number of functions of w, the normal component of the scattering vector. The error
+# by truncating the functions is relative to the size of the colours at the same |w|. The divisor is at least this share
+# of the largest size of the colours over all |w|.
 _LEAST_SCALE_OVER_W = 1e-2
 # Number of wavelengths from one ring of the table to the next at which the colour curves are sampled. Splines are
 # fitted to these samples.
@@ -66,7 +67,8 @@ class SpectrumBasis:
         basis_at: Function of an array of |κ|, shape (n,), that returns the basis functions there, shape (n, terms).
         kappas: Smallest and largest |κ| [1/µm].
         sizes: Relative size of the weight of each basis function in typical rows, shape (terms,).
-        share: Permitted error by truncating the functions of w of the colour table, as a share of the tolerance.
+        share: Permitted error by truncating the functions of w (the normal component) of the colour table, as a share
+            of the tolerance.
         holds_lines: Whether rows are powers per unit area of frequency, as for a source, under which orders are
             spectral lines. Colours require powers per unit area of (u, v). The weights of the colour curves therefore
             include the factor λ⁻², which converts the first to the second.
@@ -98,7 +100,8 @@ class Projection:
 
     Attributes:
         ws: Tabulated values of |w|, equally spaced, shape (entries,).
-        w_basis: Functions of w that all colours of a table share, at the values ``ws``, shape (entries, m).
+        w_basis: Functions of w (the normal component of the scattering vector) that all colours of a table share, at
+            the values ``ws``, shape (entries, m).
         weights: Spline coefficients of the colour curves: weights in X, Y and Z of the rings that contribute to one
             colour, shape (rings, 3).
         matrices: Each matrix has the coefficients of the functions of w for each ring and basis term, shape
@@ -148,8 +151,9 @@ def make_projection(
     matrix *= relative
     values, vectors = np.linalg.eigh(matrix @ matrix.T)
     squares, left = np.maximum(values, 0.0), vectors[:, ::-1]
-    # Entry n of `remaining` is the truncation error with the first n functions of w. The error is the largest one over
-    # all |w| and not the mean, because a call may use a single |w|.
+    # Entry n of `remaining` is the truncation error with the first n functions of w, the normal component of the
+    # scattering vector. The error is the largest one over all |w| and not the mean, because a call may use a single
+    # |w|.
     remaining = np.sqrt(np.append(np.cumsum(squares * vectors**2, axis=1).max(axis=0)[::-1], 0.0))
     needed = int(np.argmax(remaining <= terms.share * plan.tolerance))
     m = plan.w_basis_size or min(W_BASIS_STEP * math.ceil(max(needed, 1) / W_BASIS_STEP), MOST_W_BASIS)
@@ -169,8 +173,8 @@ def _on_curve(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArra
     return np.asarray(np.maximum(reflectances, _LEAST_SHARE * most))
 
 
-# Only the result of the last call is cached. It does not depend on the illuminant or on the number of functions of w.
-# Tables of one material that are computed one after the other therefore share it.
+# Only the result of the last call is cached. It does not depend on the illuminant or on the number of functions of w in
+# the table. Tables of one material that are computed one after the other therefore share it.
 @functools.lru_cache(maxsize=1)
 def _material_products(
     material: Material | None, rings_per_octave: int, share: float, layout: MipLayout, low: float, high: float

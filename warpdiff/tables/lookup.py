@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Multiply-adds of one look-up for each function of w. The number was derived as three colour channels times 3 × 3
-# spline coefficients.
+# Multiply-adds of one look-up for each function of w, the normal component of the scattering vector. The number was
+# derived as three colour channels times 3 × 3 spline coefficients.
 MULTIPLY_ADDS_OF_FUNCTION = 27.0
 # Number of derived tables that a `ColourLookup` caches for its callers, such as the colours under skies. Two entries
 # suffice for two skies that alternate.

@@ -169,7 +169,8 @@ def has_mip_levels(plan: Plan) -> bool:
 def megabytes(plan: Plan) -> float:
     """Return the size of a plan's table [MB].
 
-    If the plan does not state the number of functions of w, the number of its terms is used instead.
+    A plan may not state the number of functions of w (the normal component) that a table needs. The number of terms of
+    the plan is then used instead.
     """
     return layout_of(plan).rows * 3 * (plan.w_basis_size or plan.terms) * 4e-6
 

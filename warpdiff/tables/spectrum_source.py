@@ -37,10 +37,10 @@ if TYPE_CHECKING:
 # Smallest |κ| = |w|/λ of the basis functions of a spectrum, as a share of the largest |κ|. At smaller |κ|, all
 # diffraction orders except the zeroth order are negligible.
 _SMALLEST_KAPPA = 1e-3
-# Permitted errors by truncating the functions of w of a colour table, as shares of the tolerance. `_FUNCTIONS_SHARE` is
-# for spectra in which powers |H|² of Fourier coefficients add. `_CARDINALS_SHARE` is for other spectra, which are
-# interpolated by polynomials in |κ|. A sum of the terms of such a polynomial may be much smaller than its single terms,
-# so that an error of a term counts more.
+# Permitted errors by truncating the functions of w (the normal component of the scattering vector) of a colour table,
+# as shares of the tolerance. `_FUNCTIONS_SHARE` is for spectra in which powers |H|² of Fourier coefficients add.
+# `_CARDINALS_SHARE` is for other spectra, which are interpolated by polynomials in |κ|. A sum of the terms of such a
+# polynomial may be much smaller than its single terms, so that an error of a term counts more.
 _FUNCTIONS_SHARE, _CARDINALS_SHARE = 0.5, 0.05
 # `_ROWS_FOR_TERM_SIZES` is the number of Fourier coefficients from whose rows the typical size of each basis term is
 # computed. `_LEAST_TERM_SIZE` is the smallest size that is assumed for a term, relative to the largest term.
@@ -83,10 +83,11 @@ class SpectrumSource(ABC):
     Attributes:
         key: Cache key of the spectrum.
         layout: Grids of the table, with mip level 0 only.
-        table: Table of coefficients on the device.
+        table: Table of Fourier coefficients on the device.
         basis: Basis functions in which the rows of the spectrum are expanded.
-        at_kappas: If amplitudes add, basis functions of the coefficients at several |κ|, shape (number of |κ|, lanes).
-            The powers at these |κ| form a row of the spectrum. If powers add, the array contains zeros.
+        at_kappas: If amplitudes add, basis functions of the coefficients at several |κ| = |w|/λ, shape
+            (number of |κ|, lanes). The powers at these |κ| form a row of the spectrum. If powers add, the array
+            contains zeros.
         zeroth: Zeroth order, which is stored separately from the rows. If amplitudes add, its array of powers is empty,
             and the rows include the zeroth order.
         phase: Fastest oscillation of a power over ln λ [rad per unit of ln λ].
