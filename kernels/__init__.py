@@ -1,1 +1,1 @@
-"""Warp kernels and the structs and functions that they use. Each file is a Warp module and is compiled separately."""
+"""Warp kernels with their structs and functions. Each file is a Warp module and is compiled separately."""

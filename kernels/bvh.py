@@ -1,4 +1,4 @@
-"""Camera rays that find their hits through a hierarchy of bounding boxes: on GPUs, and for recorded graphs."""
+"""Camera rays that find faces through a hierarchy of bounding boxes, on GPUs and for recorded CUDA graphs."""
 
 import warp as wp
 
@@ -10,15 +10,15 @@ from warpdiff.kernels.structs import Camera, Sampling, SurfaceArrays
 # keep infinities correct.
 wp.set_module_options(compile_options.options())
 
-# Length up to which a ray is followed [radii of the mesh]. Derived: a ray starts at most 2 radii before the point where
-# it is nearest to the mesh's centre, and leaves the sphere around the mesh within 3 radii. A larger length changes
-# nothing.
+# Length up to which a ray is followed [radii of the mesh]. The number was derived from two distances. A ray starts at
+# most 2 radii before the point where it is nearest to the mesh's centre, and leaves the sphere around the mesh within 3
+# radii. A larger length changes nothing.
 FAR = wp.constant(wp.float32(4.0))
 
 
 @wp.func
 def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.int32) -> wp.uint64:
-    """Return the index of the first face that a ray hits, or ``UNSEEN`` if it hits none."""
+    """Return the index of the first face that a ray hits, or ``UNSEEN`` if it hits no face."""
     pixel = ray
     offset = wp.vec2d()
     if sampling.offsets.shape[0] > 0:
@@ -30,7 +30,8 @@ def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.in
             return UNSEEN
         offset = sampling.places[ray % rays]
 
-    # The start of the ray is moved close to the mesh in float64, because the eye may be thousands of radii away.
+    # The start of the ray is moved close to the mesh in float64, because the eye may be thousands of radii away from
+    # the mesh.
     two = wp.float64(2.0)
     column = wp.float64(pixel % camera.width) + wp.float64(0.5) + offset[0]
     row = wp.float64(pixel // camera.width) + wp.float64(0.5) + offset[1]
@@ -43,8 +44,8 @@ def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.in
         origin = camera.axes[0] + across
         along = -camera.axes[3]
     along = wp.normalize(along)
-    # The mesh is within the unit sphere. Rays that miss this sphere end here; they are most of the rays that miss the
-    # mesh.
+    # The mesh is within the unit sphere. Rays that miss this sphere end here. Most rays that miss the mesh also miss
+    # the sphere.
     ahead = -wp.dot(origin, along)
     closest = origin + ahead * along
     if wp.dot(closest, closest) > wp.float64(1.0 + 1.0e-5):
@@ -68,7 +69,7 @@ def trace_bvh(
         camera: Camera in the units of the mesh.
         surface: Mesh with its hierarchy.
         sampling: Positions of the rays in their pixels.
-        first: Index of the first thread's first ray.
+        first: Index of the first ray of the first thread.
         run: Number of rays per thread.
         nearest_out: Index of the face that each ray hits, in the lower 32 bits; ``UNSEEN`` if the ray hits no face.
     """

@@ -1,11 +1,11 @@
 """Coefficient sum: windowed Fourier coefficients near (u, v)/λ, integrated over a set of wavelengths.
 
-One thread computes one direction. At each wavelength, coefficients near q = (u, v)/λ are added with the Gaussian of the
-coherence as weights. Powers or amplitudes are added, depending on the coherence. For finitely many periods of the
-patch, the amplitude at q is interpolated between coefficients instead, and its power is multiplied by the interference
-factor of the periods. A coefficient is the scalar product of two vectors: its row in a table, and the values of the
-basis at κ = w/λ. All coefficients share one basis. The values are interpolated from a second table, so the kernels
-serve any series.
+One thread computes one direction. At each wavelength, Fourier coefficients near q = (u, v)/λ are added, weighted by the
+Gaussian of the coherence. Powers or amplitudes are added, depending on the coherence. For finitely many periods of the
+patch, the amplitude at q is interpolated between coefficients instead, and the power of the patch is multiplied by the
+interference factor of the periods. A coefficient is the scalar product of two vectors: its row in a table, and the
+values of the basis functions at κ = w/λ. All coefficients share the same basis functions. Their values are interpolated
+from a second table, so that the kernels serve any series.
 """
 
 import functools
@@ -18,21 +18,21 @@ from warpdiff.kernels.indices import cyclic
 
 OPTIONS = compile_options.options()
 FORMS = ("averaged", "centred", "source", "replicas")
-# Number of coefficients along an axis from which the amplitude at a frequency is interpolated. Limit: time is
-# proportional to it.
+# Number of Fourier coefficients along an axis from which the amplitude at a frequency is interpolated. The value is
+# limited by time, which is proportional to it.
 TAPS = 8
-# The interference factor of N periods, [sin(πNt) / (N sin(πt))]², is 0/0 at its maximum, t = 0; t is the distance from
-# the nearest coefficient of the patch, in spacings of the coefficients. For |N t| below this number, a parabola
-# replaces the factor. Derived: the error of the parabola is of fourth order in N t.
+# The interference factor of N periods, [sin(πNt) / (N sin(πt))]², is 0/0 at its maximum, t = 0. t is the distance from
+# the nearest Fourier coefficient of the patch, in spacings of the coefficients. For |N t| below this number, a parabola
+# replaces the factor. The number was derived from the error of the parabola, which is of fourth order in N t.
 NEAR_RESONANCE = wp.constant(wp.float32(1e-2))
 
 
 @wp.struct
 class Quadrature:
-    """Sets of wavelengths with colour weights; each set has 2^(−1/4) of the samples of the set before.
+    """Sets of wavelengths with weights in X, Y and Z. Each set has 2^(−1/4) times the wavelengths of the set before.
 
-    The first set is for the largest bandwidth of a plan. A direction uses the smallest set that suffices for its own
-    bandwidth.
+    The bandwidth of a direction is the number of wavelengths that it requires per unit of 1/λ. The first set is for the
+    largest bandwidth of a plan. A direction uses the smallest set that suffices for its bandwidth.
     """
 
     wavenumbers: wp.array(dtype=wp.float64)  # 1/λ of the wavelengths [1/µm], set after set
@@ -49,7 +49,7 @@ class Quadrature:
 
 @wp.func
 def reflectance_of(quadrature: Quadrature, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
-    """Return R(θd, λ) of the material, interpolated in a table, with cos θd = |(u, v, w)|/2; 1 without a material."""
+    """Return the reflectance R(θd, λ) of the material, with cos θd = |(u, v, w)|/2; 1 without a material."""
     if quadrature.reflectances.shape[0] == 0:
         return wp.float32(1.0)
     place = wp.min(wp.length(scattering_vector) * wp.float64(0.5), wp.float64(1.0)) * wp.float64(
@@ -67,9 +67,9 @@ def reflectance_of(quadrature: Quadrature, scattering_vector: wp.vec3d, wavenumb
 
 @wp.struct
 class Window:
-    """Gaussian weights exp(−across dy² − along (dx + slant dy)²) of the coefficients around q, for one direction.
+    """Gaussian weights exp(−across dy² − along (dx + slant dy)²) of the Fourier coefficients around q.
 
-    The distances (dx, dy) from q are in spacings of coefficients.
+    q = (u, v)/λ is the frequency of one direction. The distances (dx, dy) from q are in spacings of coefficients.
     """
 
     across: wp.float32
@@ -83,9 +83,9 @@ class Window:
 
 @wp.func
 def interference_factor(position: wp.float64, periods: wp.float64) -> wp.float32:
-    """Return [sin(πNt)/(N sin(πt))]² for N periods; t is q in spacings of the patch's coefficients."""
-    # Whole turns are removed from t and N t in float64 before the sines are computed: N t may be thousands, where
-    # float32 is too coarse.
+    """Return [sin(πNt)/(N sin(πt))]² for N periods; t is the frequency in spacings of the patch's coefficients."""
+    # Whole turns are removed from t and N t in float64 before the sines are computed: N t may exceed 1,000, and float32
+    # is too coarse for such numbers.
     t = position - wp.rint(position)
     turns = t * periods
     small = wp.float32(turns)
@@ -104,8 +104,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
     Args:
         lanes: Number of terms in a row of the table.
         form: Kind of the coherence, one of ``FORMS``.
-        powers: Whether the scalar product of a row is the power of a coefficient. Otherwise a coefficient has two rows,
-            for the real and the imaginary part of its amplitude.
+        powers: Whether the scalar product of a row and the basis functions is the power of a coefficient. Otherwise a
+            coefficient has two rows, for the real and the imaginary part of its amplitude.
 
     Returns:
         A namespace with the vector type ``row``, the struct ``Table`` and the kernels ``integrate`` and ``sample``.
@@ -138,15 +138,15 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def window_for(table: Table, to_light: wp.vec3f) -> Window:
-        """Return the Gaussian window over coefficients for one direction to the light.
+        """Return the Gaussian weights of Fourier coefficients for one direction to the light.
 
-        Under a source its width depends on the wavelength, and the returned window is that of λ = 1 µm.
+        Under a source, the width of the Gaussian depends on the wavelength; the result is for λ = 1 µm.
         """
         window = Window()
         if wp.static(form == "source"):
             # For a source: let t be the tangential part of the direction to the light, at the angle θ from the normal,
-            # and s the spread of the source. The inverse covariance of (u, v) is Σ⁻¹ = (1 + t tᵀ/cos²θ)/s². It is
-            # stored as its Cholesky factors, whose computation subtracts no nearly equal numbers.
+            # and s the spread of the source. The inverse covariance of (u, v) is Σ⁻¹ = (1 + t tᵀ/cos²θ)/s². The matrix
+            # is stored as its Cholesky factors, whose computation subtracts no nearly equal numbers.
             tangent = 1.0 / to_light[2]
             t_x = to_light[0] * tangent
             t_y = to_light[1] * tangent
@@ -165,7 +165,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def basis_at(table: Table, kappa: wp.float64) -> row_t:
-        """Return the values of the basis at |κ|, by the cubic polynomial through four entries of the table."""
+        """Return the values of the basis functions at |κ| = |w|/λ, by a cubic polynomial through four table entries."""
         steps = wp.max((kappa - table.kappa_low) * table.steps, wp.float64(0.0))
         entry = wp.min(wp.int32(steps), table.basis.shape[0] - 4)
         t = wp.float32(steps - wp.float64(entry))
@@ -181,10 +181,10 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def gaussian_sum(table: Table, window: Window, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
-        """Return ⟨|P|²⟩ at one wavelength: the sum of coefficients under a window. ``wavenumber`` is 1/λ [1/µm]."""
-        # The position q may be hundreds of coefficients from the zeroth order, but the window is only a few
-        # coefficients wide. Therefore the integer part of q is removed in float64, and the window is computed in
-        # float32.
+        """Return the power ⟨|P|²⟩ at one wavelength, the weighted sum of coefficients; ``wavenumber`` is 1/λ [1/µm]."""
+        # The position q, in spacings of coefficients, may be hundreds of coefficients from the zeroth order, but the
+        # Gaussian weights extend over a few coefficients only. Therefore the integer part of q is removed in float64,
+        # and the weights are computed in float32.
         qy = scattering_vector[1] * wavenumber * table.length_y
         qx = scattering_vector[0] * wavenumber * table.length_x
         iy = wp.int32(wp.rint(qy))
@@ -220,8 +220,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         total_im = wp.float32(0.0)
         basis = basis_at(table, -scattering_vector[2] * wavenumber)
 
-        # The Gaussian weights along a row are computed by recurrence: from one coefficient to the next, the weight is
-        # multiplied by a factor, and the factor by a constant. The first factor cannot overflow: it is at most the
+        # The Gaussian weights along a row are computed by recurrence: each weight is the weight before times a factor,
+        # and each factor is the factor before times a constant. The first factor cannot overflow: it is at most the
         # inverse of the smallest weight, because no weight exceeds 1.
         dx = wp.float32(first_x) - centre
         gy = wp.float32(0.0)
@@ -245,8 +245,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         for j in range(first_y, last_y + 1):
             g = gy
             if wp.static(form == "source"):
-                # The coefficients under a source lie within a slanted ellipse, so that each row of coefficients begins
-                # at another column.
+                # The Fourier coefficients that contribute under a light source lie within a slanted ellipse. Each row
+                # of coefficients therefore begins at another column.
                 centre = fx - window.slant * (wp.float32(j) - fy)
                 first_x = wp.int32(wp.ceil(centre - radius_x))
                 last_x = wp.int32(wp.floor(centre + radius_x))
@@ -280,13 +280,13 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
                 y = 0
         if wp.static(not adds_powers):
             total = total_re * total_re + total_im * total_im
-        # ⟨|P|²⟩ is at most 1. A series may overflow to infinity or NaN where the user has asked for arguments x far
-        # beyond its range; wp.min then returns 1.
+        # The power ⟨|P|²⟩ is at most 1. If a plan is used at a κ = w/λ far beyond the range of its series, the series
+        # may overflow to infinity or NaN. wp.min then returns 1.
         return wp.min(total, wp.float32(1.0))
 
     @wp.func
     def patch_power(table: Table, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
-        """Return |P|² of a single patch at one wavelength; its amplitude is interpolated between coefficients."""
+        """Return the power |P|² of one patch at one wavelength; the amplitude is interpolated between coefficients."""
         qy = scattering_vector[1] * wavenumber * table.length_y
         qx = scattering_vector[0] * wavenumber * table.length_x
         iy = wp.int32(wp.floor(qy))
@@ -326,20 +326,20 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.func
     def interference_at(table: Table, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
-        """Return the interference factor of the periods at one wavelength, the product of the factors along y and x."""
+        """Return the interference factor of the periods at one wavelength: the product of the factors along y and x."""
         y = interference_factor(scattering_vector[1] * wavenumber * table.patch_y, table.periods_y)
         x = interference_factor(scattering_vector[0] * wavenumber * table.patch_x, table.periods_x)
         return y * x
 
     @wp.func
     def set_for(quadrature: Quadrature, scattering_vector: wp.vec3d, to_light: wp.vec3f) -> wp.int32:
-        """Return the index of the set of wavelengths that suffices for the bandwidth of a direction."""
+        """Return the index of the smallest set of wavelengths that suffices for a direction."""
         u = wp.float32(scattering_vector[0])
         v = wp.float32(scattering_vector[1])
         if wp.static(form == "source"):
-            # For light at the angle θ from the normal, the spread of (u, v) is cos θ times that at normal incidence, in
-            # the direction of the light's projection onto the surface. Coherence then extends farther in this
-            # direction, which increases the bandwidth.
+            # For light at the angle θ from the normal, the spread of (u, v) in the direction of the light's projection
+            # onto the surface is cos θ times the spread at normal incidence. Coherence then extends farther in this
+            # direction, which increases the required number of wavelengths.
             stretch = (u * to_light[0] + v * to_light[1]) / to_light[2]
             uv = wp.sqrt(u * u + v * v + stretch * stretch) * quadrature.per_u
         else:
@@ -354,7 +354,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         gains: wp.array(dtype=wp.float32), quadrature: Quadrature, first: wp.int32,
         xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the XYZ of each direction to ``xyz_out``: its integral over a set of wavelengths, times its gain."""
+        """Add the XYZ of each direction, times its geometry factor (gain), to ``xyz_out``."""
         i = first + wp.tid()
         gain = gains[i]
         if gain > 0.0:
@@ -362,13 +362,13 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
             chosen = set_for(quadrature, scattering_vector, to_lights[i])
             start = quadrature.firsts[chosen]
             end = quadrature.firsts[chosen + 1]
-            # The sum over thousands of wavelengths is computed in float64. In float32, its rounding errors would exceed
-            # the smallest tolerances.
+            # The sum over thousands of wavelengths is computed in float64. In float32, the rounding errors of the sum
+            # would exceed the smallest tolerances.
             colour = wp.vec3d()
             if wp.static(form == "replicas"):
-                # The interference factor changes fast with the wavelength but requires little time: it is computed at
-                # all wavelengths. The power of the patch changes slowly: it is computed at each ``divisions``-th
-                # wavelength and interpolated by cubic polynomials.
+                # The interference factor of the periods changes fast with the wavelength but requires little time. It
+                # is computed at all wavelengths. The power of the patch changes slowly: it is computed at every
+                # wavelength whose index is a multiple of ``divisions``, and interpolated by cubic polynomials.
                 divisions = quadrature.subdivisions
                 intervals = (end - start - 1) // divisions
                 g0 = patch_power(table, scattering_vector, quadrature.wavenumbers[start])
@@ -410,7 +410,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         gains: wp.array(dtype=wp.float32), wavenumbers: wp.array(dtype=wp.float64), first: wp.int32,
         reflectance_out: wp.array2d(dtype=wp.float32),
     ):  # fmt: skip
-        """Compute ρ of each direction at each of the given wavelengths."""
+        """Compute the reflectance ρ of each direction at each wavelength of ``wavenumbers``."""
         i = first + wp.tid()
         gain = gains[i]
         window = Window()

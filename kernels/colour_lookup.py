@@ -1,16 +1,18 @@
 """Colour look-up: kernels of a table that contains the integral over λ for every (u, v) and function of w.
 
-As λ decreases from red to blue, (u, v)/λ moves along an azimuth of the frequency plane, over one octave. The power
-spectrum is sampled on azimuths, at rings of equal ratios. The value of a ring is the integral of the spectrum under a
-quadratic B-spline in ln t, where t = |(u, v)|/λ. A colour is a weighted sum over the rings of one octave. The weights
-are the projection of the colour curves on the same splines, for any number of orders along the azimuth. Every radius at
-which a colour is computed has the same weights. The weights depend on w through a few functions, so that the sum is
-computed in advance for each function. A look-up interpolates between rings and azimuths, and multiplies by the
-functions at w.
+(u, v, w) is the scattering vector. As λ decreases from red to blue, (u, v)/λ moves along an azimuth of the frequency
+plane, over one octave. The power spectrum is sampled on azimuths, at rings whose radii have equal ratios. The value of
+a ring is the integral of the spectrum under a quadratic B-spline in ln t, where t = |(u, v)|/λ. A colour is a weighted
+sum over the rings of one octave, for any number of orders along the azimuth. The weights are the coefficients of
+splines that are fitted to the colour curves: the products of illuminant, colour-matching function and reflectance. The
+weights are the same at every radius at which a colour is computed. The weights depend on w through a few functions, so
+that the sum is computed in advance for each function. A look-up interpolates between rings and azimuths, and multiplies
+by the values of the functions at w.
 
-A pixel covers a range of (u, v). As powers add, its mean is the spectrum blurred by the same angle and the same ratio
-at all wavelengths. Mip levels of the table are blurred in angle, and have fewer azimuths. A look-up blurs in ratio by
-adding more rings. The lines of an endless surface are blurred by a source in the same way.
+A pixel covers a range of (u, v). As powers add, the mean colour of the pixel follows from a blurred spectrum. The blur
+in angle and in ratio of radii is the same at all wavelengths. Mip levels of the table are blurred in angle, and have
+fewer azimuths. A look-up blurs in ratio by adding more rings. The spectral lines of an endless surface under a light
+source are blurred by the source in the same way.
 """
 
 import functools
@@ -26,29 +28,32 @@ from warpdiff.kernels.structs import Footprint
 # Compile options of this module. Loops are not unrolled, because unrolling makes compilation slower.
 OPTIONS = compile_options.options(max_unroll=1)
 _LOOKUP_OPTIONS = compile_options.options("point_lookup.h", "footprint_lookup.h", max_unroll=1)
-# Half of the largest number of azimuths, or rings, that a look-up adds with tabulated weights. This is also the number
-# of azimuths that are repeated before the first and after the last one of a ring, because azimuths are periodic. Limit:
-# twice as many double the size of the tables of weights.
+# Half of the largest number of azimuths, or rings, that a look-up adds with tabulated weights. Azimuths are periodic.
+# As many azimuths as this number are therefore repeated before the first azimuth of a ring, and after the last one. The
+# value is limited by memory: twice as many double the size of the tables of weights.
 HALF_TAPS = 7
-# Largest number of directions that a CPU thread looks up in one call. Limit: arrays of this size are on the stack.
+# Largest number of directions that a CPU thread looks up in one call. The value is limited by the stack, which has
+# arrays of this size.
 BATCH = 256
-# Number of directions by which memory accesses run ahead: while one direction is looked up, the rows of a later one are
-# fetched from memory. Choice: other numbers change only the time.
+# Number of directions by which memory accesses run ahead: while a direction is looked up, the rows of the direction
+# with this distance are fetched from memory. The value was chosen freely, because other numbers change only the time.
 _AHEAD = 3
-# Number of samples on each side of an azimuth that the filter from values to spline coefficients uses. Limit: the
-# weights of the filter are √2 · (−0.17)ⁿ at a distance of n samples, so that the truncated ones are at most 6e-6.
+# Number of samples on each side of an azimuth that the filter from values to spline coefficients uses. The weights of
+# the filter are √2 · (−0.17)ⁿ at a distance of n samples. The value was chosen so that truncated weights are at most
+# 6e-6.
 FILTER_REACH = 6
 _FILTER = wp.types.vector(length=FILTER_REACH + 1, dtype=wp.float32)(
     *quadratic_spline.prefilter(FILTER_REACH)[FILTER_REACH:]
 )
-# Number of azimuths whose rows the kernel `blur` adds in one pass over the rings. Limit: size of its local vectors.
+# Number of azimuths whose rows the kernel `blur` adds in one pass over the rings. The value is limited by the size of
+# the kernel's local vectors.
 _TAPS = 8
 _FILTER_OPTIONS = compile_options.options(max_unroll=2 * FILTER_REACH + 1)
-# Largest number of parts into which a footprint is divided where the angle of (u, v) changes within it. Limit: time is
-# proportional to the parts.
+# Largest number of parts into which the footprint of a pixel is divided if the polar angle of (u, v) changes within the
+# footprint. The value is limited by time, which is proportional to the number of parts.
 MOST_PARTS = 12
-# Distance from the centre of a wide blur over rings at which the blur is truncated [standard deviations]. Limit: time
-# is proportional to it.
+# Distance from the centre of a wide blur over rings at which the blur is truncated [standard deviations]. The value is
+# limited by time, which is proportional to it.
 DEVIATIONS = 3.0
 
 
@@ -56,7 +61,8 @@ DEVIATIONS = 3.0
 class FootprintTaps:
     """Tables of weights by which a look-up adds azimuths, or rings, around a position.
 
-    The weights are those of the spline between azimuths, blurred by a Gaussian with the variance of a footprint.
+    Each weight is the value of the spline between azimuths, blurred by a Gaussian. Weights are tabulated by the
+    variance of this Gaussian.
     """
 
     weights: wp.array3d(dtype=wp.float32)  # weights by variance and position, (variances, fractions, 2 HALF_TAPS)
@@ -67,18 +73,21 @@ class FootprintTaps:
 
 @wp.func
 def spline(away: wp.float32) -> wp.vec3f:
-    """Return the weights of three neighbouring samples in a quadratic B-spline, at ``away`` from the middle sample."""
+    """Return the weights of three neighbouring samples in a quadratic B-spline.
+
+    The position is at the distance ``away`` from the middle sample.
+    """
     return wp.vec3f(0.5 * (0.5 - away) * (0.5 - away), 0.75 - away * away, 0.5 * (0.5 + away) * (0.5 + away))
 
 
 @wp.func
 def gaussian(away: wp.float32, variance: wp.float32) -> wp.float32:
-    """Return the value of a Gaussian at a distance from its centre, where it is 1."""
+    """Return the value of a Gaussian at a distance from its centre; the value at the centre is 1."""
     return wp.exp(-0.5 * away * away / variance)
 
 
 def variance_before(deviations: float) -> float:
-    """Return the variance of a normal distribution that has variance 1 after it is truncated at ±``deviations``."""
+    """Return the variance of a normal distribution whose variance is 1 after it is truncated at ±``deviations``."""
     variance = 1.0
     for _ in range(20):
         end = deviations / math.sqrt(variance)
@@ -92,9 +101,9 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
     """Return the struct and the kernels of colour tables for a number of functions of w.
 
     Args:
-        w_basis_size: Number of functions of w.
-        source: Whether the table is for a source, whose rows contain line spectra. Otherwise rows contain the spectrum
-            under a window.
+        w_basis_size: Number of functions of w, the normal component of the scattering vector.
+        source: Whether the table is for a light source, so that its rows contain line spectra. Otherwise rows contain
+            the smooth spectrum under a coherence window.
 
     Returns:
         A namespace with the type ``row``, the struct ``Colours`` and the kernels ``interpolate``, ``blur`` and
@@ -143,7 +152,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         run: wp.int32,
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Compute the coefficients of the quadratic spline along azimuths, and repeat azimuths at both ends.
+        """Compute the coefficients of the quadratic spline along azimuths, and repeat azimuths at both ends of a ring.
 
         The kernel processes the values of one octave. Each coefficient is a weighted sum of the values at
         2 ``FILTER_REACH`` + 1 azimuths of the same ring.
@@ -171,7 +180,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Compute the values of a mip level at its azimuths: a Gaussian blur of a finer level.
 
-        The spline between azimuths is itself a blur, with a variance of a quarter of their squared distance.
+        The spline between azimuths is itself a blur, with a variance of a quarter of the squared distance of azimuths.
         """
         thread, _ = wp.tid()
         rings = table.rings_per_octave
@@ -190,7 +199,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
                 total += gaussian(wp.float32(nearest + j) - place, variance)
             for ring in range(rings):
                 values_out[azimuth * rings + ring] = row_t()
-            # Several azimuths are added in each pass, because a pass reads and writes the sums of all rings.
+            # Several azimuths are added in one pass over the rings, because a pass reads and writes the sums of all
+            # rings.
             starts = starts_t()
             weights = weights_t()
             for begin in range(-half_taps, half_taps + 1, wp.static(_TAPS)):
@@ -214,7 +224,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         table: Colours, scattering_vectors: wp.array(dtype=wp.vec3d), gains: wp.array(dtype=wp.float32),
         begin: wp.int32, end: wp.int32, xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the XYZ of the scattering vectors from ``begin`` to ``end``, times their gains, to ``xyz_out``."""
+        """Add the XYZ of the scattering vectors from ``begin`` to ``end``, times ``gains``, to ``xyz_out``."""
 
     @wp.func_native(
         f"warpdiff::look_up_footprints<{w_basis_size}, {str(source).lower()}, {BATCH}, {MOST_PARTS}>(table, taps, "
@@ -226,9 +236,9 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         gains: wp.array(dtype=wp.float32), footprints: wp.array(dtype=Footprint), taps: FootprintTaps, begin: wp.int32,
         end: wp.int32, unserved_gain: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the XYZ of the scattering vectors from ``begin`` to ``end``, times their gains, to ``xyz_out``.
+        """Add the XYZ of the scattering vectors from ``begin`` to ``end``, times ``gains``, to ``xyz_out``.
 
-        Each XYZ is the mean over the footprint and the source.
+        Each XYZ is the mean over the footprint of the pixel and over the light source.
         """
 
     @wp.kernel(module="unique", module_options=_LOOKUP_OPTIONS)
@@ -238,10 +248,10 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         first: wp.int32,
         unserved_gain: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the XYZ of ``run`` directions per thread, times their gains, to ``xyz_out``; ``footprints`` may be empty.
+        """Add the XYZ of ``run`` directions per thread, times ``gains``, to ``xyz_out``; ``footprints`` may be empty.
 
-        With a source, directions that the table cannot serve are skipped. Their gains are written to ``unserved_gain``,
-        and 0 for all other directions.
+        Under a light source, directions that the table cannot serve are skipped. The gains of these directions are
+        written to ``unserved_gain``, which is 0 for all other directions.
         """
         begin = (first + wp.tid()) * run
         end = wp.min(begin + run, gains.shape[0])

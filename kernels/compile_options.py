@@ -7,9 +7,9 @@ from typing import Any
 
 import warp as wp
 
-# Compiler flags for the CPU. -mreassociate and -fno-signed-zeros let the compiler reorder sums over a table's rows into
-# SIMD lanes; NaN and infinity remain defined. The last two flags shorten compilation. Without bfloat16, which no kernel
-# uses, each compiling thread precompiles Warp's headers in 1.1 s instead of 1.7 s. Instantiated templates in the
+# Compiler flags for the CPU. -mreassociate and -fno-signed-zeros let the compiler reorder sums over the rows of a table
+# into SIMD lanes; NaN and infinity remain defined. The last two flags shorten compilation. Without bfloat16, which no
+# kernel uses, each compiling thread precompiles Warp's headers in 1.1 s instead of 1.7 s. Instantiated templates in the
 # precompiled headers save 0.05 to 0.1 s per module.
 _FLAGS = (
     "-O3 -march=native -mreassociate -fno-signed-zeros -ffp-contract=fast -DWP_NO_BFLOAT16= -fpch-instantiate-templates"

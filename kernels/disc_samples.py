@@ -1,6 +1,6 @@
 """Disc samples: random directions to a disc light.
 
-Each sample represents a small Gaussian of directions. All samples together cover the disc.
+Each sample represents a small Gaussian of directions. All samples of a ray together cover the disc of the light.
 """
 
 import math
@@ -14,9 +14,10 @@ from warpdiff.kernels.structs import Pixels
 
 wp.set_module_options(compile_options.options())
 
-# ``MIRROR_SHARE`` of the samples are drawn around the mirror direction if that direction is near the disc, because
-# surfaces are brightest there. ``REACH`` is the largest distance from the disc that counts as near [standard deviations
-# of the zeroth order]. Choices: other values change the noise, not the mean.
+# If the mirror direction is near the disc of the light, ``MIRROR_SHARE`` of the samples are drawn around it, because
+# surfaces are brightest there. ``REACH`` is the largest distance from the disc that counts as near
+# [standard deviations of the zeroth order]. Both values were chosen freely: other values change the noise, not the
+# mean.
 MIRROR_SHARE, REACH = wp.constant(wp.float32(0.3)), wp.constant(wp.float32(4.0))
 
 
@@ -45,18 +46,18 @@ def draw_disc(
     """Draw a direction to a disc light for each ray: uniform in solid angle, or around the mirror direction.
 
     Args:
-        lights: The lights. The two vectors in ``deviations`` of a disc light are half as long as its radius [rad].
+        lights: All lights. The two vectors in ``deviations`` of a disc light are half as long as its radius [rad].
         light_index: Index of the disc light.
         extent: Standard deviation of the Gaussian of a sample, in radii of the disc, at most 0.5. Directions are drawn
-            on a smaller disc, to which the Gaussian adds the missing variance.
+            on a smaller disc; the Gaussian adds the variance that the smaller disc lacks.
         lobe: Standard deviation of the zeroth order in (u, v).
         pixels: Hits of the rays.
-        tiles: Pixels whose cells are the rays; if empty, the rays are one per pixel of the picture.
+        tiles: Pixels whose subpixel cells have the rays; if empty, each pixel of the picture has one ray.
         width: Number of pixels per row.
-        across: Number of cells along a side of a pixel.
+        across: Number of subpixel cells along a side of a pixel.
         sample: Index of the sample among the ``samples`` of each ray.
         samples: Number of samples per ray.
-        first: Index of the first thread's first ray.
+        first: Index of the first ray of the first thread.
         run: Number of rays per thread.
         towards_out: Unit vectors towards the light, world frame, and weights with a mean of 1. The weight is 0 for
             directions beyond the disc.
@@ -67,8 +68,8 @@ def draw_disc(
     bitangent = wp.normalize(lights.deviations[light_index, 1])
     radius = 2.0 * wp.length(lights.deviations[light_index, 0])
     spread = wp.sqrt(lobe * lobe + extent * extent * radius * radius)
-    # Directions at the angle θ from the disc's axis are mapped to a plane, at the distance √(2 (1 − cos θ)) from its
-    # origin. The map preserves areas.
+    # Directions at the angle θ from the disc's axis are mapped to a plane, at the distance √(2 (1 − cos θ)) from the
+    # origin of the plane. The map preserves areas.
     edge = 2.0 * wp.sin(0.5 * radius * wp.sqrt(wp.max(1.0 - 4.0 * extent * extent, 0.0)))
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
@@ -100,9 +101,9 @@ def draw_disc(
         if share > 0.0:
             away = towards - mirrored
             away -= wp.dot(away, normal) * normal
-            # The probability density of the direction is that of the Gaussian around the mirror direction times
-            # `share`, plus that of the disc times the rest. Both are per solid angle ω. The density of the Gaussian per
-            # area of (u, v) is therefore multiplied by cos θi, because du dv = dω cos θi.
+            # The probability density of the direction is the density of the Gaussian around the mirror direction times
+            # `share`, plus the density on the disc times (1 − `share`). Both densities are per solid angle ω. The
+            # density of the Gaussian per area of (u, v) is therefore multiplied by cos θi, because du dv = dω cos θi.
             of_mirror = wp.exp(-0.5 * wp.length_sq(away) / (spread * spread)) * wp.dot(towards, normal)
             of_mirror *= wp.static(0.5 / math.pi) / (spread * spread)
             even = wp.static(1.0 / math.pi) / (edge * edge)

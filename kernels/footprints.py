@@ -1,8 +1,8 @@
 """Footprints of pixels in (u, v), to first order: ray differentials (Igehy 1999) on the face that a ray hits.
 
 The view direction, the hit point and the shading frame are differentiated in closed form with respect to the position
-in the picture. The derivatives of (u, v) follow from them. Neighbouring pixels are not used, so that edges do not
-affect footprints.
+in the picture. The derivatives of (u, v) follow from these derivatives. Neighbouring pixels are not used, so that edges
+do not affect footprints.
 """
 
 import warp as wp
@@ -10,8 +10,8 @@ import warp as wp
 from warpdiff.kernels.shading_frames import LEAST_COSINE
 from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
-# Least cosine between the view direction and a face's normal; smaller cosines are replaced by it. Limit: footprints of
-# faces that are nearly edge-on would become infinite.
+# Least cosine of the angle between the view direction and a face's normal; smaller cosines are replaced by it. The
+# value is limited by faces that are nearly edge-on, whose footprints would become infinite.
 LEAST_FACING = 1e-4
 
 
@@ -23,4 +23,4 @@ def pixel_footprints_run(
     camera: Camera, surface: SurfaceArrays, pixels: Pixels, scattering_vectors: wp.array(dtype=wp.vec3d),
     deviation: wp.float32, begin: wp.int32, end: wp.int32, footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
-    """Compute the footprints of the rays with indices from ``begin`` to ``end``."""
+    """Compute the footprints in (u, v) of the rays with indices from ``begin`` to ``end``."""

@@ -33,21 +33,23 @@ def choose_lights(
 
     Args:
         lights: The lights, which have the same spectrum.
-        table: Distribution of the light that the surface scatters over (u, v).
-        reflection: Parameters of the reflectance, of which only the surfaces of faces are used.
+        table: Distribution over (u, v) of the light that the surface scatters.
+        reflection: Parameters of the reflectance. Only its list with the surface of each face is used here.
         surface: Surface for whose faces lights are chosen; the results of other rays are unchanged.
-        diffuse: Brightness that is added to that of the table for all directions, times the cosine of the light.
+        diffuse: Brightness times the cosine of the light, which is added to the brightness of the table in all
+            directions.
         pixels: Hits of the rays.
-        footprints: Footprints of the rays' filters for light from the mirror direction.
-        tiles: Pixels whose cells are the rays; if empty, the rays are one per pixel of the picture.
+        footprints: Footprints in (u, v) of the rays' pixels or cells, for light from the mirror direction.
+        tiles: Pixels whose subpixel cells have the rays; if empty, each pixel of the picture has one ray.
         width: Number of pixels per row.
-        across: Number of cells along a side of a pixel.
+        across: Number of subpixel cells along a side of a pixel.
         sample: Index of the sample among the ``samples`` of each ray.
         samples: Number of samples per ray.
-        first: Index of the first thread's first ray.
+        first: Index of the first ray of the first thread.
         run: Number of rays per thread.
         towards_out: Unit vectors towards the chosen lights, world frame, and weights. A weight is the power of the
-            light relative to that of the first light, divided by the probability. It is 0 without a light.
+            chosen light relative to the power of the first light, divided by the probability of the choice. The weight
+            is 0 if no light was chosen.
     """
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):

@@ -1,13 +1,16 @@
-"""Constants and weights of the quadratic B-spline between equally spaced nodes, for kernels and the host."""
+"""Constants and weights of the quadratic B-spline between equally spaced nodes, for kernels and for Python code."""
 
 import math
 
 # Pole of the filter that converts values at nodes to coefficients of the spline through them: the factor by which the
-# weights of the filter decrease from node to node. Derived from the values of the quadratic B-spline at nodes, 1/8, 3/4
-# and 1/8. With another number, splines do not pass through the values.
+# weights of the filter decrease from node to node. The number was derived from the values of the quadratic B-spline at
+# nodes, 1/8, 3/4 and 1/8. With another number, splines would not pass through the values at nodes.
 POLE = 2.0 * math.sqrt(2.0) - 3.0
 
 
 def prefilter(half_taps: int) -> list[float]:
-    """Return 2 ``half_taps`` + 1 weights; the weighted sum of values at as many nodes is the middle coefficient."""
+    """Return 2 ``half_taps`` + 1 weights of values at consecutive nodes.
+
+    The weighted sum of these values is the spline coefficient of the middle node.
+    """
     return [math.sqrt(2.0) * POLE ** abs(j) for j in range(-half_taps, half_taps + 1)]

@@ -2,18 +2,20 @@
 
 Samples of neighbouring cells and pixels are consecutive in one (0, 2) sequence along a Morton curve. Errors then look
 like fine grain (Ahmed and Wonka, Screen-space blue-noise diffusion of Monte Carlo sampling error via hierarchical
-ordering of pixels, 2020). The scrambling is Burley's (Practical hash-based Owen scrambling, 2020).
+ordering of pixels, 2020). The sequence is scrambled by the method of Burley (Practical hash-based Owen scrambling,
+2020).
 """
 
 import warp as wp
 
 # Seeds of the hashes that scramble the sequence. ``ORDER_SEED`` and ``ORDER_SEED_OF_FILTER`` are for the order of the
-# samples, the others for their coordinates. Seeds whose names contain FILTER are for points of the pixel filter, the
-# others for directions to the light.
+# samples; the other seeds are for the coordinates of the samples. Seeds whose names contain FILTER are for points of
+# the pixel filter; the other seeds are for directions to the light.
 ORDER_SEED, ORDER_SEED_OF_FILTER = wp.constant(wp.uint32(0x9E3779B9)), wp.constant(wp.uint32(0x7F4A7C15))
 SEED_X, SEED_Y = wp.constant(wp.uint32(0x85EBCA6B)), wp.constant(wp.uint32(0xC2B2AE35))
 SEED_FILTER_X, SEED_FILTER_Y = wp.constant(wp.uint32(0x27D4EB2F)), wp.constant(wp.uint32(0x165667B1))
-# Multipliers of the hash of Laine and Karras. They are even, so that a bit is flipped depending on lower bits only.
+# Multipliers of the hash of Laine and Karras. The multipliers are even, so that a bit is flipped depending on lower
+# bits only.
 MIX_1, MIX_2 = wp.constant(wp.uint32(0x6C50B47C)), wp.constant(wp.uint32(0xB82F1E52))
 MIX_3, MIX_4 = wp.constant(wp.uint32(0xC7AFE638)), wp.constant(wp.uint32(0x8D22F6E6))
 PER_UNIT = wp.constant(wp.float32(2.0**-24))
@@ -32,7 +34,7 @@ def reverse_bits(value: wp.uint32) -> wp.uint32:
 
 @wp.func
 def owen_scramble(value: wp.uint32, seed: wp.uint32) -> wp.uint32:
-    """Flip each bit by a hash of the bits above it (Laine and Karras's hash on the reversed bits)."""
+    """Flip each bit by a hash of the bits above it, which is Laine and Karras's hash applied to the reversed bits."""
     x = reverse_bits(value)
     x += seed
     x ^= x * MIX_1
@@ -44,7 +46,7 @@ def owen_scramble(value: wp.uint32, seed: wp.uint32) -> wp.uint32:
 
 @wp.func
 def second_sobol(index: wp.uint32) -> wp.uint32:
-    """Return the second coordinate of Sobol's sequence: the bits of the index times Pascal's matrix modulo 2."""
+    """Return the second coordinate of Sobol's sequence: Pascal's matrix modulo 2 times the bits of the index."""
     x = index
     x ^= x >> wp.uint32(16)
     x ^= (x >> wp.uint32(8)) & wp.uint32(0x00FF00FF)
@@ -66,13 +68,13 @@ def spread_bits(value: wp.uint32) -> wp.uint32:
 
 @wp.func
 def morton_index(column: wp.int32, row: wp.int32) -> wp.uint32:
-    """Return the position of a cell of the picture on a Morton curve, from its column and row."""
+    """Return the position of a subpixel cell of the picture on a Morton curve, from its column and row."""
     return spread_bits(wp.uint32(column)) | (spread_bits(wp.uint32(row)) << wp.uint32(1))
 
 
 @wp.func
 def sample_point(index: wp.uint32, order_seed: wp.uint32, seed_x: wp.uint32, seed_y: wp.uint32) -> wp.vec2f:
-    """Return the point with the given index in a shuffled and scrambled (0, 2) sequence, in [0, 1)²."""
+    """Return the point with the index ``index`` in a shuffled and scrambled (0, 2) sequence, in [0, 1)²."""
     shuffled = owen_scramble(index, order_seed)
     x = owen_scramble(reverse_bits(shuffled), seed_x)
     y = owen_scramble(second_sobol(shuffled), seed_y)
@@ -90,9 +92,9 @@ def sample_index(
     """Return the index in the (0, 2) sequence for one of the samples of a ray.
 
     Args:
-        tiles: Pixels whose cells are the rays; if empty, the rays are one per pixel of the picture.
+        tiles: Pixels whose subpixel cells have the rays; if empty, each pixel of the picture has one ray.
         width: Number of pixels per row.
-        across: Number of cells along a side of a pixel.
+        across: Number of subpixel cells along a side of a pixel.
         ray: Index of the ray.
         sample: Index of the sample among the ``samples`` of each ray.
         samples: Number of samples per ray.

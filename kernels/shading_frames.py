@@ -1,11 +1,11 @@
-"""Shading frames at hits, and the origins of shadow rays."""
+"""Shading frames (normal, tangent, bitangent) at the hits of camera rays, and the origins of shadow rays."""
 
 import warp as wp
 
 from warpdiff.kernels.structs import SPECIAL, Pixels, SurfaceArrays
 
-# Height of a shadow ray's origin above the surface [radii of the mesh]. Derived: about a hundred times the rounding
-# error of positions. Occluders closer than this height cast no shadow.
+# Height of a shadow ray's origin above the surface [radii of the mesh]. The value was derived as about a hundred times
+# the rounding error of positions. Occluders closer than this height cast no shadow.
 LIFT = wp.constant(wp.float32(1.0e-5))
 # Least cosine of the angle between the shading normal and the direction to the viewer. Normals with a smaller cosine
 # are tilted towards the viewer.
@@ -30,9 +30,10 @@ def perpendicular(v: wp.vec3f) -> wp.vec3f:
 
 @wp.func
 def face_the_viewer(normal: wp.vec3f, geometric: wp.vec3f, to_view: wp.vec3f) -> wp.vec3f:
-    """Return a unit normal tilted towards the viewer, so that their cosine is at least ``LEAST_COSINE``.
+    """Return a unit normal tilted towards the viewer until the cosine of the angle between both is ``LEAST_COSINE``.
 
-    If the normal points exactly away from the viewer, the geometric normal determines the direction of the tilt.
+    A normal with a larger cosine is not tilted. If the normal points exactly away from the viewer, the geometric normal
+    determines the direction of the tilt.
     """
     result = normal
     if wp.dot(normal, to_view) < LEAST_COSINE:
@@ -41,8 +42,8 @@ def face_the_viewer(normal: wp.vec3f, geometric: wp.vec3f, to_view: wp.vec3f) ->
             aside = geometric - wp.dot(geometric, to_view) * to_view
         if wp.length_sq(aside) < 1.0e-12:
             aside = perpendicular(to_view)
-        # The component of one vector perpendicular to another is short if both are nearly parallel, and has a large
-        # relative rounding error. Projecting it again removes the error along the other vector.
+        # If two vectors are nearly parallel, the component of one perpendicular to the other is short, and has a large
+        # relative rounding error. A second projection of this component removes its error along the other vector.
         aside = wp.normalize(aside)
         aside = wp.normalize(aside - wp.dot(aside, to_view) * to_view)
         result = LEAST_COSINE * to_view + wp.sqrt(1.0 - LEAST_COSINE * LEAST_COSINE) * aside
@@ -56,6 +57,6 @@ def face_the_viewer(normal: wp.vec3f, geometric: wp.vec3f, to_view: wp.vec3f) ->
 def shading_frames_run(surface: SurfaceArrays, pixels: Pixels, begin: wp.int32, end: wp.int32) -> wp.int32:
     """Compute the shading frames and the origins of shadow rays of consecutive pixels.
 
-    Return the number of pixels that are left to ``face_the_viewer``, because their normals must be tilted or their
-    tangents replaced.
+    Return the number of pixels that are computed later by ``face_the_viewer``, because their normals must be tilted or
+    their tangents replaced.
     """

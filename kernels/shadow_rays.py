@@ -1,8 +1,8 @@
-"""Shadow rays: a grid over the mesh as projected along the light, whose cells list the faces in them.
+"""Shadow rays: a grid over the mesh, projected along the light. Each cell of the grid lists the faces in it.
 
 Positions perpendicular to the light are rounded to whole multiples of 2^-24 radii. Their differences and products are
 then exact in float64, with any compiler. For two faces that meet at an edge, a point is therefore on the same side of
-the edge in both tests, and no ray passes between the faces.
+the edge in the tests of both faces, and no ray passes between the faces.
 """
 
 import warp as wp
@@ -17,11 +17,11 @@ wp.set_module_options(compile_options.options("shadow_rays.h", "atomics.h"))
 # Most kernels of this module have a second thread index, which is always 0, because Warp then compiles one variant of a
 # kernel instead of two: see ``light_samples``.
 
-# Number of steps per radius of the mesh to which positions are rounded. Limit: float32 represents all whole numbers up
-# to 2^24.
+# Number of steps per radius of the mesh to which positions are rounded. The value is limited by float32, which
+# represents all whole numbers up to 2^24.
 STEPS = wp.constant(wp.float64(16777216.0))
 # A shadow ray is traced if the cosine between the normal and the direction to the light exceeds this number, which is
-# slightly negative. Derived: its magnitude exceeds the rounding error of cosines.
+# slightly negative. The number was derived from the rounding error of cosines, which is smaller than its magnitude.
 FACING_AWAY = wp.constant(wp.float32(-1.0e-5))
 
 
@@ -50,7 +50,10 @@ class ShadowGrid:
 
 @wp.func
 def light_coordinates(grid: ShadowGrid, position: wp.vec3f) -> wp.vec3d:
-    """Return a position in the axes of an occluder grid: along ``across`` and ``up`` [steps], and along ``towards``."""
+    """Return the coordinates of a position along the axes ``across``, ``up`` and ``towards`` of an occluder grid.
+
+    The coordinates along ``across`` and ``up`` are whole numbers of steps.
+    """
     at = wp.vec3d(position)
     return wp.vec3d(
         wp.rint(wp.dot(at, grid.across) * STEPS), wp.rint(wp.dot(at, grid.up) * STEPS), wp.dot(at, grid.towards)
@@ -70,7 +73,8 @@ def cell_of(place: wp.float64, low: wp.float64, per_step: wp.float64) -> wp.int3
 def left_of(a: wp.vec3f, b: wp.vec3f, x: wp.float64, y: wp.float64) -> wp.float64:
     """Return twice the signed area of the triangle (a, b, (x, y)), exactly.
 
-    It is positive if the point (x, y) is to the left of the edge from a to b; x points to the right and y upwards.
+    The area is positive if the point (x, y) is to the left of the edge from a to b; x points to the right and y
+    upwards.
     """
     ax = wp.float64(a[0])
     ay = wp.float64(a[1])
@@ -79,7 +83,7 @@ def left_of(a: wp.vec3f, b: wp.vec3f, x: wp.float64, y: wp.float64) -> wp.float6
 
 @wp.func
 def cells_of(grid: ShadowGrid, corners: wp.mat33f) -> wp.vec4i:
-    """Return the first and last column and row of the grid that the bounding box of a face overlaps.
+    """Return the first and last column and the first and last row of the grid that a face's bounding box overlaps.
 
     The ranges are empty for a face without area.
     """
@@ -128,7 +132,7 @@ def count(
     run: wp.int32,
     counts_out: wp.array(dtype=wp.int32),
 ):
-    """Count the faces that each cell's list will have."""
+    """Count the faces of each cell, which the list of the cell will contain."""
     thread, _ = wp.tid()
     for face in range(first + thread * run, first + (thread + 1) * run):
         cells = cells_of(grid, grid.corners[face])
@@ -147,7 +151,7 @@ def fill(
     """Write the indices of faces into the lists of the cells that they overlap, in arbitrary order.
 
     The order depends on the threads, but occlusion does not depend on it. Before the launch, ``ends_out`` has the index
-    at which each cell's list begins. After it, ``ends_out`` has the index at which the list ends.
+    at which each cell's list begins. After the launch, it has the index at which the list ends.
     """
     thread, _ = wp.tid()
     for face in range(first + thread * run, first + (thread + 1) * run):
@@ -161,8 +165,8 @@ def fill(
                 grid.tops[place] = top
 
 
-# ``native/shadow_rays.h`` computes coordinates, cells and sides of edges exactly as the functions above, with which the
-# lists are made.
+# ``native/shadow_rays.h`` computes coordinates, cells and sides of edges exactly as the functions above, which make the
+# lists of faces.
 @wp.func_native(
     f"warpdiff::look_up_shadows<8>(grid, towards, pixels, {float(FACING_AWAY)}f, {float(STEPS)}, begin, end, "
     "occluded_out);"
@@ -171,7 +175,7 @@ def look_up(
     grid: ShadowGrid, towards: wp.vec3f, pixels: Pixels, begin: wp.int32, end: wp.int32,
     occluded_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Determine for the pixels from ``begin`` to ``end`` whether faces in the lists of the grid occlude the light."""
+    """Determine for the hits from ``begin`` to ``end`` whether faces in the lists of the grid occlude the light."""
 
 
 @wp.kernel
@@ -182,9 +186,9 @@ def trace_shadow_rays(
 ):  # fmt: skip
     """Trace a shadow ray from each hit to the light ``light_index``, unless the surface faces away from it.
 
-    ``grid`` is that of the light; for a point light it has no lists, and the ray uses the hierarchy of faces.
-    ``directions`` has a direction to the light for each ray, and as fourth component the weight of this sample, which
-    is not used here. If it is empty, all rays use the direction of the light.
+    ``grid`` is the occluder grid of the light. For a point light it has no lists, and the ray uses the hierarchy of
+    bounding boxes. ``directions`` has a direction to the light for each ray. Its fourth component is the weight of the
+    direction, which is not used here. If ``directions`` is empty, all rays use the direction of the light.
     """
     place = places[light_index]
     towards = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))

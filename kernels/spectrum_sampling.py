@@ -1,8 +1,8 @@
-"""Power spectrum at azimuth samples and rings, and its integral over λ for every function of w.
+"""Power spectrum at azimuth samples and rings, and integrals of the spectrum over λ for every function of w.
 
-Rings are at equal ratios along an azimuth. The value of a ring is the integral of the spectrum under a quadratic
-B-spline in ln t, where t = |(u, v)|/λ. A colour is a weighted sum over the rings of one octave, with the same weights
-at every radius: see ``colour_lookup``.
+The radii of rings have equal ratios along an azimuth. w is the normal component of the scattering vector (u, v, w). The
+value of a ring is the integral of the spectrum under a quadratic B-spline in ln t, where t = |(u, v)|/λ. A colour is a
+weighted sum over the rings of one octave, with the same weights at every radius: see ``colour_lookup``.
 """
 
 import functools
@@ -20,13 +20,13 @@ _PROJECTION_OPTIONS = compile_options.options("colour_projection.h", max_unroll=
 
 @functools.cache
 def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
-    """Return the kernel that samples the power spectrum of a height field on azimuths, and the type of its rows.
+    """Return the kernel that samples the power spectrum of a height field on azimuths, and the type of sampled rows.
 
     Args:
-        lanes: Number of terms in a row of coefficients.
+        lanes: Number of terms in a row of the table of Fourier coefficients.
         powers: Whether rows are powers, for averaged windows. A sampled row is then a weighted sum of rows. Otherwise
-            rows are amplitudes, for centred windows. A sampled row then has the power of their weighted sum at several
-            κ.
+            rows are amplitudes, for centred windows. A sampled row then has the power of the weighted sum of rows at
+            several κ = w/λ.
         width: Number of terms in a sampled row.
     """
     coefficients_t = coefficient_sum.kernels(lanes, "averaged" if powers else "centred", powers).Table
@@ -42,9 +42,10 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
         first_t: wp.float64, ratio: wp.float64, divisions: wp.int32, highest: wp.float64, scale: wp.float32,
         excluded: wp.int32, begin: wp.int32, values_out: wp.array(dtype=out_t),
     ):  # fmt: skip
-        """Compute the integrals of the spectrum along one azimuth, each weighted by the spline of a ring of one octave.
+        """Compute integrals of the spectrum along one azimuth; each integral is weighted by the spline of one ring.
 
-        The integrals of consecutive rings are written to consecutive rows from ``begin`` on.
+        The rings belong to one octave. The integrals of consecutive rings are written to consecutive rows from
+        ``begin`` on.
         """
 
     @wp.kernel(module="unique", module_options=_SAMPLING_OPTIONS)
@@ -54,16 +55,17 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
         first: wp.int32,
         values_out: wp.array(dtype=out_t),
     ):  # fmt: skip
-        """Compute the integrals of the power spectrum along azimuths, each weighted by the spline of a ring.
+        """Compute integrals of the power spectrum along azimuths; each integral is weighted by the spline of one ring.
 
-        ``log_low`` is ln of the first ring's frequency, and ``start`` the row of azimuth 0. The spectrum is sampled
-        ``divisions`` times per ring, up to the frequency ``highest``, without the coefficient ``excluded``. If rows are
-        amplitudes, ``bases`` has the values of the basis at several κ.
+        ``log_low`` is the natural logarithm of the first ring's frequency, and ``start`` is the index of the row of
+        azimuth 0. The spectrum is sampled ``divisions`` times per ring, up to the frequency ``highest``, without the
+        coefficient ``excluded``. If rows are amplitudes, ``bases`` has the values of the basis functions at several
+        κ = w/λ.
         """
         azimuth = first + wp.tid()
         angle = wp.float64(2.0 * wp.PI) * wp.float64(azimuth) / wp.float64(azimuths)
         per_sample = wp.float64(wp.static(math.log(2.0))) / wp.float64(rings_per_octave * divisions)
-        # The spline of a ring begins one and a half rings before the ring.
+        # The B-spline of a ring, which weights the spectrum, begins one and a half rings before the ring.
         first_t = wp.exp(log_low + (wp.float64(0.5) - wp.float64(1.5) * wp.float64(divisions)) * per_sample)
         sample_azimuth(
             table, bases, wp.sin(angle) * table.length_y, wp.cos(angle) * table.length_x, rings_per_octave, first_t,
@@ -76,7 +78,7 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
 
 @functools.cache
 def gatherer(lanes: int) -> types.SimpleNamespace:
-    """Return the kernel that adds the lines of a line spectrum on azimuths, and the type of its rows."""
+    """Return the kernel that adds the lines of a line spectrum on azimuths, and the type of the resulting rows."""
     row_t = wp.types.vector(length=lanes, dtype=wp.float32)
 
     @wp.kernel(module="unique", module_options=OPTIONS)
@@ -86,10 +88,11 @@ def gatherer(lanes: int) -> types.SimpleNamespace:
         ends: wp.array(dtype=wp.int32), rings: wp.int32, blur: wp.float32, first: wp.int32,
         values_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Compute the integrals of a line spectrum along azimuths, each weighted by the spline of a ring.
+        """Compute integrals of a line spectrum along azimuths; each integral is weighted by the spline of one ring.
 
         Args:
-            coefficients: Powers of the lines, one row of terms per coefficient. Lines are blurred in angle.
+            coefficients: Powers of the spectral lines, one row of basis terms per Fourier coefficient. Lines are
+                blurred in angle.
             lines: Indices into ``coefficients``, in the order of the lines' angles.
             angles: Angles of the lines [rad], from 0 to 2π and a little beyond at both ends.
             places: Distances of the lines from the centre of the frequency plane, as positions among the rings.
@@ -99,8 +102,8 @@ def gatherer(lanes: int) -> types.SimpleNamespace:
             ends: For each azimuth, one more than the last line whose blur reaches it.
             rings: Number of rings of an azimuth.
             blur: Standard deviation of the blur in angle [rad].
-            first: The first thread's azimuth.
-            values_out: Integrals, all rings of an azimuth together.
+            first: Index of the azimuth of the first thread.
+            values_out: Integrals; the rings of one azimuth are consecutive.
         """
         azimuth = first + wp.tid()
         start = azimuth * rings
@@ -124,14 +127,16 @@ def gatherer(lanes: int) -> types.SimpleNamespace:
 
 @functools.cache
 def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
-    """Return the kernels that integrate rows of ``lanes`` terms over λ.
+    """Return the kernels that integrate spectrum rows of ``lanes`` terms over λ.
 
-    The results are coefficients of ``w_basis_size`` functions of w, for X, Y and Z.
+    The results are coefficients of ``w_basis_size`` functions of w, for X, Y and Z. w is the normal component of the
+    scattering vector.
     """
     values_t = wp.types.vector(length=lanes, dtype=wp.float32)
     w_basis_t = wp.types.vector(length=w_basis_size, dtype=wp.float32)
     row_t = lookup(w_basis_size).row
-    # Number of azimuths whose colours a thread computes together. Limit: their sums must fit in registers.
+    # Number of azimuths whose colours a thread computes together. The value is limited by the registers, into which the
+    # sums of all these azimuths must fit.
     abreast = 4 if w_basis_size <= 8 else 2
 
     @wp.func_native(
@@ -143,7 +148,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
         rings: wp.int32, octave: wp.int32, first_azimuth: wp.int32, sequence: wp.array(dtype=values_t), at: wp.int32,
         length: wp.int32,
     ):  # fmt: skip
-        """Copy the rows from which the colours of one octave are computed to working memory, for a few azimuths."""
+        """Copy the spectrum rows for the colours of one octave to working memory, for a few azimuths."""
 
     @wp.func_native(
         f"warpdiff::project_azimuths<{lanes}, {w_basis_size}, {abreast}>(sequence, at, length, skipped, matrices, "
@@ -154,7 +159,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
         matrices: wp.array(dtype=w_basis_t), weights: wp.array(dtype=wp.vec3f), terms: wp.int32, rings: wp.int32,
         first_azimuth: wp.int32, rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Compute colours along a few azimuths from ``length`` rows each; ``skipped`` rows precede the first colour."""
+        """Compute colours along a few azimuths from ``length`` rows each. ``skipped`` rows precede the first colour."""
 
     @wp.kernel(module="unique", module_options=_PROJECTION_OPTIONS)
     def project(
@@ -166,8 +171,8 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
         """Compute colours along a few azimuths at a time, at the rings of one octave of |(u, v)|.
 
         At one |(u, v)|, red light has the lowest frequency |(u, v)|/λ, in the same octave as the ring. Blue light is in
-        the next octave or just beyond it. The next octave has equally many azimuths or twice as many. ``sequence`` is
-        working memory of ``length`` rows per azimuth.
+        the next octave or just beyond it. The next octave has as many azimuths as this octave, or twice as many.
+        ``sequence`` is working memory of ``length`` rows per azimuth.
         """
         at = (first + wp.tid()) * wp.static(abreast) * length
         for k in range(run):
@@ -183,8 +188,8 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Compute colours along a few azimuths of a line spectrum, each with ``row_count`` rings.
 
-        Some of these rings precede or follow the octaves of the table. They are required by the filter that converts
-        values to spline coefficients.
+        Some of these rings precede or follow the octaves of the table. The filter that converts values to spline
+        coefficients requires these rings.
         """
         first_azimuth = (first + wp.tid()) * wp.static(abreast)
         at = first_azimuth * row_count
@@ -198,7 +203,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
 
 @functools.cache
 def adder(w_basis_size: int) -> wp.Kernel:
-    """Return the kernel that adds rows, multiplied by factors, to the rows of a colour table."""
+    """Return the kernel that multiplies rows of colours by factors and adds them to the rows of a colour table."""
     row_t = lookup(w_basis_size).row
 
     @wp.kernel(module="unique", module_options=OPTIONS)
@@ -206,7 +211,7 @@ def adder(w_basis_size: int) -> wp.Kernel:
         values: wp.array(dtype=row_t), factors: wp.array(dtype=wp.float32), begins: wp.bool, first: wp.int32,
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Multiply rows by the factors of their rings, and add them to ``rows_out``; with ``begins``, overwrite it."""
+        """Multiply rows by factors of rings, and add the products to ``rows_out``; overwrite it if ``begins``."""
         rings = factors.shape[0]
         at = (first + wp.tid()) * rings
         for ring in range(rings):

@@ -1,4 +1,4 @@
-"""Adaptive subdivision: kernels that estimate errors, add cells to pixels, and select the level of each tile."""
+"""Adaptive subdivision: kernels that estimate errors, add subpixel cells to pixels, and select levels of tiles."""
 
 import warp as wp
 
@@ -6,19 +6,21 @@ from warpdiff.kernels import compile_options, refinement_levels
 
 wp.set_module_options(compile_options.options("cell_splats.h"))
 
-# Marks of pixels. ``ACTIVE`` pixels are subdivided. ``SHARED`` pixels use the cells of their neighbours. A pixel with
-# the mark 0 keeps the colour of its one ray.
+# Marks of pixels. ``ACTIVE`` pixels are subdivided into cells. ``SHARED`` pixels use the cells of neighbouring pixels.
+# A pixel with the mark 0 keeps the colour of its one ray.
 ACTIVE = wp.constant(wp.uint8(1))
 SHARED = wp.constant(wp.uint8(2))
-# Bits that describe the cells of a tile, as in kernels/native/cell_splats.h. They are set if at least one cell is
-# illuminated; hits the mesh but is dark; does not hit the mesh.
+# Bits that describe the cells of a tile (a subdivided pixel), as in kernels/native/cell_splats.h. LIT is set if at
+# least one cell is illuminated. UNLIT is set if at least one cell hits the mesh but is dark. MISSED is set if at least
+# one cell does not hit the mesh.
 LIT = wp.constant(wp.uint8(1))
 UNLIT = wp.constant(wp.uint8(2))
 MISSED = wp.constant(wp.uint8(4))
 CAUTION = wp.constant(wp.float32(refinement_levels.CAUTION))
 EDGE_FACTOR = wp.constant(wp.float32(refinement_levels.EDGE_FACTOR))
-# Level from which on a tile has enough samples to estimate its own scatter. The few samples of coarser tiles rarely
-# include the brightest directions; they use the mean scatter of nine tiles.
+# Level from which on a tile (a subdivided pixel) has enough samples to estimate the random scatter of its colour. The
+# few samples of coarser tiles rarely include the brightest directions. Coarser tiles therefore use the mean scatter of
+# nine tiles.
 LEVEL_OF_OWN_SCATTER = wp.constant(wp.int32(3))
 SCATTER_CAUTION = wp.constant(wp.float32(refinement_levels.SCATTER_CAUTION))
 SCATTER_FACTOR = wp.constant(wp.float32(refinement_levels.SCATTER_FACTOR))
@@ -39,15 +41,15 @@ def signal_difference(scattering_vectors: wp.array(dtype=wp.vec3d), own: wp.int3
 
 @wp.func
 def contrast_weight(scattering_vectors: wp.array(dtype=wp.vec3d), pixel: wp.int32, width: wp.int32) -> wp.float32:
-    """Return the expected error of a pixel, divided by the contrast with its neighbours, from changes of (u, v)."""
+    """Return the expected error of a pixel, divided by the contrast to its neighbours, from the changes of (u, v)."""
     left = signal_difference(scattering_vectors, pixel, pixel - 1)
     right = signal_difference(scattering_vectors, pixel, pixel + 1)
     above = signal_difference(scattering_vectors, pixel, pixel - width)
     below = signal_difference(scattering_vectors, pixel, pixel + width)
     along = wp.max(wp.length_sq(left), wp.length_sq(right)) + TINY
     down = wp.max(wp.length_sq(above), wp.length_sq(below)) + TINY
-    # Unevenness is the second difference of (u, v) along rows, columns and diagonals, relative to the larger first
-    # difference.
+    # Unevenness is the second difference of (u, v) along rows, columns and diagonals, relative to the larger of the two
+    # first differences.
     aslant2 = wp.max(
         wp.max(
             wp.length_sq(signal_difference(scattering_vectors, pixel, pixel - width - 1) - left - above),
@@ -76,8 +78,8 @@ def estimate_errors(
 ):  # fmt: skip
     """Estimate the errors ‖ΔXYZ‖ of pixels with one ray each, and mark the pixels to subdivide.
 
-    The contrast of a pixel is its largest difference of colour from a neighbour. Pixels that do not hit the mesh do not
-    count as neighbours.
+    The contrast of a pixel is the largest difference of its colour from the colour of a neighbouring pixel. Pixels that
+    do not hit the mesh do not count as neighbours.
 
     Args:
         colours: Colours of the pixels of the picture, row by row.
@@ -85,12 +87,12 @@ def estimate_errors(
         hit: Whether the pixels hit the mesh.
         width: Number of pixels per row.
         floor: Lower limit of ‖XYZ‖ in the denominator of relative errors.
-        bound: Relative error above which pixels are subdivided. With a negative bound, all pixels that hit the mesh or
-            are next to it are subdivided.
-        all_pixels: Whether all pixels of the picture are subdivided, because cells may hit the mesh although the ray
-            does not.
+        bound: Relative error above which pixels are subdivided. With a negative bound, all pixels that hit the mesh are
+            subdivided, and all pixels next to them.
+        all_pixels: Whether all pixels of the picture are subdivided, because a cell may hit the mesh although the ray
+            of the pixel does not.
         subdivides_silhouettes: Whether pixels are subdivided if the ray of only one of two neighbours hits the mesh.
-        first: Index of the first thread's first pixel.
+        first: Index of the first pixel of the first thread.
         run: Number of pixels per thread.
         errors_out: Estimated errors; 0 where a pixel does not hit the mesh.
         marks_out: ``ACTIVE`` for pixels to subdivide, otherwise 0.
@@ -120,8 +122,8 @@ def estimate_errors(
                         met += 1
                         if line * side == 0 and line != side:
                             beside += 1
-                        # Diagonal neighbours are included: their weight in the pixel filter is small, but they may be
-                        # far brighter.
+                        # Diagonal neighbours are included: the weight of a diagonal neighbour in the pixel filter is
+                        # small, but the neighbour may be far brighter.
                         share = wp.where(line * side == 0, 1.0, ASLANT)
                         contrast2 = wp.max(contrast2, share * share * wp.length_sq(colours[other] - own))
         if beside == 0:
@@ -149,7 +151,7 @@ def splat_cells_run(
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
     lighting_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Add the cells of the pixels from ``begin`` to ``end`` to the sums of nine pixels each."""
+    """Add the cells of each pixel from ``begin`` to ``end`` to the sums for nine pixels: itself and its neighbours."""
 
 
 @wp.kernel
@@ -161,7 +163,7 @@ def splat_cells(
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
     lighting_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Sum the cells of pixels with the weights of the filter, for each pixel and for the eight pixels around it.
+    """Sum the cells of pixels with the weights of the pixel filter, for each pixel and for the eight pixels around it.
 
     Args:
         colours: Colours of the cells, pixel after pixel and row by row.
@@ -169,19 +171,20 @@ def splat_cells(
         pixels: Indices of the pixels; −1 is no pixel.
         colours_before: Present colours of the picture: by one ray per pixel, or already from cells of an earlier group.
         ranks: For each pixel of the picture, its index in the outputs; empty if the pixel itself is the index.
-        weights: Pixel filter of one pixel along one axis: its values at the cells of the pixel before, of the pixel
-            itself and of the pixel after it, (3 · 2ⁿ,).
+        weights: Filter of one pixel along one axis, shape (3 · 2ⁿ,): values at the cells of the pixel before, of the
+            pixel itself, and of the pixel after it.
         level: Level n of the cells, of which a pixel has 2ⁿ × 2ⁿ.
         is_base: Whether this is the base level, from whose cells the final level is selected.
-        is_sampled: Whether each cell draws a direction to the light. The final level then depends on the scatter.
-        first: Index of the first thread's first entry in ``pixels``.
+        is_sampled: Whether each cell draws a random direction to the light. The final level then depends on the scatter
+            of the colours.
+        first: Index in ``pixels`` of the first entry of the first thread.
         run: Number of pixels per thread.
-        filtered_sums_out: Sums of colours times weights, and of the weights, (n, 9): entry 3 i + j is for the pixel
-            that is 1 − i rows below and 1 − j columns to the right.
-        quadrants_out: Mean colours of the quadrants, row by row, (n, 4), at the base level; cells that hit nothing
-            count as black.
-        changes_out: Differences ‖ΔXYZ‖ between the means and ``colours_before``, at the base level; for samples,
-            standard deviations of the means at any level.
+        filtered_sums_out: Sums of colours times weights, and sums of the weights, shape (n, 9): entry 3 i + j is for
+            the pixel that is 1 − i rows below and 1 − j columns to the right.
+        quadrants_out: Mean colours of the quadrants of each pixel, row by row, shape (n, 4), at the base level; cells
+            that hit nothing count as black.
+        changes_out: Differences ‖ΔXYZ‖ between the mean colours and ``colours_before``, at the base level. If
+            ``is_sampled``, standard deviations of the mean colours, at any level.
         levels_out: The level of each tile, set to ``level``.
         lighting_out: Bits ``LIT``, ``UNLIT`` and ``MISSED`` of the cells.
     """
@@ -195,22 +198,22 @@ def splat_cells(
 
 @wp.struct
 class FilteredSums:
-    """Sums over the cells of tiles, which ``splat_cells`` writes.
+    """Sums over the cells of tiles (subdivided pixels), which ``splat_cells`` writes.
 
-    Quadrants and changes are computed at the base level.
+    The colours of quadrants and the changes of colour are computed at the base level.
     """
 
     filtered_sums: wp.array2d(dtype=wp.vec4f)
     quadrants: wp.array2d(dtype=wp.vec3f)
     levels: wp.array(dtype=wp.uint8)
     lighting: wp.array(dtype=wp.uint8)
-    # For each tile, ``splat_cells`` writes the difference between the mean of its cells and its colour by one ray.
-    # ``select_levels`` replaces this difference by the estimated error of 2 × 2 cells. For sampled lights the array has
-    # the standard deviation of the mean instead.
+    # For each subdivided pixel (tile), ``splat_cells`` writes the difference between the mean colour of its cells and
+    # the colour by one ray. ``select_levels`` replaces this difference by the estimated error of 2 × 2 cells. For
+    # sampled lights the array has the standard deviation of the mean instead.
     changes: wp.array(dtype=wp.float32)
     ranks: wp.array(dtype=wp.int32)
-    # Factors that normalise sums over cells, for each level and each of three pixels in a row: the integral of the
-    # pixel filter over the pixel, divided by the sum of the weights of its cells.
+    # Factors that normalise sums over cells, for each level and each of three pixels in a row. A factor is the integral
+    # of the pixel filter over one pixel, divided by the sum of the weights of the cells of that pixel.
     filter_normalisation: wp.array2d(dtype=wp.float32)
 
 
@@ -228,7 +231,7 @@ def quadrant_at(
     sums: FilteredSums, levels: wp.array(dtype=wp.uint8), row: wp.int32, column: wp.int32, width: wp.int32,
     height: wp.int32,
 ) -> wp.vec4f:  # fmt: skip
-    """Return the colour of a quadrant of a tile, and 1 as a fourth number; four zeros if its pixel is not a tile.
+    """Return the colour of a quadrant of a subdivided pixel, and 1 as a fourth number; four zeros for other pixels.
 
     ``row`` and ``column`` count quadrants of the picture, two per pixel.
     """
@@ -243,7 +246,7 @@ def quadrant_at(
 
 @wp.func
 def second_difference2(before: wp.vec4f, own: wp.vec3f, after: wp.vec4f) -> wp.float32:
-    """Return the squared second difference of three neighbouring colours; 0 if ``before`` or ``after`` is missing."""
+    """Return the squared second difference of the colours of three quadrants; 0 without ``before`` or ``after``."""
     second = wp.vec3f(before[0], before[1], before[2]) - 2.0 * own + wp.vec3f(after[0], after[1], after[2])
     return wp.where(before[3] * after[3] > 0.0, wp.length_sq(second), 0.0)
 
@@ -255,12 +258,12 @@ def select_levels(
     tolerance: wp.float32, base: wp.int32, most: wp.int32, silhouette_level: wp.int32, first: wp.int32, run: wp.int32,
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Select the level of each tile, by a prediction of how much finer cells would change its colour.
+    """Select the level of each subdivided pixel (tile), from a predicted change of its colour with finer cells.
 
     Args:
         sums: Sums over the cells of the base level. The prediction uses second differences of the colours of quadrants.
         tiles: Indices of the pixels that are tiles. If empty, they are all pixels of the picture with a level above 0.
-        marks: Marks of the pixels that use cells.
+        marks: Marks of the pixels of the picture; 0 for pixels that use no cells.
         colours: Colours of the picture, resolved from the cells of the base level.
         width: Number of pixels per row.
         height: Number of rows.
@@ -269,11 +272,12 @@ def select_levels(
         base: Base level, whose cells have been shaded.
         most: Finest level that may be selected.
         silhouette_level: Least level of tiles at silhouettes of the mesh.
-        first: Index of the first thread's first entry in ``tiles``.
+        first: Index in ``tiles`` of the first entry of the first thread.
         run: Number of tiles per thread.
-        changes_out: Before the launch, differences of tiles' means from the colours by one ray. Afterwards, estimated
-            errors ‖ΔXYZ‖ of 2 × 2 cells.
-        levels_out: For each pixel of the picture, the level of its tile; 0 is no tile, and remains 0.
+        changes_out: Before the launch, differences of the mean colours of tiles from the colours by one ray.
+            Afterwards, estimated errors ‖ΔXYZ‖ of 2 × 2 cells.
+        levels_out: For each pixel of the picture, the level of its tile. The level 0 means that the pixel is no tile;
+            it remains 0.
     """
     thread, _ = wp.tid()
     for k in range(first + thread * run, first + (thread + 1) * run):
@@ -301,8 +305,8 @@ def select_levels(
                 quadrant_at(sums, levels_out, y, x + 1, width, height),
             )  # fmt: skip
         # The variable ``second`` is half the root mean square of the second differences of colour at the four
-        # quadrants. The change from the colour by one ray may be small by chance; it is therefore limited to the range
-        # from half of ``second`` to ``second``.
+        # quadrants. The change from the colour by one ray may be small by chance; the change is therefore limited to
+        # the range from half of ``second`` to ``second``.
         second = 0.5 * wp.sqrt(0.25 * square)
         change = wp.clamp(changes_out[rank], 0.5 * second, second)
         need = wp.float32(0.0)
@@ -337,7 +341,10 @@ def mean_scatter(
     sums: FilteredSums, levels: wp.array(dtype=wp.uint8), row: wp.int32, column: wp.int32, width: wp.int32,
     height: wp.int32,
 ) -> wp.float32:  # fmt: skip
-    """Return the root mean square of the scatter of a tile and of its neighbours, weighted by the pixel filter."""
+    """Return the root mean square of the random scatter of a tile (subdivided pixel) and its neighbours.
+
+    The squares are weighted by the pixel filter.
+    """
     square = wp.float32(0.0)
     weight = wp.float32(0.0)
     for line in range(wp.max(1 - row, 0), wp.min(height + 1 - row, 3)):
@@ -359,11 +366,11 @@ def raise_levels(
     run: wp.int32,
     levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Raise the levels of the tiles at ``level`` that cause errors of pixels above the tolerance.
+    """Raise the levels of tiles (subdivided pixels) at ``level`` that cause errors of pixels above the tolerance.
 
-    The decrease of the scatter with more cells is predicted. The arguments are those of :func:`select_levels`, and
-    ``errors``, the estimated errors of pixels. ``colours`` and ``errors`` are resolved from the cells of tiles at
-    levels up to ``level``.
+    The new levels follow from a prediction of how fast the random scatter decreases with more cells. ``errors`` has the
+    estimated errors of pixels. The other arguments are those of :func:`select_levels`. ``colours`` and ``errors`` are
+    resolved from the cells of tiles at levels up to ``level``.
     """
     thread, _ = wp.tid()
     for k in range(first + thread * run, first + (thread + 1) * run):
@@ -382,7 +389,8 @@ def raise_levels(
             for side in range(wp.max(1 - column, 0), wp.min(width + 1 - column, 3)):
                 there = (row + line - 1) * width + column + side - 1
                 if marks[there] != wp.uint8(0):
-                    # More cells of a tile cannot reduce the error that the other eight tiles cause.
+                    # More cells of this tile (subdivided pixel) cannot reduce the error that the other eight tiles
+                    # cause.
                     share = FILTER_SHARES[line] * FILTER_SHARES[side]
                     error = wp.min(errors[there], SCATTER_CAUTION * SCATTER_FACTOR * share * scatter)
                     excess = wp.max(excess, error / (tolerance * wp.max(wp.length(colours[there]), floor[0])))
@@ -398,25 +406,25 @@ def resolve_pixels(
     coverage_out: wp.array(dtype=wp.float64), coverage_levels_out: wp.array(dtype=wp.uint8),
     illuminated_out: wp.array(dtype=wp.bool), edges_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Set pixels to weighted sums over the cells of nine tiles, their own and the eight around it; estimate errors.
+    """Set pixels to weighted sums over the cells of nine tiles, which are at the pixel and around it; estimate errors.
 
     Args:
-        sums: Sums over the cells of the tiles.
+        sums: Sums over the cells of the tiles (subdivided pixels).
         pixels: Indices of the pixels that use cells. If empty, they are all pixels of the picture with a mark.
-        marks: Marks of the pixels that use cells.
+        marks: Marks of the pixels of the picture; 0 for pixels that use no cells.
         width: Number of pixels per row.
         height: Number of rows.
         error_order: Exponent p of the assumption that errors are proportional to n^−p, with n cells along an axis.
         error_factor: Factor from the root sum of squares of the nine tiles' errors to the estimated error of the pixel.
-        first: Index of the first thread's first entry in ``pixels``.
+        first: Index in ``pixels`` of the first entry of the first thread.
         run: Number of pixels per thread.
         colours_out: Colours; where the mesh covers a part of the pixel, the rest counts as black.
         errors_out: Estimated errors, ‖ΔXYZ‖.
-        coverage_out: Share of each pixel that the mesh covers. Each light has cells of its own; the share is that of
-            the finest cells among all lights.
-        coverage_levels_out: Sum of the levels of the nine tiles of the light whose cells gave ``coverage_out``. A light
-            with a larger sum has finer cells and replaces the share.
-        illuminated_out: True is written where light reaches some cell.
+        coverage_out: Share of each pixel that the mesh covers. Each light has cells of its own; the share of the finest
+            cells among all lights is stored.
+        coverage_levels_out: Sum of the levels of the nine tiles of the light whose cells determined ``coverage_out``. A
+            light with a larger sum has finer cells and replaces the share.
+        illuminated_out: True is written where light reaches at least one cell.
         edges_out: True is written where an edge of the mesh or of a shadow passes through an illuminated pixel.
     """
     thread, _ = wp.tid()
@@ -428,9 +436,9 @@ def resolve_pixels(
             continue
         row = pixel // width
         column = pixel % width
-        # If the nine tiles have the same level, the sum over all their cells is divided by the sum of all weights
-        # (``together``), which is closest to the pixel filter. Otherwise the sum over each tile is scaled to the tile's
-        # share of the filter (``apart``). Without this, steps between levels would be visible.
+        # If the nine tiles (subdivided pixels) have the same level, the sum over all cells is divided by the sum of all
+        # weights (``together``). This result is closest to the pixel filter. Otherwise the sum over each tile is scaled
+        # to the tile's share of the filter (``apart``). Without this scaling, steps between levels would be visible.
         least = wp.int32(refinement_levels.MOST_LEVEL)
         most = wp.int32(0)
         all_levels = wp.int32(0)
@@ -455,7 +463,8 @@ def resolve_pixels(
                 weight_apart += share
                 error = share * sums.changes[there] * wp.pow(0.5, error_order * wp.float32(level - 1))
                 square += error * error
-        # Near the edge of the picture, fewer than nine tiles exist. The sum is divided by the sum of their weights.
+        # Near the edge of the picture, fewer than nine tiles exist. The sum of colours is divided by the sum of the
+        # weights of the existing tiles.
         total = together / weight_together
         if least != most:
             total = apart / weight_apart
@@ -463,8 +472,8 @@ def resolve_pixels(
         colours_out[pixel] = colour
         errors_out[pixel] = error_factor * wp.sqrt(square)
         own = compact_index(sums.ranks, pixel)
-        # Lights have cells of different levels. Coverage must not depend on the order of lights: it is that of the
-        # finest cells, or the larger one of two with equally fine cells.
+        # Lights have cells of different levels. The coverage of a pixel must not depend on the order of lights. It is
+        # computed from the finest cells. If two lights have equally fine cells, the larger coverage is used.
         coverage = wp.float64(wp.min(total[3], wp.float32(1.0)))
         before = wp.int32(coverage_levels_out[pixel])
         if all_levels > before or (all_levels == before and coverage > coverage_out[pixel]):
@@ -481,7 +490,7 @@ def accumulate(
     first: wp.int32, run: wp.int32,
     xyz_out: wp.array(dtype=wp.vec3f), errors_out: wp.array(dtype=wp.float32), illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Add the colours, errors and illuminated pixels of one light to the sums over lights."""
+    """Add the colours, errors and illuminated pixels of one part of the lights to the sums over all parts."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         xyz_out[i] = xyz_out[i] + colours[i]

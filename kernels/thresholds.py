@@ -1,16 +1,19 @@
-"""Thresholds that kernels and hosts share: plain numbers without Warp."""
+"""Thresholds that kernels and Python code share: plain numbers without Warp."""
 
-# Least cosine of a direction above the horizon, 0.00006° from it. Limit: the gain tends to infinity at the horizon.
+# Least cosine of the angle between the normal and a direction that counts as above the horizon, 0.00006° from the
+# horizon. The value is limited by the geometry factor (gain), which tends to infinity at the horizon.
 HORIZON = 1e-6
-# Least cosine for which factors of the energy normalisation are computed, at 88° from the normal. Limit: directions
-# with smaller cosines use the factors of this one. With twice the cosine, all directions beyond 86° would share a
-# factor.
+# Least cosine of the angle from the normal for which factors of the energy normalisation are computed, at 88°.
+# Directions with smaller cosines use the factors of this cosine. With twice the cosine, all directions beyond 86° would
+# share a factor.
 LOWEST = 0.0349
-# Share of the reference luminance Y* that is the floor f of relative errors: the divisor of an error is at least f.
-# Choice: with twice as much, dark pixels are refined less.
+# Errors are relative to a value, or to a floor f if the value is smaller. This number is the floor as a share of the
+# reference luminance Y*. It was chosen freely: with twice as much, dark pixels are refined less.
 FLOOR = 1e-3
 # Share of directions or pixels whose error must be within the tolerance. The reference luminance Y* is at least this
-# percentile of Y. Choice: with a larger share, a few outliers would determine plans.
+# percentile of the luminance Y. The value was chosen so that a few outliers do not determine plans, as with a larger
+# share.
 PERCENTILE = 0.99
-# Least floor of relative errors, which prevents division by 0 in black pictures: the smallest normal float32.
+# Least floor of relative errors (the smallest divisor of an error), which prevents division by 0 in black pictures. The
+# value is the smallest normal float32.
 TINY = 2.0**-126

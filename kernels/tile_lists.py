@@ -1,4 +1,4 @@
-"""Tile lists: pixels to subdivide, listed and counted on the device without the host."""
+"""Tile lists: the pixels to subdivide are listed and counted on the device, without the host."""
 
 import warp as wp
 
@@ -8,9 +8,9 @@ from warpdiff.kernels.subdivision import SHARED
 
 wp.set_module_options(compile_options.options("atomics.h"))
 
-# Histogram of luminances: number of lower bits of a luminance that a bin ignores, number of groups of bins, and number
-# of bins per group. The index of a bin is the upper half of the float32 bits of a luminance: sign, exponent and seven
-# bits of the fraction. Counts of groups are also stored; with them one thread finds a percentile in few steps.
+# Histogram of luminances. A bin ignores the BELOW lower bits of a luminance in float32. The index of a bin is therefore
+# the upper half of these bits: sign, exponent and seven bits of the fraction. The histogram has GROUPS groups of BINS
+# bins each. Counts of groups are also stored, so that one thread finds a percentile in few steps.
 BELOW = wp.constant(wp.uint32(16))
 GROUPS = wp.constant(512)
 BINS = wp.constant(64)
@@ -24,7 +24,7 @@ def luminance_histogram(
     colours: wp.array(dtype=wp.vec3f), illuminated: wp.array(dtype=wp.bool), first: wp.int32, run: wp.int32,
     histogram_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """Count illuminated pixels by luminance, in groups of bins and in bins."""
+    """Count illuminated pixels by luminance, in the bins of a histogram and in groups of bins."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if illuminated[i]:
             luminance = wp.max(colours[i][1], wp.float32(0.0))
@@ -75,7 +75,7 @@ def running_max(
     begins: wp.bool,
     most_out: wp.array(dtype=wp.int32),
 ):
-    """Set the output to a count if the count is larger than the output; with ``begins``, in any case."""
+    """Set the output to a count if the count is larger than the output. With ``begins``, set it in any case."""
     most_out[0] = wp.where(begins, counts[0], wp.max(counts[0], most_out[0]))
 
 
@@ -99,7 +99,7 @@ def dilate_marks(
     run: wp.int32,
     levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Set the level of marked pixels and of their eight neighbours to ``level``, and that of all other pixels to 0."""
+    """Set the level of marked pixels and of their neighbours to ``level``, and the level of all other pixels to 0."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         is_near = marks_around(marks, i, width, height)[1] != wp.uint8(0)
         levels_out[i] = wp.where(is_near, level, wp.uint8(0))
@@ -110,7 +110,7 @@ def mark_shared(
     levels: wp.array(dtype=wp.uint8), width: wp.int32, height: wp.int32, first: wp.int32, run: wp.int32,
     marks_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Mark a pixel as ``SHARED`` if it has no mark, but it and its eight neighbours all have a level."""
+    """Mark a pixel as ``SHARED`` if it has no mark, but the pixel and its eight neighbours all have a level."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if marks_out[i] == wp.uint8(0) and marks_around(levels, i, width, height)[0] != wp.uint8(0):
             marks_out[i] = SHARED
@@ -121,9 +121,9 @@ def compact_level(
     levels: wp.array(dtype=wp.uint8), level: wp.uint8, first: wp.int32, run: wp.int32,
     pixels_out: wp.array(dtype=wp.int32), counts_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """List the pixels that have the given level.
+    """List the pixels whose level is ``level``.
 
-    Their order is arbitrary, because tiles do not depend on each other.
+    The order of the pixels is arbitrary, because tiles (subdivided pixels) do not depend on each other.
     """
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if levels[i] == level:
@@ -154,7 +154,7 @@ def advance_batch(
     copied_out: wp.array(dtype=wp.int32),
     has_more_out: wp.array(dtype=wp.int32),
 ):
-    """Increase the number of copied pixels by ``count``, and store whether pixels of the list remain."""
+    """Increase the number of copied pixels of a list by ``count``, and store whether pixels of the list remain."""
     copied_out[0] += count
     has_more_out[0] = wp.int32(0)
     if copied_out[0] < counts[0]:

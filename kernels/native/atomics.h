@@ -1,5 +1,5 @@
-// Atomic operations for the CPU and the GPU. Warp's own ones are atomic on a GPU only, but on the CPU several threads
-// also run parts of one launch at the same time.
+// Atomic operations for the CPU and the GPU. The atomic operations of Warp are atomic on a GPU only. On the CPU,
+// several threads also run parts of one launch at the same time.
 
 #pragma once
 

@@ -8,12 +8,12 @@
 
 namespace warpdiff {
 
-// Bits that describe the cells of a pixel. Each is set if at least one cell is illuminated (LIT), hits the mesh but is
-// dark (UNLIT), or does not hit the mesh (MISSED).
+// Bits that describe the subpixel cells of a pixel. LIT is set if at least one cell is illuminated. UNLIT is set if at
+// least one cell hits the mesh but is dark. MISSED is set if at least one cell does not hit the mesh.
 constexpr unsigned char LIT = 1, UNLIT = 2, MISSED = 4;
 
-// Sums over the cells of one subdivided pixel. `filtered_sums[i][j]` is this pixel's contribution to the pixel that
-// lies 1 − i rows below and 1 − j columns to the right: the sum of colours times weights, and the sum of weights.
+// Sums over the subpixel cells of one subdivided pixel. `filtered_sums[i][j]` is this pixel's contribution to the pixel
+// that lies 1 − i rows below and 1 − j columns to the right: the sum of colours times weights, and the sum of weights.
 // `quadrants` has the mean colours of the four quadrants, row by row. `lighting` has the bits LIT, UNLIT and MISSED.
 struct CellSums {
     float filtered_sums[3][3][4] = {}, quadrants[4][3] = {};
@@ -21,8 +21,8 @@ struct CellSums {
 };
 
 // Return the estimated standard deviation ‖ΔXYZ‖ of the mean of `across` × `across` cells with random directions to the
-// light. It is estimated from differences within squares of four cells, so that slow changes of colour over the pixel
-// do not count as scatter. Cells that hit nothing are black without noise, and do not contribute.
+// light. The estimate uses differences of colour within squares of four cells. Slow changes of colour over the pixel
+// therefore do not count as scatter. Cells that hit nothing are black without noise, and do not contribute.
 WARPDIFF_INLINE float scatter_of(const float* colours, const int* hit, int across)
 {
     float sum = 0.0f;
@@ -47,8 +47,8 @@ WARPDIFF_INLINE float scatter_of(const float* colours, const int* hit, int acros
 }
 
 // Sum the `across` × `across` cells of a pixel, row by row. `along` has the weights of the cells along one axis: first
-// for the previous pixel, then for their own and for the next one. `is_sampled` states whether each cell has drawn a
-// random direction to the light.
+// for the previous pixel, then for the pixel of the cells, then for the next pixel. `is_sampled` states whether each
+// cell has drawn a random direction to the light.
 WARPDIFF_INLINE CellSums sum_cells(
     const float* colours, const int* hit, bool is_sampled, const float* along, int across)
 {
@@ -63,8 +63,8 @@ WARPDIFF_INLINE CellSums sum_cells(
                 continue;
             }
             const float value[4] = {colours[3 * cell], colours[3 * cell + 1], colours[3 * cell + 2], 1.0f};
-            // If the direction to the light is random, a black cell may still be illuminated from another direction.
-            // All cells that hit the mesh then count as illuminated.
+            // If directions to the light are random, a cell that is black in its direction may be illuminated from
+            // another direction. All cells that hit the mesh then count as illuminated.
             sums.lighting |= is_sampled || value[0] + value[1] + value[2] > 0.0f ? LIT : UNLIT;
             float* const quadrant = sums.quadrants[row / half * 2 + column / half];
             for (int c = 0; c < 3; ++c) quadrant[c] += value[c] / (float)(half * half);
@@ -78,11 +78,11 @@ WARPDIFF_INLINE CellSums sum_cells(
     return sums;
 }
 
-// Sum the cells of the subdivided pixels with numbers from `begin` to `end`, and store the sums; the index −1 marks no
-// pixel. If directions to the light are random, `changes_out` receives the scatter. Otherwise it is written only if
-// `is_base`: at the base level, from whose cells the final level of a pixel is selected. It then receives the change
-// from the pixel's colour before its subdivision, `colours_before`, and `quadrants_out` receives the mean colours of
-// the pixel's quadrants.
+// Sum the subpixel cells of the subdivided pixels with numbers from `begin` to `end`, and store the sums; the index −1
+// marks no pixel. If directions to the light are random, `changes_out` receives the random scatter of the colours. If
+// they are not random, `changes_out` and `quadrants_out` are written only if `is_base`. The base level is the level
+// from whose cells the final level of a pixel is selected. `changes_out` then receives the change from the pixel's
+// colour before its subdivision, `colours_before`. `quadrants_out` receives the mean colours of the pixel's quadrants.
 template <class Colours, class Hits, class Numbers, class Sums, class Quadrants, class Bytes>
 WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const Hits& pixels,
     const Colours& colours_before, const Hits& ranks, const Numbers& weights, int level, bool is_base, bool is_sampled,

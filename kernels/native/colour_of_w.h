@@ -1,5 +1,6 @@
-// Conversion of a weighted sum of rows of a colour table to XYZ. A row has coefficients of basis functions of w, which
-// all rows share. The zeroth order is added separately, because the rows exclude it.
+// Conversion of a weighted sum of rows of a colour table to XYZ. A row has coefficients of basis functions of w, the
+// normal component of the scattering vector (u, v, w). All rows share these functions. The zeroth order is added
+// separately, because the rows exclude it.
 
 #pragma once
 
@@ -7,8 +8,9 @@
 
 namespace warpdiff {
 
-// Cubic interpolation in the table of the basis functions of w, which has equal steps in |w|. For each of N pixels,
-// four consecutive entries are used: the index of the first one and the four weights are stored.
+// Cubic interpolation in the table of the basis functions of w, the normal component of the scattering vector. The
+// table has equal steps in |w|. Each of N pixels uses four consecutive entries of the table. The index of the first
+// entry and the four weights are stored.
 template <int N>
 struct AtW {
     Batch<N, int> entry;
@@ -54,8 +56,8 @@ WARPDIFF_INLINE Colour colour_at_w(const Table& table, const Row<WIDTH>& sum, co
     return result;
 }
 
-// Convert a sum of rows to a colour, multiply it by `share`, and add it to pixel i. The sum may be slightly negative,
-// because some weights of rings are negative. Negative colours count as 0.
+// Convert a sum of rows to a colour, multiply it by `share`, and add it to pixel i. The colour may be slightly
+// negative, because some weights of rings are negative. Negative colours count as 0.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE void add_colour(
     const Table& table, const Row<WIDTH>& sum, const AtW<N>& at_w, int i, float share, float* xyz)
@@ -77,11 +79,11 @@ WARPDIFF_INLINE void add_zeroth_order(
     const float* const weights = numbers<const float>(table.weights);
     const float* const powers = numbers<const float>(table.zeroth_order);
     const float least = wavenumbers[0];
-    // Skip directions where the Gaussian of the zeroth order around u = v = 0 is below exp(−24) = 4e-11 at all
+    // Skip directions in which the Gaussian of the zeroth order around u = v = 0 is below exp(−24) = 4e-11 at all
     // wavelengths.
     if (u * u + v * v >= 48.0f * (table.lobe2 / (least * least) + xx + yy)) return;
-    // Interpolate the reflectance of the material linearly between two tabulated angles. The cosine of the angle θd is
-    // |(u, v, w)|/2.
+    // Interpolate the reflectance of the material linearly between two tabulated angles. The angle is θd, half of the
+    // angle between light and view. Its cosine is |(u, v, w)|/2.
     const float* const reflectances = numbers<const float>(table.reflectances);
     const int angles = table.reflectances.shape[1];
     const float cosine = wp::min(0.5f * wp::sqrt(u * u + v * v + w * w), 1.0f) * (float)(angles - 1);

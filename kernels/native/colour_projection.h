@@ -1,6 +1,6 @@
 // Computation of the colours in a table from the power spectrum. The integral over λ is a weighted sum over rings,
-// because (u, v)/λ moves from ring to ring as λ changes. The spectrum is given as one row per ring along azimuths. A
-// few azimuths are processed together.
+// because (u, v)/λ moves from ring to ring as λ changes. The spectrum is stored as one row per ring and azimuth. A few
+// azimuths are processed together.
 
 #pragma once
 
@@ -9,7 +9,7 @@
 
 namespace warpdiff {
 
-// Buffer of `length` rows, one per ring, of the spectrum along one azimuth, from which the colours are computed.
+// Buffer of `length` rows of the spectrum along one azimuth, one row per ring. Colours are computed from these rows.
 template <int TERMS>
 struct AzimuthRows {
     typedef typename Row<TERMS>::Vector Vector;
@@ -26,8 +26,8 @@ struct AzimuthRows {
     }
 };
 
-// Interpolate the rows of all rings halfway between two azimuths, by the Lagrange polynomial through four azimuths on
-// each side.
+// Interpolate the rows of the spectrum on all rings halfway between two azimuths, by the Lagrange polynomial through
+// four azimuths on each side.
 template <int TERMS, class Rows>
 WARPDIFF_INLINE void interpolate_halfway(
     const Rows& values, long long first, int before, int azimuths, int rings, typename AzimuthRows<TERMS>::Vector* out)
@@ -47,10 +47,10 @@ WARPDIFF_INLINE void interpolate_halfway(
     }
 }
 
-// Collect the rows of the spectrum from which colours along AZIMUTHS azimuths are computed, `length` rows for each. The
-// first row is zero and represents the ring before the octave. It is followed by the rows of the octave, of the next
-// octave, and if necessary of the octave after that. An octave may have half as many azimuths as the next one; rows
-// between its azimuths are then interpolated.
+// Collect the rows of the spectrum from which colours along AZIMUTHS azimuths are computed, `length` rows per azimuth.
+// The first row is zero and represents the ring before the octave. The rows of the octave follow, then the rows of the
+// next octave, and if necessary the rows of a third octave. An octave may have half as many azimuths as the next
+// octave. Rows between the azimuths of the first octave are then interpolated.
 template <int TERMS, int AZIMUTHS, class Values, class Integers>
 WARPDIFF_INLINE void join_octaves(const Values& values, const Integers& starts, const Integers& azimuths_of, int rings,
     int octave, int first_azimuth, Values& sequence, int at, int length)
@@ -61,8 +61,8 @@ WARPDIFF_INLINE void join_octaves(const Values& values, const Integers& starts, 
     const int* const counts = numbers<const int>(azimuths_of);
     const int coarse = counts[octave], count = counts[octave + 1], size = rings * ROW;
     const int more = octave + 2 < azimuths_of.shape[0] ? counts[octave + 2] / count : 0;
-    // With few rings per octave, two octaves have fewer rows than the spline filter requires. The remaining rows are
-    // taken from a third octave.
+    // With few rings per octave, two octaves have fewer rows than the filter for spline coefficients requires. The
+    // remaining rows are taken from a third octave.
     const int left = (length - 1 - rings) * ROW, next = wp::min(left, size);
     const int further = more > 0 ? wp::min(left - next, size) : 0;
     auto rows_of_azimuth = [&](int of, int azimuth) {
@@ -84,7 +84,7 @@ WARPDIFF_INLINE void join_octaves(const Values& values, const Integers& starts, 
 }
 
 // Replace the values in the rows along one azimuth by the coefficients of the quadratic spline that passes through
-// them, by a recursive filter that runs forwards and then backwards.
+// these values. A recursive filter, which runs forwards and then backwards, computes the coefficients.
 template <int TERMS>
 WARPDIFF_INLINE void filter_to_spline(typename AzimuthRows<TERMS>::Vector* rows, int length)
 {
@@ -102,8 +102,8 @@ WARPDIFF_INLINE void filter_to_spline(typename AzimuthRows<TERMS>::Vector* rows,
     }
 }
 
-// Division of a row's W_BASIS_SIZE coefficients, one for each basis function of w, into SIMD vectors. The last vector
-// may overlap the one before it.
+// Division of a row's W_BASIS_SIZE coefficients, one for each basis function of w (the normal component of the
+// scattering vector), into SIMD vectors. The last vector may overlap the one before it.
 template <int W_BASIS_SIZE>
 struct FunctionVectors {
     static constexpr int LANES = ON_GPU ? 1 : W_BASIS_SIZE > 4 ? 8 : 4;
@@ -117,9 +117,9 @@ struct FunctionVectors {
 };
 
 // Compute the colour at one ring on AZIMUTHS azimuths as a weighted sum over `taps` rows of the spectrum. A matrix
-// converts the terms of a row to coefficients of the basis functions of w; each row has its own matrix, the same for
-// all azimuths. The weights of the rows for X, Y and Z are in `colour`. Azimuths are `apart` floats from each other in
-// memory.
+// converts the terms of a row to coefficients of the basis functions of w, the normal component of the scattering
+// vector; each row has its own matrix, the same for all azimuths. The weights of the rows for X, Y and Z are in
+// `colour`. The rows of neighbouring azimuths are `apart` floats from each other in memory.
 template <int TERMS, int W_BASIS_SIZE, int AZIMUTHS>
 WARPDIFF_INLINE void project_ring(const float* row, long long apart, const float* factor, const float* colour, int taps,
     int terms, float* out, long long out_apart)
@@ -158,8 +158,8 @@ WARPDIFF_INLINE void project_ring(const float* row, long long apart, const float
                 *(Vector*)(out + b * out_apart + c * W_BASIS_SIZE + Functions::first(p)) = sum[b][c][p];
 }
 
-// Compute colours along AZIMUTHS azimuths from `length` rows of the spectrum for each. The first colour belongs to the
-// ring of row number `skipped`.
+// Compute colours along AZIMUTHS azimuths from `length` rows of the spectrum per azimuth. The first colour belongs to
+// the ring of the row with the index `skipped`.
 template <int TERMS, int W_BASIS_SIZE, int AZIMUTHS, class Rows, class Matrices, class Weights, class Colours>
 WARPDIFF_INLINE void project_azimuths(Rows& sequence, int at, int length, int skipped, const Matrices& matrices,
     const Weights& weights, int terms, int rings, int first_azimuth, Colours& rows_out)

@@ -1,5 +1,5 @@
-// Elementary functions by short series. They are faster than those of the standard library and have no branches, so
-// that compilers can vectorise loops over them.
+// Elementary functions by short series. These functions are faster than those of the standard library and have no
+// branches, so that compilers can vectorise loops over them.
 
 #pragma once
 
@@ -38,17 +38,18 @@ struct LogPolar {
     float turns; // angle [turns], from 0 to 1
 };
 
-// Convert a point (u, v) to its angle and the logarithm of its radius. Radii below `least` are replaced by `least`.
+// Convert a point (u, v) to polar coordinates: its angle and the logarithm of its radius. Radii below `least` are
+// replaced by `least`.
 WARPDIFF_INLINE LogPolar log_polar(float u, float v, float least)
 {
-    // The squared radius is a power of two times m, and m lies between √½ and √2. The logarithm of m is a series in (m
-    // − 1)/(m + 1).
+    // The squared radius is a power of two times m, where m lies between √½ and √2. The logarithm of m is a series in
+    // (m − 1)/(m + 1).
     const float uv2 = u * u + v * v, least2 = least * least;
     const int above = bits_of(uv2 > least2 ? uv2 : least2) - 0x3f3504f3;
     const float m = float_of((above & 0x7fffff) + 0x3f3504f3);
     const float s = (m - 1.0f) / (m + 1.0f), s2 = s * s;
     const float series_of_m = 1.0f + s2 * (1.0f / 3.0f + s2 * (0.2f + s2 * (1.0f / 7.0f)));
-    // The angle is computed by the series of the arc tangent, after reduction to at most 1/16 turn.
+    // The angle is computed by the series of the arc tangent, after the angle is reduced to at most 1/16 turn.
     const float x = u < 0.0f ? -u : u, y = v < 0.0f ? -v : v;
     const float more = x > y ? x : y, less = x > y ? y : x;
     const bool beyond = less > 0.41421356f * more;
@@ -82,7 +83,7 @@ WARPDIFF_INLINE void on_circle(float turns, float& x, float& y)
     y = 2.0f * sine * cosine;
 }
 
-// Return the angle [turns] whose cosine is given, from 0 to ½. Arguments are clamped to −1 and 1, where the result is
+// Return the arc cosine of an argument [turns], from 0 to ½. Arguments are clamped to −1 and 1, where the result is
 // exact. Elsewhere the error is at most 2e-5 (Abramowitz and Stegun 4.4.45).
 WARPDIFF_INLINE float turns_of_cosine(float cosine)
 {
@@ -91,7 +92,7 @@ WARPDIFF_INLINE float turns_of_cosine(float cosine)
     return cosine < 0.0f ? 0.5f - angle * (0.5f / PI) : angle * (0.5f / PI);
 }
 
-// Return exp(−t) by a series of degree four, for |t| of at most about 1.
+// Return exp(−t) by a series of degree four, for |t| up to about 1.
 WARPDIFF_INLINE float exp_of_minus_small(float t)
 {
     return 1.0f - t * (1.0f - t * (0.5f - t * (1.0f / 6.0f - t * (1.0f / 24.0f))));

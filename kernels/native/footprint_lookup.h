@@ -1,10 +1,11 @@
-// Mean colours over footprints from a colour table and its mip levels. A footprint is a Gaussian of (u, v).
+// Mean colours over the footprints of pixels, from a colour table and its mip levels. A footprint is a Gaussian of
+// (u, v).
 //
 // A footprint is usually one part. It is split into several parts if the polar angle of (u, v) changes much within it.
-// The colour of a part is a weighted sum over rings. Rings are processed in segments, each within one octave. The
-// colour at a ring is a weighted sum over azimuths, on the widest mip level whose blur does not exceed that of the
-// footprint. The CPU processes batches of pixels stage by stage, with arrays between the stages, so that compilers
-// vectorise the loops. A GPU thread processes one pixel, part and segment at a time.
+// The colour of a part is a weighted sum over rings. Rings are processed in segments; a segment lies within one octave.
+// The colour at a ring is a weighted sum over azimuths. It uses the widest mip level whose blur does not exceed the
+// blur of the footprint. The CPU processes batches of pixels stage by stage, with arrays between the stages, so that
+// compilers vectorise the loops. A GPU thread processes one pixel, part and segment at a time.
 
 #pragma once
 
@@ -19,32 +20,33 @@ namespace warpdiff {
 // multiple of this number. Otherwise the compiler would round differently for the last few elements, which do not fill
 // a vector.
 constexpr int ABREAST = batch_of(8);
-// Largest number of rings per segment. Limit: on the CPU, weights and rows of all rings are stored in local arrays. A
-// GPU does not store them.
+// Largest number of rings per segment, a group of rings that is processed together. On the CPU, the value is limited by
+// the local arrays in which the weights and rows of all rings are stored. A GPU does not store them.
 constexpr int SEGMENT_RINGS = ON_GPU ? 1 << 20 : 4;
-// Standard deviation of a footprint, relative to |(u, v)|, above which the footprint counts as wide, and `ring_sum.h`
-// computes its colour. This applies only to tables for a window. Fitted: with 0.15, frames require 5 to 10 % more time
-// than with 0.25.
+// Standard deviation of a footprint, relative to |(u, v)|, above which the footprint counts as wide. `ring_sum.h`
+// computes the colours of wide footprints. This applies only to tables for a coherence window. The value was fitted to
+// the time of pictures: with 0.15, pictures require 5 to 10 % more time than with 0.25.
 constexpr float WIDE = 0.25f;
 // If the standard deviation of the polar angle of (u, v) exceeds `MOST_TURN` [rad], a footprint is split into parts;
 // within a part, the curvature of the rings is ignored. `WIDEST_ANGLE` [rad] and `WIDEST_RATIO` are upper limits for
-// the standard deviations of the angle and of ln |(u, v)|. Footprints beyond them surround the mirror direction, and
-// polar coordinates do not describe them.
+// the standard deviations of the angle and of ln |(u, v)|. Footprints beyond these limits surround the mirror
+// direction, and polar coordinates do not describe such footprints.
 constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
-// The weights of rings are tabulated for blurs with a variance of at most `MOST_TABULATED` [rings²], and are values of
-// a Gaussian for larger ones. Wide blurs do not require all rings. `MOST_APART` is the largest distance of the rings
-// that are added, in units of 1/√(1/σ₁² + 1/σ₂² + …): the σ are the standard deviations of the blur and of the features
-// of the colours over rings, so that the narrowest one counts most. `CURVES` is the standard deviation σ of the
-// narrowest colour curve over ln λ.
+// The weights of rings are tabulated for blurs with a variance of at most `MOST_TABULATED` [rings²]. For larger
+// variances, the weights are values of a Gaussian. Wide blurs do not require all rings. `MOST_APART` is the largest
+// distance of the rings that are added, in units of 1/√(1/σ₁² + 1/σ₂² + …). Each σ is the standard deviation of the
+// blur, or of a feature of the colours over rings, so that the smallest σ counts most. `CURVES` is the standard
+// deviation σ of the narrowest colour curve over ln λ. A colour curve is the product of illuminant, colour-matching
+// function and reflectance.
 constexpr float MOST_TABULATED = 1.5f, MOST_APART = 1.5f, CURVES = 0.047f;
 
-// Gaussian for wide blurs across rings. It is truncated at `deviations` standard deviations from its centre. Truncation
-// reduces its variance to 1, so that its variance before truncation is larger: 1/`per_variance`.
+// Gaussian for wide blurs across rings. It is truncated at `deviations` standard deviations from its centre, and has
+// the variance 1 after the truncation. Its variance before the truncation is larger: 1/`per_variance`.
 struct CutGaussian {
     float deviations, per_variance;
 };
 
-// Footprints of N pixels in (u, v), with their covariances.
+// Footprints of N pixels in (u, v), with the covariance of each footprint.
 template <int N>
 struct Footprints {
     Batch<N> u, v, w;
@@ -57,7 +59,7 @@ struct Footprints {
 };
 
 // Parts of the footprints of several pixels: a wide footprint is divided into parts, which are looked up separately. A
-// part has a position in the table, and is blurred across rings and azimuths.
+// part has a position in the table, and its colour is blurred across rings and azimuths.
 template <int N>
 struct Parts {
     int count;
@@ -68,18 +70,18 @@ struct Parts {
     Batch<N, int> apart, step, taps, begin, end, first_weight;
 };
 
-// Segments of the parts into which footprints are divided. A segment is a group of consecutive rings that a part of a
-// footprint covers within one octave.
+// Segments of the parts into which the footprints of pixels are divided. A segment is a group of consecutive rings that
+// a part of a footprint covers within one octave.
 template <int N>
 struct Segments {
     int count;
     Batch<N, int> part, first, apart, rings;
     // `position` is the azimuth of the part's centre. At a ring with t times the radius of the centre, the azimuth is
     // shifted by `turning` · (1 − 1/t). `away` is the distance [rings] of the first ring from the mean of ln |(u, v)|.
-    // `behind` is the difference of that mean from ln |(u, v)| at the centre. `blur` is the variance of the footprint
-    // in angle at the centre, and `level_blur` the variance that the rows of the mip level already have. Both are in
-    // steps of the table of weights, so that their difference is an index; a rounding offset of ½ is included in
-    // `level_blur`.
+    // `behind` is the difference between the mean of ln |(u, v)| and its value at the centre. `blur` is the variance of
+    // the footprint in angle at the centre, and `level_blur` the variance that the rows of the mip level already have.
+    // Both variances are in steps of the table of weights, so that their difference is an index into the table. A
+    // rounding offset of ½ is included in `level_blur`.
     Batch<N> position, turning, away, behind, blur, level_blur, skew, per_deviation;
     Batch<N, int> azimuths, first_row;
 };
@@ -95,7 +97,7 @@ struct PolarCovariance {
 };
 
 // Convert a covariance of (u, v) to the covariance of its polar angle and of ln |(u, v)|. Near the mirror direction,
-// radii are increased to about the width of the lobe of an order.
+// the radius |(u, v)| is increased to about the width of the lobe of an order.
 template <class Table>
 WARPDIFF_INLINE PolarCovariance to_polar(const Table& table, float u, float v, float xx, float xy, float yy)
 {
@@ -138,8 +140,8 @@ WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels,
 {
     for (int from = 0; from < count; from += ABREAST)
         for (int i = from; i < from + ABREAST; ++i) {
-            // The covariance of (u, v) over a light source of spread s is Σs = s² (I − t tᵀ). The vector t is the
-            // projection of the direction to the light onto the surface.
+            // The covariance of (u, v) over a light source of spread s is Σs = s² (I − t tᵀ). I is the unit matrix, and
+            // the vector t is the projection of the direction to the light onto the surface.
             const float spread2 = SOURCE ? table.spread2 : 0.0f, t0 = pixels.light_x[i], t1 = pixels.light_y[i];
             const float row_u = pixels.row_u[i], row_v = pixels.row_v[i];
             const float column_u = pixels.column_u[i], column_v = pixels.column_v[i];
@@ -154,7 +156,7 @@ WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels,
             pixels.ratio2[i] = polar.ratio2;
             pixels.both[i] = polar.both;
             // The centres of a footprint's parts lie on a line through its centre, in the direction of the covariance
-            // of (u, v) with the polar angle.
+            // between (u, v) and the polar angle of (u, v).
             const float whole = wp::sqrt(pixels.angle2[i]), per_whole = whole > 0.0f ? 1.0f / whole : 0.0f;
             pixels.along_u[i] = polar.angle_u * per_whole;
             pixels.along_v[i] = polar.angle_v * per_whole;
@@ -164,9 +166,9 @@ WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels,
 }
 
 // Return whether the table of a light source cannot serve a pixel: near the mirror direction, or where the blur by the
-// source is narrower than the blur that the rows already have. If the footprint is split into parts, the parts are at
-// different angles, which accounts for the share `cut` of its variance in angle. Only the remaining share `within`, the
-// variance within each part, is compared with the blur of the rows.
+// source is narrower than the blur that the rows already have. If the footprint is split into parts, the different
+// angles of the parts account for the share `cut` of the footprint's variance in angle. The remaining share `within` is
+// the variance within each part. Only this variance is compared with the blur of the rows.
 template <int N, class Table>
 WARPDIFF_INLINE bool is_unserved(const Table& table, const Footprints<N>& pixels, int i, float within, float cut)
 {
@@ -182,7 +184,7 @@ WARPDIFF_INLINE bool is_unserved(const Table& table, const Footprints<N>& pixels
         < within * within * both * both;
 }
 
-// Return whether a footprint is wide compared with |(u, v)|. Colours of such footprints are computed by `ring_sum.h`.
+// Return whether a footprint is wide compared with |(u, v)|. `ring_sum.h` computes the colours of such footprints.
 template <int N, class Table>
 WARPDIFF_INLINE bool is_wide(const Table& table, const Footprints<N>& pixels, int i)
 {
@@ -190,14 +192,14 @@ WARPDIFF_INLINE bool is_wide(const Table& table, const Footprints<N>& pixels, in
     return pixels.xx[i] + pixels.yy[i] > WIDE * WIDE * uv2;
 }
 
-// Index of the pixel that is processed next, and index of the next part of its footprint.
+// Index of the pixel that is processed next, and index of the part of its footprint that is processed next.
 struct NextPart {
     int pixel, part;
 };
 
-// Fill a batch with the next parts of footprints: their (u, v), covariances and shares of the pixel's colour. Pixels
-// with wide footprints get no parts: their colours are computed and added here. The zeroth order is added here for all
-// pixels.
+// Fill a batch with the next parts of footprints: the (u, v), the covariance, and the share of the pixel's colour of
+// each part. Pixels with wide footprints get no parts: their colours are computed and added by this function. The
+// function also adds the zeroth order for all pixels.
 template <bool SOURCE, int MOST_PARTS, int WIDTH, int N, class Table, class UnservedGain>
 WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const float* gains,
     const Footprints<N>& pixels, int begin, int count, NextPart& next, Parts<N>& parts, UnservedGain& unserved_gain,
@@ -237,7 +239,7 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
         parts.ratio2[k] = pixels.ratio2[i];
         parts.both[k] = pixels.both[i];
         if (all > 1) {
-            // The covariance within a part is converted to polar coordinates at the (u, v) of that part.
+            // The covariance within a part of a footprint is converted to polar coordinates at the (u, v) of the part.
             const PolarCovariance polar =
                 to_polar(table, parts.u[k], parts.v[k], pixels.xx[i] - cut * along_u * along_u,
                     pixels.xy[i] - cut * along_u * along_v, pixels.yy[i] - cut * along_v * along_v);
@@ -259,7 +261,8 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
     }
 }
 
-// Compute the positions of parts in the table, and their blurs across rings and across azimuths.
+// Compute the positions of parts of footprints in the table, and the blurs of each part across rings and across
+// azimuths.
 template <int N, class Table>
 WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
 {
@@ -271,8 +274,8 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
             const float ratio_share = smaller(WIDEST_RATIO / wp::sqrt(larger(of_ratio2, 1.0e-12f)), 1.0f);
             const float angle2 = of_angle2 * turn_share * turn_share, ratio2 = of_ratio2 * ratio_share * ratio_share;
             const float both = parts.both[k] * turn_share * ratio_share;
-            // The mean of ln |(u, v)| over a Gaussian differs from its value at the centre. It is computed to second
-            // order.
+            // The mean of ln |(u, v)| over a Gaussian differs from its value at the centre. The mean is computed to
+            // second order.
             LogPolar at = log_polar(parts.u[k], parts.v[k], table.least_uv);
             at.log2 += 0.721347520f * (angle2 - ratio2);
             parts.turns[k] = at.turns;
@@ -287,13 +290,15 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
             parts.deviation[k] = deviation;
             // The distribution of ln |(u, v)| is skewed: on a logarithmic scale, smaller radii are farther away. The
             // skew is a sixth of the third moment, in standard deviations. A correlation of the angle with ln |(u, v)|
-            // would add to the third moment. This term is omitted, because it assumes that the azimuth is linear in ln
-            // |(u, v)|, whereas `place_ring` places the azimuths of a part on a straight line in (u, v).
+            // would add a term to the third moment. This term is omitted, because it is derived for azimuths that are
+            // linear in ln |(u, v)|. In contrast, `place_ring` places the azimuths of a part on a straight line in
+            // (u, v).
             parts.skew[k] = -0.5f * ratio2 * ratio2 * per_log * per_log * per_log / (variance * deviation);
         }
 }
 
-// Select the rings over which each part is summed: their first and last index, spacing and weights.
+// Select the rings over which each part of a footprint is summed: first and last index, spacing and weights of the
+// rings.
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGaussian cut, Parts<N>& parts)
 {
@@ -308,10 +313,10 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
                 table.blurs)[octaves + wp::clamp((int)(parts.place[k] * table.octaves_per_ring), 0, octaves - 1)];
     for (int from = 0; from < parts.count; from += ABREAST)
         for (int k = from; k < from + ABREAST; ++k) {
-            // `across2` is the variance in angle over which colours are smooth. In tables for a window, it is that of
-            // the footprint plus the squared distance between azimuth samples. In tables of a light source nothing is
-            // added, because a footprint that they serve is wider than the blur of the lines, which is in proportion to
-            // that distance.
+            // `across2` is the variance in angle over which colours are smooth. In tables for a coherence window, it is
+            // the variance of the footprint plus the squared distance between azimuth samples. In tables of a light
+            // source nothing is added. A footprint that such a table serves is wider than the blur of the spectral
+            // lines, which is proportional to the distance between azimuth samples.
             const float across2 = parts.aside2[k] + (SOURCE ? 1.0e-12f : parts.spacing[k] * parts.spacing[k]);
             const float variance = parts.deviation[k] * parts.deviation[k], turn = parts.turn_per_ring[k];
             const float sharp = wp::sqrt(per_curves2 + turn * turn / across2 + 1.0f / variance);
@@ -331,8 +336,8 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
             const float start = place - half, first = tabulated ? wp::rint(start) : -wp::floor(-start);
             const int fraction = wp::clamp((int)((start - first + 0.5f) * (float)fractions), 0, fractions - 1);
             const int end = tabulated ? (int)first + parts.taps[k] : (int)wp::floor(place + half) + 1;
-            // If only every n-th ring is added, the index of the first one is a multiple of n, so that neighbouring
-            // pixels use the same rings.
+            // If only every n-th ring is added, the index of the first added ring is a multiple of n, so that
+            // neighbouring pixels use the same rings.
             const int begin = (wp::max((int)first, 0) + parts.apart[k] - 1) & -parts.apart[k];
             parts.first_weight[k] = (parts.step[k] * fractions + fraction) * most_taps - (int)first;
             parts.begin[k] = wp::min(begin, all_rings - 1);
@@ -340,12 +345,12 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
         }
 }
 
-// Index of the part of a footprint that is processed next, and index of its next ring.
+// Index of the part of a footprint that is processed next, and index of the ring that is processed next.
 struct NextRing {
     int part, ring;
 };
 
-// Fill a batch with the next segments: consecutive rings of a part within one octave.
+// Fill a batch with the next segments. A segment has consecutive rings of a part of a footprint, within one octave.
 template <int N, class Table>
 WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, NextRing& next, Segments<N>& segments)
 {
@@ -368,7 +373,8 @@ WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, Ne
     }
 }
 
-// Select the mip level of each segment. Compute the azimuth, the blur in angle and the first row on that level.
+// Select the mip level of each segment, a group of rings within one octave. Compute the azimuth, the blur in angle and
+// the first row of each segment on its level.
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const Parts<N>& parts, Segments<N>& segments)
 {
@@ -379,8 +385,8 @@ WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const 
     for (int from = 0; from < segments.count; from += ABREAST)
         for (int s = from; s < from + ABREAST; ++s) {
             const int k = segments.part[s], octave = (int)((float)segments.first[s] * table.octaves_per_ring);
-            // Select the most blurred mip level whose blur does not exceed that of the footprint; each level has twice
-            // the blur of the one before. The remaining blur is added by a weighted sum over several azimuths.
+            // Select the most blurred mip level whose blur does not exceed the blur of the footprint; each level has
+            // twice the blur of the level before. The remaining blur is added by a weighted sum over several azimuths.
             const float line2 = SOURCE ? numbers<const float>(table.line_blurs2)[octave] : 0.0f;
             const float blur2 = larger(parts.aside2[k] - line2, 0.0f);
             const float first_blur = blurs[octaves + octave], relative = blur2 / (first_blur * first_blur);
@@ -401,8 +407,8 @@ WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const 
         }
 }
 
-// Return the weight of a segment's m-th ring: the value of a skewed Gaussian around the part's centre, up to a constant
-// factor.
+// Return the weight of the m-th ring of a segment (a group of rings): the value of a skewed Gaussian around the centre
+// of the part of the footprint, up to a constant factor.
 template <int N>
 WARPDIFF_INLINE float gaussian_weight(const Segments<N>& segments, CutGaussian cut, int s, int m)
 {
@@ -411,9 +417,9 @@ WARPDIFF_INLINE float gaussian_weight(const Segments<N>& segments, CutGaussian c
     return falloff * larger(1.0f + segments.skew[s] * t * (t2 - 3.0f), 0.0f);
 }
 
-// Compute the azimuth of the footprint's centre at a segment's m-th ring, and the remaining blur as an index of the
-// table of weights. The width of a footprint in (u, v) is the same at all rings, so that its angular width is inversely
-// proportional to the radius.
+// Compute the azimuth of the footprint's centre at the m-th ring of a segment (a group of rings), and the remaining
+// blur as an index of the table of weights. The width of a footprint in (u, v) is the same at all rings, so that its
+// angular width is inversely proportional to the radius.
 template <int N, class Table, class Taps>
 WARPDIFF_INLINE void place_ring(
     const Table& table, const Taps& taps, const Segments<N>& segments, int s, int m, float& position, int& step)
@@ -425,7 +431,8 @@ WARPDIFF_INLINE void place_ring(
         (float)((int)taps.weights.shape[0] - 1));
 }
 
-// Return which `count` rows around an azimuth are added for a segment's m-th ring, and the index of their weights.
+// Return which rows around an azimuth are added for the m-th ring of a segment (a group of rings), `count` in number.
+// Return also the index of the weights of these rows.
 template <int N, class Table, class Taps>
 WARPDIFF_INLINE RingRows rows_of_ring(const Table& table, const Taps& taps, const Segments<N>& segments, int s, int m,
     float position, int step, int count)
@@ -444,8 +451,9 @@ WARPDIFF_INLINE RingRows rows_of_ring(const Table& table, const Taps& taps, cons
     };
 }
 
-// Rows and weights of all rings of segments. On the CPU, they are stored for a whole batch before any ring is summed. A
-// GPU computes them for each ring when it sums the ring.
+// Rows and weights of all rings of segments. A segment is a group of consecutive rings. On the CPU, rows and weights
+// are stored for a whole batch before any ring is summed. A GPU computes the rows and weights of a ring when it sums
+// the ring.
 template <int N>
 struct SegmentRings {
     static constexpr int RINGS = ON_GPU ? 1 : SEGMENT_RINGS;
@@ -495,7 +503,8 @@ struct SegmentRings {
     }
 };
 
-// Sum the rows of segments. After the last segment of a part, convert the sum to a colour and add it to the pixel.
+// Sum the rows of segments. After the last segment of a part of a footprint, convert the sum to a colour and add this
+// colour to the pixel.
 template <int WIDTH, int N, class Table, class Taps>
 WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGaussian cut, const Footprints<N>& pixels,
     const Parts<N>& parts, const Segments<N>& segments, SegmentRings<N>& rings, WeighedRows<WIDTH>& sum, float* xyz)
@@ -527,11 +536,11 @@ WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGauss
     }
 }
 
-// Add the XYZ of the scattering vectors from `begin` to `end`, at most BATCH, times their gains. Each XYZ is a mean
-// over the footprint, and with `SOURCE` also over the light source.
+// Add the XYZ of the scattering vectors from `begin` to `end`, at most BATCH, times geometry factors (gains). Each XYZ
+// is a mean over the footprint, and with `SOURCE` also over the light source.
 //
-// Directions that the table of a light source cannot serve are skipped. Their gains are stored in `unserved_gain`,
-// which is 0 for all other directions.
+// Directions that the table of a light source cannot serve are skipped. The gains of these directions are stored in
+// `unserved_gain`, which is 0 for all other directions.
 template <int W_BASIS_SIZE, bool SOURCE, int BATCH, int MOST_PARTS, class Table, class Taps, class ScatteringVectors,
     class Lights, class Gains, class FootprintArray, class Colours>
 WARPDIFF_INLINE void look_up_footprints(const Table& table, const Taps& taps, CutGaussian cut,

@@ -1,5 +1,5 @@
-// Footprints of pixels: first-order changes of (u, v), by ray differentials (Igehy 1999) on the face that the camera
-// ray hits.
+// Footprints of pixels: first-order changes of the tangential scattering vector (u, v) over a pixel. They are computed
+// by ray differentials (Igehy 1999) on the face that the camera ray hits.
 
 #pragma once
 
@@ -14,8 +14,8 @@ struct FootprintLimits {
     float least_facing; // least cosine between the view direction and a face; smaller ones are replaced by it
 };
 
-// Displacements of a camera ray in the picture plane, by one standard deviation of the pixel filter to the right and
-// downwards; and the eye and the backward axis of the camera.
+// Displacements of a camera ray in the picture plane by one standard deviation of the pixel filter, to the right and
+// downwards. The eye and the backward axis of the camera are stored, too.
 struct FilterSteps {
     float step[2][3], back[3], eye[3];
     bool perspective;
@@ -57,8 +57,8 @@ struct FootprintBatch {
     }
 };
 
-// Derivatives of the barycentric coordinates of a hit, and of the quantities interpolated with them, with respect to
-// displacements in the picture plane.
+// Derivatives with respect to displacements in the picture plane: of the barycentric coordinates of a hit, and of the
+// quantities that these coordinates interpolate.
 struct FaceDifferentials {
     float view[3], of_share1[3], of_share2[3], across[3];
     float slide1, slide2, scale, per_unit, facing;
@@ -103,8 +103,8 @@ WARPDIFF_INLINE FaceDifferentials differentiate_face(
     return face;
 }
 
-// Compute the changes of (u, v) if the camera ray is displaced along each axis of the picture. The shading frame then
-// changes, too, because its normal and tangent are interpolated between the corners of the face.
+// Compute the changes of (u, v) if the camera ray is displaced along each axis of the picture. A displacement also
+// changes the shading frame, because its normal and tangent are interpolated between the corners of the face.
 template <int N>
 WARPDIFF_INLINE void differentiate_scattering_vector(const FaceDifferentials& face, const FilterSteps& filter,
     bool smooth, float least_cosine, int i, FootprintBatch<N>& batch)
@@ -137,7 +137,7 @@ WARPDIFF_INLINE void differentiate_scattering_vector(const FaceDifferentials& fa
         float of_t = per_length * (share1 * t_normal1 + share2 * t_normal2);
         float of_b = per_length * (share1 * b_normal1 + share2 * b_normal2);
         // Where the shading normal was rotated towards the viewer, its angle with the view direction remains constant.
-        // The change of the normal in the plane of both directions is then that of the view direction.
+        // In the plane of both directions, the change of the normal therefore equals the change of the view direction.
         const float of_cosine = clamped * (of_t * t_view + of_b * b_view + n_turn);
         of_t -= of_cosine * t_view;
         of_b -= of_cosine * b_view;
@@ -147,8 +147,8 @@ WARPDIFF_INLINE void differentiate_scattering_vector(const FaceDifferentials& fa
     }
 }
 
-// Compute the footprints of the rays from `begin` to `end`; `deviation` is the standard deviation of their filter
-// [pixels].
+// Compute the footprints of the rays from `begin` to `end`; `deviation` is the standard deviation of the filter of a
+// pixel or cell [pixels].
 template <int BATCH, class Camera, class Surface, class Pixels, class ScatteringVectors, class Footprints>
 WARPDIFF_INLINE void find_footprints(const Camera& camera, const Surface& surface, const Pixels& pixels,
     const ScatteringVectors& scattering_vectors, float deviation, int begin, int end, FootprintLimits limits,

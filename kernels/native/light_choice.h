@@ -9,16 +9,18 @@
 namespace warpdiff {
 
 // The table of the scattered light has rings of |(u, v)|. Light within this number of octaves from the innermost ring
-// counts as light near the mirror direction. Choice: other values change the noise, not the mean.
+// counts as light near the mirror direction. The value was chosen freely: other values change the noise, not the mean.
 constexpr float OCTAVES_OF_MIRROR = 2.0f;
-// Largest number of groups of lights whose sums are stored. Limit: size of a local array.
+// Largest number of groups of lights for which the summed brightness is stored. The value is limited by the size of a
+// local array.
 constexpr int GROUPS = 32;
-// Least cosine w of a direction. Limit: a smaller w would make gains infinite.
+// Least sum of the cosines of light and view, which is |w|. A smaller |w| would make geometry factors (gains) too
+// large.
 constexpr float LEAST_W = 0.01f;
 
 // Shading frame and view direction at a hit. The light that is scattered near the mirror direction is approximated by a
-// Gaussian in (u, v): a narrow lobe around that direction, blurred by the footprint. `per_uu`, `per_uv` and `per_vv`
-// are the inverse of the covariance of this Gaussian, and `peak` is its value at its centre.
+// Gaussian in (u, v): a narrow lobe around that direction, blurred by the footprint of the pixel. `per_uu`, `per_uv`
+// and `per_vv` are the inverse of the covariance of this Gaussian, and `peak` is its value at its centre.
 struct ScatteringPoint {
     float tangent[3], bitangent[3], normal[3], view[3];
     float per_uu, per_uv, per_vv, peak;
@@ -44,8 +46,8 @@ struct ScatteringPoint {
     }
 };
 
-// Compute the expected brightness of a point under N lights from the index `first` on, without shadows. It is 0 for
-// lights below the horizon.
+// Compute the expected brightness of a point under N lights from the index `first` on, without shadows. The brightness
+// is 0 for lights below the horizon.
 template <int N, class Lights, class Table>
 WARPDIFF_INLINE void expect_brightness(
     const Lights& lights, const Table& table, const ScatteringPoint& point, float diffuse, int first, Batch<N>& result)
@@ -89,8 +91,8 @@ WARPDIFF_INLINE void expect_brightness(
     }
 }
 
-// Choose a light for the ray with the given index, by a random number from 0 to 1. Its direction and weight are written
-// to `towards_out`, unless all lights are below the horizon.
+// Choose a light for the ray with the given index, by a random number from 0 to 1. The direction and the weight of the
+// light are written to `towards_out`, unless all lights are below the horizon.
 template <int BATCH, class Lights, class Table, class Pixels, class Footprints, class Directions>
 WARPDIFF_INLINE void choose_light(const Lights& lights, const Table& table, float diffuse, const Pixels& pixels,
     const Footprints& footprints, int ray, float random, Directions& towards_out)
@@ -100,7 +102,8 @@ WARPDIFF_INLINE void choose_light(const Lights& lights, const Table& table, floa
     ScatteringPoint point;
     point.load(table, pixels, footprints, ray);
     Batch<N> expected;
-    // Sums over groups of lights. Only the lights of one group are computed again to choose one of them.
+    // Sums of the brightness over groups of lights. Only for the lights of one group is the brightness computed again,
+    // to choose one light of the group.
     float sums[GROUPS], total = 0.0f;
     const int size = (count - 1) / (N * GROUPS) * N + N;
     for (int group = 0; group * size < count; ++group) {
@@ -114,7 +117,8 @@ WARPDIFF_INLINE void choose_light(const Lights& lights, const Table& table, floa
     float rest = random * total, share = 0.0f;
     int group = 0;
     while ((group + 1) * size < count && !(sums[group] > rest)) rest -= sums[group++];
-    // If rounding makes the sum of a group too small, its last light above the horizon is chosen.
+    // If rounding makes the summed brightness of a group of lights too small, the last light of the group above the
+    // horizon is chosen.
     long long chosen = -1;
     for (int first = group * size; first < wp::min((group + 1) * size, count) && rest >= 0.0f; first += N) {
         expect_brightness(lights, table, point, diffuse, first, expected);

@@ -37,7 +37,7 @@ WARPDIFF_INLINE void place_points(const Table& table, Points<N>& points)
 }
 
 // Return the table row of a ring on the first of the three azimuths around an angle. `aside` receives the distance of
-// the angle from the middle azimuth, in azimuths.
+// the angle from the middle azimuth, in distances of azimuths.
 template <int WIDTH, class Table>
 WARPDIFF_INLINE const float* row_at(const Table& table, float turns, int ring, int octave, float& aside)
 {
@@ -48,8 +48,8 @@ WARPDIFF_INLINE const float* row_at(const Table& table, float turns, int ring, i
     return numbers<const float>(table.rows) + row * WIDTH;
 }
 
-// Compute the addresses of the table rows for a point. On the CPU, begin to fetch them from memory if the point is
-// illuminated.
+// Compute the addresses of the table rows for a point. On the CPU, begin to fetch these rows from memory if the point
+// is illuminated.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE void locate_rows(const Table& table, Points<N>& points, int i, bool is_illuminated)
 {
@@ -95,7 +95,7 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& poin
     return sum;
 }
 
-// Add the XYZ of the scattering vectors from `begin` to `end`, at most BATCH, multiplied by their gains.
+// Add the XYZ of the scattering vectors from `begin` to `end`, at most BATCH, multiplied by geometry factors (gains).
 //
 // While one direction is looked up, the rows for the direction AHEAD indices later are fetched from memory. With a
 // larger distance, rows would be evicted from the first-level cache before their use.

@@ -6,12 +6,12 @@
 
 namespace warpdiff {
 
-// Pole of the recursive filter that converts samples to coefficients of the spline through them: the factor from each
-// result of the filter to the next. Derived: 2√2 − 3.
+// Pole of the recursive filter that converts samples to coefficients of the spline through these samples: the factor
+// from each result of the filter to the next. It was derived as 2√2 − 3.
 constexpr float SPLINE_POLE = -0.171572875f;
 
 // Compute the weights of three neighbouring coefficients of the spline, for a point at the distance `away` from the
-// middle one, in sample spacings.
+// middle coefficient, in sample spacings.
 WARPDIFF_INLINE void quadratic_spline(float away, float* weights)
 {
     weights[0] = 0.5f * (0.5f - away) * (0.5f - away);

@@ -1,9 +1,9 @@
-// Mean colours over footprints that are wide compared with their distance from the mirror direction.
+// Mean colours over footprints of pixels that are wide compared with the distance |(u, v)| from the mirror direction.
 //
 // The look-up for other footprints assumes that a footprint covers a small range of angles and radii. A wide footprint
 // covers a large range. Its colour is therefore a weighted sum of the rows at all rings and azimuths within the
 // footprint. The weight of a row is the value of the footprint's Gaussian in (u, v). Rows of a mip level are already
-// blurred along a ring. To compensate, the Gaussian is made narrower along the ring.
+// blurred along a ring. To compensate for this blur, the Gaussian is made narrower along the ring.
 
 #pragma once
 
@@ -12,25 +12,26 @@
 
 namespace warpdiff {
 
-// Number of azimuths per batch. Limit: lanes of a SIMD vector.
+// Number of azimuths that are processed together. The value is limited by the lanes of a SIMD vector.
 constexpr int ARC = batch_of(8);
-// Distance from its centre at which the Gaussian of a footprint is truncated [standard deviations]: away from the
-// mirror direction, and towards it, where surfaces are brightest. Limits: a larger distance adds more rows.
+// Distance from its centre at which the Gaussian of a footprint is truncated [standard deviations]. `OUTWARDS` is for
+// directions away from the mirror direction, and `INWARDS` for directions towards it, where surfaces are brightest. The
+// values are limited by time: a larger distance adds more rows.
 constexpr float OUTWARDS = 3.2f, INWARDS = 4.5f;
 // Not all rings of the table are added. The distance between added rings has two upper limits. `RINGS_APART` is the
 // limit in ln |(u, v)|, because colours are smooth over this distance. `RINGS_PER_DEVIATION` is the limit in standard
 // deviations of the Gaussian in the direction of (u, v). The distance is doubled for rings whose radius is below
-// `WITHIN` times the smaller standard deviation. If it was doubled everywhere, sums over narrow Gaussians would be
-// inaccurate.
+// `WITHIN` times the smaller standard deviation. If the distance was doubled everywhere, sums over narrow Gaussians
+// would be inaccurate.
 constexpr float RINGS_APART = 0.1f, RINGS_PER_DEVIATION = 1.2f, WITHIN = 0.5f;
-// Smallest radius of the rings that are added: the smaller of two products, `INNERMOST` times the smaller standard
-// deviation of the Gaussian, and `INNERMOST_OF_LOBE` times the standard deviation of an order's peak in (u, v).
-// `NARROWEST` is the least standard deviation of the Gaussian, relative to that of the peak. Limits: smaller values add
-// more rings.
+// Smallest radius of the rings that are added. It is the smaller of two products. One is `INNERMOST` times the smaller
+// standard deviation of the Gaussian. The other is `INNERMOST_OF_LOBE` times the standard deviation of an order's peak
+// in (u, v). `NARROWEST` is the least standard deviation of the Gaussian, relative to the standard deviation of the
+// peak. The values are limited by time: smaller values add more rings.
 constexpr float INNERMOST = 0.1f, INNERMOST_OF_LOBE = 0.3f, NARROWEST = 0.3f;
-// Rule for the mip level whose rows are added: `MOST_BLUR2` is the maximum variance of its blur, relative to the
-// variance of the Gaussian along the ring. `AZIMUTHS_APART` is the maximum distance of its azimuths, in standard
-// deviations of the Gaussian.
+// Rule for the mip level whose rows are added. `MOST_BLUR2` is the maximum variance of the blur of the level, relative
+// to the variance of the Gaussian along the ring. `AZIMUTHS_APART` is the maximum distance of the level's azimuths, in
+// standard deviations of the Gaussian.
 constexpr float MOST_BLUR2 = 0.7f, AZIMUTHS_APART = 1.0f;
 
 // A Gaussian over (u, v): its mean (u, v) and the inverse of its covariance.
@@ -39,7 +40,7 @@ struct Gaussian2 {
 };
 
 // Mip level from which the rings of one octave are added. `spacing` is the distance of its azimuths [rad]. `blur2` is
-// the variance of the blur of its rows minus that of the spline between azimuths [rad²]. If the variance of the
+// the variance of the blur of its rows minus the variance of the spline between azimuths [rad²]. If the variance of the
 // Gaussian along a ring is at least `until`, the next level is used.
 struct RingLevel {
     int octave, level, azimuths, first_row;
@@ -47,8 +48,8 @@ struct RingLevel {
 };
 
 // Return the value of a Gaussian at a point of a ring, or 0 beyond `cutoff` standard deviations. The direction of the
-// point is (x, y). Along the ring, the variance of the Gaussian is reduced by `blur2`. For this, the logarithm of the
-// Gaussian along the ring is approximated by a parabola.
+// point is (x, y). Along the ring, the variance of the Gaussian is reduced by `blur2`. For this reduction, the
+// logarithm of the Gaussian along the ring is approximated by a parabola.
 WARPDIFF_INLINE float weight_on_ring(
     const Gaussian2& gaussian, float x, float y, float radius, float blur2, float cutoff)
 {
@@ -73,8 +74,9 @@ WARPDIFF_INLINE RingLevel ring_level(const Table& table, int level, int octave)
 }
 
 // Replace `widest` by the most blurred mip level in `octave` that the variance of the Gaussian along the ring permits.
-// Rings are processed inwards. In a new octave the blur of a level [rad] may be twice that in the previous octave. The
-// search therefore starts with the level that is one step less blurred than the present one.
+// Rings are processed from the outside to the inside. In a new octave the blur of a level [rad] may be twice the blur
+// in the previous octave. The search therefore starts with the level that is one step less blurred than the present
+// level.
 template <class Table>
 inline void widen(const Table& table, RingLevel& widest, int octave, float variance)
 {
@@ -91,8 +93,8 @@ inline void widen(const Table& table, RingLevel& widest, int octave, float varia
     }
 }
 
-// Add the rows on an arc of a ring, from the azimuth `first` to the azimuth `end`, which is excluded because it may be
-// the first azimuth of the next arc.
+// Add the rows on an arc of a ring, from the azimuth `first` to the azimuth `end`. The azimuth `end` is excluded,
+// because it may be the first azimuth of the next arc.
 template <int WIDTH>
 WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian, float radius, float blur2,
     float cutoff, float size, float first, float end, int count, const float* rows, long long stride)
@@ -116,11 +118,12 @@ WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian,
     }
 }
 
-// Return the sum of all rows of the table, weighted by a Gaussian around (u, v), from the outermost ring inwards.
+// Return the sum of all rows of the table, weighted by a Gaussian around (u, v). The rings are added from the outermost
+// ring inwards.
 template <int WIDTH, class Table>
 inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, float xx, float xy, float yy)
 {
-    // Rows are coefficients of a quadratic spline between rings, which blurs them by a variance of a quarter of the
+    // Rows are coefficients of a quadratic spline between rings, which blurs the rows by a variance of a quarter of the
     // squared ring spacing. This variance is added to the covariance of the Gaussian.
     const float apart2 = 0.25f / (table.rings_per_log * table.rings_per_log);
     const float a = xx + apart2 * u * u, b = xy + apart2 * u * v, d = yy + apart2 * v * v, mean2 = 0.5f * (a + d);
@@ -128,16 +131,16 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
     const float narrow2 = larger((a * d - b * b) / widest2, least * least);
     const float widest = wp::sqrt(widest2), narrow = wp::sqrt(narrow2), middle = wp::sqrt(u * u + v * v);
     const float turns = log_polar(u, v, table.least_uv).turns;
-    // Angle of the direction perpendicular to the long axis of the Gaussian, and distance of that axis from the mirror
-    // direction.
+    // Angle of the direction perpendicular to the long axis of the Gaussian, and distance of the long axis from the
+    // mirror direction.
     const float across = 0.5f * log_polar(a - d, 2.0f * b, 0.0f).turns + 0.25f;
     float x, y;
     on_circle(across, x, y);
     const float aside = u * x + v * y, along = v * x - u * y;
     const Gaussian2 gaussian = {u, v, x * x / narrow2 + y * y / widest2, x * y * (1.0f / narrow2 - 1.0f / widest2),
         y * y / narrow2 + x * x / widest2};
-    // Distance of the rings that are added, a multiple of the distance of rings in the table. It is smaller than the
-    // width of the Gaussian along (u, v).
+    // Distance of the rings that are added, a multiple of the distance of rings in the table. The distance is limited
+    // by the width of the Gaussian along (u, v).
     const float steepness = wp::sqrt(aside * aside / narrow2 + along * along / widest2);
     const float distance = smaller(RINGS_APART, RINGS_PER_DEVIATION / larger(steepness, 1.0e-20f));
     const int octaves = table.azimuths.shape[1], apart = wp::max((int)(distance * table.rings_per_log), 1);
@@ -162,7 +165,8 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
             + (long long)(level.first_row + ring - octave * table.rings_per_octave) * WIDTH;
         const long long stride = (long long)table.rings_per_octave * WIDTH;
         // On a ring, the Gaussian covers an arc around the direction of (u, v). A long and narrow Gaussian also lies
-        // within at most two arcs around the directions of its long axis. These are used instead if they are shorter.
+        // within at most two arcs around the directions of its long axis. These arcs are used instead if they are
+        // shorter.
         const float cutoff = radius < middle ? INWARDS : OUTWARDS, furthest = cutoff * widest, beside = cutoff * narrow;
         const float around = turns_of_cosine(
             (radius * radius + middle * middle - furthest * furthest) / larger(2.0f * radius * middle, 1.0e-20f));
@@ -174,7 +178,7 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
         const bool is_coarse = radius < WITHIN * narrow, is_streak = to - from < around;
         const float size = (is_coarse ? 2.0f : 1.0f) * radius * radius * level.spacing, all = (float)level.azimuths;
         // The positions of arcs are rounded to 1/64 of the distance of azimuths. If two arcs touch, each azimuth is
-        // therefore in exactly one of them, in spite of the rounding errors of float32.
+        // therefore in exactly one of both arcs, in spite of the rounding errors of float32.
         const float place = wp::rint(64.0f * all * (is_streak ? across : turns)) * (1.0f / 64.0f);
         for (int side = 0; side < (is_streak ? 2 : 1); ++side) {
             const float first = !is_streak ? -around : side == 0 ? from : -to;

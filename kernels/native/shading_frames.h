@@ -1,4 +1,4 @@
-// Shading frames of pixels, and start points of their shadow rays.
+// Shading frames (normal, tangent, bitangent) of pixels, and start points of shadow rays.
 
 #pragma once
 
@@ -14,8 +14,8 @@ struct FrameLimits {
     float lift;           // height of shadow rays' start points above the surface [radii]
 };
 
-// Shading frames of N pixels, by axis. Special pixels are only marked here and computed separately: their normals must
-// be rotated towards the viewer, or their tangents are parallel to the normal.
+// Shading frames of N pixels, by axis. In special pixels, the normal must be rotated towards the viewer, or the tangent
+// is parallel to the normal. Special pixels are only marked here and computed separately.
 template <int N>
 struct ShadingFrames {
     Batch<N> tangent[3], bitangent[3], normal[3], shadow_origin[3];
@@ -23,8 +23,8 @@ struct ShadingFrames {
 };
 
 // Compute the start point of a shadow ray (Hanika 2021, "Hacking the shadow terminator"). A point below the tangent
-// planes of the face's corners is moved up to these planes, where the smooth surface would be. Without this, faces of a
-// convex surface would shadow each other at grazing incidence.
+// planes of the face's corners is moved up to these planes, where the smooth surface would be. Without this shift,
+// faces of a convex surface would shadow each other at grazing incidence.
 template <int N>
 WARPDIFF_INLINE void lift_to_tangent_planes(
     const PixelBatch<N>& pixels, int i, const float* share, const float* point, float side, bool smooth, float* origin)
@@ -68,7 +68,7 @@ WARPDIFF_INLINE float project_tangent(
 }
 
 // Compute the shading frames of a batch of pixels. `handedness` is −1 for pixels whose face has mirrored texture
-// coordinates, and +1 for others.
+// coordinates, and +1 for other pixels.
 template <int N>
 WARPDIFF_INLINE void find_frames(
     const PixelBatch<N>& pixels, const Batch<N>& handedness, bool smooth, FrameLimits limits, ShadingFrames<N>& frames)
@@ -109,7 +109,8 @@ WARPDIFF_INLINE void find_frames(
     }
 }
 
-// Store one vector per pixel, with zeros for pixels that do not hit the mesh. To skip these pixels would be slower.
+// Store one vector per pixel, with zeros for pixels that do not hit the mesh. A loop that skips these pixels would be
+// slower.
 template <int N>
 WARPDIFF_INLINE void put_vectors(float* out, const Batch<N> (&vectors)[3], const Batch<N, bool>& met, int count)
 {
@@ -117,8 +118,8 @@ WARPDIFF_INLINE void put_vectors(float* out, const Batch<N> (&vectors)[3], const
         for (int c = 0; c < 3; ++c) out[3LL * i + c] = met[i] ? vectors[c][i] : 0.0f;
 }
 
-// Compute the shading frames of the pixels from `begin` to `end`. Pixels in which this requires special cases are only
-// marked, by `hit` = SPECIAL, and computed later. Return their number.
+// Compute the shading frames of the pixels from `begin` to `end`. Pixels with special cases are only marked, by
+// `hit` = SPECIAL, and computed later. Return the number of marked pixels.
 template <int BATCH, int SPECIAL, class Surface, class Pixels>
 WARPDIFF_INLINE int make_shading_frames(
     const Surface& surface, const Pixels& pixels, int begin, int end, FrameLimits limits)

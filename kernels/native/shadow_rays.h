@@ -1,8 +1,8 @@
-// Shadow rays to a distant light, by a grid over the mesh as projected along the light. Each cell of the grid has a
-// list of the faces in it.
+// Shadow rays to a distant light, by a grid over the mesh, projected along the light. Each cell of the grid has a list
+// of the faces in the cell.
 //
 // Positions perpendicular to the light are rounded to whole numbers of steps. The test on which side of an edge a point
-// lies is then exact. kernels/shadow_rays.py makes the lists with the same rounding.
+// lies is then exact. kernels/shadow_rays.py makes the lists of faces with the same rounding.
 
 #pragma once
 
@@ -10,7 +10,7 @@
 
 namespace warpdiff {
 
-// Number of faces of a list that are tested together. Limit: size of local arrays.
+// Number of faces of a list that are tested together. The value is limited by the size of local arrays.
 constexpr int LISTED = 32;
 
 // A batch of points: two coordinates perpendicular to the light [steps], height towards the light, index of the grid
@@ -53,22 +53,23 @@ struct ShadowPoints {
         const double x0 = corners[0], y0 = corners[1], z0 = corners[2], x1 = corners[3], y1 = corners[4];
         const double z1 = corners[5], x2 = corners[6], y2 = corners[7], z2 = corners[8];
         for (int j = 0; j < N; ++j) {
-            // Twice the areas of the triangles between the point and the three edges of the face. They are exact, as
-            // positions are whole numbers.
+            // Twice the areas of the triangles between the point and the three edges of the face. The areas are exact,
+            // as positions are whole numbers.
             const double e0 = (x2 - x1) * (y[j] - y1) - (y2 - y1) * (x[j] - x1);
             const double e1 = (x0 - x2) * (y[j] - y2) - (y0 - y2) * (x[j] - x2);
             const double e2 = (x1 - x0) * (y[j] - y0) - (y1 - y0) * (x[j] - x0);
             const int below =
                 (e0 >= 0.0) & (e1 >= 0.0) & (e2 >= 0.0) & (z0 * e0 + z1 * e1 + z2 * e2 > z[j] * (e0 + e1 + e2));
             // A face occludes a point only if the highest corner of the face is above the point. Without this
-            // condition, rounding errors could let a neighbour of the point's own face occlude it although the
+            // condition, rounding errors could let a neighbour of the point's own face occlude the point although this
             // neighbour is lower.
             occluded[j] |= below & (cell[j] == here) & (top > z[j]);
         }
     }
 };
 
-// Test the faces in the list of a grid cell against the points in that cell. The lowest point has the height `least`.
+// Test the faces in the list of a grid cell against the points in that cell. The lowest of these points has the height
+// `least`.
 template <int N, class Grid>
 WARPDIFF_INLINE void search_cell(const Grid& grid, int here, double least, ShadowPoints<N>& points)
 {
@@ -91,8 +92,8 @@ WARPDIFF_INLINE void search_cell(const Grid& grid, int here, double least, Shado
     }
 }
 
-// Determine for the pixels from `begin` to `end` whether the light is occluded. The points of a batch that lie in the
-// same grid cell are tested together.
+// Determine for the pixels from `begin` to `end` whether the mesh occludes the light. The points of a batch that lie in
+// the same grid cell are tested together.
 template <int BATCH, class Grid, class Vector, class Pixels, class Flags>
 WARPDIFF_INLINE void look_up_shadows(const Grid& grid, const Vector& towards, const Pixels& pixels, float facing_away,
     double steps, int begin, int end, Flags& occluded_out)

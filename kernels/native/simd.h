@@ -39,7 +39,7 @@ struct Batch {
     }
 };
 
-// Vector of LANES floats. It needs no alignment in memory beyond that of a float.
+// Vector of LANES floats. It needs no alignment in memory beyond the alignment of a float.
 template <int LANES>
 struct FloatVector;
 template <>
@@ -57,8 +57,8 @@ struct FloatVector<8> {
 };
 #endif
 
-// A row of WIDTH floats, stored as the longest vectors into which it can be divided. On the CPU, WIDTH is a multiple of
-// four.
+// A row of WIDTH floats, stored as the longest vectors into which the row can be divided. On the CPU, WIDTH is a
+// multiple of four.
 template <int WIDTH>
 struct Row {
     static constexpr int LANES = ON_GPU ? 1 : WIDTH % 8 == 0 ? 8 : 4;
@@ -117,8 +117,8 @@ WARPDIFF_INLINE int cyclic(int index, int count)
     return left < 0 ? left + count : left;
 }
 
-// Begin to fetch data from memory that is used soon. On a GPU this does nothing: the GPU runs other threads while one
-// waits for memory.
+// Begin to fetch data from memory that is used soon. On a GPU the function does nothing: the GPU runs other threads
+// while one thread waits for memory.
 WARPDIFF_INLINE void prefetch(const float* at)
 {
 #if !defined(__CUDA_ARCH__)

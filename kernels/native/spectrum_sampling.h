@@ -1,5 +1,5 @@
 // Sampling of the power spectrum along azimuths of the frequency plane. The value at a ring is the integral of the
-// spectrum, weighted by a quadratic B-spline in ln t around the ring, where t is the radius.
+// spectrum, weighted by a quadratic B-spline in ln t around the ring, where t is the radius [1/µm].
 
 #pragma once
 
@@ -9,13 +9,13 @@
 
 namespace warpdiff {
 
-// First number: Gaussian weights that are computed together. Second number: rows of coefficients for which the range of
-// contributing columns is computed in advance.
+// `TAPS` is the number of Gaussian weights that are computed together. For `KNOWN_ROWS` rows of Fourier coefficients,
+// the range of contributing columns is computed in advance.
 constexpr int TAPS = 16, KNOWN_ROWS = 64;
 
-// Range of the coefficients that contribute to a point of the frequency plane, relative to the coefficient nearest to
-// the point. The same range is used for all points. It is therefore large enough for any position of a point around its
-// nearest coefficient.
+// Range of the Fourier coefficients that contribute to a point of the frequency plane, relative to the coefficient
+// nearest to the point. The same range is used for all points. The range is therefore large enough for any position of
+// a point around its nearest coefficient.
 struct Neighbours {
     int reach_y, reach_x, on_row[KNOWN_ROWS];
     // Row and column of the zeroth order if it is excluded from the sums; −1 otherwise.
@@ -36,8 +36,8 @@ struct Neighbours {
     }
 };
 
-// Compute exp(−scale · x²) at TAPS distances x: consecutive integers from `from` on, minus `beside`, the fractional
-// part of a position.
+// Compute exp(−scale · x²) at TAPS distances x. The distances are consecutive integers from `from` on, minus `beside`,
+// the fractional part of a position.
 WARPDIFF_INLINE void gaussian_taps(float scale, int from, float beside, float* taps)
 {
     for (int i = 0; i < TAPS; ++i) {
@@ -46,8 +46,8 @@ WARPDIFF_INLINE void gaussian_taps(float scale, int from, float beside, float* t
     }
 }
 
-// Return the weighted sum of coefficients from number `begin` to number `end` (excluded), counted from `column`.
-// Coefficients are periodic: a sum across the edge of the table continues at the other edge.
+// Return the weighted sum of Fourier coefficients from number `begin` to number `end` (excluded), counted from
+// `column`. Coefficients are periodic: a sum across the edge of the table continues at the other edge.
 template <int WIDTH, class Table>
 WARPDIFF_INLINE Row<WIDTH> sum_of_neighbours(
     const Table& table, const Neighbours& around, int y, int column, const float* taps, int begin, int end)
@@ -70,12 +70,13 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_neighbours(
     return sum;
 }
 
-// Return the sum of the coefficients around a point of the frequency plane, weighted by the Gaussian of the coherence.
+// Return the sum of the Fourier coefficients around a point of the frequency plane, weighted by the Gaussian of the
+// coherence window.
 template <int WIDTH, class Table>
 WARPDIFF_INLINE Row<WIDTH> sample_spectrum(const Table& table, const Neighbours& around, double qy, double qx)
 {
-    // The integer part of the position is subtracted in float64: for positions of hundreds of coefficients, float32
-    // would be too coarse.
+    // The integer part of the position is subtracted in float64: for positions hundreds of coefficients from the zeroth
+    // order, float32 would be too coarse.
     const int nearest_y = (int)(qy + (qy < 0.0 ? -0.5 : 0.5)), nearest_x = (int)(qx + (qx < 0.0 ? -0.5 : 0.5));
     const float fy = (float)(qy - (double)nearest_y), fx = (float)(qx - (double)nearest_x);
     const int reach_y = around.reach_y, reach_x = around.reach_x;
@@ -102,8 +103,8 @@ WARPDIFF_INLINE Row<WIDTH> sample_spectrum(const Table& table, const Neighbours&
     return total;
 }
 
-// Return the power at WIDTH values of κ from a weighted sum of amplitude rows. In a row, the terms of the real part
-// precede those of the imaginary part. `basis` has the values of each basis function at the WIDTH values of κ.
+// Return the power at WIDTH values of κ = w/λ from a weighted sum of amplitude rows. In a row, the terms of the real
+// part precede those of the imaginary part. `basis` has the values of each basis function at the WIDTH values of κ.
 template <int TERMS, int WIDTH>
 WARPDIFF_INLINE Row<WIDTH> powers_of(const Row<2 * TERMS>& amplitudes, const float* basis)
 {
@@ -118,8 +119,8 @@ WARPDIFF_INLINE Row<WIDTH> powers_of(const Row<2 * TERMS>& amplitudes, const flo
     return re;
 }
 
-// Integrals of the spectrum under the splines of three consecutive rings: a sample contributes to three of them. They
-// remain in registers while the sampling proceeds from ring to ring.
+// Integrals of the spectrum under the splines of three consecutive rings: a sample of the spectrum contributes to three
+// integrals. The integrals remain in registers while the sampling proceeds from ring to ring.
 template <int WIDTH>
 struct SplineSums {
     Row<WIDTH> before, here, behind;
@@ -131,7 +132,8 @@ struct SplineSums {
         behind.clear();
     }
 
-    // Add a sample of the spectrum to the three integrals. `f` is its distance from the middle ring, in rings.
+    // Add a sample of the spectrum to the integrals of three rings. `f` is the distance of the sample from the middle
+    // ring, in rings.
     WARPDIFF_INLINE void add(const Row<WIDTH>& value, float f, float scale)
     {
         float weights[3];
@@ -160,10 +162,10 @@ WARPDIFF_INLINE void put_ring(float* rows, int ring, int count, const Row<WIDTH>
 // Compute the integrals of the spectrum along one azimuth at `rings` rings, and store them from the row `begin` on. A
 // sample at the frequency t [1/µm] is at the position (`sine` · t, `cosine` · t), in units of the distance of
 // neighbouring coefficients. There are `divisions` samples from ring to ring. The argument `t` is the frequency of the
-// first sample. Each sample has `ratio` times the frequency of the previous one, up to `highest`.
+// first sample. Each sample has `ratio` times the frequency of the previous sample, up to the frequency `highest`.
 //
 // Rows consist of TERMS powers (PARTS = 1) or of amplitudes (PARTS = 2). Amplitudes are converted to powers at WIDTH
-// values of κ before integration.
+// values of κ = w/λ before integration.
 template <int TERMS, int PARTS, int WIDTH, class Table, class Bases, class Values>
 WARPDIFF_INLINE void sample_azimuth(const Table& table, const Bases& bases, double sine, double cosine, int rings,
     double t, double ratio, int divisions, double highest, float scale, int excluded, int begin, Values& values_out)

@@ -1,5 +1,5 @@
 // Operations on vectors of three components. The vectors are plain arrays, so that compilers vectorise loops over many
-// of them.
+// vectors.
 
 #pragma once
 

@@ -1,5 +1,5 @@
-"""Series of exp(2πiκh) that separate κ from the heights, their Fourier coefficients, and the direct sum, by NumPy.
+"""Series of exp(2πiκh) that separate κ = w/λ from heights h, with Fourier coefficients and the direct sum, by NumPy.
 
-In: a height field, a number of terms.
+In: a height field, and the number of terms of the series.
 Out: Fourier coefficients as functions of κ, in a series or a fitted basis; the direct sum in float64.
 """

@@ -17,22 +17,25 @@ def nodes(low: float, high: float, count: int) -> NDArray[np.float64]:
 
 
 def terms(count: int) -> NDArray[np.float64]:
-    """Return the Chebyshev polynomials T_n at the Chebyshev nodes: a matrix with a row per n and a column per node."""
+    """Return the polynomials T_n at ``count`` Chebyshev nodes: a matrix with a row per n and a column per node."""
     return np.asarray(np.cos(np.outer(np.arange(count), _angles(count))))
 
 
 def to_series(count: int) -> NDArray[np.float64]:
-    """Return the matrix that converts values at the Chebyshev nodes to coefficients of T_n, one row per node."""
+    """Return the matrix that converts values at Chebyshev nodes to coefficients of the polynomials T_n.
+
+    The matrix has one row per node.
+    """
     result = terms(count).T * (2.0 / count)
     result[:, 0] /= 2.0
     return result
 
 
 def cardinals(at: NDArray[np.float64], low: float, high: float, count: int) -> NDArray[np.float64]:
-    """Return the cardinal polynomials at the positions ``at``: each is 1 at one Chebyshev node and 0 at all others.
+    """Return the cardinal polynomials at ``at``: each polynomial is 1 at one Chebyshev node and 0 at all other nodes.
 
-    The sum of the cardinal polynomials, each times the value at its node, interpolates these values. The result has the
-    shape (len(at), count).
+    To interpolate values at the nodes, multiply each cardinal polynomial by the value at its node, and add the
+    products. The result has the shape (len(at), count).
     """
     position = np.clip((at - (low + high) / 2.0) / ((high - low) / 2.0 or 1.0), -1.0, 1.0)
     series = np.cos(np.arccos(position)[:, None] * np.arange(count))
@@ -40,7 +43,7 @@ def cardinals(at: NDArray[np.float64], low: float, high: float, count: int) -> N
 
 
 def cubic_weights(t: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return weights for cubic interpolation at t, from 0 to 1, between values at −1, 0, 1 and 2."""
+    """Return the weights of the values at −1, 0, 1 and 2 for cubic interpolation at t, from 0 to 1."""
     before, after, beyond = t + 1.0, 1.0 - t, 2.0 - t
     return [
         -t * after * beyond / 6.0, before * after * beyond / 2.0, before * t * beyond / 2.0, -before * t * after / 6.0

@@ -1,12 +1,13 @@
 """Expansion of Fourier coefficients in functions of κ, which all coefficients share: a coefficient is a row of weights.
 
-The functions of κ are called the basis. ``"taylor"``, ``"taylor-uncentred"`` and ``"jacobi-anger"`` are series of the
-exponential (``phase_series``), whose rows are amplitudes. Two other bases are fitted to the Jacobi-Anger series, for
-the range of κ that a call requires:
+κ is w/λ, the normal component of the scattering vector divided by the wavelength. The functions of κ are called the
+basis. ``"taylor"``, ``"taylor-uncentred"`` and ``"jacobi-anger"`` are series of the exponential (``phase_series``),
+whose rows are amplitudes H. Two other bases are fitted to the Jacobi-Anger series, for the range of κ that a call
+requires:
 
 - ``"power"``: the Chebyshev series of |H_rs(κ)|², a real function of κ whose bandwidth is twice the height range. Its
-  rows are half as long as those of amplitudes and need not be squared. It is available only if powers add.
-- ``"low-rank"``: the principal functions of κ of the height field's own coefficients. The basis expands powers if
+  rows are half as long as those of amplitudes and need not be squared. This basis is available only if powers add.
+- ``"low-rank"``: the principal functions of κ of the coefficients of this height field. The basis expands powers if
   powers add, and amplitudes otherwise. On an interval of length L, functions of bandwidth B have about B·L dimensions.
   Polynomials need π/2 times as many terms, and a series about κ = 0 several times as many. Coefficients of real
   surfaces span even fewer dimensions.
@@ -34,54 +35,58 @@ if TYPE_CHECKING:
 METHODS = ("low-rank", "power", *EXPANSIONS)
 POWER_METHODS = ("power",)
 
-# Number n of entries in the table of a basis over κ, per radian of the phase 2πκ · (height range). This phase belongs
-# to the fastest oscillation of a power. The error of cubic interpolation between entries is 3/(128 n⁴), which is 4e-7.
-# Amplitudes oscillate half as fast, if heights are measured from the middle of their range, and their error is 2e-8.
+# Number n of entries in the table of a basis over κ = w/λ, per radian of the phase 2πκ · (height range). A power
+# oscillates at most as fast as this phase. The error of cubic interpolation between entries is then 3/(128 n⁴), which
+# is 4e-7. Amplitudes oscillate half as fast, if heights are measured from the middle of the height range. For them, the
+# error is 2e-8.
 _STEPS_PER_RADIAN = 16
-# Smallest number of steps in the table of a basis over κ. It applies to shallow surfaces. Their powers do not oscillate
-# over κ, but grow in proportion to κ², κ⁴ or a higher power of κ.
+# Smallest number of steps in the table of a basis over κ = w/λ. It applies to shallow surfaces. The powers of their
+# coefficients do not oscillate over κ, but grow in proportion to κ², κ⁴ or a higher power of κ.
 _FEWEST_STEPS = 64
-# Largest truncation error of the Jacobi-Anger series to which other bases are fitted: about the rounding error of
-# float32.
+# Largest truncation error of the Jacobi-Anger series to which other bases are fitted. The value was chosen as about the
+# rounding error of float32.
 _SERIES_TOLERANCE = 1e-7
-# Truncation error below which a fitted basis gets no further terms, about the rounding error of float32.
+# Truncation error below which a fitted basis gets no further terms. The value was chosen as about the rounding error of
+# float32.
 _LEAST_TRUNCATION_ERROR = 1e-7
-# Number of the largest coefficients to which the fit of a basis gives a special weight: together they have the same
-# weight as all coefficients. Otherwise the specular reflection, which is only one of a million coefficients, would
-# hardly affect the fit.
+# Number of the largest Fourier coefficients with a special weight in the fit of a basis: together they have the same
+# weight as all coefficients together. Without this weight, the specular reflection, which is only one of a million
+# coefficients, would hardly affect the fit.
 _STRONGEST_ROWS = 64
-# Number of coefficients of a height field on which the truncation error of a fitted basis is measured.
+# Number of Fourier coefficients of a height field on which the truncation error of a fitted basis is measured.
 _SAMPLED_ROWS = 20_000
-# Percentile of the truncation errors that is reported; 0.1 % of the coefficients may have larger errors.
+# Percentile of the truncation errors of coefficients that is reported; 0.1 % of the coefficients may have larger
+# errors.
 _PERCENTILE = 99.9
 # Power of the rounding errors of the Fourier transforms, relative to the power of a mirror. A fit minimises the errors
-# of coefficients relative to their size; coefficients smaller than this noise count as being of this size.
+# of coefficients relative to the size of each coefficient. A coefficient that is smaller than this noise counts as if
+# it had the size of the noise.
 _NOISE_POWER = 1e-26
-# Errors in a fit are divided by |κ|, because all coefficients except the specular one vanish at κ = 0. The divisor is
-# at least this share of the largest |κ|. With a smaller share, the specular coefficient would lose digits.
+# Errors in a fit are divided by |κ| = |w|/λ, because all coefficients except the specular one vanish at κ = 0. The
+# divisor is at least this share of the largest |κ|. With a smaller share, the specular coefficient would lose digits.
 _SMALL_KAPPA = 0.1
-# Number of coefficients that a fit processes at once. Limit: memory is proportional to it.
+# Number of coefficients that a fit processes at once. The value is limited by memory, which is proportional to it.
 _CHUNK = 65_536
-# Largest magnitude of the values of a Taylor basis, within the range of float32. Values at κ far beyond those at which
-# the series converges in float32 would be larger, and are clipped.
+# Largest magnitude of the values of a Taylor basis, within the range of float32. Where |κ| = |w|/λ is too large for the
+# series to converge in float32, values would be larger than this, and are clipped.
 _LARGEST = 1e30
 
 
 @dataclass(frozen=True)
 class Coefficients:
-    """Fourier coefficients as functions of |κ|: rows times a basis.
+    """Fourier coefficients as functions of |κ| = |w|/λ: rows of weights times basis functions.
 
     Attributes:
-        rows: Weights of the basis functions, float32, shape (my, mx, parts, terms). Parts are one (powers) or two (real
-            and imaginary parts of amplitudes).
-        basis: Basis functions at |κ| = kappa_low − step, kappa_low, …, two steps beyond the range; float32, shape
+        rows: Weights of the basis functions, float32, shape (my, mx, parts, terms). There is one part for powers, and
+            there are two for amplitudes: the real and the imaginary part.
+        basis: Basis functions at |κ| = kappa_low − step, kappa_low, …, up to two steps beyond the range; float32, shape
             (entries, terms).
         kappa_low: Lower end of the range of |κ| [1/µm].
         step: Difference in |κ| of neighbouring entries of ``basis`` [1/µm].
         truncation_errors: Error of a fitted basis with the first n terms, n = 0 … terms: the 99.9th percentile over the
-            coefficients. The error of one coefficient is the largest one at any κ in the range, relative to the largest
-            value of this coefficient in the range. Errors and values are divided by |κ| before, or by κ² for powers.
-            Empty for a series, because its error has a known bound.
+            coefficients. The error of one coefficient is its largest error at any κ in the range, relative to its
+            largest value in the range. Before, errors and values are divided by |κ|, or by κ² for powers. The array is
+            empty for a series, whose error has a known bound.
     """
 
     rows: NDArray[np.float32]
@@ -96,7 +101,7 @@ class Coefficients:
         return int(self.rows.shape[-1])
 
     def basis_at(self, kappas: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the basis functions at |κ| [1/µm], by cubic interpolation, shape (len(kappas), terms)."""
+        """Return the basis functions at |κ| = |w|/λ [1/µm], by cubic interpolation, shape (len(kappas), terms)."""
         steps = (np.asarray(kappas) - self.kappa_low) / self.step
         entry = np.clip(np.floor(steps), 0, len(self.basis) - 4).astype(int)
         basis = self.basis.astype(np.float64)
@@ -105,9 +110,9 @@ class Coefficients:
 
     @forks.cached_property
     def strongest(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the flat indices of the largest coefficients, and their powers in descending order.
+        """Return the flat indices of the largest Fourier coefficients, and their powers in descending order.
 
-        The powers are those at one |κ| in the middle of the range.
+        The powers are computed at one |κ| = |w|/λ in the middle of the range.
         """
         high = self.kappa_low + self.step * (len(self.basis) - 3)
         middle = math.sqrt(max(self.kappa_low, _SMALL_KAPPA * high) * high)
@@ -119,18 +124,18 @@ class Coefficients:
         return places, powers.ravel()[places].astype(np.float64)
 
     def terms_within(self, tolerance: float) -> int:
-        """Return the smallest number of terms whose truncation error is within a tolerance; at most all terms."""
+        """Return the smallest number of basis functions whose truncation error is within a tolerance; at most all."""
         enough = np.flatnonzero(self.truncation_errors <= tolerance)
         return max(1, int(enough[0])) if enough.size else self.terms
 
 
 def holds_powers(method: str, *, adds_powers: bool) -> bool:
-    """Whether the rows of a method expand powers |H|². Otherwise they expand amplitudes H."""
+    """Whether the rows of a method expand powers |H|² of Fourier coefficients. Otherwise they expand amplitudes H."""
     return method == "power" or (method == "low-rank" and adds_powers)
 
 
 def series_terms(heightfield: HeightField, kappas: tuple[float, float]) -> int:
-    """Return the number of terms that the Jacobi-Anger series requires before a basis can be fitted to it."""
+    """Return the number of terms of the Jacobi-Anger series to which a basis is fitted, for a range of |w|/λ."""
     series = EXPANSIONS["jacobi-anger"]
     argument = 2.0 * math.pi * _entries(heightfield, kappas)[-1] * series.offset_and_scale(heightfield)[1]
     return series.term_count(argument, _SERIES_TOLERANCE)
@@ -143,8 +148,8 @@ def of_series(
 ) -> Coefficients:  # fmt: skip
     """Return the coefficients of a block of frequencies, expanded in one of the series ``EXPANSIONS``.
 
-    ``kappas`` is the range of |κ| [1/µm] for which the basis is tabulated. ``threads`` is the number of Fourier
-    transforms that run in parallel.
+    ``kappas`` is the range of |κ| = |w|/λ [1/µm] for which the basis functions are tabulated. ``threads`` is the number
+    of Fourier transforms that run in parallel.
     """
     expansion = EXPANSIONS[method]
     series = series_coefficients(
@@ -152,8 +157,8 @@ def of_series(
     )
     rows = np.stack([series.real, series.imag], axis=2).astype(np.float32, copy=False)
     step, table_kappas = _table_kappas(heightfield, kappas)
-    # The argument of the series is x = 2πκa, where a is the scale by which the expansion divides heights. κ = w/λ is
-    # negative, and ``table_kappas`` holds |κ|.
+    # The argument of the basis functions is x = 2πκa, where a is the scale by which the expansion divides heights.
+    # κ = w/λ is negative. ``table_kappas`` contains |κ|, so that the sign of the argument is reversed here.
     basis = expansion.basis(-2.0 * math.pi * expansion.offset_and_scale(heightfield)[1] * table_kappas, terms)
     bounded = np.clip(basis, -_LARGEST, _LARGEST).astype(np.float32)
     return Coefficients(rows, bounded, kappas[0], step, np.zeros(0))
@@ -163,15 +168,15 @@ def of_series(
 def fitted(
     heightfield: HeightField, method: str, series: Coefficients, kappas: tuple[float, float], *, adds_powers: bool
 ) -> Coefficients:
-    """Return the coefficients in a basis that is fitted to them, with the accuracy of float32.
+    """Return Fourier coefficients in a basis that is fitted to these coefficients, with the accuracy of float32.
 
-    ``kappas`` is the range of |κ| [1/µm]. ``method`` is ``"low-rank"`` or ``"power"``; ``series`` is the Jacobi-Anger
-    series of ``series_terms`` terms.
+    ``kappas`` is the range of |κ| = |w|/λ [1/µm]. ``method`` is ``"low-rank"`` or ``"power"``; ``series`` has the
+    coefficients in the Jacobi-Anger series with as many terms as :func:`series_terms` returns.
     """
     high = kappas[1]
     step, table_kappas = _table_kappas(heightfield, kappas)
-    # The coefficients are evaluated at Chebyshev nodes over all |κ| of the basis table. The table extends slightly
-    # beyond the required range, and so do the nodes: extrapolation would be inaccurate.
+    # The coefficients are evaluated at Chebyshev nodes over all |κ| = |w|/λ of the table of the basis. This table and
+    # the nodes extend slightly beyond the required range of |κ|, because extrapolation would be inaccurate.
     first, last = float(table_kappas[0]), float(table_kappas[-1])
     powers = holds_powers(method, adds_powers=adds_powers)
     bandwidth = (last - first) / 2.0 * _radians_per_kappa(heightfield) * (1.0 if powers else 0.5)
@@ -181,8 +186,9 @@ def fitted(
     if powers:
         values = (values[:, 0] ** 2 + values[:, 1] ** 2)[:, None]
 
-    # Near κ = 0, all coefficients except the specular one are proportional to κ or smaller, and their powers to κ². The
-    # weights therefore make the fit minimise errors relative to κ or κ².
+    # Near κ = w/λ = 0, all Fourier coefficients except the specular one are proportional to κ or to a higher power of
+    # κ. The powers of these coefficients are proportional to κ² or to a higher power. The weights therefore make the
+    # fit minimise errors relative to κ, or relative to κ² for powers.
     weights = 1.0 / np.hypot(nodes, _SMALL_KAPPA * high or 1.0) ** (2 if powers else 1)
     shape = (*series.rows.shape[:2], values.shape[1], -1)
     scales = np.abs(values * weights.astype(np.float32)).max(axis=(1, 2), initial=0.0)
@@ -207,12 +213,15 @@ def fitted(
 
 
 def _radians_per_kappa(heightfield: HeightField) -> float:
-    """Return the highest angular frequency at which a power oscillates over κ [rad·µm]: 2π times the height range."""
+    """Return the highest angular frequency at which a power oscillates over κ = w/λ [rad·µm].
+
+    The result is 2π times the height range, and at least 1e-3.
+    """
     return max(2.0 * math.pi * heightfield.height_range_um, 1e-3)
 
 
 def _entries(heightfield: HeightField, kappas: tuple[float, float]) -> tuple[float, int, float]:
-    """Return the step of |κ| in the table of a basis, the number of steps from the least |κ|, and the largest |κ|."""
+    """Return the step of |κ| = |w|/λ in a table of basis functions, the number of steps, and the largest |κ|."""
     low, high = kappas
     step = min(1.0 / (_STEPS_PER_RADIAN * _radians_per_kappa(heightfield)), (high - low) / _FEWEST_STEPS or 1.0)
     count = math.ceil((high - low) / step) + 2
@@ -220,13 +229,13 @@ def _entries(heightfield: HeightField, kappas: tuple[float, float]) -> tuple[flo
 
 
 def _table_kappas(heightfield: HeightField, kappas: tuple[float, float]) -> tuple[float, NDArray[np.float64]]:
-    """Return the step of |κ| in the table of a basis [1/µm], and the |κ| of all its entries."""
+    """Return the step of |κ| = |w|/λ in a table of basis functions [1/µm], and the |κ| of all entries."""
     step, count, _ = _entries(heightfield, kappas)
     return step, np.asarray(kappas[0] + step * np.arange(-1, count + 1), dtype=np.float64)
 
 
 def _values_at(heightfield: HeightField, series: Coefficients, kappas: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the coefficients of a series at κ = −``kappas``, real and imaginary parts, shape (coefficients, 2, m)."""
+    """Return the coefficients of a series at κ = −``kappas``: real and imaginary parts, shape (coefficients, 2, m)."""
     expansion = EXPANSIONS["jacobi-anger"]
     argument = -2.0 * math.pi * expansion.offset_and_scale(heightfield)[1] * kappas
     basis = expansion.basis(argument, series.terms).T.astype(np.float32)
@@ -239,9 +248,9 @@ def _principal_functions(
 ) -> NDArray[np.float64]:
     """Return the principal functions of κ of all coefficients, orthonormal, in order of importance, shape (m, m).
 
-    They are sampled at m Chebyshev nodes. With the first n of them, the sum of the squared errors of all coefficients
-    is smaller than with any other n functions. In this sum, the error of each coefficient is relative to its largest
-    value, and the strongest coefficients have a larger weight.
+    κ is w/λ. The functions are sampled at m Chebyshev nodes. With the first n functions, the sum of the squared errors
+    of all coefficients is smaller than with any other n functions. In this sum, the error of a coefficient is relative
+    to the largest value of this coefficient. The strongest coefficients have a larger weight.
     """
     count = values.shape[-1]
     gram = np.zeros((count, count))
@@ -259,7 +268,7 @@ def _truncation_errors(
 ) -> NDArray[np.float64]:
     """Return the truncation error of a basis with 0, 1, 2, … terms.
 
-    The error of a coefficient is the largest of its errors at all κ. The truncation error is the percentile
+    The error of a coefficient is its largest error over all κ = w/λ. The truncation error is the percentile
     ``_PERCENTILE`` of the errors of the sampled coefficients.
     """
     rows = sample @ principal

@@ -1,9 +1,9 @@
-"""Direct sum of ⟨|P|²⟩ in float64 over the height samples: slow, without approximations.
+"""Direct sum of the diffracted power ⟨|P|²⟩ in float64 over the height samples: slow, without approximations.
 
-The sum has no expansion in κ, no FFT and no table. At every wavelength exp(2πiκh) is computed for all height samples,
-and its spectrum is an explicit sum over these samples. The result includes every coefficient within eight standard
-deviations of the direction. For a finite number of periods, there is no such neighbourhood: the spectrum is computed at
-the direction itself.
+The sum has no expansion in κ = w/λ, no FFT and no table. At every wavelength exp(2πiκh) is computed for all height
+samples h, and its Fourier coefficients are explicit sums over these samples. The result includes every coefficient
+whose frequency is within eight standard deviations of the direction's frequency (u, v)/λ. For a finite number of
+periods, there is no such neighbourhood: the spectrum is computed at the direction itself.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Distance from q up to which the sum includes coefficients, in standard deviations of their Gaussian weight. The weight
-# at this distance is e^−32.
+# Distance from the frequency q of a direction up to which the sum includes Fourier coefficients, in standard deviations
+# of the Gaussian weight of a coefficient. The weight at this distance is e^−32.
 _WIDTHS = 8.0
-# Peak memory of the sum per height sample and per coefficient [bytes], counted from the code.
+# Peak memory of the sum [bytes], per height sample and per Fourier coefficient. It was derived by adding the sizes of
+# the arrays in the code.
 _BYTES_PER_NUMBER = 64.0
 
 
@@ -37,7 +38,7 @@ def window_power(
     wavelengths_um: NDArray[np.float64], *, to_lights: NDArray[np.float64] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return ⟨|P|²⟩ of the height field under a window, a source or a number of periods.
+    """Return the diffracted power ⟨|P|²⟩ of the height field under a window, a source or a number of periods.
 
     Args:
         heightfield: Height field, one period of a periodic surface.
@@ -74,20 +75,21 @@ def _coefficient_sum(
     heightfield: HeightField, coherence: Coherence, field: NDArray[np.complex128], q: NDArray[np.float64],
     wavelength: float, to_light: NDArray[np.float64] | None,
 ) -> float:  # fmt: skip
-    """Return Σ |H|² e^(−a d²) over the coefficients H near q, or |Σ H e^(−a d²)|² for a centred window.
+    """Return Σ |H|² e^(−a d²) over the Fourier coefficients H near q, or |Σ H e^(−a d²)|² for a centred window.
 
     d is the distance in frequency of a coefficient from q = (u, v)/λ, and a is the falloff of the Gaussian weight.
     """
-    # The Gaussian weight of a coefficient at q_rs is exp(−a (d² + (d·t)²/cos²θi)), where d = q − q_rs. For a source, t
-    # is the tangential part of the direction to the light: the disc of the source, projected to the surface, is shorter
-    # along t. Windows are isotropic, and t = 0.
+    # The Gaussian weight of a Fourier coefficient at the frequency q_rs is exp(−a (d² + (d·t)²/cos²θi)). d is the
+    # distance vector q − q_rs from the frequency q of the direction, and θi is the angle of the light from the normal.
+    # For a source, t is the tangential part of the direction to the light: the disc of the source, projected to the
+    # surface, is shorter along t. Windows are isotropic, and t = 0.
     tangential, cos_light = (0.0, 0.0), 1.0
     if to_light is not None:
         tangential, cos_light = (float(to_light[0]), float(to_light[1])), float(to_light[2])
     falloff, cutoff = _falloff(coherence, wavelength), _cutoff(coherence, wavelength)
     # Largest distances from q, along x and along y, of the coefficients that are summed. For a source, t is the
-    # component of the direction to the light along an axis. The Gaussian weight of the source, and thus the largest
-    # distance along this axis, is narrower by the factor √(1 − t²).
+    # component of the direction to the light along an axis. Along this axis, the Gaussian weight under the source is
+    # narrower by the factor √(1 − t²), and so is the largest distance.
     cutoff_x, cutoff_y = (cutoff * math.sqrt(1.0 - t**2) for t in tangential)
     ny, nx = heightfield.shape
     length_y, length_x = heightfield.size_um
@@ -99,8 +101,8 @@ def _coefficient_sum(
     s = s if ny > 1 else s[s == 0]
     if r.size == 0 or s.size == 0:
         return 0.0
-    # The phase of a Fourier sum is 2π times the product of two indices over the number of samples. Whole turns are
-    # removed from it by the modulus, because float64 would lose digits of large phases.
+    # The phase of a Fourier sum is 2π times the product of two indices over the number of samples. The modulus removes
+    # whole turns from the phase, because float64 would lose digits of large phases.
     along_x = np.exp(2j * math.pi * (np.outer(np.arange(nx), r) % nx) / nx)
     along_y = np.exp(2j * math.pi * (np.outer(s, np.arange(ny)) % ny) / ny)
     coefficients = along_y @ field @ along_x / (ny * nx)
@@ -118,22 +120,22 @@ def _coefficient_sum(
 
 
 def _falloff(coherence: Coherence, wavelength: float) -> float:
-    """Return the factor a [µm²] of the Gaussian weight exp(−a d²) of a coefficient at the distance d from q."""
+    """Return the factor a [µm²] of the Gaussian weight exp(−a d²) of a Fourier coefficient at the distance d from q."""
     if coherence.kind == "source":
         return wavelength**2 / (2.0 * coherence.spread**2)
     return (4.0 if coherence.kind == "averaged" else 2.0) * (math.pi * (coherence.sigma_um or 0.0)) ** 2
 
 
 def _cutoff(coherence: Coherence, wavelength: float) -> float:
-    """Return the distance from q, in frequency [1/µm], up to which the sum includes coefficients."""
-    # The standard deviation of exp(−a d²) is 1/√(2a).
+    """Return the distance in frequency [1/µm] from q up to which the sum includes Fourier coefficients."""
+    # The standard deviation of the weight exp(−a d²) is 1/√(2a).
     return _WIDTHS / math.sqrt(2.0 * _falloff(coherence, wavelength))
 
 
 def _check_orders(heightfield: HeightField, cutoff: float) -> None:
     """Raise ``MemoryError`` if the sum requires more memory than is free.
 
-    ``cutoff`` is the distance from q, in frequency [1/µm], up to which coefficients are summed.
+    ``cutoff`` is the distance in frequency [1/µm] from a direction up to which Fourier coefficients are summed.
     """
     rows, columns = (
         2.0 * cutoff * length + 1.0 if n > 1 else 1.0
@@ -151,9 +153,9 @@ def _check_orders(heightfield: HeightField, cutoff: float) -> None:
 def _periods_power(
     heightfield: HeightField, coherence: Coherence, field: NDArray[np.complex128], q: NDArray[np.float64]
 ) -> float:
-    """Return |P|² of finitely many periods of a patch at q.
+    """Return the power |P|² of finitely many periods of a patch at the frequency q of a direction.
 
-    It is the power of one period times the interference factors of the periods along y and x.
+    The result is the power of one period times the interference factors of the periods along y and x.
     """
     ny, nx = heightfield.shape
     pitch_y, pitch_x = heightfield.pitch_um
@@ -170,8 +172,8 @@ def _periods_power(
 
 def _interference(turns: float, periods: int) -> float:
     """Return the interference factor [sin(πNt)/(N sin(πt))]² of N periods, with a phase of t turns per period."""
-    # Whole turns are subtracted from the phase before it is multiplied by N: they do not change the result, and float64
-    # would lose digits of large phases.
+    # Whole turns are subtracted from the phase before it is multiplied by N: whole turns do not change the result, and
+    # float64 would lose digits of large phases.
     part = math.pi * (turns - round(turns))
     if part == 0.0:
         return 1.0

@@ -1,4 +1,4 @@
-"""Fourier coefficients of exp(2πiκh) as a series in κ, computed once per height field with NumPy.
+"""Fourier coefficients of exp(2πiκh) as a series in κ = w/λ, computed once per height field with NumPy.
 
 H_rs(κ) = (1/N) Σ exp(2πiκh) exp(2πi(rx/Lx + sy/Ly)), which is ``numpy.fft.ifft2``. A series of the exponential in κ
 (``phase_series``; Single 2014, eq. 3.24) requires only transforms of polynomials of the heights:
@@ -29,22 +29,22 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
 
 
-# Size that is assumed for an axis with a single sample [µm]. Orders are λ divided by the size apart in (u, v). With a
-# size far below a wavelength, order 0 is the only one near any direction.
+# Size that is assumed for an axis with a single sample [µm]. Neighbouring diffraction orders have a distance of λ
+# divided by the size in (u, v). With a size far below a wavelength, order 0 is the only order near any direction.
 _CONSTANT_AXIS_UM = 0.01
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Grid of the frequencies at which coefficients are computed.
+    """Grid of the spatial frequencies at which Fourier coefficients are computed.
 
     Attributes:
         shape: Number of distinct frequencies (ny, nx).
-        lengths_um: One over the distance of neighbouring frequencies along (y, x) [µm]. It is the size of the patch, or
-            twice the size if half orders are included.
-        taper: Factors by which the rows and columns of exp(2πiκh) are multiplied before the Fourier transform, shapes
-            (hy,) and (hx,). The origin of x and y is then the middle sample. None means no factors, and the origin at
-            the first sample.
+        lengths_um: Inverse of the distance of neighbouring frequencies along (y, x) [µm]. This is the size of the
+            patch, or twice the size if half orders are included.
+        taper: Factors by which the rows and columns of the samples of exp(2πiκh), with κ = w/λ, are multiplied before
+            the Fourier transform, shapes (hy,) and (hx,). The origin of x and y is then the middle sample. None means
+            no factors; the origin is then the first sample.
     """
 
     shape: tuple[int, int]
@@ -55,8 +55,8 @@ class Grid:
 def patch_grid(heightfield: HeightField) -> Grid:
     """Return the frequencies of an infinite periodic surface: r/Lx and s/Ly for integers r and s.
 
-    Along an axis with a single sample the surface is constant and has order 0 only. ``_CONSTANT_AXIS_UM`` replaces its
-    length, so that order 0 is the nearest order for every direction.
+    Along an axis with a single sample the surface is constant and has order 0 only. ``_CONSTANT_AXIS_UM`` replaces the
+    length of the axis, so that order 0 is the nearest order for every direction.
     """
     lengths = [
         _CONSTANT_AXIS_UM if n == 1 else length
@@ -68,11 +68,11 @@ def patch_grid(heightfield: HeightField) -> Grid:
 def fine_grid(heightfield: HeightField, kernel_transform: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> Grid:
     """Return the frequencies r/(2Lx) and s/(2Ly), from which the spectrum of a single period is interpolated.
 
-    The samples must be divided by the Fourier transform of the interpolation kernel, which the taper of the grid does.
-    ``kernel_transform`` is this transform, a function of arguments from −1/4 to 1/4.
+    The samples must be divided by the Fourier transform of the interpolation kernel; the taper of the grid contains
+    this division. ``kernel_transform`` is the transform, a function of arguments from −1/4 to 1/4.
     """
     shape = [1 if n == 1 else 2 * n for n in heightfield.shape]
-    # The spectrum is constant along an axis of one sample and needs no interpolation.
+    # The spectrum is constant along an axis with a single sample, and needs no interpolation there.
     taper = [
         1.0 / kernel_transform((np.arange(n) - n // 2) / m) if n > 1 else np.ones(1)
         for n, m in zip(heightfield.shape, shape, strict=True)
@@ -83,7 +83,7 @@ def fine_grid(heightfield: HeightField, kernel_transform: Callable[[NDArray[np.f
 
 @dataclass(frozen=True)
 class Block:
-    """Block of coefficients to store: a rectangle around r = s = 0, or all of them.
+    """Block of Fourier coefficients (r, s) to store: a rectangle around r = s = 0, or all coefficients of a grid.
 
     Attributes:
         count: Number of stored coefficients along (y, x).
@@ -98,9 +98,10 @@ class Block:
 
     @classmethod
     def covering(cls, grid: Grid, frequency: float, neighbour_extent: tuple[int, int]) -> Block:
-        """Return the block of all frequencies up to ``frequency`` [1/µm] and of ``neighbour_extent`` further ones.
+        """Return the block of all frequencies up to ``frequency`` [1/µm] and of ``neighbour_extent`` more frequencies.
 
-        If the grid has fewer coefficients, the block contains all of them, and look-ups repeat them periodically.
+        If the grid has fewer frequencies, the block contains all of them, and look-ups repeat the coefficients
+        periodically.
         """
         count, origin = [], []
         for samples, length, extra in zip(grid.shape, grid.lengths_um, neighbour_extent, strict=True):
@@ -128,11 +129,11 @@ def series_coefficients(
 
     Args:
         heightfield: Height field to transform.
-        expansion: Series of the exponential, which defines p_n, c and a.
+        expansion: Series of the exponential, which defines the polynomials p_n, the offset c and the scale a.
         terms: Number of terms, n = 0 … terms − 1.
         block: Block of the coefficients to compute.
         taper: Factors of the rows and columns of samples, as in :class:`Grid`.
-        threads: Number of transforms that run in parallel.
+        threads: Number of Fourier transforms that run in parallel.
         dtype: Type of the result, complex.
 
     Returns:
@@ -141,8 +142,8 @@ def series_coefficients(
     offset, scale = expansion.offset_and_scale(heightfield)
     scaled = (heightfield.heights_um - offset) / (scale or 1.0)
     s, r = block.orders()
-    # The polynomials of the heights are real. The coefficients of column −r are therefore complex conjugates of those
-    # of column r, with the rows in reverse order, and only the columns r >= 0 are transformed.
+    # The polynomials of the heights are real. The Fourier coefficients of column −r are therefore complex conjugates of
+    # those of column r, with the rows in reverse order, and only the columns r >= 0 are transformed.
     columns = int(np.abs(r).max()) + 1
     keep = np.where(r >= 0, r, -r)
     rows = np.where(r[None, :] >= 0, s[:, None], -s[:, None]) % block.shape[0]
@@ -158,13 +159,13 @@ def series_coefficients(
             values = values * taper[0][:, None] * taper[1]
         partial = np.fft.rfft(values, n=block.shape[1], axis=1)[:, :columns] / heightfield.shape[1]
         half = np.fft.fft(partial, n=block.shape[0], axis=0)[rows, keep[None, :]] / heightfield.shape[0]
-        # NumPy's rfft sums terms with exp(−2πi…), but the definition of H requires exp(+2πi…). The complex conjugate of
-        # the sum converts one to the other, because the polynomials are real.
+        # NumPy's rfft multiplies the samples by exp(−2πi…), but the definition of the Fourier coefficients requires
+        # exp(+2πi…). The complex conjugate of the sum converts one to the other, because the polynomials are real.
         result[:, :, n] = (1j**n) * np.where(r[None, :] >= 0, half.conj(), half) * phase
 
     with ThreadPoolExecutor(max_workers=max(1, threads)) as pool:
-        # Only as many polynomials are computed at a time as threads can transform; each is an array as large as the
-        # heights.
+        # The number of polynomials that are computed at a time is the number that the threads can transform at a time,
+        # because a polynomial is an array as large as the heights.
         for first in range(0, terms, max(1, threads)):
             batch = [(n, next(polynomials)) for n in range(first, min(terms, first + max(1, threads)))]
             list(pool.map(lambda task: transform(*task), batch))

@@ -1,8 +1,8 @@
-"""Series of exp(2πiκh) that separate κ from the heights: Taylor, centred Taylor and Jacobi-Anger.
+"""Series of exp(2πiκh) that separate κ = w/λ from the heights h: Taylor, centred Taylor and Jacobi-Anger.
 
 With g = (h − c)/a, where c and a are a height and a length, and x = 2πκa, a series is e^{ixg} ≈ Σ_n b_n(x) iⁿ p_n(g).
-The polynomials p_n of the heights are transformed once. The basis b_n(x) is evaluated at each wavelength. Code that
-uses the resulting coefficients does not depend on which series was chosen.
+The polynomials p_n of the heights are transformed once. The basis functions b_n(x) are evaluated at each wavelength.
+Code that uses the resulting coefficients does not depend on which series was chosen.
 """
 
 from __future__ import annotations
@@ -24,18 +24,19 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
 
 # Largest number of terms of a series. With 128 terms, a series represents height ranges of about 30 cycles of phase.
-# The memory of a table of coefficients is proportional to the number of terms.
+# The value is limited by memory: the size of a table of coefficients is proportional to the number of terms.
 MAX_TERMS = 128
-# Maximum number of cycles of phase over the height range. Tables for more cycles are very large.
+# Maximum number of cycles of phase over the height range. The value is limited by memory: tables of coefficients for
+# more cycles are very large.
 _MOST_CYCLES = 100.0
-# Maximum exponent of e where the error bound of a Taylor series is computed: e^710 would overflow float64.
+# Maximum exponent of e when the error bound of a Taylor series is computed: e^710 would overflow float64.
 _LARGEST_EXPONENT = 700.0
 
 
 def check_cycles(heightfield: HeightField, kappa: float) -> None:
-    """Raise an error for a height range far beyond what ``MAX_TERMS`` terms can expand, for |κ| up to ``kappa`` [1/µm].
+    """Raise an error for a height range far beyond what ``MAX_TERMS`` terms can expand, for |κ| up to ``kappa``.
 
-    The direct sum has no such limit.
+    κ is w/λ, and the unit of ``kappa`` is 1/µm. The direct sum has no such limit.
     """
     cycles = kappa * heightfield.height_range_um
     if cycles > _MOST_CYCLES:
@@ -49,14 +50,15 @@ def check_cycles(heightfield: HeightField, kappa: float) -> None:
 
 @dataclass(frozen=True)
 class Expansion:
-    """Series of exp(2πiκh) in κ, with bounds of its error.
+    """Series e^{ixg} ≈ Σ_n b_n(x) iⁿ p_n(g) of exp(2πiκh) in κ = w/λ, with bounds of its error.
 
     Attributes:
-        label: Name of the series in messages.
+        label: Name of the series in messages. In the formula, x is 2πκa, and g is (h − c)/a for the height h.
         centred: Whether c is the middle of the height range and a is half of the range. Otherwise c is the lowest
             height and a is the whole range. The omitted phase e^{2πiκc} is common to all coefficients.
         polynomials: Function of an array g, −1 to 1 or 0 to 1, that yields p_0(g), p_1(g), … without end.
-        basis: Function of an array x and a number of terms that returns b_n(x), float64, shape (..., terms).
+        basis: Function of an array x and a number of terms that returns the functions b_n(x), float64, shape
+            (..., terms).
         remainder: Function (x, terms) that returns a bound of the truncation error for arguments up to |x|.
         growth: Function of x that returns a bound of Σ |b_n| for arguments up to |x|. Rounding errors of float32 are
             multiplied by this sum.
@@ -70,13 +72,13 @@ class Expansion:
     growth: Callable[[float], float]
 
     def offset_and_scale(self, heightfield: HeightField) -> tuple[float, float]:
-        """Return the offset c and the scale a of heights [µm], as in g = (h − c)/a; a is 0 for a flat height field."""
+        """Return the offset c and the scale a of heights [µm], of g = (h − c)/a; a is 0 for a flat height field."""
         low, high = float(heightfield.heights_um.min()), float(heightfield.heights_um.max())
         return ((low + high) / 2.0, (high - low) / 2.0) if self.centred else (low, high - low)
 
     @functools.lru_cache(maxsize=256)  # noqa: B019 (expansions are few and live as long as the module)
     def term_count(self, argument: float, tolerance: float) -> int:
-        """Return the number of terms, at most ``MAX_TERMS``, with which the error at ``argument`` meets a tolerance."""
+        """Return the number of terms, at most ``MAX_TERMS``, with which the error at ``argument`` is small enough."""
         terms = 1
         while terms < MAX_TERMS and self.remainder(argument, terms) > tolerance:
             terms += 1
@@ -84,7 +86,7 @@ class Expansion:
 
 
 def _taylor_basis(argument: ArrayLike, terms: int) -> NDArray[np.float64]:
-    """Return the basis xⁿ/n! of the Taylor series (Single 2014, eq. 3.24)."""
+    """Return the basis functions xⁿ/n! of the Taylor series (Single 2014, eq. 3.24)."""
     x = np.asarray(argument, dtype=np.float64)[..., None]
     steps = np.concatenate([np.ones_like(x), x / np.arange(1, terms)], axis=-1)
     return np.asarray(np.cumprod(steps, axis=-1))
@@ -126,7 +128,7 @@ def _jacobi_anger_basis(argument: ArrayLike, terms: int) -> NDArray[np.float64]:
 
 
 def _jacobi_anger_remainder(argument: float, terms: int) -> float:
-    """Return the bound 2 Σ_{n>=N} |J_n| of the remainder at the largest argument, as |J_n(x)| grows for x <= n."""
+    """Return the bound 2 Σ_{n>=N} |J_n(x)| of the remainder for arguments up to x, as |J_n(x)| grows for x <= n."""
     if terms < argument:
         return 2.0
     beyond = math.ceil(12.0 * argument ** (1.0 / 3.0)) + 40
@@ -134,7 +136,10 @@ def _jacobi_anger_remainder(argument: float, terms: int) -> float:
 
 
 def _jacobi_anger_growth(argument: float) -> float:
-    """Return the bound √(1 + 2N) of |J_0| + 2 Σ |J_n| for N significant terms (Cauchy-Schwarz, J_0² + 2 Σ J_n² = 1)."""
+    """Return the bound √(1 + 2N) of |J_0| + 2 Σ |J_n| for N significant terms.
+
+    The bound follows from J_0² + 2 Σ J_n² = 1 by the inequality of Cauchy and Schwarz.
+    """
     return math.sqrt(1.0 + 2.0 * (argument + 4.0 * argument ** (1.0 / 3.0) + 4.0))
 
 
@@ -147,7 +152,7 @@ def _powers(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
 
 
 def _chebyshev(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    """Yield T_0(g), T_1(g), … without end; the recurrence is stable for −1 … 1."""
+    """Yield Chebyshev polynomials T_0(g), T_1(g), … without end; the recurrence is stable for g from −1 to 1."""
     now, after = np.ones_like(g), g
     while True:
         yield now

@@ -1,4 +1,4 @@
-"""Angles at which the orders of each period leave the surface, by the grating equation, with standard errors."""
+"""Angles at which the diffraction orders of a surface's periods leave it, by the grating equation."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-# Measured memory of `order_angles` per order and wavelength [bytes].
+# Measured memory of `order_angles` [bytes per diffraction order and wavelength].
 _BYTES_PER_ORDER = 150
-# Lower bound of the sine of an angle from the normal before a division by it; it prevents a division by zero.
+# Lower bound of the sine of an angle from the normal where this sine is a divisor; the bound prevents a division by
+# zero.
 _LEAST_SINE = 1e-12
 
 
@@ -36,8 +37,9 @@ def order_angles(
 ) -> Table:  # fmt: skip
     """Return the angles at which the orders of each period leave the surface, with their standard errors.
 
-    The angles follow from the grating equation: ωi + ωr has the component mλ/d along the wave vector of the period d.
-    The standard error of an angle follows from that of the period. The efficiency of an order is not considered; see
+    The angles follow from the grating equation: if ωi and ωr are the unit vectors to the light and along the order m,
+    ωi + ωr has the component mλ/d along the wave vector of the period d. The standard error of an angle follows from
+    the standard error of the period. The efficiency of an order is not considered; see
     :func:`warpdiff.order_efficiencies`.
 
     Args:
@@ -69,8 +71,8 @@ def order_angles(
         raise ArgumentValueError(f"{ref('to_light')} must be above the horizon (z > 0), got {to_light!r}")
     wavelengths_um = 1e-3 * colorimetry.check_wavelengths(wavelengths_nm)
     waves = _waves(source)
-    # By the grating equation, the components of ωi and ωr along the wave vector of a period d have the sum mλ/d. Each
-    # component is at most 1, so |mλ/d| is at most 2.
+    # By the grating equation, the components of the unit vectors ωi and ωr along the wave vector of a period d have the
+    # sum mλ/d for the order m. Each component is at most 1, so |mλ/d| is at most 2.
     highest = [min(most_order, math.floor(2.0 * period / wavelengths_um.min())) for _, period, _ in waves]
     memory.require_memory(
         _BYTES_PER_ORDER * len(wavelengths_um) * sum(2 * order + 1 for order in highest),
@@ -85,7 +87,8 @@ def order_angles(
     }  # fmt: skip
     for (frequency, period, error), most in zip(waves, highest, strict=True):
         orders = np.arange(-most, most + 1)
-        # The x and y components of ωi + ωr by the grating equation, [wavelengths, orders, 2].
+        # The x and y components of the sum of the directions of light and order, by the grating equation, shape
+        # (wavelengths, orders, 2).
         steps = wavelengths_um[:, None, None] * orders[:, None] * frequency[::-1]
         tangential = steps - light[:2]
         upward = 1.0 - np.sum(tangential**2, axis=-1)
@@ -94,7 +97,8 @@ def order_angles(
         views = np.concatenate([tangential[lives], np.sqrt(upward[lives])[:, None]], axis=1)
         theta, phi = angles_deg(views)
         # An error of the period shifts the direction of an order. Only the component of the shift away from the normal
-        # changes the angle; for an order along the normal, every shift does.
+        # changes the angle between this direction and the normal. If the direction is along the normal, every shift
+        # changes the angle.
         shift = steps[lives] * error / period
         sine = np.hypot(views[:, 0], views[:, 1])
         along = np.abs(np.sum(views[:, :2] * shift, axis=1)) / np.maximum(sine, _LEAST_SINE)
@@ -109,7 +113,7 @@ def order_angles(
 
 
 def _waves(source: object) -> list[tuple[NDArray[np.float64], float, float]]:
-    """Return the wave vector (y, x) [1/µm], the period [µm] and its standard error [µm] of all given periods."""
+    """Return wave vector (y, x) [1/µm], length [µm] and standard error of the length [µm] of each period."""
     if isinstance(source, HeightField):
         if repeating := source.periods():
             return _waves(repeating)

@@ -1,9 +1,11 @@
 """Efficiencies of the diffraction orders of a periodic height field, relative to the incident power.
 
-A grating reflects the share η = R(θd) (1 + ωi·ωr)² |H|² / (cos θi cos θr w²) of the incident power into an order, where
-θd is half of the angle between ωi and ωr. This share is the absolute BRDF (Stam 1999) without a window, integrated over
-the order. Each order has its own w, and therefore requires its coefficient H at its own κ = w/λ. FFTs are computed at a
-few κ only, and H is interpolated between them.
+A grating reflects the share η = R(θd) (1 + ωi·ωr)² |H|² / (cos θi cos θr w²) of the incident power into an order. ωi
+and ωr are the unit vectors to the light and along the order, with the angles θi and θr from the normal, and θd is half
+of the angle between ωi and ωr. R is the reflectance, H the Fourier coefficient of the order, and w the normal component
+of −ωi − ωr. The share η is the absolute BRDF (Stam 1999) without a coherence window, integrated over the order. Orders
+differ in w, so that the coefficient H of each order is required at a different κ = w/λ. FFTs are computed at a few κ
+only, and H is interpolated between them.
 """
 
 from __future__ import annotations
@@ -40,23 +42,24 @@ if TYPE_CHECKING:
 
 
 # A call warns if the sum of Stam's efficiencies deviates from the reflected power by more than this share of that
-# power. Limit: of the gratings with a larger deviation, nine in ten have an order whose efficiency differs from the
-# rigorous solution by more than a tenth of the reflected power.
+# power. The value was chosen from gratings with a larger deviation: nine in ten of them have an order whose efficiency
+# differs from the rigorous solution by more than a tenth of the reflected power.
 _MOST_DEVIATION = 0.2
-# Lower bound of the reflectance of a flat surface, by which the sum of the efficiencies is divided. The reflectance of
-# an antireflective film may be 0 up to rounding.
+# Lower bound of the reflectance of a flat surface where this reflectance divides the sum of the efficiencies. The
+# reflectance of an antireflective film may be 0 up to rounding.
 _LEAST_REFLECTANCE = 1e-12
-# Measured memory of `order_efficiencies` [bytes]: per height sample; per order and wavelength; and per order and term
-# of the polynomials that interpolate coefficients over κ.
+# Measured memory of `order_efficiencies` [bytes]. `_BYTES_A_SAMPLE` is per height sample, and `_BYTES_A_LINE` is per
+# order and wavelength. `_BYTES_A_TERM` is per order and per term of the polynomials that interpolate Fourier
+# coefficients over κ = w/λ.
 _BYTES_A_SAMPLE, _BYTES_A_LINE, _BYTES_A_TERM = 100, 120, 16
-# Lights share the Fourier transforms of the height field until their matrices for the energy normalisation have more
-# elements than this. Limit: memory.
+# Number of matrix elements up to which the directions to the light share Fourier transforms of the height field. The
+# matrices are those of the energy normalisation. The value is limited by memory.
 _MOST_TOGETHER = 100_000
 
 
 @dataclass(frozen=True, eq=False)
 class OrderEfficiencies:
-    """Efficiencies of diffraction orders; indexing by ``[m_y, m_x]`` gives one order at all m wavelengths.
+    """Efficiencies of diffraction orders; the index ``[m_y, m_x]`` selects one order at all m wavelengths.
 
     Arrays of a call with k directions to the light have a leading axis of length k.
 
@@ -69,8 +72,8 @@ class OrderEfficiencies:
             evanescent.
         efficiencies: Reflected power of each order relative to the incident power, shape (m, n) or (k, m, n); 0 where
             an order is evanescent.
-        verdict: Verdict on how wrong scalar diffraction may be for the height field, at the worst of the lights and
-            wavelengths.
+        verdict: Verdict on how wrong scalar diffraction may be for the height field, at the light and the wavelength
+            with the largest expected error.
 
     Examples:
         >>> import warpdiff as wd
@@ -96,9 +99,9 @@ class OrderEfficiencies:
         return f"OrderEfficiencies({len(self.orders)} orders, {wavelengths}{lights})"
 
     def __getitem__(self, order: tuple[int, int]) -> NDArray[np.float64]:
-        """Return the efficiency of order (m_y, m_x) at m wavelengths, shape (m,), or also for k lights, shape (k, m).
+        """Return the efficiency of order (m_y, m_x) at m wavelengths, shape (m,), or for k lights, shape (k, m).
 
-        It is 0 where the order is evanescent.
+        The efficiency is 0 where the order is evanescent.
         """
         pair = [validation.count(m, "order", least=-(2**31)) for m in order]
         return np.asarray(self.efficiencies[..., np.all(self.orders == pair, axis=1)].sum(axis=-1))
@@ -106,11 +109,13 @@ class OrderEfficiencies:
     def table(self, count: int | None = None) -> Table:
         """Return a table with a row per light, wavelength and order that propagates.
 
-        Its columns are the angles of the light and of the order from the normal (``theta``, 0 to 90) and around it from
-        the x axis (``phi``, −180 to 180) in degrees, the wavelength, the numbers of the order, and its efficiency.
+        Columns with ``theta`` are angles of the light or of the order from the normal (0 to 90°). Columns with ``phi``
+        are angles around the normal from the x axis (−180 to 180°). Further columns are the wavelength, the numbers
+        (m_y, m_x) of the order, and the efficiency of the order.
 
         Args:
-            count: Number of orders of each light and wavelength, at least 1; the strongest are selected. None is all.
+            count: Number of orders of each light and wavelength, at least 1; the strongest orders are selected. None
+                selects all orders.
 
         Raises:
             ValueError: ``count`` is less than 1.
@@ -127,8 +132,8 @@ class OrderEfficiencies:
         values = self.efficiencies.reshape(views.shape[:-1])
         lives = ~np.isnan(views[..., 0])
         if count is not None:
-            # `strongest` sorts the orders of each light and wavelength by decreasing efficiency. Sorting `strongest` in
-            # turn gives the rank of each order.
+            # `strongest` has the indices of the orders of each light and wavelength, by decreasing efficiency. The
+            # indices that sort `strongest` are the ranks of the orders.
             strongest = np.argsort(np.where(lives, -values, np.inf), axis=-1, kind="stable")
             lives &= np.argsort(strongest, axis=-1) < validation.count(count, "count")
         light, wavelength, order = np.nonzero(lives)
@@ -154,9 +159,10 @@ def order_efficiencies(
     """Return the absolute efficiencies of all propagating orders of an infinitely repeated height field, in float64.
 
     The direction of order (m_y, m_x) follows from the grating equation sin θi + sin θr = mλ/L: the x and y components
-    of ωi + ωr are m_x λ/Lx and m_y λ/Ly. The amplitude of the order is the Fourier coefficient r = −m_x, s = −m_y of
-    exp(2πiκh). Masking is not included. In scalar theory the sum of the efficiencies is R only approximately, and
-    exceeds it for short periods at grazing angles.
+    of ωi + ωr are m_x λ/Lx and m_y λ/Ly. Lx and Ly are the sides of the period. ωi and ωr are the unit vectors to the
+    light and along the order. The amplitude of the order is the Fourier coefficient r = −m_x, s = −m_y of exp(2πiκh),
+    where κ = w/λ and h is the height. Masking is not included. In scalar theory the sum of the efficiencies is only
+    approximately the reflectance R, and exceeds R for short periods at grazing angles.
 
     ``energy="normalised"`` multiplies the efficiencies by a(ωi) a(ωr). The factors a make the orders of a perfect
     mirror sum to 1 for every direction (Sinkhorn 1967). The result is reciprocal. For mirrors and metals, it is closer
@@ -175,7 +181,7 @@ def order_efficiencies(
             no light, and uses Stam's efficiencies for other surfaces.
 
     Returns:
-        Orders, their directions and efficiencies, and a verdict on the accuracy of scalar diffraction.
+        Orders, their directions and efficiencies, and a verdict on the accuracy of scalar diffraction for this call.
 
     Warns:
         WarpdiffWarning: Scalar diffraction is invalid for this call, or Stam's efficiencies sum to less than 0.8 or
@@ -228,8 +234,8 @@ def order_efficiencies(
         else:
             cosines = np.append(np.linalg.norm(entering + views, axis=1) / 2.0, lights[:, 2])
             reflected = reflectance_factors.schlick(np.minimum(cosines, 1.0), normal)
-        # `reflected` has the reflectance for each pair of a light and an order, followed by the reflectance of a flat
-        # surface for each light.
+        # The array `reflected` begins with the reflectance for each pair of a light and an order. The reflectance of a
+        # flat surface for each light follows.
         reflected, of_flat = np.split(reflected, [len(order)])
         efficiencies[which, column, order] = reflected * mirrors
         sums = np.bincount(which, reflected * stam, len(lights))
@@ -260,8 +266,9 @@ def _propagating(
         Pairs (m_y, m_x), shape (n, 2), and unit vectors of the orders, shape (k, m, n, 3), NaN where an order is
         evanescent.
     """
-    # An order m propagates only if |mλ/L − c| < 1 along each axis, where c is the component of ωi along the axis. Most
-    # orders propagate at the shortest wavelength, which therefore sets the ranges of m_y and m_x.
+    # An order m propagates only if |mλ/L − c| < 1 along each axis. L is the length of the period along the axis, and c
+    # is the component of the direction to the light along the axis. Most orders propagate at the shortest wavelength,
+    # which therefore sets the ranges of m_y and m_x.
     ranges = []
     for length, n, components in zip(heightfield.size_um, heightfield.shape, lights[:, 1::-1].T, strict=True):
         most_orders = length / (np.min(wavelengths, initial=math.inf) * 1e-3) if n > 1 else 0.0
@@ -278,7 +285,7 @@ def _propagating(
     )
     orders = np.stack(np.meshgrid(*(np.arange(*bounds) for bounds in ranges), indexing="ij"), axis=-1).reshape(-1, 2)
     steps = orders[:, ::-1] * (wavelengths[:, None, None] * 1e-3 / heightfield.size_um[::-1])
-    # The x and y components of ωr, [lights, wavelengths, orders, 2].
+    # The x and y components of the orders' unit vectors, shape (lights, wavelengths, orders, 2).
     tangential = steps - lights[:, None, None, :2]
     upward = 1.0 - np.sum(tangential**2, axis=-1)
     lives = upward > HORIZON**2
@@ -293,10 +300,10 @@ def _propagating(
 def _verdict(
     heightfield: HeightField, wavelengths_nm: NDArray[np.float64], energy_sums: NDArray[np.float64], *, conserves: bool
 ) -> TheoryVerdict:
-    """Return the verdict with the largest error among those at three wavelengths.
+    """Return the verdict with the largest error, of the verdicts at three wavelengths.
 
-    The three are the shortest wavelength, the longest one, and the one at which the sum of the efficiencies deviates
-    most from the reflected power.
+    The three wavelengths are the shortest, the longest, and the one at which the sum of the efficiencies deviates most
+    from the reflected power.
     """
     rows = {np.argmin(wavelengths_nm), np.argmax(wavelengths_nm), np.argmax(np.abs(energy_sums - 1.0))}
     verdicts = (
@@ -309,7 +316,7 @@ def _verdict(
 def _warn_of_theory(verdict: TheoryVerdict, energy_sums: NDArray[np.float64], *, energy: Energy) -> None:
     """Warn if scalar diffraction is invalid, or if the orders do not sum to the reflected power.
 
-    The second warning follows if the sum of Stam's efficiencies deviates from the reflected power by more than 20 %.
+    The orders do not sum to the reflected power if the sum of Stam's efficiencies deviates from it by more than 20 %.
     """
     worst = float(energy_sums[np.argmax(np.abs(energy_sums - 1.0))])
     if energy == "stam" and abs(worst - 1.0) > _MOST_DEVIATION:
@@ -348,7 +355,8 @@ def _normalised(
             result[part] = mirrors[part] * weights / (mirrors[part] @ weights)
         else:
             matrices.append(_OrderMatrix(heightfield, light, part, orders[part], views[part], wavelength_um))
-        # The matrices of many lights share one set of Fourier transforms of the height field, which saves time.
+        # The matrices of many directions to the light share one set of Fourier transforms of the height field, which
+        # saves time.
         if matrices and (part is parts[-1] or sum(matrix.size for matrix in matrices) > _MOST_TOGETHER):
             indices = np.concatenate([matrix.indices for matrix in matrices])
             w = np.concatenate([matrix.w.ravel() for matrix in matrices])
@@ -363,8 +371,8 @@ def _normalised(
 class _OrderMatrix:
     """Matrix of a perfect mirror's efficiencies for one light; the energy normalisation scales its rows and columns.
 
-    Its columns are the outgoing directions of the light's orders. Its rows are all incident directions whose orders
-    have the same outgoing directions; one of them is the light.
+    Columns of the matrix are the outgoing directions of the light's orders. Rows are all incident directions whose
+    orders have the same outgoing directions; one of these incident directions is the light.
 
     Attributes:
         part: Slice of the orders of this light in the list of the orders of all lights.
@@ -399,7 +407,7 @@ class _OrderMatrix:
     def efficiencies(self, powers: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the normalised efficiencies of the light's orders, for a perfect mirror.
 
-        ``powers`` are the squared magnitudes |H|² of the coefficients of all elements, shape (rows · columns,).
+        ``powers`` are the squared magnitudes |H|² of the Fourier coefficients of all elements, shape (rows · columns,).
         """
         cosines, views = self._cosines, self._views
         stam = energy_normalisation.stam(cosines[:, None], views[:, 2], self._entering @ views[:, :2].T)
@@ -407,8 +415,8 @@ class _OrderMatrix:
         rows, columns = energy_normalisation.rise(cosines), energy_normalisation.rise(views[:, 2])
         first, second = energy_normalisation.balanced(matrix, rows, columns)
         result = first[self._own] * second * matrix[self._own]
-        # For a light near the horizon, the normalised orders sum to less than 1. The rest of its power goes to the
-        # mirror direction, order 0.
+        # For a light near the horizon, the normalised orders sum to less than 1. The rest of the light's power goes to
+        # the mirror direction, order 0.
         result[self._is_mirror] += 1.0 - rows[self._own]
         return np.asarray(result)
 
@@ -417,17 +425,17 @@ class _OrderMatrix:
 def _coefficients(
     heightfield: HeightField, indices: NDArray[np.int64], kappas: NDArray[np.float64]
 ) -> NDArray[np.complex128]:
-    """Return Fourier coefficients H_rs(κ), each at its own κ, with an error of about 1e-13, shape (n,).
+    """Return n Fourier coefficients H_rs(κ), each at a κ = w/λ of its own, with an error of about 1e-13, shape (n,).
 
     Heights are measured from the middle of their range. This changes the phase of the coefficients, but not their
     power. ``indices`` are the pairs (s, r), shape (n, 2), and ``kappas`` is the κ of each pair [1/µm], shape (n,).
     """
     heights = heightfield.heights_um - (heightfield.heights_um.max() + heightfield.heights_um.min()) / 2.0
-    # Centre and half of the width of the range of κ in which coefficients are interpolated. The width is at least 1e-9,
-    # because a single order has one κ, and a width of 0 would cause a division by zero.
+    # Centre and half of the width of the range of κ = w/λ in which Fourier coefficients are interpolated. The width is
+    # at least 1e-9, because a single order has only one κ, and a width of 0 would cause a division by zero.
     middle, half = (kappas.max() + kappas.min()) / 2.0, max(np.ptp(kappas), 1e-9) / 2.0
-    # In this range of κ, exp(2πiκh) is a series of Chebyshev polynomials in κ. Its terms decrease fast from the index
-    # `argument` on, which determines their number.
+    # In this range of κ = w/λ, exp(2πiκh) is a series of Chebyshev polynomials in κ. The terms of this series decrease
+    # fast from the index `argument` on. The required number of terms is therefore computed from `argument`.
     argument = math.pi * half * heightfield.height_range_um
     count = _term_count(argument)
     low, high = middle - half, middle + half
@@ -436,7 +444,7 @@ def _coefficients(
     result = np.zeros(len(kappas), dtype=np.complex128)
     field = np.empty(heights.shape, dtype=np.complex128)
     for node, weight in zip(chebyshev.nodes(low, high, count), weights.T, strict=True):
-        # Cosines and sines together take half of the time of a complex exponential.
+        # Separate cosines and sines require half of the time of a complex exponential.
         phases = 2.0 * math.pi * node * heights
         np.cos(phases, out=field.real)
         np.sin(phases, out=field.imag)
@@ -446,12 +454,12 @@ def _coefficients(
 
 
 def _term_count(argument: float) -> int:
-    """Return the number of Chebyshev polynomials in g that represent exp(ixg) for |g| <= 1; ``argument`` is x."""
+    """Return the number of Chebyshev polynomials in g that represent exp(ixg) for |g| <= 1 and x = ``argument``."""
     return math.ceil(argument + 10.0 * math.cbrt(argument)) + 16
 
 
 def _warn_of_aliasing(heightfield: HeightField, orders: NDArray[np.int64]) -> None:
-    """Warn if orders propagate that the samples cannot represent: their power appears in lower orders (aliasing)."""
+    """Warn if orders propagate that the samples cannot represent; the power of these orders aliases to lower orders."""
     for name, axis in (("y", 0), ("x", 1)):
         largest = int(np.max(np.abs(orders[:, axis]), initial=0))
         if 2 * largest > heightfield.shape[axis] > 1:

@@ -41,14 +41,14 @@ if TYPE_CHECKING:
     from warpdiff.request.keywords import BrdfKeywords, EvaluationKeywords, PlannedKeywords, SpectralKeywords
     from warpdiff.request.plan import Plan
 
-# The direct method halves the step between wavelengths until the relative change of XYZ is at most this share of the
-# tolerance.
+# The direct method halves the step between wavelengths until the change of XYZ, relative to XYZ, is at most this share
+# of the tolerance.
 _DIRECT_SETTLED = 0.05
-# Maximum number of wavelengths of the direct method. Limit: computing time is proportional to it; one direction with
-# this number requires several seconds.
+# Maximum number of wavelengths of the direct method. The value is limited by computing time, which is proportional to
+# it; one direction with so many wavelengths requires several seconds.
 _DIRECT_MOST_WAVELENGTHS = 20_000
-# Measured memory [bytes]: first, per direction of a call; second, additional memory of a spectrum per direction and
-# wavelength; third, per direction of a reflectance map.
+# Measured memory [bytes]. `_BYTES_PER_DIRECTION` is per direction of a call. A spectrum requires `_BYTES_PER_VALUE`
+# more, per direction and wavelength. `_BYTES_OF_MAP` is per direction of a reflectance map.
 _BYTES_PER_DIRECTION, _BYTES_PER_VALUE, _BYTES_OF_MAP = 170, 16, 190
 _REMEDY = "take a larger tolerance, fewer directions at a time, or a smaller heightfield"
 
@@ -60,7 +60,8 @@ def spectral_reflectance(
 ) -> NDArray[Any]:  # fmt: skip
     """Return the relative reflectance ρ(λ), which is 1 for a flat mirror in its mirror direction at normal incidence.
 
-    ρ = C·M·⟨|P|²⟩ (Single 2014, eq. 3.16, with the corrections of ``docs/decisions/scalar_diffraction.md``). ρ is a
+    ρ = C·M·⟨|P|²⟩ (Single 2014, eq. 3.16, with the corrections of ``docs/decisions/scalar_diffraction.md``). C is the
+    geometry factor, M is masking and shadowing, and P is the windowed sum of the phases of all surface points. ρ is a
     ratio of radiances, without a further cosine, and is not bounded by 1.
 
     Args:
@@ -73,8 +74,8 @@ def spectral_reflectance(
             progress bar.
 
     Returns:
-        ρ, shape (n, m), or (m,) for single directions; float32, but float64 for ``method="direct"``. ρ is 0 where a
-        direction is at or below the horizon.
+        ρ, shape (n, m), or (m,) for single directions; float32, but float64 for ``method="direct"``. ρ is 0 if the
+        direction to the light or to the viewer is at or below the horizon.
 
     Examples:
         >>> import warpdiff as wd
@@ -131,7 +132,8 @@ def reflectance(
 ) -> NDArray[Any]:  # fmt: skip
     """Return the colour of the reflectance, ∫ ρ S x̄ȳz̄ dλ / ∫ S ȳ dλ over 380 to 780 nm (Single 2014, eq. 3.20).
 
-    S is the spectrum of the illuminant, and x̄, ȳ and z̄ are the CIE colour matching functions.
+    ρ is the reflectance of :func:`warpdiff.spectral_reflectance`, S is the spectrum of the illuminant, and x̄, ȳ and z̄
+    are the CIE colour-matching functions.
 
     Args:
         heightfield: Height field.
@@ -168,7 +170,8 @@ def reflectance_map(
 ) -> Image:  # fmt: skip
     """Render the colours of the reflectance over all view directions for one light direction.
 
-    The picture is the unit disc of (sin θr cos φr, sin θr sin φr), with x to the right and y up.
+    The picture is the unit disc of the points (sin θr cos φr, sin θr sin φr), with x to the right and y up. θr is the
+    angle of a view direction from the normal, and φr its angle around the normal.
 
     Args:
         heightfield: Height field.
@@ -176,7 +179,7 @@ def reflectance_map(
         size: Width and height of the picture [pixels].
         illuminant: Name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
         samples_per_pixel: Number of view directions per pixel, a square number. The colour of the pixel is the mean of
-            their colours. With 1, the only direction is that of the pixel centre.
+            the colours in these directions. With 1, the only direction is the one at the pixel centre.
         progress: Function that is called with the finished share, 0 to 1; True shows a progress bar.
 
     Returns:
@@ -244,13 +247,14 @@ def brdf(
 ) -> NDArray[Any]:  # fmt: skip
     """Return the absolute BRDF [1/sr] (Stam 1999), without masking and shadowing.
 
-    The BRDF is R(θd) · (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩ times a factor of the coherence, where θd is half of
-    the angle between ωi and ωr. The factor is 4πσ²/λ² for a window, 1/(2π √det Σs) for a source with the covariance Σs,
-    and A N1 N2/λ² for N1 × N2 periods of a patch with the area A. For a window g, ⟨|P|²⟩ times its factor is the mean
-    of |∫ g e^{ik(wh + ux + vy)}|² / (λ² ∫ g²).
+    The BRDF is R(θd) · (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩ times a factor of the coherence, where ωi and ωr are
+    the unit vectors to the light and to the viewer, and θd is half of the angle between ωi and ωr. The factor of the
+    coherence is 4πσ²/λ² for a window, 1/(2π √det Σs) for a source with the covariance Σs, and A N1 N2/λ² for N1 × N2
+    periods of a patch with the area A. For a window g, ⟨|P|²⟩ times this factor is the mean of
+    |∫ g e^{ik(wh + ux + vy)}|² / (λ² ∫ g²).
 
     The BRDF is reciprocal, except for a source. Scalar diffraction does not conserve energy exactly: the sum over the
-    orders exceeds R slightly for shallow profiles, and greatly for short periods at grazing angles.
+    orders exceeds the reflectance R slightly for shallow profiles, and greatly for short periods at grazing angles.
 
     Args:
         heightfield: Height field.
@@ -289,7 +293,7 @@ def brdf(
 
 
 class _Call:
-    """Pairs of a light and a view direction of one call, with their gains and the plan that evaluates them."""
+    """Pairs of a light and a view direction of one call, with geometry factors (gains) and the plan for all pairs."""
 
     def __init__(self, request: Evaluation, to_light: ArrayLike, to_view: ArrayLike) -> None:
         self._lights, self._views, self._is_single = validation.light_and_view(to_light, to_view)
@@ -326,7 +330,7 @@ class _Call:
         self.plan = request.with_energy(self.plan)
 
     def single(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return an array that has one row per pair of directions; if the caller gave a single pair, return its row."""
+        """Return ``values``, which have one row per pair of directions, or the only row if the caller gave one pair."""
         return np.asarray(values[0]) if self._is_single else values
 
     def spectra(self, *, progress: Callable[[float], None] | None) -> NDArray[Any]:
@@ -350,7 +354,7 @@ class _Call:
         return np.asarray(xyz.numpy())
 
     def _on_device(self) -> tuple[wp.array, wp.array, wp.array]:
-        """Return scattering vectors, directions to the light and gains of all pairs as arrays on the device."""
+        """Return scattering vectors, directions to the light and geometry factors of all pairs as device arrays."""
         device = self._request.device
         return (
             wp.array(self._scattering_vectors, dtype=wp.vec3d, device=device),
@@ -366,8 +370,8 @@ def direct_colour(
 ) -> NDArray[np.float64]:  # fmt: skip
     """Return XYZ by the direct sum over height samples; the number of wavelengths increases until XYZ converges.
 
-    The first number of wavelengths is that of the upper-bound plan. It is large enough that no order falls between two
-    wavelengths. Then the step in 1/λ is halved repeatedly.
+    The first number of wavelengths is taken from the upper-bound plan. It is so large that no diffraction order falls
+    between two wavelengths. The step in 1/λ is then halved repeatedly.
     """
     result = np.zeros((len(gains), 3))
     illuminated = np.flatnonzero(gains > 0.0)

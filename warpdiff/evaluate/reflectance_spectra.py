@@ -47,8 +47,9 @@ class ReflectanceSpectra:
     def table(self) -> Table:
         """Return a table with a row per pair of directions and wavelength.
 
-        Its columns are the angles of light and view from the normal (``theta``, 0 to 90) and around it from the x axis
-        (``phi``, −180 to 180) in degrees, the wavelength, and the reflectance relative to a flat surface.
+        Columns with ``theta`` are angles of light or view from the normal (0 to 90°). Columns with ``phi`` are angles
+        around the normal from the x axis (−180 to 180°). Further columns are the wavelength, and the reflectance
+        relative to a flat surface.
 
         Examples:
             >>> grating = wd.gratings.sinusoidal(2.0, 0.1)

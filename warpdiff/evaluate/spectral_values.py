@@ -1,4 +1,4 @@
-"""Reflectance spectra of many directions by one plan: coefficient sums on a device, or the direct sum."""
+"""Reflectance spectra of many directions by one plan: sums over Fourier coefficients on a device, or the direct sum."""
 
 from __future__ import annotations
 
@@ -23,23 +23,24 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Number of values, pixels times wavelengths, that are computed together. Limit: memory, at most 32 bytes per value.
+# Number of values, pixels times wavelengths, that are computed together. The number is limited by memory: a
+# value requires at most 32 bytes.
 _VALUES_TOGETHER = 1 << 20
 
 
 class SpectralSum:
-    """Sum over the coefficients of a height field, or over its samples, at fixed wavelengths.
+    """Sum over the Fourier coefficients or over the samples of a height field, at fixed wavelengths.
 
     Attributes:
         wavelengths_nm: Wavelengths [nm], shape (m,).
-        dtype: Type of the results: float64 for the direct sum, else float32.
+        dtype: Type of the results: float64 for the direct sum over samples, else float32.
     """
 
     def __init__(
         self, heightfield: HeightField, plan: Plan, direction_range: DirectionRange,
         wavelengths_nm: NDArray[np.float64], *, device: wp.Device, threads: int,
     ) -> None:  # fmt: skip
-        """Prepare the table of coefficients of a plan, for the directions and wavelengths of a range."""
+        """Prepare the table of Fourier coefficients of a plan, for the directions and wavelengths of a range."""
         self._heightfield, self._plan = heightfield, plan
         self.wavelengths_nm = wavelengths_nm
         self._where: dict[str, Any] = {"device": device, "threads": threads}
@@ -52,14 +53,14 @@ class SpectralSum:
         self, scattering_vectors: NDArray[np.float64], to_lights: NDArray[np.floating], gains: NDArray[np.floating],
         material: Material | None, *, progress: Callable[[float], None] | None = None,
     ) -> NDArray[Any]:  # fmt: skip
-        """Return the relative reflectance ρ of n directions, shape (n, m); 0 where the gain is 0.
+        """Return the relative reflectance ρ of n directions at m wavelengths, shape (n, m); 0 where the gain is 0.
 
         Args:
             scattering_vectors: Scattering vectors (u, v, w), shape (n, 3).
             to_lights: Unit vectors to the light in the local frame, shape (n, 3).
-            gains: Geometry factors, shape (n,).
+            gains: Geometry factors by which the powers are multiplied, shape (n,).
             material: Material of the surface; None if the gains include its reflectance.
-            progress: Callable that gets the share that is done; None reports nothing.
+            progress: Callable that gets the finished share of the work, 0 to 1; None reports nothing.
         """
         if self._table is None:
             return self._direct_spectra(scattering_vectors, to_lights.astype(np.float64), gains, material, progress)
@@ -96,7 +97,9 @@ class SpectralSum:
         gains: NDArray[np.floating], material: Material | None, powers: NDArray[np.float64], *,
         progress: Callable[[float], None] | None = None,
     ) -> None:  # fmt: skip
-        """Add ρ times the powers of a light to the spectra of n pixels, in groups of pixels that limit the memory.
+        """Add the reflectance ρ times the powers of a light to the spectra of n pixels.
+
+        The pixels are processed in groups, which limits the memory.
 
         Args:
             spectra: Spectra that are increased, shape (n, m).
@@ -105,7 +108,7 @@ class SpectralSum:
             gains: Geometry factors, shape (n,).
             material: Material of the surface; None if the gains include its reflectance.
             powers: Relative powers of the light at the wavelengths, shape (m,).
-            progress: Callable that gets the share that is done; None reports nothing.
+            progress: Callable that gets the finished share of the work, 0 to 1; None reports nothing.
         """
         illuminated = np.flatnonzero(gains > 0.0)
         size = max(_VALUES_TOGETHER // len(self.wavelengths_nm), 1)

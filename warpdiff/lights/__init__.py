@@ -1,5 +1,5 @@
 """Light sources: directional lights, disc lights, point lights and environments, with the passes that sample them.
 
-In: directions, positions, spectra, latitude-longitude images.
-Out: lobes and sky maps for the kernels.
+In: directions, positions and spectra of lights, and latitude-longitude images of skies.
+Out: lobes (Gaussians of directions) and grids of the sky for the kernels.
 """

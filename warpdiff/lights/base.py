@@ -2,7 +2,7 @@
 
 A public light makes parts, and each part makes a pass (``light_pass``). The pass fills and reads the arrays of one
 picture. Pixels are refined separately for each part, because the error estimate of a pixel requires the colours under
-that part alone.
+one part alone.
 """
 
 from __future__ import annotations
@@ -28,14 +28,15 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.spectra import Spectrum
 
-# Largest power of a light, a linear factor. Limit: kernels square colours in float32, which is at most 3e38.
+# Largest power of a light, a linear factor. The value is limited by kernels, which square colours in float32; float32
+# ends at 3e38.
 MOST_POWER = 1e12
-# Smallest number of directional lights with the same illuminant at which each subpixel cell chooses one of them at
-# random, instead of evaluating all. Fitted to pictures of a snake and of a tube: with fewer lights, one of these
-# pictures takes less time if all lights are evaluated.
+# Smallest number of directional lights with the same illuminant at which each subpixel cell chooses one light at
+# random, instead of evaluating all lights. The number was fitted to pictures of a snake and of a tube: with fewer
+# lights, one of these pictures requires less time if all lights are evaluated.
 MANY_LIGHTS = 64
-# Number of directions per pixel that are drawn on a disc light too wide for one lobe, in pictures with
-# ``refine=False``. Limit: time is proportional to it.
+# Number of random directions per pixel to a disc light that is too wide for one lobe (a Gaussian of directions), in
+# pictures with ``refine=False``. The value is limited by time, which is proportional to it.
 DISC_SAMPLES = 128
 
 
@@ -48,9 +49,9 @@ class Light(ABC):
 
         Args:
             coherence: Coherence of the picture. An environment is only accepted with an averaged window.
-            single_lobe: Whether discs of up to 5° become one lobe, as in pictures without refinement; otherwise discs
-                of up to 1.5° do.
-            name: The argument that holds this light, for messages.
+            single_lobe: Whether discs of up to 5° become one lobe (a Gaussian of directions), as in pictures without
+                refinement. Otherwise only discs of up to 1.5° become one lobe.
+            name: The name of the argument with this light, for messages.
 
         Raises:
             ValueError: The light does not suit the coherence; the message names the argument.
@@ -62,9 +63,10 @@ class LightPart(ABC):
 
     Attributes:
         spectra: The illuminants of the part.
-        has_lobes: Whether the part consists of lobes. If so, a plan serves the directions of the lobes, otherwise the
-            whole hemisphere.
-        has_extent: Whether light arrives from more than one direction. Such a part requires footprints.
+        has_lobes: Whether the part consists of lobes, which are Gaussians of directions. The plan of a picture then
+            serves the directions of the lobes, otherwise the whole hemisphere.
+        has_extent: Whether light arrives from more than one direction. Such a part requires that pixels show means over
+            footprints.
         sample_count: Number of lobes, or of directions per pixel that are drawn if pixels are not refined.
     """
 
@@ -77,35 +79,36 @@ class LightPart(ABC):
     def make_pass(self, context: PassContext) -> LightPass:
         """Return the pass of this part over the rays of a picture.
 
-        Passes are imported in this method, so that the command line can describe lights without loading Warp.
+        The module of the pass is imported in this method, so that the command line can describe lights without loading
+        Warp.
         """
 
 
 class EmissionProfile(ABC):
-    """Factor of a light's power that depends on the direction of emission. Subclasses are frozen dataclasses."""
+    """Factor of a light's power by the direction in which the light is emitted. Subclasses are frozen dataclasses."""
 
     @abstractmethod
     def kernel_call(self, lights: Lights, lobe: int, batch: RayBatch) -> KernelCall:
-        """Return the kernel call that writes to ``batch.samples.towards``: unit vectors to a lobe, and factors."""
+        """Return the kernel call that writes unit vectors to a lobe and factors of its power to ``samples.towards``."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lobe:
-    """Lobe of a light: a Gaussian distribution of directions or of positions, or a single one.
+    """Lobe of a light: a Gaussian of directions or of positions, a single direction, or a single position.
 
     Attributes:
         to_light: Unit vector towards the light, world frame.
         illuminant: Illuminant of the lobe.
         power: Linear factor of the illuminant.
         deviations: Standard deviations of the directions [radians] along two vectors orthogonal to ``to_light``, shape
-            (2, 3), world frame. With ``position``, standard deviations of the positions [mesh units] along any two
-            vectors. None is a single direction or position.
+            (2, 3), world frame. If ``position`` is set, they are standard deviations of the positions [mesh units]
+            along any two vectors. None is a single direction or position.
         position: Mean position, world frame. The power falls off with the square of the distance, and ``to_light`` is
             ignored. None for a light that is infinitely far away.
-        profile: Emission profile; None is equal light in all directions.
+        profile: Factor of the power by direction of emission; None is equal light in all directions.
         name: Argument and class of the light, for messages; pictures set it.
         is_of_sky: Whether ``illuminant`` is a radiance L divided by λ², as for suns of an environment. A white pigment
-            then has the chromaticity of L.
+            (base colour of the mesh) then has the chromaticity of L.
     """
 
     to_light: tuple[float, float, float]
@@ -119,13 +122,13 @@ class Lobe:
 
     @property
     def is_direction(self) -> bool:
-        """Whether equal light arrives everywhere from a single direction."""
+        """Whether the same light arrives at all points of the scene, from a single direction."""
         return self.power > 0.0 and self.deviations is None and self.position is None and self.profile is None
 
 
 @dataclass(frozen=True, eq=False)
 class LobeSet(LightPart):
-    """Set of lobes that are refined together: directional lights, small discs, suns, and lights at positions.
+    """Set of lobes whose pixels are refined together: directional lights, small discs, suns, and lights at positions.
 
     Attributes:
         lobes: Lobes of one light, or of all lights of a picture that consist of lobes.
@@ -135,15 +138,15 @@ class LobeSet(LightPart):
     has_lobes = True
 
     def __post_init__(self) -> None:
-        # The fields of a frozen dataclass cannot be assigned. Therefore its attributes that follow from the lobes are
-        # set through ``vars``.
+        # The fields of a frozen dataclass cannot be assigned. The attributes that are computed from the lobes are
+        # therefore set through ``vars``.
         vars(self).update(
             spectra=tuple(lobe.illuminant for lobe in self.lobes), sample_count=len(self.lobes),
             has_extent=any(lobe.deviations is not None for lobe in self.lobes),
         )  # fmt: skip
 
     def make_pass(self, context: PassContext) -> LightPass:
-        """Return the pass in which every ray adds the colours of all lobes."""
+        """Return the pass in which every ray adds the colours under all lobes (Gaussians of directions)."""
         from warpdiff.lights.lobe_pass import LobePass
 
         return LobePass(self, context)
@@ -151,10 +154,10 @@ class LobeSet(LightPart):
 
 @dataclass(frozen=True, eq=False)
 class LobeChoice(LobeSet):
-    """Set of many lobes with one illuminant, each with a single direction. Each subpixel cell chooses one lobe."""
+    """Set of many lobes with one illuminant, each with a single direction. A subpixel cell chooses one at random."""
 
     def make_pass(self, context: PassContext) -> LightPass:
-        """Return the pass in which every subpixel cell adds the colour of one lobe, chosen at random."""
+        """Return the pass in which every subpixel cell adds the colour under one lobe, chosen at random."""
         # Warp is imported here, so that the help of the command line can describe lights without loading Warp.
         from warpdiff.lights.choice_pass import ChoicePass
 
@@ -165,7 +168,7 @@ class LobeChoice(LobeSet):
 class DiscPart(LobeSet):
     """Disc light that is too wide for one lobe: each ray draws directions on the disc.
 
-    Before pixels are subdivided, a single lobe approximates the disc.
+    Before pixels are subdivided, a single lobe (a Gaussian of directions) approximates the disc.
     """
 
     def __post_init__(self) -> None:
@@ -173,14 +176,14 @@ class DiscPart(LobeSet):
         vars(self).update(sample_count=DISC_SAMPLES)
 
     def make_pass(self, context: PassContext) -> LightPass:
-        """Return the pass in which every ray draws a direction on the disc and adds its colour."""
+        """Return the pass in which every ray draws a direction on the disc and adds the colour in this direction."""
         from warpdiff.lights.disc_pass import DiscPass
 
         return DiscPass(self, context)
 
 
 class LobeLight(Checked, Light):
-    """Base class of lights that consist of lobes. Subclasses are frozen dataclasses."""
+    """Base class of lights that consist of lobes (Gaussians of directions). Subclasses are frozen dataclasses."""
 
     illuminant: str | Spectrum
 
@@ -190,7 +193,7 @@ class LobeLight(Checked, Light):
 
     @abstractmethod
     def lobes(self) -> tuple[Lobe, ...]:
-        """Return the lobes of the light."""
+        """Return the lobes of the light: Gaussians of directions or of positions."""
 
     def parts(self, coherence: Coherence, *, single_lobe: bool, name: str) -> Sequence[LightPart]:  # noqa: ARG002 (of discs and environments)
         """Return the lobes as the only part of the light."""

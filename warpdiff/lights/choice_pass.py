@@ -1,4 +1,4 @@
-"""Pass of many directional lights: each ray chooses a light by the colours of the surface, and traces a shadow ray."""
+"""Pass of many directional lights: each ray chooses a light by its colours on the surface, and traces a shadow ray."""
 
 from __future__ import annotations
 
@@ -17,31 +17,32 @@ if TYPE_CHECKING:
     from warpdiff.lights.light_pass import RayBatch
     from warpdiff.tables.lookup import Lookups
 
-# Number of lights that each pixel chooses before it is subdivided. Choice: these colours serve only to estimate the
-# reference luminance of the picture.
+# Number of lights that each pixel chooses before it is subdivided. The value was chosen freely, because the resulting
+# colours serve only to estimate the reference luminance of the picture.
 _FIRST_SAMPLES = 4
 # A light is chosen with a probability proportional to the brightness that is expected under it. This brightness is the
-# diffraction near the mirror direction, plus one of these constants for all directions: the first without a pigment,
-# the second with a pigment. For comparison, the mean of the diffraction over (u, v) is 0.08. Choices: they change the
-# noise, not the mean.
+# diffraction near the mirror direction, plus a constant for all directions: `_DIFFUSE` without a pigment (base colour
+# of the mesh), and `_DIFFUSE_OF_PIGMENT` with a pigment. For comparison, the mean of the diffraction over (u, v) is
+# 0.08. Both values were chosen freely: they change the noise, not the mean.
 _DIFFUSE, _DIFFUSE_OF_PIGMENT = 0.002, 0.08
 
 
 class ChoicePass(LobePass):
     """Pass of many directional lights with the same illuminant.
 
-    Lobe indices below the number of lights are the lights; those above are samples.
+    Lobe indices below the number of lights stand for the lights. Larger indices stand for samples: lights that each ray
+    chooses at random.
     """
 
     is_sampled, first_level = True, 3
 
     @property
     def first_lobes(self) -> range:
-        """Samples that are evaluated with one ray per pixel."""
+        """Indices of the samples that are evaluated with one ray per pixel."""
         return range(self.lobe_count, self.lobe_count + _FIRST_SAMPLES)
 
     def cell_lobes(self, level: int) -> range:  # noqa: ARG002 (of lights that are not refined)
-        """Return one sample per cell."""
+        """Return the indices of the samples of a subpixel cell: one sample per cell."""
         return range(self.lobe_count, self.lobe_count + 1)
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:  # noqa: ARG002 (of grids)
@@ -49,9 +50,10 @@ class ChoicePass(LobePass):
         self._grids[:] = self.lobe_count * [no_grid(self.context.rays.scene)]
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
-        """Return the kernel calls that compute scattering vectors: of a light, or of light from the mirror direction.
+        """Return the kernel calls that compute the scattering vectors of a light or of a sample.
 
-        The latter are for samples, whose lights are chosen later, by :meth:`colour`.
+        A sample gets the scattering vector of light from the mirror direction. Its light is chosen later, by
+        :meth:`colour`.
         """
         if lobe < self.lobe_count:
             return super().scatter(lobe, batch, counting)
@@ -60,7 +62,7 @@ class ChoicePass(LobePass):
         return [KernelCall(sky_samples.mirror_deflections, inputs, outputs, in_runs=True)]
 
     def colour(self, lobe: int, batch: RayBatch, lookups: Lookups) -> list[KernelCall]:
-        """Return the kernel calls that choose a light for each ray, and add its colour."""
+        """Return the kernel calls that choose a light for each ray, and add the colour under this light."""
         samples, context = batch.samples, self.context
         count = len(self.cell_lobes(batch.level) if batch.level else self.first_lobes)
         diffuse = _DIFFUSE_OF_PIGMENT if context.is_pigmented else _DIFFUSE

@@ -14,26 +14,27 @@ from warpdiff.optics import colorimetry
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Azimuth of the sun in the image, from −z towards +x [rad]. Derived: the middle of a column of pixels.
+# Azimuth of the sun in the image, from −z towards +x [rad]. The angle was derived as the middle of a column of pixels.
 SUN_AZIMUTH = 0.5 * math.pi / ROWS
 # CIE standard general sky, type 12, "clear sky, low illuminance turbidity" (CIE S 011/E:2003, ISO 15469:2004, table 1):
-# a and b are parameters of the gradation; c, d and e are parameters of the indicatrix.
+# The numbers a and b are parameters of the gradation; c, d and e are parameters of the indicatrix.
 _A, _B, _C, _D, _E = -1.0, -0.32, 10.0, -3.0, 0.45
-# Formulas of illuminances [klx] for a sun at the altitude h. The sun has 127.5 exp(−0.21 / sin h), normal to its
-# direction. The clear sky has 0.8 + 15.5 √sin h on the horizontal (IES, Recommended Practice for the Calculation of
-# Daylight Availability, Journal of the IES 13, 1984).
+# Formulas of illuminances [klx] for a sun at the altitude h. The sun has the illuminance 127.5 exp(−0.21 / sin h),
+# normal to its direction. The clear sky has the illuminance 0.8 + 15.5 √sin h on the horizontal (IES, Recommended
+# Practice for the Calculation of Daylight Availability, Journal of the IES 13, 1984).
 _SUN_KLX, _EXTINCTION, _SKY_KLX, _SKY_KLX_OF_SINE = 127.5, 0.21, 0.8, 15.5
-# Standard deviation of the sun's directions along one axis [rad]. Derived: the sun is a disc of 0.53° in diameter.
+# Standard deviation of the sun's directions along one axis [rad]. It was derived from the disc of the sun, which has a
+# diameter of 0.53°.
 SUN_DEVIATION = math.radians(0.53) / 4.0
-# Largest angle between a pixel and the sun at which the pixel gets a share of the sun's power [rad]. Derived: 3.5 rows
-# of the image; pixels farther away would get less than 1e-5 of the power.
+# Largest angle between a pixel and the sun at which the pixel gets a share of the sun's power [rad]. The angle was
+# derived as 3.5 rows of the image; pixels farther away would get less than 1e-5 of the power.
 _SUN_REACH = 3.5 * math.pi / ROWS
 # Colour temperatures of CIE daylight [K]: light of a blue sky, and light of the sun behind the atmosphere.
 _SKY_K, _SUN_K = 15_000.0, 5_500.0
 
 
 def clear_sky_radiance(sun_altitude: float, sun: float, ground_albedo: float) -> NDArray[np.float64]:
-    """Return the image of a clear sky with its sun at SUN_AZIMUTH, linear sRGB radiance, shape (ROWS, 2 ROWS, 3).
+    """Return the image of a clear sky with the sun at SUN_AZIMUTH: linear sRGB radiance, shape (ROWS, 2 ROWS, 3).
 
     Without the sun, the sky has an illuminance of π on the horizontal.
 
@@ -42,8 +43,8 @@ def clear_sky_radiance(sun_altitude: float, sun: float, ground_albedo: float) ->
         sun: Linear factor of the sun.
         ground_albedo: Share of the light that the ground reflects.
     """
-    # The image has the same pixels as the grid on which environments store a sky. Resampling would spread the power of
-    # the sun.
+    # The pixels of the image are the cells of the grid on which environments store a sky. Resampling would spread the
+    # power of the sun.
     along = grid_directions()
     solid = np.repeat(
         -np.diff(np.cos(np.arange(ROWS + 1) / ROWS * math.pi))[:, None] * math.pi / ROWS, 2 * ROWS, axis=1
@@ -69,13 +70,13 @@ def clear_sky_radiance(sun_altitude: float, sun: float, ground_albedo: float) ->
 def relative_luminance(along: NDArray[np.float64], to_sun: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the luminance of the sky in directions above the horizon, relative to the luminance of the zenith.
 
-    By CIE S 011/E:2003 the relative luminance is f(χ) φ(Z) / (f(Zs) φ(0)). The gradation is φ(Z) = 1 + a exp(b / cos
-    Z). The indicatrix is f(χ) = 1 + c (exp(d χ) − exp(d π/2)) + e cos² χ. Z is the direction's angle to the zenith, χ
-    its angle to the sun, and Zs the sun's angle to the zenith; y is up.
+    By CIE S 011/E:2003 the relative luminance is f(χ) φ(Z) / (f(Zs) φ(0)). The gradation is φ(Z) = 1 + a
+    exp(b / cos Z). The indicatrix is f(χ) = 1 + c (exp(d χ) − exp(d π/2)) + e cos² χ. Z is the direction's angle to the
+    zenith, χ its angle to the sun, and Zs the sun's angle to the zenith; y is up.
 
     Args:
-        along: Unit vectors, shape (..., 3).
-        to_sun: Unit vector, shape (3,).
+        along: Unit vectors of the directions, shape (..., 3).
+        to_sun: Unit vector to the sun, shape (3,).
     """
 
     def gradation(cosine: NDArray[np.float64] | float) -> NDArray[np.float64]:
@@ -98,12 +99,12 @@ def illuminance_ratio(sun_altitude: float) -> float:
 def _shares_of_sun(
     along: NDArray[np.float64], solid: NDArray[np.float64], towards: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return each pixel's share of the sun's power, so that mean direction and variance equal those of the sun's disc.
+    """Return the share of the sun's power of each pixel, with the mean direction and the variance of the sun's disc.
 
     A pixel is 0.35° wide. If shares were proportional to the disc's area in each pixel, the sun would become 18 to 28 %
-    wider. Among all shares with the required mean and variance, this function selects those of largest entropy: they
-    are proportional to s exp(θ·x), where s is the solid angle of a pixel. The vector x has the pixel's two offsets from
-    the sun and its squared distance. The three parameters θ minimise a convex function.
+    wider. Among all shares with the required mean and variance, this function selects the shares with the largest
+    entropy. These shares are proportional to s exp(θ·x), where s is the solid angle of a pixel. The vector x has the
+    pixel's two offsets from the sun and its squared distance. The three parameters θ minimise a convex function.
     """
     from scipy.optimize import minimize
 
@@ -130,7 +131,7 @@ def _shares_of_sun(
 
 
 def _daylight(temperature_k: float) -> NDArray[np.float64]:
-    """Return the linear sRGB colour, of luminance 1, of CIE illuminant D at a colour temperature (CIE 15:2004, 3.1)."""
+    """Return the linear sRGB colour of CIE illuminant D at a colour temperature; its luminance is 1 (CIE 15:2004)."""
     t = 1e3 / temperature_k
     if temperature_k <= 7_000.0:
         x = 0.244063 + 0.09911 * t + 2.9678 * t**2 - 4.6070 * t**3

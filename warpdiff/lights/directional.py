@@ -18,10 +18,12 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.spectra import Spectrum
 
-# Largest diameter of a disc light [°]. Limit: softboxes are smaller, and larger lights can be given as environments.
+# Largest diameter of a disc light [°]. The value was chosen because softboxes are smaller, and larger lights can be
+# described by environments.
 _WIDEST_DEG = 60.0
 # Largest diameters [°] of disc lights that are approximated by one Gaussian lobe: in refined pictures, and in pictures
-# with ``refine=False``. Limit: the lobe has no penumbra. Directions of wider discs are sampled.
+# with ``refine=False``. The values are limited by shadows, because a lobe has no penumbra. Directions to wider discs
+# are drawn at random.
 _SHAPELESS_DEG, ONE_LOBE_DEG = 1.5, 5.0
 
 
@@ -30,13 +32,14 @@ class DirectionalLight(LobeLight):
     """Light from infinitely far away, from a point or a disc in the sky.
 
     Attributes:
-        to_light: Direction from the surface towards the light, world frame; it is normalised.
+        to_light: Direction from the surface towards the light, world frame, of any length; the attribute is a unit
+            vector.
         illuminant: Name of a CIE illuminant or of a light source of colour-science, or a ``Spectrum``.
         power: Linear factor: with 1, a flat mirror that reflects a point light to the viewer has Y = 1. The power of a
             disc is distributed over its area.
-        angular_diameter_deg: Angular diameter of a disc of uniform radiance; 0 is a point. A disc requires footprints
-            (``footprint=`` of pictures). Up to 1.5°, or up to 5° in pictures with ``refine=False``, it is approximated
-            by a Gaussian and has a hard shadow.
+        angular_diameter_deg: Angular diameter of a disc of uniform radiance; 0 is a point. A disc requires pictures
+            whose pixels show means over footprints (``footprint=``). A disc of up to 1.5°, or up to 5° in pictures with
+            ``refine=False``, is approximated by a Gaussian and has a hard shadow.
 
     Examples:
         >>> import warpdiff as wd
@@ -58,7 +61,7 @@ class DirectionalLight(LobeLight):
         super().__post_init__()
 
     def lobes(self) -> tuple[Lobe, ...]:
-        """Return the light as one lobe with the mean direction and the variance of the disc."""
+        """Return one lobe (a Gaussian of directions) with the mean direction and the variance of the disc."""
         deviations = None
         if self.angular_diameter_deg > 0.0:
             radius = math.radians(self.angular_diameter_deg / 2.0)
@@ -66,7 +69,7 @@ class DirectionalLight(LobeLight):
         return (Lobe(self.to_light, self.illuminant, self.power, deviations),)
 
     def parts(self, coherence: Coherence, *, single_lobe: bool, name: str) -> Sequence[LightPart]:
-        """Return one lobe for a narrow disc, or for a wide disc a part that draws directions at random.
+        """Return one part: a lobe (a Gaussian) for a narrow disc, or random directions for a wide disc.
 
         The arguments are those of :meth:`warpdiff.lights.base.Light.parts`.
         """

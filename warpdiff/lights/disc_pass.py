@@ -1,4 +1,4 @@
-"""Pass of a disc light: each ray draws a direction on the disc, traces a shadow ray, and blurs the look-up."""
+"""Pass of a disc light: each ray draws a direction on the disc, traces a shadow ray, and looks up a blurred colour."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ if TYPE_CHECKING:
     from warpdiff.lights.base import DiscPart
     from warpdiff.lights.light_pass import Counting, PassContext, RayBatch
 
-# Effective number of pixels that contribute to a pixel through the pixel filter, a Gaussian of σ pixels. Derived: 4πσ².
+# Effective number of pixels that contribute to a pixel through the pixel filter, a Gaussian of σ pixels. The number was
+# derived as 4πσ².
 _COVERED_PIXELS = 4.0 * math.pi * FILTER_SIGMA**2
 # A sample of a disc light counts as a Gaussian source around its direction, which lowers the noise. The standard
-# deviation of the Gaussian, in radii of the disc, is the first number divided by the square root of the samples per
-# pixel. It is at most the second number, which is that of the whole disc. Choice: if the first number is doubled,
-# directions are drawn on a smaller part of the disc, and penumbrae become narrower.
+# deviation of the Gaussian, in radii of the disc, is `_EXTENT` divided by the square root of the samples per pixel. It
+# is at most `_MOST_EXTENT`, the standard deviation of the whole disc. `_EXTENT` was chosen for sharp shadows: if it is
+# doubled, directions are drawn on a smaller part of the disc, and penumbrae become narrower.
 _EXTENT, _MOST_EXTENT = 1.0, 0.5
-# Number of samples per pixel whose scattering vectors determine the range for which a plan is chosen. Limit: time is
-# proportional to it.
+# Number of samples per pixel whose scattering vectors determine the range for which a plan is chosen. The value is
+# limited by time, which is proportional to it.
 _MEASURED = 16
 
 
 class DiscPass(LobePass):
     """Pass of a disc light whose directions are drawn at random.
 
-    Lobe indices below ``lobe_count`` stand for one random direction each. The index ``lobe_count`` stands for a
+    An index of a lobe below ``lobe_count`` stands for one random direction. The index ``lobe_count`` stands for a
     Gaussian lobe with the extent of the whole disc.
     """
 
@@ -48,24 +49,25 @@ class DiscPass(LobePass):
 
     @property
     def first_lobes(self) -> range:
-        """Lobes that are evaluated with one ray per pixel.
+        """Indices of the lobes that are evaluated with one ray per pixel.
 
-        If pixels are subdivided afterwards, this is only the Gaussian lobe of the whole disc, otherwise all random
-        directions.
+        If pixels are subdivided afterwards, the only lobe is the Gaussian of the whole disc. Otherwise the lobes are
+        all random directions.
         """
         count = self.lobe_count
         return range(count, count + 1) if self.context.refines else range(count)
 
     @property
     def measured_lobes(self) -> range:
-        """Lobes whose scattering vectors determine the range for which a plan is chosen.
+        """Indices of the lobes whose scattering vectors determine the range of directions for which a plan is chosen.
 
-        A few suffice, because every pixel draws other directions on the disc.
+        A lobe stands for one random direction. A few lobes suffice, because every pixel draws other directions on the
+        disc.
         """
         return range(_MEASURED)
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:  # noqa: ARG002 (of grids)
-        """Make no occluder grid: it serves shadow rays of a single direction, but each ray draws another direction."""
+        """Make no occluder grid: a grid serves shadow rays of one direction, but each ray draws another direction."""
         self._grids[:] = [no_grid(self.context.rays.scene)]
 
     def _samples(self, batch: RayBatch) -> int:
@@ -73,7 +75,7 @@ class DiscPass(LobePass):
         return len(self.cell_lobes(batch.level)) if batch.level else self.lobe_count
 
     def _extent(self, batch: RayBatch) -> float:
-        """Return the standard deviation of the Gaussian source for which one sample counts, in radii of the disc."""
+        """Return the standard deviation of the Gaussian source that one sample represents, in radii of the disc."""
         rays = _COVERED_PIXELS * rays_at(batch.level) if batch.level else 1.0
         return min(_EXTENT / math.sqrt(rays * self._samples(batch)), _MOST_EXTENT)
 
@@ -93,7 +95,7 @@ class DiscPass(LobePass):
         return [*draws, *self.scatter_towards(batch.samples.towards, 0, 1.0 / samples, batch, counting, lobe)]
 
     def footprint_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:
-        """Return kernel calls that compute footprints: those of the pixel filter, widened by the extent of a sample."""
+        """Return kernel calls that compute the footprints of pixels, widened by the extent of a sample."""
         if lobe == self.lobe_count:
             return super().footprint_calls(0, batch)
         samples = batch.samples

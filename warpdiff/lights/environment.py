@@ -34,35 +34,38 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
 
 
-# Largest radiance, linear sRGB. Limit: kernels square colours in float32, which is at most 3e38.
+# Largest radiance, linear sRGB. The value is limited by kernels, which square colours in float32; float32 ends at 3e38.
 _MOST_RADIANCE = 1e9
-# Range of the option ``directions``. Limits: fewer directions show noise; time is proportional to them.
+# Range of the option ``directions``. It is limited because fewer directions show noise, and because time is
+# proportional to the number of directions.
 _FEWEST_DIRECTIONS, _MOST_DIRECTIONS = 16, 32_768
-# Number of directions per pixel in pictures with ``refine=False``. Choice: their noise is about 7 %; time is
-# proportional to the number.
+# Number of directions per pixel in pictures with ``refine=False``. The value was chosen so that the noise of such
+# pictures is about 7 %; time is proportional to it.
 _DEFAULT_DIRECTIONS = 64
-# Approximate memory per pixel [bytes] to load an image, and to compute a background. With larger values, images that
-# would fit in memory raise ``MemoryError``.
+# Approximate memory per pixel [bytes]: to load an image, and to compute a background. With larger numbers, images that
+# would fit in memory would raise ``MemoryError``.
 _BYTES_PER_PIXEL, _BYTES_OF_BACKGROUND = 24.0, 400.0
-# Largest linear factor of the sun of a clear sky. Limit: the sun's radiance then remains below the largest radiance.
+# Largest linear factor of the sun of a clear sky. The value was chosen so that the sun's radiance remains below the
+# largest radiance.
 _MOST_SUN = 1e3
-# Largest number of cached pairs of a window and a number of directions, for each of which an environment stores its sky
-# and suns. Limit: one pair uses 7 MB.
+# An environment caches its sky and suns for pairs of a coherence window and a number of directions. This is the largest
+# number of cached pairs. The value is limited by memory: one pair uses 7 MB.
 _MOST_PARTS = 4
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Environment(Checked, Light):
-    """Light from all directions, given by a latitude-longitude image, +y up.
+    """Light from all directions, described by a latitude-longitude image, with +y up.
 
-    The middle column points towards −z, and azimuth increases to the right, towards +x; row 0 is +y. A perfect mirror
-    shows the image's own colours. Environments require windows of the kind ``"averaged"``, and footprints.
+    The middle column points towards −z, and azimuth increases to the right, towards +x; the first row is at +y. A
+    perfect mirror shows the colours of the image unchanged. Environments require a coherence window of the kind
+    ``"averaged"``, and pictures whose pixels show means over footprints.
 
     Attributes:
         radiance_rgb: Linear sRGB radiance, shape (height, width, 3), up to 1e9; negative components count as 0.
         rotation_deg: Rotation about +y, counter-clockwise from above.
         scale: Linear factor of the radiance.
-        directions: Number of directions that are drawn for each pixel with ``refine=False``; None is 64. In refined
+        directions: Number of random directions per pixel in pictures with ``refine=False``; None is 64. In refined
             pictures, the tolerance determines the number of directions.
 
     Examples:
@@ -114,12 +117,12 @@ class Environment(Checked, Light):
             path: Latitude-longitude image.
             rotation_deg: Rotation about +y, counter-clockwise from above [degrees], −360 to 360.
             scale: Linear factor of the radiance, 0 to 1e9.
-            directions: Number of directions that are drawn for each pixel with ``refine=False``, 16 to 32768; None is
+            directions: Number of random directions per pixel in pictures with ``refine=False``, 16 to 32768; None is
                 64.
 
         Raises:
             FileNotFoundError: The file does not exist.
-            ValueError: The file is not such an image.
+            ValueError: The file is damaged, is not an EXR or HDR image, or has fewer than three channels.
 
         Examples:
             >>> import pathlib, tempfile
@@ -169,10 +172,11 @@ class Environment(Checked, Light):
         """Make a clear sky with a sun of 0.53° in diameter over diffuse ground, from formulas, without a file.
 
         The sky is type 12 of the CIE standard general sky (CIE S 011, ISO 15469), in the colour of daylight of 15,000
-        K. The sun has 5,500 K. Without the sun, the illuminance of the sky on the horizontal is π, so that white paper
-        that faces up has a luminance of 1. For a sun at the altitude h, the ratio of the sun's illuminance, normal to
-        its direction, to the sky's is 127.5 exp(−0.21 / sin h) / (0.8 + 15.5 √sin h) (IES, 1984). The ratio is 6.8 at
-        45° and 0.5 at 3°. The sun's disc has a luminance of 320,000 at 45°. The sun's azimuth is in ``rotation_deg`` of
+        K. The sun has the colour of daylight of 5,500 K. Without the sun, the illuminance of the sky on the horizontal
+        is π, so that white paper that faces up has a luminance of 1. For a sun at the altitude h, the illuminance of
+        the sun, normal to its direction, divided by the illuminance of the sky is
+        127.5 exp(−0.21 / sin h) / (0.8 + 15.5 √sin h) (IES, 1984). This ratio is 6.8 at 45° and 0.5 at 3°. The sun's
+        disc has a luminance of 320,000 at 45°, relative to the white paper. The sun's azimuth is in ``rotation_deg`` of
         the result::
 
             body, sky = wd.meshes.snake(), wd.Environment.clear_sky((1.0, 0.8, 0.3))
@@ -181,11 +185,11 @@ class Environment(Checked, Light):
             image.save("outdoors.png", background=sky.background(view))
 
         Args:
-            sun_direction: Direction towards the sun, above the horizon, +y up, shape (3,); it is normalised.
-            sun: Linear factor of the sun; 0 is a sky without one.
+            sun_direction: Direction towards the sun, above the horizon, +y up, shape (3,), of any length.
+            sun: Linear factor of the sun; 0 is a sky without a sun.
             ground_albedo: Share of the sky's and the sun's light that the ground reflects.
             scale: Linear factor of the radiance, 0 to 1e9.
-            directions: Number of directions that are drawn for each pixel with ``refine=False``, 16 to 32768; None is
+            directions: Number of random directions per pixel in pictures with ``refine=False``, 16 to 32768; None is
                 64.
 
         Raises:
@@ -203,7 +207,7 @@ class Environment(Checked, Light):
                 f"{ref('sun_direction')} must be above the horizon, with a y above 0, got {(x, y, z)}; raise the sun"
             )
         # The altitude is rounded to 1e-6 rad. Otherwise suns that differ only in azimuth would have spectra that differ
-        # by rounding, and each would need its own colour table.
+        # by rounding, and each sun would need a colour table of its own.
         altitude = max(round(math.atan2(y, math.hypot(x, z)), 6), 1e-6)
         radiance = clear_sky_radiance(altitude, sun, ground_albedo)
         turn = math.remainder(SUN_AZIMUTH - math.atan2(x, -z), 2.0 * math.pi)
@@ -236,10 +240,10 @@ class Environment(Checked, Light):
 
     @forks.cached_property
     def _grid(self) -> tuple[NDArray[np.float32], list[Sun]]:
-        """Radiances of the sky on its latitude-longitude grid, without the suns; and the suns.
+        """Radiances of the sky without its suns on the latitude-longitude grid, and the suns.
 
-        Environments that differ only in rotation or scale share these values, which do not depend on the coherence
-        window either.
+        Environments that differ only in rotation or scale share these values. The values do not depend on the coherence
+        window.
         """
         grid, suns = extract_suns(np.asarray(self.radiance_rgb))
         return grid.astype(np.float32), suns
@@ -250,7 +254,7 @@ class Environment(Checked, Light):
         return LruCache(most=_MOST_PARTS)
 
     def parts(self, coherence: Coherence, *, single_lobe: bool, name: str) -> Sequence[LightPart]:  # noqa: ARG002 (of discs)
-        """Return the sky and the suns, from a cache. The arguments are those of :class:`warpdiff.lights.base.Light`."""
+        """Return the sky and the suns, from a cache; :class:`warpdiff.lights.base.Light` describes the arguments."""
         if coherence.kind != "averaged" or coherence.sigma_um is None:
             raise ArgumentValueError(
                 f"{ref(name)} must not be an Environment for {ref('coherence')} of kind {coherence.kind!r}; use an "
@@ -262,7 +266,7 @@ class Environment(Checked, Light):
 
 
 def with_settings(environment: Environment, rotation_deg: float, scale: float, directions: int | None) -> Environment:
-    """Return a copy of an environment with other, already checked settings. Both share the radiances and their grid."""
+    """Return a copy of an environment with other, already checked settings; both share their radiances."""
     result = copy.copy(environment)
     vars(result).update(rotation_deg=rotation_deg, scale=scale, directions=directions, _grid=environment._grid)
     return result
@@ -273,7 +277,7 @@ class SkyPart(LightPart):
     """Sky of an environment, without its suns; it illuminates from the whole hemisphere.
 
     Attributes:
-        grid: Powers of the sky by direction.
+        grid: Grid with the powers of the sky by direction.
     """
 
     grid: SkyGrid
@@ -281,12 +285,12 @@ class SkyPart(LightPart):
     has_extent = True
 
     def __post_init__(self) -> None:
-        # The fields of a frozen dataclass cannot be assigned. Therefore its attributes that follow from the grid are
-        # set through ``vars``.
+        # The fields of a frozen dataclass cannot be assigned. The attributes that are computed from the grid are
+        # therefore set through ``vars``.
         vars(self).update(spectra=self.grid.spectra, sample_count=self.grid.directions)
 
     def make_pass(self, context: PassContext) -> LightPass:
-        """Return the pass that samples the sky."""
+        """Return the pass that draws random directions to the sky."""
         from warpdiff.lights.sky_pass import SkyPass
 
         return SkyPass(self.grid, context)
@@ -296,8 +300,8 @@ def _make_parts(environment: Environment, sigma_um: float, directions: int) -> t
     """Return the sky and the suns as parts of a light, with powers for a window of the standard deviation ``sigma_um``.
 
     Radiance L from a solid angle dω contributes ρ L dω 4πσ²/λ², because 4πσ²/λ² converts the relative reflectance ρ to
-    an absolute one. The spectrum L/λ² is therefore used in the same way as the illuminant of a directional light.
-    Spectra of RGB colours under D65 come from basis functions (Mallett and Yuksel, Spectral Primary Decomposition for
+    an absolute BRDF. The spectrum L/λ² is therefore used in the same way as the illuminant of a directional light.
+    Spectra of RGB colours under D65 are sums of basis functions (Mallett and Yuksel, Spectral Primary Decomposition for
     Rendering with sRGB Reflectance, 2019).
     """
     grid, suns = environment._grid
@@ -325,7 +329,7 @@ def _make_parts(environment: Environment, sigma_um: float, directions: int) -> t
 
 @functools.cache
 def _spectra() -> tuple[tuple[Spectrum, Spectrum, Spectrum], NDArray[np.float64]]:
-    """Return the illuminants L/λ² of red, green and blue light, and ∫ L ȳ/λ² dλ [1/µm²] for linear sRGB radiance 1."""
+    """Return the illuminants L/λ² of red, green and blue light, and ∫ L ȳ/λ² dλ [1/µm²] for a radiance of 1."""
     colour: Any = colour_science()
     shape = colour.SpectralShape(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, 1)
     basis = np.maximum(colour.recovery.MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019.copy().align(shape).values, 0.0)

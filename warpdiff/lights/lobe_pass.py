@@ -1,4 +1,4 @@
-"""Pass of lobes: shadow rays, scattering vectors, footprints and look-ups for directional, disc and point lights."""
+"""Pass of the lobes of directional, disc and point lights: shadow rays, scattering vectors and look-ups."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from warpdiff.lights.light_pass import Counting, PassContext, RayBatch
     from warpdiff.tables.lookup import Lookups
 
-# Largest ratio of a point light's power to the square of the mesh's radius. Limit: colours increase near the light, and
-# their squares must remain below the largest float32.
+# Largest ratio of a point light's power to the square of the mesh's radius. The value is limited by float32: colours
+# increase near the light, and the squares of colours must remain below the largest float32.
 _MOST_NEARBY = 1e9
 
 
 class LobePass(LightPass):
-    """Pass of lobes, which are processed one after the other.
+    """Pass of a light's lobes (Gaussians of directions), which are processed one after the other.
 
     Attributes:
         part: Set of lobes that this pass samples.
@@ -46,7 +46,7 @@ class LobePass(LightPass):
     def begin(self, previous: LightPass | None) -> None:
         """Write the lobes into arrays. Arrays of the previous pass are reused if it had equally many lobes.
 
-        Its occluder grids are reused if the directions are the same, too.
+        The occluder grids of the previous pass are reused if also the directions of its lobes are the same.
         """
         lobes, context = self.part.lobes, self.context
         reused = previous if isinstance(previous, LobePass) and len(previous.part.lobes) == len(lobes) else None
@@ -76,10 +76,10 @@ class LobePass(LightPass):
         return type(self), *((lobe.to_light, lobe.position is None, lobe.profile is None) for lobe in lobes)
 
     def _source(self, lobe: Lobe) -> tuple[tuple[float, ...], NDArray[np.float64], float]:
-        """Return the place, the deviations and the power of a lobe in mesh coordinates.
+        """Return place, standard deviations and power of a lobe (a Gaussian of directions), in mesh coordinates.
 
-        The place is homogeneous: a direction and 0, or a position and 1. The power of a position is that at a distance
-        of one mesh radius; users specify it at one mesh unit.
+        The place has four homogeneous coordinates: a direction and 0, or a position and 1. For a position, the returned
+        power is the power at a distance of one mesh radius; users specify the power at a distance of one mesh unit.
         """
         deviations = np.zeros((2, 3)) if lobe.deviations is None else lobe.deviations
         if lobe.position is None:
@@ -109,27 +109,28 @@ class LobePass(LightPass):
     def graph_key(self) -> tuple[Hashable, ...]:
         """Values on which the launches depend: illuminants, profiles, and which lobes have an extent or a position.
 
-        They are a part of the key of a recorded CUDA graph.
+        These values are a part of the key of a recorded CUDA graph.
         """
         kinds = tuple((lobe.deviations is None, lobe.position is None, lobe.profile) for lobe in self.part.lobes)
         return type(self), self.part.spectra, kinds
 
     @property
     def is_prepared(self) -> bool:
-        """Whether the occluder grids of all lobes have been prepared. Before that, no shadow ray can be traced."""
+        """Whether the occluder grids of all lobes are prepared. Without them, no shadow ray can be traced."""
         return len(self._grids) == len(self.part.lobes)
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:
-        """Prepare one occluder grid per lobe.
+        """Prepare one occluder grid per lobe (Gaussian of directions).
 
         The grids of point lights and of lobes with an emission profile are empty, because a grid serves only one
-        direction; their shadow rays use the hierarchy.
+        direction. Shadow rays to such lobes use the hierarchy of bounding boxes.
         """
         rays = self.context.rays
         to_lights = [
             lobe.to_light if lobe.position is None and lobe.profile is None else None for lobe in self.part.lobes
         ]
-        # The previous grids are deleted before new ones are made, because the memory may not suffice for both.
+        # The previous grids are deleted before new ones are made, because the memory may not suffice for the previous
+        # and the new grids together.
         self._grids.clear()
         self._grids += rays.shadow_grids(to_lights, count)
 
@@ -151,7 +152,7 @@ class LobePass(LightPass):
         Args:
             towards: Direction to the light for each ray; if it is empty, all rays use the direction of the light.
             light: Index of the light in the struct ``Lights``.
-            share: Weight of the lobe's colours.
+            share: Factor by which the lobe's colours are multiplied.
             batch: The rays.
             counting: Rule by which samples are added.
             lobe: Index of the lobe whose footprints the rays have; None is that of the light.
@@ -183,7 +184,7 @@ class LobePass(LightPass):
         return calls
 
     def footprint_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:
-        """Return kernel calls that compute footprints: the pixel filter's, widened by the extent of the light.
+        """Return kernel calls that compute the footprints of pixels, widened by the extent of the light.
 
         For a point light, the direction to the light also changes across a footprint.
         """
@@ -200,7 +201,7 @@ class LobePass(LightPass):
         return [self.filter_footprints(batch), *widen]
 
     def colour(self, lobe: int, batch: RayBatch, lookups: Lookups) -> list[KernelCall]:
-        """Return the kernel calls that look up the colours of a lobe, separately for the faces of each finish."""
+        """Return the kernel calls that look up the colours of a lobe, separately for each surface and material."""
         calls, footprints = [], None
         if lookups.uses_footprints:
             calls, footprints = self.footprint_calls(lobe, batch), batch.samples.footprints

@@ -20,8 +20,8 @@ class PointLight(LobeLight):
     Attributes:
         position: Position, world frame.
         illuminant: Name of a CIE illuminant or of a light source of colour-science, or a ``Spectrum``.
-        power: Linear factor, specified at distance 1 in mesh units: with 1, a flat mirror at this distance that
-            reflects the light has Y = 1.
+        power: Linear factor, specified at a distance of 1 mesh unit. With the power 1, a flat mirror at this distance
+            that reflects the light has Y = 1.
 
     Examples:
         >>> import warpdiff as wd
@@ -36,5 +36,5 @@ class PointLight(LobeLight):
     power: Annotated[float, Interval(ge=0.0, le=MOST_POWER)] = 1.0
 
     def lobes(self) -> tuple[Lobe, ...]:
-        """Return the light as one lobe with a position."""
+        """Return the light as one lobe (a Gaussian or a point) with a position."""
         return (Lobe((0.0, 0.0, 1.0), self.illuminant, self.power, position=self.position),)

@@ -1,4 +1,4 @@
-"""Distributions from which the directions to a sky are drawn: by bright colours of the surface, and by a bright sky."""
+"""Distributions from which directions to a sky are drawn: by the sky's brightness, and by the surface's colours."""
 
 from __future__ import annotations
 
@@ -23,31 +23,34 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import IlluminatedMaterial
     from warpdiff.tables.lookup import ColourLookup
 
-# Grid of (u, v) on which directions are drawn by the surface's colours: rings per octave of |(u, v)|, largest |(u, v)|,
-# and radius of a disc in the middle without rings, in standard deviations of an order's lobe. Choices: they change only
-# the noise.
+# Grid of (u, v) on which directions are drawn by the surface's colours. `_RINGS_PER_OCTAVE` is the number of rings per
+# octave of |(u, v)|, and `_FARTHEST` is the largest |(u, v)|. `_DISC_RADIUS` is the radius of a disc in the middle
+# without rings, in standard deviations of the lobe of a diffraction order. All values were chosen freely: they change
+# only the noise.
 _RINGS_PER_OCTAVE, _FARTHEST, _DISC_RADIUS = 6, 2.05, 0.5
-# Distance of neighbouring azimuth samples on a ring of (u, v), in standard deviations of an order's lobe, and least and
-# largest number of samples per ring. Limit: with at most 64 per ring, errors are 1.5 times as large
-# (docs/decisions/environments.md).
+# Azimuth samples on a ring of (u, v). The first number is the distance of neighbouring samples, in standard deviations
+# of the lobe of a diffraction order. The other numbers are the least and the largest number of samples per ring. The
+# largest number was chosen by the errors of pictures: with at most 64 samples per ring, the errors are 1.5 times as
+# large (docs/decisions/environments.md).
 _SPOKES_APART, _FEWEST_SPOKES, _MOST_SPOKES = 1.0, 16, 512
-# Values of |w| = cos θi + cos θr at which colours of the surface are looked up. Their mean determines the probability
-# of a direction. Choice: they change only the noise.
+# Values of |w| = cos θi + cos θr at which colours of the surface are looked up. θi and θr are the angles of light and
+# view from the normal. The mean of the colours determines the probability of a direction. The values were chosen
+# freely: they change only the noise.
 _WS = (0.8, 1.3, 1.8)
 # Standard deviation of the footprint with which the colour at an azimuth sample is looked up, relative to the distance
-# of samples. Choice: wider footprints blur the distribution.
+# of samples. The value was chosen so that footprints do not blur the distribution, as wider footprints would.
 _WIDTH = 0.4
-# Share of the probability that is distributed evenly, both over the azimuths of a ring and over all rings. Reason: a
-# point of (u, v) that is dark at the few tabulated |w| may be bright at another |w|, and must have a chance to be
-# drawn.
+# Share of the probability that is distributed evenly, both over the azimuths of a ring and over all rings. It exists
+# because a point of (u, v) that is dark at the few tabulated |w| may be bright at another |w|. Such a point must have a
+# chance to be drawn.
 _EVEN_SHARE = 0.05
-# Number of cells per side of a block of the sky's grid; a block has one probability. Limit: smaller blocks require more
-# memory and search time.
+# Number of cells per side of a block of the sky's grid. All cells of a block have the same probability per solid angle.
+# The value is limited by memory and search time, which are larger for smaller blocks.
 _CELLS_OF_BLOCK = 4
 
 
 def upload_sky(grid: SkyGrid, device: wp.Device) -> tuple[wp.array, ...]:
-    """Copy a sky to a device: its powers, and the distribution from which bright directions are drawn."""
+    """Copy a sky to a device: powers by direction, and the distribution from which bright directions are drawn."""
     arrays = _of_sky(grid)
     return (
         wp.array(grid.powers, dtype=wp.vec3f, device=device),
@@ -59,7 +62,7 @@ def lookup_for_skies(lookup: ColourLookup | None) -> ColourLookup | None:
     """Return a look-up with the smaller colour table that suffices for skies, from a cache.
 
     Directional lights of the same picture may require a table with up to eight times as many rings. A sky has three
-    spectra, and each of them would require such a large table.
+    spectra, and each spectrum would require such a large table.
     """
     if lookup is None:
         return None
@@ -78,13 +81,13 @@ def distribution_for(
 ) -> sky_samples.SkyDistribution:  # fmt: skip
     """Return the distribution from which kernels draw directions to a sky, by the colours of surface and sky.
 
-    The part that depends on the surface alone is cached in ``lookup``.
+    The part of the distribution that depends on the surface alone is cached in ``lookup``.
 
     Args:
-        lookup: Look-up of the surface's colours; None for a plain surface.
+        lookup: Look-up of the surface's colours; None for a surface without a height field.
         illuminated: Illuminated materials by material and spectrum.
-        blocks: Cumulative shares and densities of the sky's blocks, as :func:`upload_sky` returns them.
-        sky_share: Share of the samples that are drawn from the sky's blocks.
+        blocks: Cumulative probabilities and densities of the blocks of the sky, as :func:`upload_sky` returns them.
+        sky_share: Share of the samples that are drawn by the brightness of the sky.
     """
     result = surface_distribution(lookup, illuminated, blocks[0].device)
     result.row_cdf, result.column_cdf, result.block_densities = blocks
@@ -102,9 +105,9 @@ def distribution_of_blocks(blocks: Sequence[wp.array]) -> sky_samples.SkyDistrib
 def surface_distribution(
     lookup: ColourLookup | None, illuminated: Sequence[Sequence[IlluminatedMaterial]], device: wp.Device
 ) -> sky_samples.SkyDistribution:
-    """Return the struct of :func:`distribution_for` for the surface alone; the fields for a sky are empty.
+    """Return the struct of :func:`distribution_for` for the surface alone; the fields about the sky are empty.
 
-    For a plain surface, (u, v) is drawn evenly from a disc that contains all values of (u, v).
+    For a surface without a height field, (u, v) is drawn evenly from a disc that contains all values of (u, v).
     """
     result = sky_samples.SkyDistribution()
     if lookup is None:
@@ -119,7 +122,7 @@ def surface_distribution(
 
 @functools.cache
 def _of_plain_surface(device: str) -> tuple[wp.array | float, ...]:
-    """Return the part of the distribution for a plain surface: one disc, in which (u, v) is drawn evenly."""
+    """Return the distribution for a surface without a height field: one disc, in which (u, v) is drawn evenly."""
     ones = wp.full(1, 1.0, dtype=wp.float32, device=device)
     densities = wp.full(1, 1.0 / (math.pi * _FARTHEST**2), dtype=wp.float32, device=device)
     return ones, wp.array([0, 1], dtype=wp.int32, device=device), ones, densities, math.log(_FARTHEST), 1.0
@@ -128,7 +131,7 @@ def _of_plain_surface(device: str) -> tuple[wp.array | float, ...]:
 def _of_surface(
     lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]]
 ) -> tuple[wp.array | float, ...]:
-    """Return the part of the distribution for the surface alone: probabilities over rings and azimuths of (u, v)."""
+    """Return the distribution for the surface alone: probabilities over rings and azimuths of (u, v)."""
     lobe_uv = polar_grid.blur(lookup.plan.coherence) * polar_grid.MIDDLE_UM
     least = _DISC_RADIUS * lobe_uv
     per_log = _RINGS_PER_OCTAVE / math.log(2.0)
@@ -144,7 +147,7 @@ def _of_surface(
     across, along = _WIDTH / per_log * radius, _WIDTH * 2.0 * math.pi * radius / spokes[ring]
     footprints = np.concatenate([across[:, None] * outwards, along[:, None] * around], axis=1)
     bright = _luminances(lookup, illuminated, radius[:, None] * outwards, footprints)
-    # The power of an azimuth sample is its X + Y + Z times the area in (u, v) that it represents.
+    # The power of an azimuth sample is the X + Y + Z of its colour times the area in (u, v) that it represents.
     area = np.append(math.pi * least**2, radii[1:] ** 2 * 2.0 * math.pi / per_log)[ring] / spokes[ring]
     means = np.add.reduceat(bright, starts[:-1]) / spokes
     power = ((1.0 - _EVEN_SHARE) * bright + _EVEN_SHARE * means[ring] + 1e-30) * area
@@ -164,7 +167,7 @@ def _luminances(
     lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], places: NDArray[np.float64],
     footprints: NDArray[np.float64],
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return X + Y + Z at points (u, v), added over materials and spectra, as a mean over a few |w|, shape (n,)."""
+    """Return X + Y + Z at n points (u, v): mean over a few |w|, and sum over materials and spectra, shape (n,)."""
     device, count = lookup.device, len(places)
     vectors = np.concatenate([np.column_stack([places, np.full(count, -w)]) for w in _WS])
     vectors_on_device = wp.array(vectors, dtype=wp.vec3d, device=device)
@@ -181,12 +184,12 @@ def _luminances(
 def _of_sky(grid: SkyGrid) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return the distribution from which directions are drawn by the brightness of a sky.
 
-    The arrays have the cumulative probability of rows of blocks, the cumulative probability of blocks within each row,
-    and the density of each block.
+    A block is a square of cells of the sky's grid. The arrays have the cumulative probability of rows of blocks, the
+    cumulative probability of blocks within each row, and the density of each block.
     """
     bright = grid.powers.sum(axis=2)
     # Kernels interpolate the sky between the centres of cells, so that a bright cell brightens its neighbours. A
-    # neighbour may be in another block, so each cell counts with the brightness of its brightest neighbour.
+    # neighbour may be in another block. A cell therefore counts with the brightness of the brightest cell around it.
     bright = np.maximum.reduce([np.roll(bright, shift, axis=1) for shift in (-1, 0, 1)])
     bright[1:-1] = np.maximum.reduce([bright[:-2], bright[1:-1], bright[2:]])
     rows, columns = (size // _CELLS_OF_BLOCK for size in bright.shape)

@@ -1,4 +1,4 @@
-"""Grids of a sky: power by latitude and longitude, without suns, in three spectra that add up to any RGB."""
+"""Grids of a sky: power by latitude and longitude, without suns, for three spectra that add up to any RGB colour."""
 
 from __future__ import annotations
 
@@ -17,14 +17,16 @@ if TYPE_CHECKING:
 
     from warpdiff.optics.spectra import Spectrum
 
-# Number of rows of the latitude-longitude grid, 0.35° each. Limit: twice as many take four times the memory.
+# Number of rows of the latitude-longitude grid, 0.35° each. The value is limited by memory: twice as many rows require
+# four times the memory.
 ROWS = 512
-# Angular radius within which bright pixels count as one sun [rad]. It is the first number, or the second number times
-# the size of a pixel if that is larger. No suns are extracted from an image for which the radius exceeds the third
-# number. Limit: one Gaussian lobe is too coarse for larger lights.
+# Angular radius within which bright pixels count as one sun [rad]. It is `_SUN_REACH`, or `_SUN_PIXELS` times the size
+# of a pixel if that is larger. If this radius exceeds `_FARTHEST_SUN_REACH`, no suns are extracted from the image. The
+# largest radius is limited because one Gaussian lobe is too coarse for larger lights.
 _SUN_REACH, _SUN_PIXELS, _FARTHEST_SUN_REACH = math.radians(2.5), 1.5, math.radians(4.5)
 # Conditions for a sun: largest brightness of its surroundings relative to the sun, least share of the sky's light, and
-# largest number of suns. Choices: other bright spots remain in the sky, where they cause more noise.
+# largest number of suns. The values were chosen freely: other bright spots remain in the sky, where they cause more
+# noise.
 _AROUND_SUN, _SUN_SHARE, _MOST_SUNS = 0.1, 0.005, 4
 
 
@@ -42,10 +44,10 @@ class SkyGrid:
 
     Attributes:
         spectra: Three illuminants, which add up to any colour.
-        powers: Power per solid angle by spectrum, in the directions of :func:`grid_directions`.
+        powers: Power per solid angle of each of the three spectra, in the directions of :func:`grid_directions`.
         turn: Rotation about +y [rad].
-        directions: Number of directions that are drawn for each pixel with ``refine=False``.
-        device_arrays: Cache of this grid's arrays, by the device's name.
+        directions: Number of random directions per pixel in pictures with ``refine=False``.
+        device_arrays: Cache of the arrays of this grid on devices, by the name of the device.
     """
 
     spectra: tuple[Spectrum, Spectrum, Spectrum]
@@ -56,7 +58,7 @@ class SkyGrid:
 
 
 def sample_grid(grid: NDArray[np.float64], along: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
-    """Return the values of a latitude-longitude grid in given directions, by bilinear interpolation."""
+    """Return the values of a latitude-longitude grid in the directions ``along``, by bilinear interpolation."""
     height, width = grid.shape[:2]
     polar = np.arctan2(np.hypot(along[..., 0], along[..., 2]), along[..., 1])
     row = np.clip(polar / math.pi * height - 0.5, 0.0, height - 1.0)
@@ -64,7 +66,7 @@ def sample_grid(grid: NDArray[np.float64], along: NDArray[np.float64], turn: flo
     top, left = np.minimum(row.astype(int), height - 2), np.floor(column).astype(int)
     down, right = (row - top)[..., None], (column - left)[..., None]
     left, next_left = left % width, (left + 1) % width
-    # np.take with flat indices is five times as fast as a pair of index arrays.
+    # np.take with flat indices is five times as fast as indexing by a pair of arrays.
     flat, top = grid.reshape(height * width, -1), top * width
     upper = (1.0 - right) * np.take(flat, top + left, axis=0) + right * np.take(flat, top + next_left, axis=0)
     top += width
@@ -132,7 +134,7 @@ def grid_directions() -> NDArray[np.float64]:
 
 
 def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the radiance of an image on the grid, shape (ROWS, 2 ROWS, 3).
+    """Return the radiance of an image on the grid of the sky, shape (ROWS, 2 ROWS, 3).
 
     An image with smaller pixels is averaged over the cells of the grid. An image with larger pixels is interpolated.
     """

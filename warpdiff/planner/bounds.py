@@ -1,7 +1,8 @@
-"""Upper-bound plan: parameters that suffice for any surface and for all directions of a range.
+"""Upper-bound plan: numbers of terms, coefficients and wavelengths that suffice for any surface and all directions.
 
-The plan is conservative. Calls with few directions use it directly. For calls with many directions, a search for a
-cheaper plan starts from it, and measures errors against a finer upper-bound plan.
+"All directions" are the directions within the range of a call. Calls with few directions use the upper-bound plan
+directly. For calls with many directions, a search for a cheaper plan starts from the upper-bound plan. The search
+measures errors against a plan with more wavelengths than the upper-bound plan.
 """
 
 from __future__ import annotations
@@ -26,58 +27,66 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.evaluation import Evaluation
 
-# Largest truncation error of an amplitude (of its series), as a share of the tolerance. Derived as the product of two
-# factors of 0.03. First, errors are relative to at least 1e-3 of a picture's luminance (FLOOR), which is a factor of
-# 0.03 in amplitude. Second, the amplitudes of orders may be 0.03 of that of the mirror reflection. If doubled, surfaces
-# that have only weak orders can exceed the tolerance.
+# Largest error of an amplitude that the truncation of its series may cause, as a share of the tolerance. The number was
+# derived as the product of two factors of 0.03. First, errors of luminance are relative to at least 1e-3 of a picture's
+# luminance (FLOOR). This is a factor of 0.03 in amplitude. Second, the amplitudes of all diffraction orders may be only
+# 0.03 of the amplitude of the mirror reflection. If doubled, surfaces that have only weak orders can exceed the
+# tolerance.
 AMPLITUDE_MARGIN = 1e-3
-# Smallest Gaussian weight of a neighbour that is included, as a share of the tolerance. First entry: if powers add.
-# Derived: the peak of the zeroth order has the power 1. If all directions of a call are far from this peak, they may be
-# darker than the peak by a factor of 1e-5. Errors are relative to at least 1e-3 of the luminance of these directions.
-# The product of both factors is 1e-8. Second entry: if amplitudes add. Derived: 1e-4, which is the square root of the
-# first entry, divided by 100 as a margin. If doubled, the errors of the darkest calls exceed the tolerance, because
-# tails of the zeroth order are missing.
+# Smallest Gaussian weight with which a Fourier coefficient is still included in the sum of a direction, as a share of
+# the tolerance. The key is whether powers add (True) or amplitudes add (False). The entry for powers was derived from
+# the zeroth order, whose peak has the power 1. If all directions of a call are far from this peak, they may be darker
+# than the peak by a factor of 1e-5. Errors are relative to at least 1e-3 of the luminance of these directions. The
+# product of both factors is 1e-8. The entry for amplitudes was derived as the square root of the entry for powers,
+# 1e-4, divided by 100 as a margin. If doubled, the errors of the darkest calls exceed the tolerance, because tails of
+# the zeroth order are missing.
 _WEIGHT_MARGINS = {True: 1e-8, False: 1e-6}
-# Smallest Gaussian weight of a neighbour that is included, as a share of the tolerance, for plans that no trial has
-# validated. Derived: the luminance of a call may be as small as 1e-10 of that of a mirror (DARK).
+# Smallest Gaussian weight with which a Fourier coefficient is still included in the sum of a direction, as a share of
+# the tolerance, for plans that no trial has validated. The number was derived from the darkest calls, whose luminance
+# may be as small as 1e-10 of the luminance of a mirror (DARK).
 _DARKEST = trial.NEGLIGIBLE_SHARE * trial.DARK
-# Number of wavelength samples per unit of 1/λ [µm] that the colour-matching functions and the illuminant require.
-# Fitted for D65, FL11 and HP1 at tolerances from 1e-1 to 1e-4 (docs/decisions/plans_and_tolerance.md). If halved, the
-# integral over the wavelength alone has an error that is too large for the tolerance, under illuminants with spectral
-# lines.
+# Number of wavelength samples per unit of 1/λ [µm] that the colour-matching functions and the illuminant require. The
+# number was fitted for the illuminants D65, FL11 and HP1 at tolerances from 1e-1 to 1e-4
+# (docs/decisions/plans_and_tolerance.md). If halved, the integral over the wavelength alone exceeds the tolerance under
+# illuminants with spectral lines.
 _COLOUR_BANDWIDTH_UM = 48.0
-# Number of wavelength samples per standard deviation of an order, whose light is a Gaussian over 1/λ. The number is for
-# a tolerance of 1 and increases for smaller tolerances, to 0.95 at 1e-2. Fitted for D65, FL11 and HP1 with standard
-# deviations of 1/18 to 1/222 per µm.
+# Number of wavelength samples per standard deviation of a diffraction order, whose light is a Gaussian over 1/λ. The
+# number is for a tolerance of 1. It increases for smaller tolerances, to 0.95 at 1e-2. It was fitted for the
+# illuminants D65, FL11 and HP1 with standard deviations of 1/18 to 1/222 per µm.
 _SAMPLES_PER_DEVIATION = 0.441
-# Number of wavelength samples per cycle over 1/λ of the interference of two height levels in the mirror direction, in
-# addition to the samples for the colours. The number is for a tolerance of 1 and increases for smaller tolerances, to 6
-# at 1e-2. Fitted for levels 3 and 5.5 µm apart under HP2 and FL12.
+# Number of wavelength samples per cycle of interference. In the mirror direction, the interference of two height levels
+# oscillates over 1/λ. These samples are additional to `_COLOUR_BANDWIDTH_UM`. The number is for a tolerance of 1. It
+# increases for smaller tolerances, to 6 at 1e-2. It was fitted for levels 3 and 5.5 µm apart under the illuminants HP2
+# and FL12.
 _SAMPLES_PER_CYCLE = 2.785
-# Orders p of convergence of the integral over λ: its error is proportional to n^−p for n samples. Derived: for
-# coherence windows and sources, quintics through six samples interpolate the reflectance over λ. For replicas, cubics
-# through four samples interpolate the power of the patch.
+# Orders p of convergence of the integral over the wavelength λ: the error of the integral is proportional to n^−p for n
+# samples. The orders were derived from the interpolations over λ. For coherence windows and light sources, quintics
+# through six samples interpolate the reflectance. For replicated patches, cubics through four samples interpolate the
+# power of one patch.
 _QUINTIC_ORDER, _CUBIC_ORDER = 6.0, 4.0
-# Typical error of an upper-bound plan by the integral over λ, and by excluded neighbours, each as a share of the
-# tolerance. Fitted: 99th percentile of the errors of such plans. Plans report this number; no decision depends on it.
+# Typical error of an upper-bound plan, as a share of the tolerance. The number is used twice: for the error of the
+# integral over the wavelength λ, and for the error by excluded Fourier coefficients. It was fitted to the 99th
+# percentile of the errors of such plans. Plans report the number; no decision depends on it.
 _TYPICAL_SHARE = 0.05
-# Number of wavelength samples per order that passes a direction while λ runs over the visible range, for the power of a
-# replicated patch. The number is for a tolerance of 1 and increases for smaller tolerances, to 25 at 1e-2. Fitted for
-# random patches of fingers under illuminants from D65 to HP1. If halved, the error is 16 times as large.
+# Number of wavelength samples per diffraction order that passes a direction while λ runs over the visible range. These
+# samples resolve the power of one patch of a replicated surface. The number is for a tolerance of 1. It increases for
+# smaller tolerances, to 25 at 1e-2. It was fitted for random patches of fingers under illuminants from D65 to HP1. If
+# halved, the error is 16 times as large.
 _SAMPLES_PER_ORDER = 8.0
-# Largest number of wavelengths of a colour. Limit: time is proportional to it, and one direction requires seconds.
+# Largest number of wavelengths of a colour. The value is limited by time, which is proportional to it: one direction
+# with so many wavelengths already requires seconds.
 MOST_WAVELENGTHS = 65_536
-# Largest number of wavelengths under a source whose light arrives near the horizon. The required number increases
-# without bound with the foreshortening there; this number suffices for a foreshortening by a factor of 50.
+# Largest number of wavelengths under a light source whose light arrives near the horizon. The foreshortening of the
+# source there increases the required number without bound. This number suffices for a foreshortening by a factor of 50.
 _MOST_GRAZING = 16_384
 
 
 def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, method: str, tolerance: float) -> Plan:
-    """Return the upper-bound plan for ``method`` and ``tolerance``, which may differ from those of the request."""
+    """Return the upper-bound plan for ``method`` and ``tolerance``, which may differ from those of ``request``."""
     heightfield, coherence, colour = request.heightfield, request.coherence, request.integrates
     series = AUTOMATIC if method in ("auto", "direct") else method
-    # The methods ``"power"`` and ``"low-rank"`` have no series of their own. Their number of terms is that of the
-    # Jacobi-Anger series to which they are fitted.
+    # The methods ``"power"`` and ``"low-rank"`` have no series of their own. Both methods are fitted to the
+    # Jacobi-Anger series, and use its number of terms.
     expansion = EXPANSIONS.get(series, EXPANSIONS["jacobi-anger"])
     argument = 2.0 * math.pi * direction_range.kappas[1] * expansion.offset_and_scale(heightfield)[1]
     terms = expansion.term_count(argument, tolerance * AMPLITUDE_MARGIN)
@@ -109,22 +118,26 @@ def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, me
 
 
 def with_neighbours_of_darkness(plan: Plan) -> Plan:
-    """Return the plan with neighbours of so small weights that it suffices, without a trial, for a very dark call."""
+    """Return the plan for a very dark call without a trial: it includes Fourier coefficients of smaller weights."""
     return replace(plan, least_weight=plan.tolerance * _DARKEST) if plan.coherence.adds_powers else plan
 
 
 def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: float) -> tuple[float, float, float]:
-    """Return a, b and c [µm]: a direction requires a·rate + b·|w| + c wavelength samples per unit of 1/λ.
+    """Return a, b and c: a direction requires a · rate + b · |w| + c wavelength samples per unit of 1/λ.
 
-    ``rate`` is the order rate. The interference of two surface points x and x' has the phase 2π/λ times
-    w(h − h') + (u, v)·(x − x'). The window weights it by exp(−|x − x'|²/4σ²). Orders are therefore Gaussians over 1/λ,
-    whose width determines a. The range of heights determines b, and the colour-matching functions determine c. The
-    factor a is limited to the largest number that a plan accepts; a plan at that limit is refused later, because it has
-    too many wavelengths.
+    ``rate`` is the order rate: how fast orders pass the direction as 1/λ changes. w is the component of the scattering
+    vector (u, v, w) along the normal. The unit of a, b and c is µm; only for replicas, whose order rate is in µm, a has
+    no unit.
+
+    The interference of two surface points x and x' with heights h and h' has the phase 2π/λ times
+    w(h − h') + (u, v)·(x − x'). A coherence window weights this interference by exp(−|x − x'|²/4σ²). Orders are
+    therefore Gaussians over 1/λ, and their width determines a. The range of heights determines b, and the
+    colour-matching functions determine c. The factor a is limited to the largest number that a plan accepts; a plan at
+    that limit is refused later, because it has too many wavelengths.
     """
     if coherence.kind == "replicas":
-        # Over 1/λ, the power of one patch oscillates with at most |u|Lx + |v|Ly cycles per unit of 1/λ. This is at most
-        # proportional to the order rate.
+        # As 1/λ changes, the power of one patch with the sides Lx and Ly oscillates with at most |u|Lx + |v|Ly cycles
+        # per unit of 1/λ. This number is at most proportional to the order rate, which is |(u Lx, v Ly)|.
         per_order = _SAMPLES_PER_ORDER * tolerance ** (-1.0 / _CUBIC_ORDER)
         return per_order, per_order * heightfield.height_range_um, _COLOUR_BANDWIDTH_UM
     quintic = tolerance ** (-1.0 / _QUINTIC_ORDER)
@@ -132,10 +145,11 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
     if coherence.sigma_um is not None:
         order_rate = per_deviation * 2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um
         return min(order_rate, MOST), cycles * heightfield.height_range_um, _COLOUR_BANDWIDTH_UM
-    # For other coherences, wavelengths have equal steps of 1/λ. For a source, they have equal ratios. Their largest
-    # step of 1/λ, at 380 nm, is ``wider`` times the equal step of as many wavelengths. The results b and c are
-    # therefore multiplied by ``wider``. The result a is not: the coherence window of a source is proportional to λ (van
-    # Cittert-Zernike), so that orders have a constant width in ln λ.
+    # For windows and replicas, the wavelengths have equal steps of 1/λ. For a source, neighbouring wavelengths have
+    # equal ratios. The largest step of 1/λ under a source, at 380 nm, is ``wider`` times the equal step of as many
+    # wavelengths. The results b and c are therefore multiplied by ``wider``. The result a is not multiplied: the
+    # coherence window of a source is proportional to λ (van Cittert-Zernike), so that orders have a constant width in
+    # ln λ.
     log_band = math.log(LAMBDA_MAX_NM / LAMBDA_MIN_NM)
     wider = log_band * NM_PER_UM / LAMBDA_MIN_NM / cost_model.SPAN
     order_rate = per_deviation / coherence.spread * log_band / cost_model.SPAN
@@ -143,12 +157,16 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
 
 
 def _with_wavelengths(plan: Plan) -> Plan:
-    """Return the plan with the number of wavelengths that its bandwidth requires, limited for a grazing source."""
+    """Return the plan with the number of wavelengths that its ``bandwidth_um`` requires.
+
+    If light of a source arrives near the horizon, the number is limited.
+    """
     count = coefficient_table.wavelength_set_size(cost_model.wavelength_count(plan, plan.max_order_rate, plan.max_w))
     periods = plan.coherence.periods
     divisions = 1
     if periods is not None:
-        # The interference factor of N periods has N lobes per order, and requires two samples per lobe.
+        # Over 1/λ, the interference factor of N replicated periods has N lobes per diffraction order. It requires two
+        # samples per lobe.
         divisions = math.ceil(2.0 * math.sqrt(2.0) * max(periods) / plan.bandwidth_um[0])
     facing = cost_model.wavelength_count(plan, plan.max_uv, plan.max_w)
     if plan.coherence.kind == "source" and facing <= _MOST_GRAZING < count:

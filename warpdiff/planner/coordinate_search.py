@@ -1,10 +1,12 @@
 """Coordinate search: finds the cheapest plan with sampled wavelengths that meets a tolerance on a call's directions.
 
-Upper bounds suffice for the worst surface and the worst direction; most calls require less. The coordinates of a plan
-are its numbers of terms, neighbours and subdivisions, and two parts of its bandwidth. The search makes one coordinate
-after the other as coarse as an error budget permits. The budget grows from coordinate to coordinate; what one
-coordinate does not use, the next ones can use. Errors are measured on the training set against a reference. The
-validation set then checks the result. If the result fails, the coordinate with the largest effect is refined.
+Upper-bound plans suffice for the worst surface and the worst direction; most calls require less. The search changes a
+plan along coordinates: the number of terms of its series, the number of neighbouring Fourier coefficients that a
+direction includes, and the bandwidth with its two parts, which sets the number of wavelengths. Replicated patches also
+have a number of subdivisions per wavelength. The search makes one coordinate after the other as coarse as an error
+budget permits. The budget grows from coordinate to coordinate; the part of the budget that one coordinate does not use
+remains for the coordinates after it. Errors are measured on the training set against a reference. The validation set
+then checks the result. If the result fails, the coordinate with the largest effect is refined.
 """
 
 from __future__ import annotations
@@ -25,30 +27,32 @@ if TYPE_CHECKING:
     from warpdiff.planner.trial import Trial
     from warpdiff.request.plan import Plan
 
-# Largest number of repairs of a plan whose error on the validation set is too large. A repair tries to refine each
-# coordinate and keeps the best result. The first repair refines by one step, and each further repair by twice as many
-# steps as the repair before. Limit: a search has fewer than fifty trials.
+# Largest number of repairs of a plan whose error on the validation set is too large. A repair refines the coordinates
+# of the plan one at a time, and uses the best of the results. The first repair refines by one step, and each further
+# repair by twice as many steps as the repair before. The value was chosen so that a search tries fewer than fifty
+# plans.
 _REPAIRS = 3
-# Largest number of factors of 2 by which a search reduces a bandwidth. Upper bounds exceed the required bandwidth by
-# less than that.
+# Largest number of factors of 2 by which a search reduces a bandwidth, the number of wavelength samples per unit of
+# 1/λ. Upper bounds are less than 2³ times as large as the bandwidth that calls require.
 _OCTAVES = 3
-# A tolerance, for which the upper bound of the bandwidth is computed. Searches try only bandwidths that are
-# 2^(n/SETS_PER_OCTAVE) times this upper bound, with whole n, whatever the tolerance of the call is. Otherwise a larger
-# tolerance of a call could give a slightly more expensive plan than a smaller one.
+# Tolerance for which the upper bound of the bandwidth is the reference of a grid. The bandwidth is the number of
+# wavelength samples per unit of 1/λ. Searches try only bandwidths that are 2^(n/SETS_PER_OCTAVE) times this upper
+# bound, where n is a whole number, whatever the tolerance of the call is. Without a common grid, a call with a larger
+# tolerance could get a slightly more expensive plan than a call with a smaller one.
 _GRID_TOLERANCE = 1e-2
-# Number of bright validation directions below which a search uses only a part of its error budget, because so few do
-# not represent the bright directions of a call well. Fitted to random calls with few bright directions
+# Number of bright validation directions below which a search uses only a part of its error budget. Fewer directions do
+# not represent the bright directions of a call well. The number was fitted to random calls with few bright directions
 # (docs/decisions/plans_and_tolerance.md).
 MIN_BRIGHT = 64
-# The part of the remaining error budget that a search uses if fewer than MIN_BRIGHT validation directions are bright.
-# The predicted error of every search is also at least this share of the tolerance. Fitted to random calls with few
-# bright directions.
+# Share of the remaining error budget that a search uses if fewer than MIN_BRIGHT validation directions are bright. The
+# same number, as a share of the tolerance, is the least error that a search predicts. It was fitted to random calls
+# with few bright directions.
 _SHARE_BY_FEW = 0.1
 
 
 @dataclass(frozen=True)
 class Coordinate:
-    """Parameter of a plan that a search changes in steps.
+    """Parameter of a plan, such as its number of terms, that a search changes in steps.
 
     Attributes:
         source: Name of the plan's field that reports the error of this coordinate.
@@ -69,7 +73,7 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
     Args:
         plan: Upper-bound plan.
         trial: Trial, which evaluates plans on sampled directions of the call.
-        automatic: Whether the search may replace the method by that of the reference.
+        automatic: Whether the search may replace the method of the plan by the method of the reference plan.
 
     Returns:
         Plan with its predicted errors.
@@ -86,11 +90,13 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
         error = coarser_error
     plan, error = refine(plan, trial, coordinates, target)
     if error > target and automatic and plan.method != trial.reference.method:
-        # A plan that expands powers |H|² in a series has large terms of both signs. In some directions they cancel, so
-        # that float32 loses most digits. If only the validation set contains such directions, this error becomes
-        # visible only at the end of a search. A plan that expands the amplitudes H does not have this error.
+        # A method that expands powers |H|² of Fourier coefficients H in a series has large terms of both signs. In some
+        # directions these terms cancel, so that float32 loses most digits. If only the validation set contains such
+        # directions, this error becomes visible only at the end of a search. A method that expands the amplitudes H
+        # does not have this error.
         plan, error = refine(_by_amplitudes(plan, trial), trial, coordinates, target)
-    # The predicted error is divided among its sources in proportion to their measured errors.
+    # The predicted error is divided among its sources, such as truncation and rounding, in proportion to the errors
+    # that the search has measured for these sources.
     share = predicted_error(error, plan, trial) / sum(errors.values())
     return replace(
         plan, truncation=share * errors["truncation"], neighbourhood=share * errors["neighbourhood"],
@@ -101,10 +107,10 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
 
 
 def predicted_error(error: float, plan: Plan, trial: Trial) -> float:
-    """Predict the error of a call from the validation error.
+    """Predict the error of a call from the error of its plan on the validation set.
 
-    The prediction is the validation error times a factor. The factor is larger if the call has more directions than the
-    validation set.
+    The prediction is this validation error times a factor. The factor is larger if the call has more directions than
+    the validation set.
     """
     factor = SEARCH_SAFETY if math.isinf(trial.bright[0]) else 2.0
     predicted = min(factor * error, max(SEARCH_SAFETY * error, plan.tolerance))
@@ -112,7 +118,7 @@ def predicted_error(error: float, plan: Plan, trial: Trial) -> float:
 
 
 def refine(plan: Plan, trial: Trial, coordinates: Sequence[Coordinate], target: float) -> tuple[Plan, float]:
-    """Refine a plan until its validation error is at most ``target``; return the plan and its validation error."""
+    """Refine a plan until its validation error is at most ``target``; return the refined plan and this error."""
     trial.update_floors(plan)
     error = trial.validation_error(plan)
     for repair in range(_REPAIRS):
@@ -129,7 +135,8 @@ def refine(plan: Plan, trial: Trial, coordinates: Sequence[Coordinate], target: 
         else:
             least, best = min(tried, key=lambda entry: entry[0])
         if best == plan:
-            # No coordinate reduces the error if it is refined alone, so that all coordinates are refined together.
+            # No single coordinate reduces the error if only this coordinate is refined. All coordinates are therefore
+            # refined together.
             for coordinate in coordinates:
                 best = coordinate.coarser(best, -steps)
             least = trial.validation_error(best)
@@ -145,9 +152,9 @@ def _cost(plan: Plan, trial: Trial) -> float:
 
 
 def more_terms(plan: Plan, trial: Trial, registers: int) -> Plan:
-    """Return the plan with more terms: as many as fill ``registers`` further SIMD registers, or all of its basis.
+    """Return the plan with more terms: as many as fill ``registers`` further SIMD registers, or all terms that exist.
 
-    A negative number removes terms.
+    With a negative ``registers``, the plan gets fewer terms.
     """
     most = trial.most_terms(plan)
     terms = coefficient_table.lanes_of(plan.terms) + registers * LANES
@@ -155,7 +162,7 @@ def more_terms(plan: Plan, trial: Trial, registers: int) -> Plan:
 
 
 def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[Coordinate]:
-    """Return the coordinates of a plan, in the order in which the search coarsens them."""
+    """Return the coordinates (the parameters that a search changes) of a plan, in the order of the search."""
 
     def neighbours(plan: Plan, steps: int) -> Plan:
         least = trial.reference.least_weight
@@ -181,15 +188,17 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
     ]
     if plan.coherence.kind != "replicas":
         # In a few directions, nearly all light belongs to the far tail of a bright order, and the training set may not
-        # contain such directions. The search therefore never excludes neighbours with a weight of at least FLOOR times
-        # the tolerance.
+        # contain such directions. The search therefore never excludes Fourier coefficients whose Gaussian weight is at
+        # least FLOOR times the tolerance.
         most = math.floor(math.log(FLOOR * plan.tolerance / plan.least_weight))
         steps.append(("neighbourhood", by_mirror, max(most, 0) if by_mirror == 1.0 else 0, neighbours))
     if trial.integrates and plan.subdivisions > 1:
         steps.append(("quadrature", bright, octave_steps, subdivisions))
     if trial.integrates:
-        # The bandwidth has parts for the order rate, for |w| and for the colours. All parts are first coarsened
-        # together and then alone. In the reverse order, the first part could use the whole error budget.
+        # The bandwidth, the number of wavelength samples per unit of 1/λ, has three parts: for the order rate (how fast
+        # orders pass as 1/λ changes), for |w| and for the colour-matching functions. The search first coarsens all
+        # parts together. It then coarsens the part for the order rate alone, and the other two parts alone. In the
+        # reverse order, the first of these coordinates could use the whole error budget.
         steps += [("quadrature", bright, octave_steps, part) for part in (bandwidth, order_rate, rest)]
     return [
         Coordinate(source, error + share * max(target - error, 0.0) * number / len(steps), most, coarser)
@@ -198,7 +207,7 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
 
 
 def _coarsened(plan: Plan, error: float, trial: Trial, coordinate: Coordinate) -> tuple[Plan, float]:
-    """Coarsen a coordinate as far as its budget permits, by bisection; return the plan and its training error."""
+    """Coarsen a coordinate as far as its budget permits, by bisection; return the coarsened plan and its error."""
     best, low, high = plan, 0, coordinate.most + 1
     middle = coordinate.most
     while high - low > 1:
@@ -211,20 +220,26 @@ def _coarsened(plan: Plan, error: float, trial: Trial, coordinate: Coordinate) -
         middle = (low + high) // 2
     if best.wavelengths == coefficient_table.wavelength_set_size(0.0):
         # The plan has the smallest possible number of wavelengths. Steps beyond this number reduced only the bandwidth
-        # that the plan records, and saved no time. They are undone here: otherwise a repair, which refines by steps,
-        # would first have to undo them.
+        # (samples per unit of 1/λ) that the plan records, and saved no time. The loop undoes these steps. Otherwise a
+        # repair, which refines by steps, would first have to undo them.
         while low > 0 and replace(finer := coordinate.coarser(plan, low - 1), bandwidth_um=best.bandwidth_um) == best:
             best, low = finer, low - 1
     return best, error
 
 
 def _octave_steps(steps: int) -> float:
-    """Return the factor by which a bandwidth changes in ``steps`` steps: 2 for ``SETS_PER_OCTAVE`` steps."""
+    """Return the factor by which a bandwidth changes in ``steps`` steps: 2 for ``SETS_PER_OCTAVE`` steps.
+
+    The bandwidth is the number of wavelength samples per unit of 1/λ.
+    """
     return float(2.0 ** (steps / SETS_PER_OCTAVE))
 
 
 def _on_grid(plan: Plan, trial: Trial) -> Plan:
-    """Return the plan with its least weight and bandwidth rounded to the values that all searches try."""
+    """Return the plan with least weight and bandwidth rounded to the grid of values that all searches try.
+
+    The least weight is for Fourier coefficients. The bandwidth is the number of wavelength samples per unit of 1/λ.
+    """
     plan = replace(plan, least_weight=math.exp(math.floor(math.log(plan.least_weight))))
     if not trial.integrates:
         return plan
@@ -236,38 +251,46 @@ def _on_grid(plan: Plan, trial: Trial) -> Plan:
 def _scaled(
     bandwidth_um: tuple[float, float, float], rate_factor: float, rest_factor: float
 ) -> tuple[float, float, float]:
-    """Return a bandwidth (a, b, c) as (a · ``rate_factor``, b · ``rest_factor``, c · ``rest_factor``)."""
+    """Return the bandwidth (a, b, c) times factors: (a · ``rate_factor``, b · ``rest_factor``, c · ``rest_factor``).
+
+    ``bounds.bandwidth_um`` defines a, b and c.
+    """
     per_rate, per_w, constant = bandwidth_um
     return rate_factor * per_rate, rest_factor * per_w, rest_factor * constant
 
 
 def _with_bandwidth(plan: Plan, trial: Trial, bandwidth_um: tuple[float, float, float]) -> Plan:
-    """Return the plan with another bandwidth and with the number of wavelengths that it requires."""
+    """Return the plan with the bandwidth ``bandwidth_um`` and the number of wavelengths that it requires."""
     per_rate, per_w, constant = bandwidth_um
-    # The number of wavelengths of a grazing source is limited, so that its plan is valid only up to some order rate.
-    # With a smaller bandwidth, the same number of wavelengths suffices for larger order rates, and the plan is valid
-    # for them.
+    # If a source is near the horizon, the number of wavelengths is limited, and the plan is valid only up to a certain
+    # order rate (how fast orders pass a direction as 1/λ changes). With a smaller bandwidth, the same number of
+    # wavelengths suffices for larger order rates, up to `served`. The new plan is then valid for these rates, too.
     served = ((plan.wavelengths - 1.0) / cost_model.SPAN - per_w * plan.max_w - constant) / per_rate
     rate = max(plan.max_order_rate, min(served, trial.max_order_rate))
     result = replace(plan, bandwidth_um=bandwidth_um, max_order_rate=rate)
     count = coefficient_table.wavelength_set_size(cost_model.wavelength_count(result, rate, plan.max_w))
-    # The interference factor of the periods is sampled ``subdivisions`` times per wavelength. Fewer wavelengths require
-    # more subdivisions, so that the product of both does not decrease.
+    # The interference factor of replicated periods is sampled ``subdivisions`` times per wavelength. Fewer wavelengths
+    # require more subdivisions, so that the number of samples does not decrease.
     divisions = math.ceil(plan.subdivisions * plan.wavelengths / count) if plan.subdivisions > 1 else 1
     return replace(result, wavelengths=count, subdivisions=divisions)
 
 
 def _by_amplitudes(plan: Plan, trial: Trial) -> Plan:
-    """Return the plan with the reference's method: its amplitudes are accurate where powers cancel in float32."""
+    """Return the plan with the method of the reference plan.
+
+    This method adds amplitudes. It remains accurate where the terms of a series of powers cancel in float32.
+    """
     return replace(plan, method=trial.reference.method, terms=trial.reference.terms)
 
 
 def _sufficient(plan: Plan, trial: Trial, target: float, *, automatic: bool) -> tuple[Plan, float]:
     """Refine a plan until its training error is at most half the target, or is as small as possible.
 
-    Return the plan and its training error. An upper-bound plan is insufficient in two cases. First, powers of
-    coefficients that vanish like a high power of κ cancel in float32; amplitudes do not. Second, the number of
-    wavelengths of the upper-bound plan is limited, and too small for very tall surfaces and for grazing sources.
+    Return the refined plan and its training error. An upper-bound plan needs this in two cases. First, its method may
+    add powers of Fourier coefficients. Coefficients that vanish like a high power of κ = w/λ are then differences of
+    large terms, which cancel in float32. A method that adds amplitudes does not have this error. Second, the number of
+    wavelengths of an upper-bound plan is limited. It is too small for very tall surfaces, and for light sources near
+    the horizon.
     """
     error = trial.training_error(plan)
     if error > target / 2.0 and automatic and plan.method != trial.reference.method:
@@ -280,10 +303,10 @@ def _sufficient(plan: Plan, trial: Trial, target: float, *, automatic: bool) -> 
         wider = _with_bandwidth(plan, trial, _scaled(plan.bandwidth_um, 2.0, 2.0))
         trial.refine_reference(wider)
         wider_error = trial.training_error(wider)
-        # If a plan has fewer wavelengths than are needed to resolve an order (`needed`), twice as many wavelengths may
-        # not reduce the error yet, and the loop doubles their number again. If a plan has enough wavelengths, doubling
-        # their number at least halves the error of the integral. An error that remains is then the rounding error of
-        # float32, and the loop ends.
+        # If a plan has fewer wavelengths than are needed to resolve an order (`needed`), the error may not decrease yet
+        # when the number of wavelengths is doubled. The loop then doubles it again. If a plan has enough wavelengths,
+        # doubling their number at least halves the error of the integral. An error that remains is then the rounding
+        # error of float32, and the loop ends.
         if wider_error > error / 2.0 and wider.wavelengths >= needed:
             break
         plan, error = wider, wider_error

@@ -1,9 +1,9 @@
 """Cost model: predicted multiply-adds of sampled wavelengths, of table look-ups and of the construction of a table.
 
-Other operations count as the number of multiply-adds that require the same time. ``Plan`` converts multiply-adds to
-seconds. The constants were fitted to times on two cores; the model predicts these times within a factor of 1.5. If one
-constant is doubled, the number of directions from which on the planner prefers another method changes by less than a
-factor of 2.
+Operations that are not multiply-adds count as the number of multiply-adds that require the same time. ``Plan`` converts
+multiply-adds to seconds. The constants were fitted to times on two cores; the model predicts these times within a
+factor of 1.5. The planner compares predicted costs, and prefers another method above a certain number of directions. If
+one constant is doubled, this number changes by less than a factor of 2.
 """
 
 from __future__ import annotations
@@ -28,20 +28,25 @@ _Numbers = TypeVar("_Numbers", float, "NDArray[np.float64]")
 
 # Length of the visible band in 1/λ [1/µm].
 SPAN = NM_PER_UM / LAMBDA_MIN_NM - NM_PER_UM / LAMBDA_MAX_NM
-# Costs of a sum over coefficients, in addition to the cost of multiplying rows [multiply-adds]. First number: per
-# wavelength, or per sample of the interference factor. Second number: per basis term or neighbour. Fitted.
+# Costs of a sum over Fourier coefficients [multiply-adds], in addition to the products of the sum itself. The first
+# cost is per wavelength, or per sample of the interference factor of replicated patches. The second cost is per term of
+# the series, and also per coefficient. Both were fitted to times.
 _COST_OF_WAVELENGTH, _COST_OF_STEP = 340.0, 18.0
-# Cost per sample of the spectrum for a table, or per spectral line under a source, in addition to the cost of
-# multiplying rows [multiply-adds]. Fitted.
+# Cost of sampling the spectrum for a table [multiply-adds], in addition to the products of the sum over Fourier
+# coefficients. The cost is per sample of the spectrum. Under a source, it is per spectral line. It was fitted to times.
 _COST_OF_SAMPLE = 150.0
-# Costs of computing a table from the spectrum [multiply-adds]. First number: filtering and writing one number of a row.
-# Second number: one product of the projection to colours, which is cheap because its loop uses SIMD instructions only.
-# Fitted.
+# Costs of computing a table from the spectrum [multiply-adds]. The first cost is for filtering and writing one number
+# of a row of the table. The second cost is for one product of the projection to colours. It is below 1, because the
+# loop of the projection uses SIMD instructions only. Both were fitted to times.
 _COST_OF_ROW_COLOUR, _COST_OF_DENSE_MULTIPLY_ADD = 105.0, 0.2
 
 
 def wavelength_count(plan: Plan, order_rate: _Numbers, w: _Numbers) -> _Numbers:
-    """Return the number of wavelengths that directions require, by their order rates and |w|."""
+    """Return the number of wavelengths that each direction requires, from its order rate and |w|.
+
+    The order rate is how fast orders pass a direction as 1/λ changes. w is the normal component of the scattering
+    vector.
+    """
     per_rate, per_w, constant = plan.bandwidth_um
     return SPAN * (per_rate * order_rate + per_w * w + constant) + 1.0
 
@@ -50,13 +55,13 @@ def sampling_multiply_adds(
     heightfield: HeightField, plan: Plan, order_rates: NDArray[np.float64], w: NDArray[np.float64],
     weights: NDArray[np.float64] | None = None,
 ) -> float:  # fmt: skip
-    """Predict the multiply-adds of a direction by sampled wavelengths, as a mean over order rates and |w|."""
+    """Predict the multiply-adds per direction with sampled wavelengths, as a mean over the directions."""
     lanes = coefficient_table.lanes_of(plan.terms)
     parts = 1 if holds_powers(plan.method, adds_powers=plan.coherence.adds_powers) else 2
     samples: NDArray[np.float64] = np.full(len(w), max(plan.wavelengths, 1.0))
     if plan.adaptive and plan.wavelengths:
-        # Only certain numbers of wavelengths are available, with a constant ratio. On average, the next larger one
-        # exceeds the required number by the square root of this ratio.
+        # Only certain numbers of wavelengths are available. Each of these numbers is a constant ratio times the number
+        # before it. On average, the number that is used exceeds the required one by the square root of this ratio.
         needed = wavelength_count(plan, order_rates, w)
         samples = np.minimum(samples, needed * 2.0 ** (0.5 / coefficient_table.SETS_PER_OCTAVE))
     factors = 1
@@ -64,8 +69,8 @@ def sampling_multiply_adds(
         neighbours: float = coefficient_sum.TAPS**2 if heightfield.shape[0] > 1 else coefficient_sum.TAPS
         factors += plan.subdivisions
     else:
-        # For a source, the radius within which neighbours are summed depends on the wavelength. The radius at 0.5 µm, a
-        # typical wavelength, is used.
+        # For a source, the radius within which Fourier coefficients are summed depends on the wavelength. The radius at
+        # 0.5 µm, a typical wavelength, is used.
         radius = math.sqrt(-math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence, 0.5))
         neighbours = math.prod(
             2.0 * radius * length if n > 1 else 1.0
@@ -96,8 +101,9 @@ def table_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
     else:
         neighbours = math.pi * area * -math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence)
         sampling = layout.samples * parts * (_COST_OF_SAMPLE + neighbours * lanes)
-    # A row of the spectrum has about one number per term, or two if amplitudes add. A table needs about as many
-    # functions of w as a row has numbers, and stores X, Y and Z for each function.
+    # A row of the sampled spectrum has about one number per term of the basis. If amplitudes add, it has two numbers
+    # per term. A table needs about as many functions of w (the normal component of the scattering vector) as such a row
+    # has numbers, and stores X, Y and Z for each function.
     powers = parts * plan.terms
     rings = polar_grid.ring_count(plan.rings_per_octave)
     projection = layout.levels[0].nodes * rings * powers * (powers + 2.0)

@@ -1,4 +1,4 @@
-"""Errors and warnings of the planner for calls that it cannot plan or that may be inaccurate, with their remedies."""
+"""Errors and warnings of the planner, with remedies, for calls that it cannot plan or that may be inaccurate."""
 
 from __future__ import annotations
 
@@ -24,17 +24,18 @@ if TYPE_CHECKING:
     from warpdiff.request.evaluation import Evaluation
     from warpdiff.request.plan import Plan
 
-# Largest number of coefficients that contribute to a direction. A call with more of them is refused, because it
-# suggests a wrong unit, or a patch that is much larger than its window.
+# Largest number of Fourier coefficients that contribute to a direction. A call whose directions need more coefficients
+# is refused, because it suggests a wrong unit, or a patch that is much larger than the coherence window.
 _MOST_NEIGHBOURS = 40_000
-# Size to which an error message recommends to crop a patch, in standard deviations σ of the window. Derived: points at
-# half this distance interfere with the weight exp(−r²/4σ²) = 1e-11 under an averaged window.
+# Size to which an error message recommends to crop a patch, in standard deviations σ of the coherence window. The
+# number was derived from an averaged window: points at half this distance interfere with the weight
+# exp(−r²/4σ²) = 1e-11.
 _PATCH_IN_SIGMAS = 20.0
-# Largest number of wavelengths times subdivisions for replicas. Limit: the memory of the quadrature is proportional to
-# it.
+# Largest number of wavelengths times subdivisions for replicated patches. The value is limited by the memory of the
+# integral over wavelengths, which is proportional to it.
 _MOST_SAMPLES = 2_000_000
-# Relative excess of the directions of a call over the range of an explicit plan up to which no warning is given.
-# Coefficients are computed for a range that is larger by more than this.
+# Relative excess of a call over the range of an explicit plan up to which no warning is raised. Such an excess is
+# harmless, because coefficients are computed for a range that exceeds the range of the plan by more than this.
 _RANGE_MARGIN = 0.03
 _LESS_COHERENT = {
     "averaged": f"a smaller {ref('sigma_um')}",
@@ -53,7 +54,7 @@ def check_integration(request: Evaluation) -> None:
 
 
 def check_size(heightfield: HeightField, plan: Plan) -> None:
-    """Raise an error if an upper-bound plan requires more neighbours or wavelengths than are supported."""
+    """Raise an error if an upper-bound plan requires more Fourier coefficients or wavelengths than are supported."""
     if plan.method != "direct" and plan.coherence.kind != "replicas":
         _check_neighbours(heightfield, plan)
     if plan.wavelengths > bounds.MOST_WAVELENGTHS or plan.wavelengths * plan.subdivisions > _MOST_SAMPLES:
@@ -72,7 +73,7 @@ def check_size(heightfield: HeightField, plan: Plan) -> None:
 
 
 def _check_neighbours(heightfield: HeightField, plan: Plan) -> None:
-    """Raise an error if more than ``_MOST_NEIGHBOURS`` coefficients contribute to a direction."""
+    """Raise an error if more than ``_MOST_NEIGHBOURS`` Fourier coefficients contribute to a direction."""
     rows, columns = (2 * n + 1 for n in coefficient_table.neighbour_extent(plan, heightfield))
     if rows * columns <= _MOST_NEIGHBOURS:
         return
@@ -89,17 +90,20 @@ def _check_neighbours(heightfield: HeightField, plan: Plan) -> None:
 
 
 def _longest_sigma_um(coherence: Coherence) -> float:
-    """Return σ [µm] of a window, or of the window that is equivalent to a source at the longest visible wavelength."""
+    """Return the standard deviation σ [µm] of the coherence window.
+
+    For a source, it is σ of the equivalent window at the longest visible wavelength.
+    """
     if coherence.sigma_um is not None:
         return coherence.sigma_um
     return LAMBDA_MAX_NM / NM_PER_UM / (2.0 * math.sqrt(2.0) * math.pi * coherence.spread)
 
 
 def check_error(request: Evaluation, plan: Plan) -> None:
-    """Raise an error for a plan that cannot meet its tolerance, or warn if the request is not strict."""
+    """Raise an error for a plan that cannot meet its tolerance, or warn if ``strict`` of ``request`` is False."""
     heightfield = request.heightfield
-    # If errors were measured, ``plan.error`` is the error on the validation set times a safety factor. A plan whose
-    # error meets the tolerance without this factor is accepted.
+    # If errors were measured, ``plan.error`` is the error on the validation set times a safety factor of at least
+    # SEARCH_SAFETY. A plan is also accepted if it meets the tolerance only without this factor.
     if plan.error <= plan.tolerance * (SEARCH_SAFETY if plan.is_measured else 1.0):
         return
     fewer = f"reduce the height range with {ref('levelled()')}, {ref('despiked()')} or {ref('cropped()')}"
@@ -133,7 +137,7 @@ def check_error(request: Evaluation, plan: Plan) -> None:
 
 
 def table_too_large(tolerance: float) -> ToleranceError:
-    """Return the error for a call that requests a table, if even the smallest table that suffices is too large."""
+    """Return the error for a call that requests a colour table, if even the smallest sufficient table is too large."""
     return ToleranceError(
         f"{ref('integration', 'table')} requires more than {polar_grid.MOST_MEGABYTES:g} MB for "
         f"{ref('tolerance', tolerance)}: use {ref('integration', 'auto')}, or in pictures lights of "
@@ -142,13 +146,13 @@ def table_too_large(tolerance: float) -> ToleranceError:
 
 
 def warn_of_theory(plan: Plan) -> None:
-    """Warn that scalar diffraction is invalid on the surface of a plan, if its verdict says so."""
+    """Warn that scalar diffraction is invalid on the surface of a plan, if the verdict on the theory is "invalid"."""
     if plan.theory.grade == "invalid":
         warn(f"scalar diffraction is {plan.theory}: {plan.theory.remedy}")
 
 
 def warn_of_darkness() -> None:
-    """Warn that all results of a call are 0, because no pair of its directions is above the horizon."""
+    """Warn that all results of a call are 0, because each pair of light and view has a direction below the horizon."""
     warn(
         f"no pair of {ref('to_light')} and {ref('to_view')} is above the horizon (z > 0), so that all results are 0: "
         "directions are vectors away from the surface, in its frame with z along the normal"
@@ -156,10 +160,11 @@ def warn_of_darkness() -> None:
 
 
 def warn_of_aliasing(heightfield: HeightField, plan: Plan, direction_range: DirectionRange) -> None:
-    """Warn if the directions require frequencies beyond the Nyquist limit of the pitch.
+    """Warn if the directions of a call require spatial frequencies beyond the Nyquist limit of the field's pitch.
 
-    Fourier coefficients beyond the limit are copies (aliases) of those within it, up to a phase. This phase matters for
-    a window with its centre between samples: for such a window all neighbours must be within the limit, too.
+    Fourier coefficients beyond this limit are copies (aliases) of coefficients within it, up to a phase. The phase
+    matters for a coherence window with its centre between samples. For such a window, all Fourier coefficients that
+    contribute to a direction must be within the limit.
     """
     pitch_um = diagnostics.coarsest_pitch_um(heightfield)
     if pitch_um == 0.0:
@@ -178,9 +183,10 @@ def warn_of_aliasing(heightfield: HeightField, plan: Plan, direction_range: Dire
 def warn_outside(
     plan: Plan, heightfield: HeightField, direction_range: DirectionRange, *, integrates: bool = True
 ) -> None:
-    """Warn if the directions, wavelengths or heights of a call are outside of the range of its explicit plan.
+    """Warn if the directions, wavelengths or heights of a call are outside of the range of its explicit ``plan``.
 
-    With ``integrates``, the call computes colours by an integral over wavelengths, and its order rate is compared, too.
+    If ``integrates`` is True, the call computes colours by an integral over wavelengths. The order rate of the call
+    (how fast orders pass a direction as 1/λ changes) is then compared, too.
     """
     shortest, longest = NM_PER_UM / plan.lambda_min_nm, NM_PER_UM / plan.lambda_max_nm
     numbers = [
@@ -190,12 +196,13 @@ def warn_outside(
         ("a height range [µm] of", heightfield.height_range_um, plan.height_range_um, 1.0),
     ]
     if integrates and plan.wavelengths and not plan.rings_per_octave and plan.coherence.sigma_um is None:
-        # For windows, the order rate need not be compared: it equals |(u, v)|, which is compared above.
+        # For coherence windows, the order rate (how fast orders pass as 1/λ changes) need not be compared: it equals
+        # |(u, v)|, which is compared above.
         numbers.append(("an order rate up to", direction_range.max_order_rate, plan.max_order_rate, 1.0))
     if plan.method not in EXPANSIONS:
-        # A fitted basis is valid only for |w|/λ from the product of the smallest |w| and the smallest 1/λ of its plan.
-        # A call must therefore not have a smaller 1/λ than the plan. The smallest |w| of the call is not compared with
-        # that of the plan, because renderers always report 0 for it.
+        # A fitted basis is valid only if |w|/λ is at least the product of the smallest |w| and the smallest 1/λ of its
+        # plan. A call must therefore not have a smaller 1/λ than the plan. The smallest |w| of the call is not compared
+        # with that of the plan, because renderers always report 0 for it.
         numbers.append(("1/λ [1/µm] down to", NM_PER_UM / direction_range.lambda_max_nm, longest, -1.0))
     beyond = [
         f"{name} {value:.3g}, planned {planned:.3g}"

@@ -49,16 +49,17 @@ if TYPE_CHECKING:
     from warpdiff.request.keywords import PlanKeywords
 
 # Typical ratio of the cost of the upper-bound plan to the cost of the plan that a search finds, by kind of coherence.
-# Fitted: medians of 32 random calls (docs/decisions/plans_and_tolerance.md).
+# The ratios were fitted: they are medians of 32 random calls (docs/decisions/plans_and_tolerance.md).
 _SAVINGS = {"averaged": 2.6, "centred": 3.0, "source": 2.2, "replicas": 4.0}
-# Time that a search requires, expressed as the number of directions that its plan evaluates in the same time. Fitted to
-# 32 random calls.
+# Time that a search requires, expressed as a number of directions: the plan that the search finds evaluates so many
+# directions in the same time. The number was fitted to 32 random calls.
 _SEARCH_DIRECTIONS = 16_000
-# Smallest number of directions for which a trial measures the rounding error in float32 of a method that adds powers
-# and that the caller selects. Limit: a trial requires about a second.
+# Smallest number of directions for which a trial measures the rounding error of a method in float32, if the caller
+# selects a method that adds powers. The value was chosen because a trial requires about a second, which fewer
+# directions do not justify.
 _FEWEST_TRIED = 16
 # Assumed number of calls that use the same table, because pictures are often rendered again with another light or view.
-# If doubled, the planner prefers a table already for calls with about half as many directions.
+# If the number is doubled, the planner prefers a table already for calls with about half as many directions.
 _EXPECTED_REPEATS = 3
 
 
@@ -99,7 +100,8 @@ def directions_of(
 ) -> tuple[DirectionRange, DirectionSample, float]:
     """Return the range of the directions of a call, a sample of these directions, and their number.
 
-    None for ``to_light`` or ``to_view`` means all directions of the hemisphere. Their number then counts as infinite.
+    None for ``to_light`` or ``to_view`` means all directions of the hemisphere. The number of directions then counts as
+    infinite.
     """
     heightfield, coherence = request.heightfield, request.coherence
     hemisphere_lights, hemisphere_views = hemisphere_pairs(MOST_SAMPLED, seed=0)
@@ -126,7 +128,7 @@ def directions_of(
 
 
 def _repeated(directions: ArrayLike, name: str) -> NDArray[np.float64]:
-    """Return ``MOST_SAMPLED`` directions: a selection of the given ones, or all of them repeatedly."""
+    """Return ``MOST_SAMPLED`` directions: a selection of ``directions``, or all of ``directions`` repeatedly."""
     checked, _ = validation.unit_directions(directions, name)
     if not len(checked):
         return np.zeros((MOST_SAMPLED, checked.shape[1]))
@@ -139,7 +141,7 @@ def _any_direction(
 ) -> DirectionRange:
     """Return the range of all pairs of a known direction and any direction of the hemisphere.
 
-    If ``known`` is None, both directions of a pair may be any in the hemisphere.
+    If ``known`` is None, both directions of a pair may be anywhere in the hemisphere.
     """
     max_uv = min_w = max_w = 0.0
     if known is None:
@@ -148,19 +150,19 @@ def _any_direction(
         z = known[above, 2]
         max_uv = 1.0 + float(np.max(np.hypot(known[above, 0], known[above, 1])))
         min_w, max_w = float(z.min()), 1.0 + float(z.max())
-    # The order rate under a source has no upper limit near the horizon. The range therefore ends at the largest rate of
-    # the sampled directions. Directions with a larger rate are evaluated with the largest number of wavelengths of the
-    # plan.
+    # The order rate (how fast orders pass as 1/λ changes) of a source has no upper limit near the horizon. The range
+    # therefore ends at the largest rate of the sampled directions. Directions with a larger rate are evaluated with the
+    # largest number of wavelengths of the plan.
     most = {"source": max(direction_range.max_order_rate, max_uv), "replicas": max_uv * max(heightfield.size_um)}
     return DirectionRange(min(max_uv, 2.0), most.get(coherence.kind, min(max_uv, 2.0)), min_w, max_w)
 
 
 @single_threaded_blas()
 def plan_for(request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, count: float) -> Plan:
-    """Return the plan for all directions of a range; a search tries it on a sample of the directions.
+    """Return the plan for all directions of a range. A search for this plan uses only the sampled directions.
 
-    ``count`` is the number of directions of the call, or its number of pixels if a pixel shows the mean over several
-    directions.
+    ``count`` is the number of directions of the call. If a pixel shows the mean over several directions, ``count`` is
+    the number of pixels.
     """
     heightfield, tolerance, method = request.heightfield, request.tolerance, _method(request)
     refusals.check_integration(request)
@@ -174,8 +176,8 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
         return upper
     if request.footprint and not _has_footprint_table(request):
         count *= refinement_levels.rays_at(refinement_levels.LEAST_LEVEL_OF_POINTS)
-    # The upper-bound plan with all its terms is computed only if it is needed, because this may require the fit of a
-    # basis.
+    # The upper-bound plan with all its terms is computed only if it is needed, because the number of terms may require
+    # the fit of a basis.
     unmeasured = functools.cache(functools.partial(_unmeasured, request, direction_range, sample, upper))
     affordable = _affordable_table_cost(request, unmeasured, count)
     if len(sample) and (affordable > 0.0 or _pays_to_search(request, upper, direction_range, count)):
@@ -184,8 +186,8 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
         result = unmeasured()
     if upper.truncation > tolerance * bounds.AMPLITUDE_MARGIN:
         # Even with the largest permitted number of terms, the truncation error of the series is too large. A trial
-        # cannot measure this error, because its reference uses the same series. The plan therefore reports the upper
-        # bound of the error of amplitudes, converted to an error of the result.
+        # cannot measure this error, because its reference plan uses the same series. The plan therefore reports the
+        # upper bound of the error of amplitudes, converted to an error of the result.
         truncation = max(result.truncation, upper.truncation / bounds.AMPLITUDE_MARGIN)
         result = replace(result, truncation=truncation)
     refusals.check_error(request, result)
@@ -193,7 +195,7 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
 
 
 def _method(request: Evaluation) -> str:
-    """Return the method that the caller requests.
+    """Return the evaluation method that the caller requests.
 
     If only ``integration`` has an explicit value, ``"low-rank"`` replaces ``"auto"``.
     """
@@ -201,15 +203,15 @@ def _method(request: Evaluation) -> str:
 
 
 def _has_footprint_table(request: Evaluation) -> bool:
-    """Whether the pixels of a call show means over footprints that look-ups in a table with mip levels compute."""
+    """Whether the pixels of a call show means over pixel footprints that a table with mip levels can compute."""
     return request.footprint and request.coherence.adds_powers and _method(request) == "auto"
 
 
 def _affordable_table_cost(request: Evaluation, unmeasured: Callable[[], Plan], count: float) -> float:
-    """Return the largest cost at which a table saves time for ``count`` directions [multiply-adds]; 0 for no table.
+    """Return the largest cost [multiply-adds] at which a table saves time for ``count`` directions; 0 for no table.
 
-    A table saves time if it costs less than the evaluation of the directions by the plan of a search. The result is
-    infinite if the caller requests a table or footprints.
+    A colour table saves time if it costs less than the evaluation of the directions by the plan of a search. The result
+    is infinite if the caller requests a table, or means over pixel footprints, which a table computes.
     """
     if request.integration == "table" or _has_footprint_table(request):
         return math.inf
@@ -228,22 +230,23 @@ def _affordable_table_cost(request: Evaluation, unmeasured: Callable[[], Plan], 
 
 def _pays_to_search(request: Evaluation, upper: Plan, direction_range: DirectionRange, count: float) -> bool:
     """Whether a search saves more time than it requires, or is necessary because the upper-bound plan fails."""
-    # For a grazing source, the number of wavelengths of the upper-bound plan is limited. It may be so small that the
-    # plan misses orders.
+    # For a source near the horizon, the number of wavelengths of the upper-bound plan is limited. It may be so small
+    # that the plan misses orders.
     if upper.max_order_rate < direction_range.max_order_rate:
         return True
-    # In a method that adds powers, coefficients that vanish towards κ = 0 may lose all digits in float32, because large
-    # terms cancel. Only a trial measures this error.
+    # In a method that adds powers, Fourier coefficients that vanish towards κ = w/λ = 0 may lose all digits in float32,
+    # because large terms of the series cancel. Only a trial measures this error.
     if _method(request) != "auto" and holds_powers(upper.method, adds_powers=upper.coherence.adds_powers):
         return count >= _FEWEST_TRIED
     return count * (_SAVINGS[upper.coherence.kind] - 1.0) >= _SEARCH_DIRECTIONS
 
 
 def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, upper: Plan) -> Plan:
-    """Return the upper-bound plan, completed without a trial, with its mean cost over the sampled directions."""
+    """Return the upper-bound plan, completed without a trial, with the mean of its cost over the sampled directions."""
     if _method(request) == "auto":
-        # Without a trial, a method that adds amplitudes is selected, because sums of powers may lose their digits in
-        # float32. Trials are omitted only for few directions, for which sums of amplitudes do not cost more.
+        # Without a trial, a method that adds amplitudes is selected, because series of powers may lose their digits in
+        # float32. Trials are omitted only if a call has few directions. For few directions, methods that add amplitudes
+        # do not cost more than methods that add powers.
         upper = bounds.upper_bound_plan(
             request, direction_range, method=trial.REFERENCE_METHOD, tolerance=request.tolerance
         )
@@ -256,7 +259,7 @@ def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: Di
 
 
 def _with_basis(plan: Plan, request: Evaluation, direction_range: DirectionRange) -> Plan:
-    """Return the plan with the number of terms that its fitted basis requires, and with the power of aliasing."""
+    """Return the plan with the number of terms that its fitted basis requires, and with its error by aliasing."""
     if plan.method not in EXPANSIONS:
         basis, _, _ = coefficient_table.coefficients_for(
             request.heightfield, plan.method, plan.coherence, direction_range,
@@ -271,7 +274,7 @@ def _with_basis(plan: Plan, request: Evaluation, direction_range: DirectionRange
 def _measured(
     request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, upper: Plan, affordable: float
 ) -> Plan:
-    """Return the plan of a search, with or without a table, or the upper-bound plan if all directions are dark.
+    """Return the plan of a search, with or without a colour table, or the upper-bound plan if all directions are dark.
 
     ``affordable`` is the largest cost of a table [multiply-adds]; 0 excludes tables.
     """
@@ -283,8 +286,9 @@ def _measured(
     footprint, explicit = _has_footprint_table(request), request.integration == "table"
     if affordable:
         table = table_ladder.smallest_table(plan, measured, footprint=footprint, needed=explicit, affordable=affordable)
-        # With footprints, a table is accepted even if it meets the tolerance only without the safety factor. Without
-        # the table, pixels would be means over several points instead of over footprints, which has a larger error.
+        # If pixels show means over footprints, a table is accepted even if it meets the tolerance only without the
+        # safety factor. Without a table, pixels would be means over several points instead of over footprints, which
+        # has a larger error.
         if table is not None and (
             explicit or table.error <= plan.tolerance * (trial.SEARCH_SAFETY if footprint else 1.0)
         ):
@@ -298,5 +302,5 @@ def _coarse_plan(request: Evaluation, direction_range: DirectionRange) -> Plan:
     """Return a cheap, inaccurate plan, which only serves to find the bright directions of a call."""
     coarse = bounds.upper_bound_plan(request, direction_range, method=_method(request), tolerance=0.5)
     terms = coarse.terms if coarse.method in EXPANSIONS else min(coarse.terms, coefficient_table.LANES)
-    # Upper bounds are conservative; half of their wavelengths suffice to find bright directions.
+    # Upper bounds are conservative; half of the wavelengths of an upper-bound plan suffice to find bright directions.
     return replace(coarse, wavelengths=math.ceil(coarse.wavelengths / 2.0), terms=terms)

@@ -1,4 +1,4 @@
-"""Table ladder: search for the smallest colour table that meets a tolerance on the validation set."""
+"""Table ladder: search for the smallest colour table that meets a tolerance on the validation directions."""
 
 from __future__ import annotations
 
@@ -21,35 +21,36 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 
-# Largest expected error of the table that a search tries first, as a share of the tolerance. Fitted to the planning
-# times of 32 calls (docs/decisions/plans_and_tolerance.md). If doubled, half of the first tables fail and another one
-# must be computed.
+# Largest expected error of the table that a search tries first, as a share of the tolerance. The value was fitted to
+# the planning times of 32 calls (docs/decisions/plans_and_tolerance.md). If doubled, half of the first tables miss the
+# tolerance, and another table must be computed.
 _FIRST_SHARE = 0.35
-# Largest ratio of the error of a table to the least error so far at which a search goes on to larger tables. The error
-# must also be at most twice the error that the order of convergence predicts. Limit: above 0.6, because 1.3 times the
-# rings, the smallest step of the table size, reduce the error to 0.6.
+# A search tries a larger table only if the present table was better than the tables before. This number is the largest
+# ratio of the present error to the least error before. The present error must also be at most twice the error that the
+# order of convergence predicts. The ratio must exceed 0.6, because the smallest step of the table size, 1.3 times the
+# rings, reduces the error to 0.6.
 _HELPS = 0.7
 
 
 def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, affordable: float) -> Plan | None:
     """Return a plan with the smallest table whose validation error is within the target, or with the best table tried.
 
-    The search computes a table of each size that it tries. The tables stay in the cache, and the call that follows uses
-    the last table. The result is None if no table was computed, because no size was expected to suffice or all sizes
-    were too large or too costly. It is also None if the error of the best table exceeds the target, unless ``needed``
-    or ``footprint`` is True.
+    The target is the tolerance divided by ``SEARCH_SAFETY``. The search computes a table of each size that it tries.
+    These tables stay in the cache, and the call that follows uses the last one. The result is None if no table was
+    computed: no size was expected to suffice, or all sizes were too large or too costly. The result is also None if the
+    error of the best table exceeds the target, unless ``needed`` or ``footprint`` is True.
 
     Args:
         plan: Upper-bound plan.
-        trial: Training and validation directions of the call, and their reference.
+        trial: Training and validation directions of the call, and the reference plan for them.
         footprint: Whether pixels show means over their footprints.
         needed: Whether the caller requests a table by ``integration="table"``.
         affordable: Largest cost of computing a table [multiply-adds].
     """
     target = plan.tolerance / SEARCH_SAFETY
     if plan.coherence.kind == "source":
-        # A table of a source excludes directions near the mirror direction. They are computed by sampled wavelengths,
-        # for which the plan needs the least weight of the reference.
+        # A table of a source excludes directions near the mirror direction. These directions are computed by sampled
+        # wavelengths. For them, the plan needs the same least weight of Fourier coefficients as the reference plan.
         plan = replace(plan, least_weight=trial.reference.least_weight)
     plan, truncation = _few_terms(plan, trial, target / 2.0)
     sizes = polar_grid.table_sizes(plan.coherence)
@@ -66,8 +67,8 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
         if mip_layout.megabytes(candidate) > polar_grid.MOST_MEGABYTES or table_cost > affordable:
             if not needed or best is not None or size == 0:
                 break
-            # If the caller requests a table and the first size is too large or too costly, the next smaller one is
-            # tried.
+            # If the caller requests a table and the first size is too large or too costly, the search tries the next
+            # smaller size.
             size -= 1
             continue
         if best is None:
@@ -80,9 +81,9 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
             break
         more_terms = min(plan.terms + LANES // 2, trial.most_terms(plan))
         if sampled_error is None and more_terms > plan.terms:
-            # The number of terms is only an estimate. When the first table fails, the same number of terms is tried
-            # with sampled wavelengths. If their error is too large as well, the terms cause it, and more terms are
-            # used.
+            # The number of terms of the basis is only an estimate. After the first failure of a table, the search
+            # therefore measures the error of sampled wavelengths with the same number of terms. If this error is too
+            # large as well, the terms cause it, and the search uses more terms.
             sampled_error = trial.validation_error(plan)
             if sampled_error > target / 2.0:
                 plan, truncation = replace(plan, terms=more_terms), sampled_error
@@ -92,7 +93,8 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
         helps = last_rings == 0 or error <= min(2.0 * (last_rings / rings) ** polar_grid.ERROR_ORDER, _HELPS) * before
         last_rings = rings
         if not w_basis_size and (not helps or (larger is None and error <= 2.0 * plan.tolerance)):
-            # If more rings do not reduce the error, or if no larger size exists, more functions of w may reduce it.
+            # If more rings do not reduce the error, or if no larger size exists, the search increases the number of
+            # functions of w (the normal component) in the table.
             w_basis_size = min(candidate.w_basis_size + W_BASIS_STEP, MOST_W_BASIS)
             continue
         size = larger if helps else None
@@ -100,12 +102,12 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
 
 
 def _first_size(plan: Plan, trial: Trial, *, needed: bool) -> int | None:
-    """Return the index of the first table size to try; None if no size is expected to suffice.
+    """Return the index of the first table size to try, or None if no size is expected to suffice.
 
-    If a table is ``needed``, the result is then a middle size instead of None.
+    If a table is ``needed``, the result is a middle size instead of None.
     """
-    # Errors are expected to be larger in two cases: if diffraction orders are far apart, and if few validation
-    # directions are bright, because the validation set then misses bright directions.
+    # The expected errors are larger in two cases: if diffraction orders are far apart, and if few validation directions
+    # are bright, because the validation set then misses bright directions.
     few_orders = polar_grid.orders_are_separate(trial.heightfield, plan.coherence) or trial.bright[1] < MIN_BRIGHT
     sizes = polar_grid.table_sizes(plan.coherence)
     errors = [polar_grid.table_error(rings, few_orders=few_orders) for rings, _ in sizes]
@@ -116,7 +118,7 @@ def _first_size(plan: Plan, trial: Trial, *, needed: bool) -> int | None:
 
 
 def _measured(plan: Plan, trial: Trial, error: float, truncation: float, table_cost: float, *, footprint: bool) -> Plan:
-    """Return a plan for a table with the errors and costs that are predicted for this table.
+    """Return the plan of a table with the errors and costs that are predicted for this table.
 
     The errors are predicted from ``error``, which a trial has measured on the validation set. ``table_cost`` is the
     cost of computing the table [multiply-adds].
@@ -134,9 +136,9 @@ def _next_size(sizes: Sequence[tuple[int, float]], size: int, excess: float, exp
     """Return the index of the next table size to try, or None if no size is expected to suffice.
 
     The error of the present size exceeds the target by the factor ``excess``. The order of convergence predicts the
-    first size whose error is within the target. The next size has at most twice the rings of the present one, because
-    small tables converge more slowly than that order. If no size suffices, a plan that requires a table (``explicit``)
-    continues with the largest size that fits into memory and has at most twice the rings.
+    first size whose error is within the target. The next size has at most twice the rings of the present size, because
+    small tables converge more slowly than the order of convergence predicts. If no size suffices, a plan that requires
+    a table (``explicit``) continues with the largest size that fits into memory and has at most twice the rings.
     """
     rings = sizes[size][0]
     larger = range(size + 1, len(sizes))
@@ -158,8 +160,8 @@ def _next_size(sizes: Sequence[tuple[int, float]], size: int, excess: float, exp
 def _few_terms(plan: Plan, trial: Trial, budget: float) -> tuple[Plan, float]:
     """Return a plan with the fewest terms whose truncation error is at most ``budget``, and this error.
 
-    A trial measures the error with ``LANES`` terms only. For other numbers of terms, this error is scaled by the
-    truncation errors of the basis.
+    A trial measures the error with ``LANES`` terms only. For other numbers of terms, the measured error is scaled in
+    proportion to the truncation errors of the fitted basis.
     """
     if plan.method in EXPANSIONS or plan.terms <= LANES:
         return plan, 0.0

@@ -1,6 +1,6 @@
 """Trial of plans: errors on a training set and on a validation set, against a reference plan.
 
-A search may try any number of plans on the training set. The validation set only judges the result of the search.
+A search may try any number of plans on the training set. The validation set judges only the result of the search.
 """
 
 from __future__ import annotations
@@ -32,23 +32,24 @@ if TYPE_CHECKING:
     from warpdiff.request.evaluation import Evaluation
     from warpdiff.request.plan import Plan
 
-# Safety factor: the tolerance divided by the largest error on the validation set with which a plan is accepted. Fitted
-# by bench.reproduce.tolerance_sweep: in one call of a hundred, the error of all directions exceeds that of the
-# validation set by more than this factor.
+# Safety factor. A plan is accepted if its error on the validation set is at most the tolerance divided by this factor.
+# The factor was fitted by bench.reproduce.tolerance_sweep. In one call of a hundred, the error over all directions
+# exceeds the error on the validation set by more than this factor.
 SEARCH_SAFETY = 1.6
-# Number of the brightest candidates that may be outliers, if the call has more directions than candidates. The floor of
-# relative errors is computed with and without them. Fitted to a call in which one of 6,312 directions, in the mirror
-# lobe, had half of the total luminance.
+# Number of the brightest candidate directions that may be outliers, if the call has more directions than candidates.
+# The floor of relative errors is computed both with and without these candidates. The number was fitted to a call in
+# which one of 6,312 directions, in the mirror lobe, had half of the total luminance.
 _LUCKY_BRIGHTEST = 4
-# Least luminance that counts as light, as a share of the luminance of a mirror. Limit: weaker light is invisible.
+# Least luminance that counts as light, as a share of the luminance of a mirror. Weaker light is invisible.
 DARK = 1e-10
-# Share of the tolerance below which errors of the reference, or of a basis, are neglected. Limit: they must be small
-# compared with the errors that a trial measures.
+# Share of the tolerance below which an error of the reference plan, or of a fitted basis, is neglected. The value was
+# chosen so that such errors are small compared with the errors that a trial measures.
 NEGLIGIBLE_SHARE = 1e-2
-# Method of the reference plan. It expands amplitudes, which are accurate in float32 even for coefficients that vanish
-# like a high power of κ; powers are not.
+# Method of the reference plan. It expands the amplitudes of Fourier coefficients in a series. In float32, amplitudes
+# are accurate even for coefficients that vanish like a high power of κ = w/λ. Series of powers are not accurate there.
 REFERENCE_METHOD = "jacobi-anger"
-# Largest number of wavelengths of a spectrum that a trial evaluates. Limit: time is proportional to it.
+# Largest number of wavelengths at which a trial evaluates a spectrum. The value is limited by time, which is
+# proportional to it.
 _SPECTRAL_SAMPLES = 64
 
 
@@ -56,18 +57,18 @@ class Group:
     """Directions of a training or validation set on a device, with their weights and reference values.
 
     Attributes:
-        sample: The directions, and the weight of each direction in percentiles of the error.
+        sample: The directions of the set, and the weight of each direction in percentiles of the error.
         exact: Values of the directions by the reference plan, in the shape that ``Trial.run`` returns; None before
             ``Trial.exact`` computes them.
-        scale: Divisor of each direction's error: the larger of its value and the floor, shape (rows, n), one row per
-            illuminant and floor.
+        scale: Divisor of the error of each direction, shape (rows, n): the reference value or the floor of relative
+            errors, whichever is larger. There is one row per illuminant and floor.
         above: Whether a direction is brighter than the floor, shape (rows, n).
     """
 
     def __init__(self, sample: DirectionSample, device: wp.Device, points: int) -> None:
         self.sample = sample
-        # In a percentile of errors, each wavelength of a spectrum counts like a direction of its own, with the weight
-        # of its direction.
+        # A spectrum has several values per direction. A percentile of errors counts each of these values separately,
+        # with the weight of the direction.
         self.weights = np.repeat(sample.weights, points)
         self.scattering_vectors = wp.array(sample.scattering_vectors, dtype=wp.vec3d, device=device)
         self.to_lights = wp.array(sample.to_lights.astype(np.float32), dtype=wp.vec3f, device=device)
@@ -82,27 +83,27 @@ class Group:
     def weigh(self, exact: NDArray[np.float64], floors: NDArray[np.float64]) -> None:
         """Store the reference values ``exact``, and compute the divisors of relative errors from the floors.
 
-        ``floors`` has the shape (illuminants, m): m floors per illuminant.
+        ``floors`` contains the smallest permitted divisors, shape (illuminants, m): m floors per illuminant.
         """
         self.exact, rows = exact, floors.reshape(-1, 1)
         self.above = np.repeat(_luminance(exact), floors.shape[1], axis=0) >= rows
         self.scale = np.maximum(np.repeat(np.linalg.norm(exact, axis=2), floors.shape[1], axis=0), rows)
 
     def errors(self, values: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the relative errors of ``values``, shape (rows, n), by the divisors in the rows of ``scale``."""
+        """Return relative errors, shape (rows, n): distances of ``values`` from ``reference``, divided by ``scale``."""
         differences = np.linalg.norm(values - reference, axis=2)
         return np.asarray(np.repeat(differences, len(self.scale) // len(differences), axis=0) / self.scale)
 
 
 class Trial:
-    """Trial of plans: evaluates them on some directions of a call, and measures their errors against a reference plan.
+    """Trial of plans: evaluates plans on some directions of a call, and measures their errors against a reference plan.
 
     Attributes:
         reference: Plan whose results count as exact: the upper-bound plan with twice the wavelengths.
         training_set: Directions on which a search compares plans.
         validation_set: Directions that judge the result of the search.
-        order_rate: Order rate of each training direction, shape (n,).
-        w: |w| of each training direction, shape (n,).
+        order_rate: Order rate of each training direction, shape (n,): how fast orders pass it as 1/λ changes.
+        w: |w| of each training direction, shape (n,), from its scattering vector (u, v, w).
     """
 
     def __init__(
@@ -114,7 +115,7 @@ class Trial:
             plan: Upper-bound plan.
             request: Evaluation of the call: height field, coherence, illuminants and device.
             direction_range: Range of the call's directions and wavelengths.
-            sample: Sample of the call's directions, from which the candidates are selected.
+            sample: Sample of the call's directions. Candidates for both sets are selected from this sample.
             coarse: Cheap plan that estimates which candidates are bright.
         """
         heightfield, device, threads = request.heightfield, request.device, request.threads
@@ -142,7 +143,7 @@ class Trial:
         self._sees_all = len(candidates) == round(candidates.weights.sum())
         luminance = _luminance(self.run(coarse, self._candidates))
         self._find_floors(luminance)
-        # For a spectrum, the luminance of a direction is the largest value over its wavelengths.
+        # For a spectrum, the luminance of a direction is its largest reflectance over the wavelengths.
         brightest = luminance[0].reshape(len(candidates), -1).max(axis=1)
         training, validation = validation_directions.sampled(
             candidates, is_edge_case, brightest, float(self._floors[0].min())
@@ -155,14 +156,15 @@ class Trial:
 
     @property
     def any_light(self) -> bool:
-        """Whether any of the candidates or training directions has a value above ``DARK``."""
+        """Whether a floor of relative errors, or a value of a training direction, is above ``DARK``."""
         return bool(np.any(self._floors > DARK) or np.any(self.exact(self.training_set) > DARK))
 
     @property
     def bright(self) -> tuple[float, float]:
-        """Numbers of bright validation directions: with the highest luminance floor, and with the lowest one.
+        """Numbers of bright validation directions: with the highest floor and with the lowest floor.
 
-        Both numbers are infinite if the validation set has all directions of the call.
+        Each number is for the illuminant with the fewest bright directions. A direction is bright if its luminance is
+        at least the floor of relative errors. Both numbers are infinite if the validation set has all candidates.
         """
         if len(self.validation_set) == len(self._candidates):
             return math.inf, math.inf
@@ -172,15 +174,20 @@ class Trial:
 
     @property
     def max_order_rate(self) -> float:
-        """Largest order rate of the call's directions, which may exceed the largest rate of the upper-bound plan."""
+        """Largest order rate of the call's directions.
+
+        The order rate is how fast orders pass a direction as 1/λ changes. The result may exceed the largest rate of the
+        upper-bound plan.
+        """
         return self._range.max_order_rate
 
     @forks.cached_property
     def rates(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Order rate, |w| and weight of each candidate, shape (n,) each.
+        """Order rate, |w| and weight of each candidate direction: three arrays of the shape (n,).
 
         The weight is proportional to the number of the call's directions that a candidate represents. The predicted
-        cost of a call is the weighted mean of the costs of all candidates, which depend on order rate and |w|.
+        cost of a call is the weighted mean of the costs of all candidates. The cost of a candidate depends on its order
+        rate and |w|.
         """
         sample = self._candidates.sample
         return self._order_rates(sample), np.abs(sample.scattering_vectors[:, 2]), sample.weights
@@ -195,8 +202,8 @@ class Trial:
         """Compute the floors of relative errors for each illuminant from the luminances of the candidates.
 
         ``luminance`` has the shape (illuminants, n). If the candidates are only a part of the call's directions, the
-        brightest ones may be outliers. There are then two floors, one computed with them and one without, and the error
-        relative to each must be small.
+        brightest candidates may be outliers. There are then two floors, one computed with these candidates and one
+        without. Errors relative to each of the two floors must be small.
         """
         order = np.argsort(luminance[0])
         subsets = [order] if self._sees_all else [order, order[: -_LUCKY_BRIGHTEST * self._points]]
@@ -208,11 +215,11 @@ class Trial:
         self._floors = np.maximum(FLOOR * np.asarray(bright), DARK)
 
     def refine_reference(self, plan: Plan) -> None:
-        """Set the wavelengths of the reference plan to twice those of a plan, and discard its previous values."""
+        """Set the wavelengths of the reference plan to twice those of ``plan``, and discard the reference values."""
         if plan.coherence.adds_powers:
             # All directions of a call may be much darker than the zeroth order, which has the power 1. The reference
-            # therefore includes neighbours up to such distances that the truncated tail of the zeroth order is
-            # negligible even compared with these directions.
+            # plan therefore includes Fourier coefficients up to a large distance from each direction. At this distance,
+            # the truncated tail of the zeroth order is negligible even compared with the dark directions.
             needed = NEGLIGIBLE_SHARE * plan.tolerance * float(self._floors.min()) / self._gain
             self.reference = dataclasses.replace(self.reference, least_weight=min(self.reference.least_weight, needed))
         if self.integrates:
@@ -221,7 +228,7 @@ class Trial:
             group.exact = None
 
     def update_floors(self, plan: Plan) -> None:
-        """Compute the floors of relative errors again, by a plan that is more accurate than the coarse plan."""
+        """Compute the floors of relative errors again, by a plan that is more accurate than the first, coarse plan."""
         self._find_floors(_luminance(self.run(plan, self._candidates)))
         for group in (self.training_set, self.validation_set):
             if group.exact is not None:
@@ -234,7 +241,11 @@ class Trial:
         return np.asarray(group.exact)
 
     def run(self, plan: Plan, group: Group) -> NDArray[np.float64]:
-        """Compute a group of directions by a plan: XYZ, shape (illuminants, n, 3), or ρ, shape (1, n·m, 1)."""
+        """Compute the values of a group of directions by a plan.
+
+        Return colours XYZ, shape (illuminants, n, 3), or for spectra reflectances ρ at m wavelengths, shape
+        (1, n·m, 1).
+        """
         arrays = group.scattering_vectors, group.to_lights, group.gains
         # The directions are divided into two slices per thread, so that all threads end at about the same time.
         slice_size = math.ceil(len(group) / self._threads / 2.0)
@@ -262,7 +273,7 @@ class Trial:
         return np.asarray(results, dtype=np.float64)
 
     def with_w_basis(self, plan: Plan) -> Plan:
-        """Return the plan with its field ``w_basis_size`` set: the number of functions of w in its table."""
+        """Return the plan with ``w_basis_size``, the number of functions of w (the normal component) in its table."""
         options: dict[str, Any] = {"device": self._device, "threads": self._threads}
         counts = [
             colour_table.function_count(self.heightfield, plan, self._range, light, **options)
@@ -271,13 +282,13 @@ class Trial:
         return dataclasses.replace(plan, w_basis_size=max(counts))
 
     def most_terms(self, plan: Plan) -> int:
-        """Return the number of all terms that exist for the method of a plan: the largest number that it may use."""
+        """Return the largest number of terms that a plan can use with its method."""
         if plan.method == self.reference.method:
             return self.reference.terms
         return self._series_terms if plan.method in EXPANSIONS else self.fitted(plan).terms
 
     def fitted(self, plan: Plan) -> coefficient_basis.Coefficients:
-        """Return the coefficients of the height field in the fitted basis of a plan."""
+        """Return the Fourier coefficients of the height field, in the basis that is fitted for a plan."""
         extent = coefficient_table.neighbour_extent(plan, self.heightfield)
         coefficients, _, _ = coefficient_table.coefficients_for(
             self.heightfield, plan.method, plan.coherence, self._range, extent, terms=plan.terms, threads=self._threads
@@ -285,21 +296,24 @@ class Trial:
         return coefficients
 
     def training_error(self, plan: Plan) -> float:
-        """Return the larger 99.5th percentile of a plan's errors on the training set: of bright or dim directions."""
+        """Return the 99.5th percentile of a plan's errors on the training set.
+
+        Bright and dim directions have separate percentiles. The result is the larger one.
+        """
         exact = self.exact(self.training_set)
         return worst_percentile(self.training_set.errors(self.run(plan, self.training_set), exact), self.training_set)
 
     def validation_error(self, plan: Plan) -> float:
-        """Return the larger 99.5th percentile of a plan's errors on the validation set: of bright or dim directions.
+        """Return the 99.5th percentile of a plan's errors on the validation set.
 
-        Directions beyond the largest order rate of the reference plan are excluded, unless all directions are beyond
-        it.
+        Bright and dim directions have separate percentiles. The result is the larger one. Directions that orders pass
+        faster, as 1/λ changes, than the reference plan resolves are excluded, unless all directions are such.
         """
         exact = self.exact(self.validation_set)
         errors = self.validation_set.errors(self.run(plan, self.validation_set), exact)
         # The reference plan has a limited number of wavelengths, which may be too few if the light of a source arrives
-        # near the horizon. Its values are then wrong for directions with a larger order rate than these wavelengths
-        # resolve.
+        # near the horizon. The reference values are then wrong for directions which orders pass faster, as 1/λ changes,
+        # than these wavelengths resolve.
         resolved = self._order_rates(self.validation_set.sample) <= self.reference.max_order_rate
         return worst_percentile(
             errors, self.validation_set, np.repeat(resolved, self._points) if resolved.any() else None
@@ -309,19 +323,25 @@ class Trial:
 def reference_luminance(
     luminance: NDArray[np.float64], weights: NDArray[np.float64], *, with_median: bool = True
 ) -> float:
-    """Return the reference luminance Y*: the larger of P99 of Y and the luminance-weighted median of Y."""
+    """Return the reference luminance Y*: the 99th percentile of the luminance Y, or a median of Y if that is larger.
+
+    The median is weighted by Y. It counts only if ``with_median`` is True.
+    """
     bright = _percentile(luminance, weights, PERCENTILE)
     return max(bright, _percentile(luminance, weights * luminance, 0.5)) if with_median else bright
 
 
 def _percentile(values: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> float:
-    """Return the value below which values with the share ``share`` of the total weight lie; 0 without values."""
+    """Return the percentile ``share`` (0 to 1) of weighted values: values up to it have this share of the total weight.
+
+    The result is 0 if there are no values, or if all weights are 0.
+    """
     order = np.argsort(values)
     total = np.cumsum(weights[order])
     if not len(total) or not total[-1] > 0.0:
         return 0.0
-    # A small margin is subtracted from the share. Otherwise rounding errors in the sum of equal weights could select
-    # the next larger value.
+    # A small margin is subtracted from the share of the total weight. Otherwise rounding errors in the sum of equal
+    # weights could select the next larger value.
     least = (share - float(np.finfo(np.float32).eps)) * total[-1]
     return float(values[order[min(np.searchsorted(total, least), len(order) - 1)]])
 
@@ -329,7 +349,8 @@ def _percentile(values: NDArray[np.float64], weights: NDArray[np.float64], share
 def worst_percentile(errors: NDArray[np.float64], group: Group, included: NDArray[np.bool_] | None = None) -> float:
     """Return the larger of the 99.5th percentiles of the errors of bright and of dim directions.
 
-    ``errors`` has the shape (rows, n); the result is the largest one over all rows.
+    ``errors`` has the shape (rows, n), with one row per illuminant and floor of relative errors. The result is the
+    largest percentile of all rows. Only the directions in the mask ``included`` count.
     """
     included = np.ones(errors.shape[1], dtype=bool) if included is None else included
     # The tolerance limits the 99th percentile of the errors of all directions of a call. Percentiles of a small sample
@@ -343,5 +364,5 @@ def worst_percentile(errors: NDArray[np.float64], group: Group, included: NDArra
 
 
 def _luminance(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return Y of XYZ, shape (..., 3), or the reflectance ρ itself, shape (..., 1)."""
+    """Return the luminance Y of colours XYZ, shape (..., 3), or unchanged reflectances ρ, shape (..., 1)."""
     return np.asarray(values[..., values.shape[-1] // 2])

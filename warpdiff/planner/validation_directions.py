@@ -2,10 +2,10 @@
 
 If few directions of a call are bright, a uniform sample may miss them. The angles of up to 8,192 directions are
 therefore examined. About 1,024 of them become candidates: some are selected uniformly, and all edge cases are included.
-Edge cases are near the mirror direction, near strong orders, at the largest geometry factors, or at the ends of the
-call's ranges. A coarse plan estimates the luminance of the candidates. The training set and the validation set are
-drawn from the candidates; bright candidates have a higher probability. Each direction has the weight of the directions
-that it represents.
+Edge cases are near the mirror direction, near strong diffraction orders, at the largest geometry factors (gains), or at
+the ends of the ranges of the call, such as grazing directions. A coarse plan estimates the luminance of the candidates.
+The training set and the validation set are drawn from the candidates; bright candidates are drawn with a higher
+probability. The weight of a drawn direction is proportional to the number of the call's directions that it represents.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange, DirectionSample
     from warpdiff.request.plan import Plan
 
-# First number: candidates that are selected uniformly among the directions of a call. Second number: training
-# directions. Fitted: if both are halved, more than 1 % of the calls exceed the tolerance; if both are doubled, planning
-# requires twice the time.
+# Number of candidates that are selected uniformly among the directions of a call, and number of training directions.
+# Both numbers were fitted. If both are halved, more than 1 % of the calls exceed the tolerance; if both are doubled,
+# planning requires twice the time.
 _CANDIDATES, _TRAINING = 1024, 128
 # Number of validation directions. The validation set is larger than the training set, because it decides whether a plan
 # is accepted.
 _VALIDATION = 2 * _TRAINING
-# Number of edge cases of each kind, such as the most grazing directions. The same number of strong orders is examined,
-# and the directions near each of these orders are a kind of their own. Limit: all edge cases together are at most a
-# third of the candidates.
+# Number of edge cases of each kind, such as the most grazing directions. Each strong diffraction order is a kind of its
+# own: the directions near it are edge cases. The same number of strong orders is examined. The value was chosen so that
+# all edge cases together are at most a third of the candidates.
 _EDGE_CASES = 16
 # Candidates are drawn into a set for three reasons: uniformly, because they are bright, or because they are edge cases.
-# This is the probability of the third reason relative to each of the others, so that about a ninth of a set is drawn as
-# edge cases. Some of the other directions are edge cases, too.
+# This number is the probability of the third reason divided by the probability of each of the other two. About a ninth
+# of a set is therefore drawn as edge cases. Further edge cases are drawn for the other two reasons.
 _EDGE_CASE_SHARE = 0.25
 
 
@@ -52,7 +52,7 @@ def candidates(
         heightfield: Height field of the call.
         direction_range: Range of the call's directions.
         sample: Sample of the call's directions.
-        plan: Coarse plan, whose coefficients determine the strong orders.
+        plan: Coarse plan, whose Fourier coefficients determine the strong diffraction orders.
         threads: Number of threads on the CPU.
     """
     edge_cases = np.zeros(0, dtype=np.int64)
@@ -69,7 +69,7 @@ def candidates(
 def sampled(
     candidates: DirectionSample, is_edge_case: NDArray[np.bool_], luminance: NDArray[np.float64], floor: float
 ) -> tuple[DirectionSample, DirectionSample]:
-    """Return a training set and a validation set, drawn from the candidates.
+    """Return a training set and a validation set, drawn from the candidate directions.
 
     If the candidates are few, the validation set contains all of them.
 
@@ -89,8 +89,8 @@ def sampled(
     both = _TRAINING + _VALIDATION
     if len(order) <= both:
         return _draw(candidates, order, measure, _TRAINING), candidates
-    # Candidates are sorted by luminance. Every third one may be drawn for training, and the others for validation. Both
-    # sets therefore contain some of the brightest directions, even if few directions are bright.
+    # Candidates are sorted by luminance. Every third candidate may be drawn for training, and the others for
+    # validation. Both sets therefore contain some of the brightest directions, even if few directions are bright.
     is_training = np.arange(len(order)) % (both // _TRAINING) == 0
     training, validation = order[is_training], order[~is_training]
     return (
@@ -103,17 +103,17 @@ def _draw(
     candidates: DirectionSample, among: NDArray[np.int64], measure: NDArray[np.float64], count: int,
     represents: float = 1.0,
 ) -> DirectionSample:  # fmt: skip
-    """Draw ``count`` of the directions with the indices ``among`` by systematic sampling, each at most once.
+    """Draw ``count`` of the directions with the indices ``among`` by systematic sampling, each direction at most once.
 
-    The probability of a direction is proportional to ``measure``, and its weight in the result is divided by this
-    probability. ``represents`` is the number of all candidates divided by the number in ``among``. All weights are
-    multiplied by it, so that the drawn directions represent all candidates.
+    The probability of a direction is proportional to ``measure``, and the weight of the direction in the result is
+    divided by this probability. ``represents`` is the number of all candidates divided by the number of directions in
+    ``among``. All weights are multiplied by ``represents``, so that the drawn directions represent all candidates.
     """
     if len(among) <= count:
         return candidates.some(among, represents * candidates.weights[among])
     share = measure[among] / measure[among].sum() * count
-    # A direction whose computed probability exceeds 1 is drawn exactly once, and the probabilities of the others
-    # increase accordingly.
+    # A direction whose computed probability exceeds 1 is drawn exactly once, and the probabilities of the other
+    # directions increase accordingly.
     while (excess := share > 1.0).any():
         share[excess] = 1.0
         rest = share < 1.0
@@ -128,12 +128,15 @@ def _draw(
 def _edge_cases(
     heightfield: HeightField, direction_range: DirectionRange, sample: DirectionSample, plan: Plan, *, threads: int
 ) -> NDArray[np.int64]:
-    """Return the indices of edge cases: directions near a strong order, or with extreme angles, rates or gains."""
+    """Return the indices of edge cases: directions near a strong order, or with extreme angles, rates or gains.
+
+    Rates are order rates, and gains are geometry factors.
+    """
     u, v, w = sample.scattering_vectors.T
     across, light = np.hypot(u, v), sample.to_lights[:, 2]
     order_rates = order_rate(heightfield, plan.coherence, sample.scattering_vectors, sample.to_lights)
-    # Each strong order is a separate kind of edge case, because errors near one order do not indicate errors near other
-    # orders.
+    # Each strong diffraction order is a separate kind of edge case, because errors near one order do not indicate
+    # errors near other orders.
     order_light = _order_light(heightfield, direction_range, sample, plan, threads=threads)
     scores = [-across, sample.gains, *order_light.T, across, order_rates, w, -w, -light, light + w]
     return np.unique(np.concatenate([np.argpartition(score, -_EDGE_CASES)[-_EDGE_CASES:] for score in scores]))
@@ -142,7 +145,10 @@ def _edge_cases(
 def _order_light(
     heightfield: HeightField, direction_range: DirectionRange, sample: DirectionSample, plan: Plan, *, threads: int
 ) -> NDArray[np.float64]:
-    """Return the logarithm of the estimated power that each of m strong orders sends to n directions, (n, m)."""
+    """Return the logarithm of the power that m strong diffraction orders send to n directions, shape (n, m).
+
+    The powers are estimates.
+    """
     coefficients, block, grid = coefficient_table.coefficients_for(
         heightfield, plan.method, plan.coherence, direction_range,
         coefficient_table.neighbour_extent(plan, heightfield), terms=plan.terms, threads=threads,
@@ -151,22 +157,25 @@ def _order_light(
     rows, columns = block.orders()
     row, column = np.unravel_index(strongest, (len(rows), len(columns)))
     q = np.stack([columns[column] / grid.lengths_um[1], rows[row] / grid.lengths_um[0]], axis=1)
-    # The zeroth order is excluded here, because directions near it are edge cases by their small |(u, v)|.
+    # The zeroth order is excluded here, because directions near this order are edge cases already: their |(u, v)| is
+    # small.
     others = np.flatnonzero(q.any(axis=1))[:_EDGE_CASES]
     q, powers = q[others], powers[others]
     u = sample.scattering_vectors[:, :2]
     # As λ changes, the frequency (u, v)/λ of a direction moves along a line. `foot` is the visible wavenumber 1/λ at
-    # which it is nearest to an order, and `away` its squared distance there.
+    # which this frequency is nearest to the frequency q of an order. `away` is the squared distance of the two
+    # frequencies there.
     foot = (u @ q.T) / np.maximum(np.sum(u * u, axis=1), TINY)[:, None]
     foot = np.clip(foot, NM_PER_UM / direction_range.lambda_max_nm, NM_PER_UM / direction_range.lambda_min_nm)
     away = (foot * u[:, :1] - q[:, 0]) ** 2 + (foot * u[:, 1:] - q[:, 1]) ** 2
-    # The power of an order is multiplied by exp(−falloff · `away`), where `away` is the squared distance in frequency
-    # of a direction from the order. Replicas have no window, and get an arbitrary falloff of 1 µm².
+    # The power of an order is multiplied by exp(−falloff · `away`), where `away` is the squared distance of the
+    # frequency of a direction from the frequency of the order. Replicated patches have no coherence window. For them,
+    # the falloff is an arbitrary 1 µm².
     falloff_um2 = 1.0
     if plan.coherence.kind != "replicas":
-        # For a centred window, the falloff of an order's amplitude is used, which is half of that of its power. The
-        # estimated power then extends farther from each order, so that directions in the minima between orders are edge
-        # cases, too. Tables have their largest errors there.
+        # For a centred window, the falloff of an order's amplitude is used. It is half of the falloff of the order's
+        # power. The estimated power then extends farther from each order. Directions in the minima between orders are
+        # therefore edge cases, too. Tables have their largest errors in these minima.
         falloff_um2 = coefficient_table.falloff_um2(plan.coherence, 0.5)
     strength = np.log(np.maximum(powers, TINY)) - falloff_um2 * away
     return np.asarray(strength + np.log(np.maximum(sample.gains, TINY))[:, None])

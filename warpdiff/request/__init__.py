@@ -1,5 +1,5 @@
-"""Settings of the public functions, plans, and ranges of directions.
+"""Settings of the public functions, plans of computations, and ranges of directions.
 
-In: keyword arguments, directions of a call.
+In: keyword arguments and directions of a call.
 Out: checked settings, a ``Plan``, a ``DirectionRange`` and samples of directions.
 """

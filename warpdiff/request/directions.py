@@ -1,4 +1,4 @@
-"""Range of the directions of a call, and a sample of these directions for the planner's trials."""
+"""Range of the directions of a call, and a sample of these directions on which the planner tries plans."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 # Largest number of directions of a call that the planner samples to try plans on. If doubled, planning requires more
 # time.
 MOST_SAMPLED = 8192
-# If a call has fewer directions than this, the planner uses all of them. Otherwise it samples at most every second one.
+# If a call has fewer directions than this, the planner uses all of them. Otherwise it samples at most half of them.
 _SAMPLED_FROM = 4096
 # Random seed that selects the sampled directions. It is arbitrary; with another seed, plans differ slightly.
 _SEED = 2
@@ -34,7 +34,7 @@ class DirectionSample:
     Attributes:
         scattering_vectors: Scattering vectors (u, v, w), shape (n, 3), float64.
         to_lights: Unit vectors to the light in the local frame, shape (n, 3), float64.
-        gains: Geometry factors by which ⟨|P|²⟩ is multiplied, shape (n,).
+        gains: Geometry factors by which the diffracted powers ⟨|P|²⟩ are multiplied, shape (n,).
         weights: Number of directions of the call that each direction of the sample represents, shape (n,).
     """
 
@@ -56,8 +56,9 @@ class DirectionSample:
     ) -> DirectionSample:
         """Return a sample of the illuminated directions of one pass, whose indices are evenly distributed.
 
-        A call has a pass for each part of its lights: a lobe, a disc or the smooth rest of a sky. ``parts`` is the
-        number of these passes, which contribute equal shares to the sample of the call.
+        A call with several lights computes each part of its lights in a separate pass. A part is a lobe, a disc or the
+        smooth rest of a sky. ``parts`` is the number of these passes, which contribute equal shares to the sample of
+        the call.
         """
         illuminated = np.flatnonzero(gains > 0.0)
         places = illuminated[sample_ranks(len(illuminated), parts)]
@@ -69,7 +70,7 @@ class DirectionSample:
 
     @classmethod
     def joined(cls, parts: Sequence[DirectionSample]) -> DirectionSample:
-        """Join the samples of all passes of a call to one sample."""
+        """Join the samples of all passes of a call to one sample; a pass computes one part of the lights."""
         weights = np.concatenate([part.weights for part in parts])
         return cls(
             np.concatenate([part.scattering_vectors for part in parts]),
@@ -77,20 +78,22 @@ class DirectionSample:
         )  # fmt: skip
 
     def some(self, places: NDArray[np.int64], weights: NDArray[np.float64]) -> DirectionSample:
-        """Return the sampled directions with the indices ``places``, with ``weights`` instead of their weights."""
+        """Return the sampled directions with the indices ``places``, with ``weights`` as new weights."""
         return DirectionSample(self.scattering_vectors[places], self.to_lights[places], self.gains[places], weights)
 
 
 def sample_ranks(count: int, parts: int = 1) -> NDArray[np.int64]:
-    """Return the indices of the sampled directions, for a pass with ``count`` illuminated directions."""
-    # The sample of a call is divided equally among its ``parts`` passes, but each pass has at least one direction in
-    # it.
+    """Return the indices of the sampled directions, for one of ``parts`` passes of a call over the parts of its lights.
+
+    The pass has ``count`` illuminated directions.
+    """
+    # The sample of a call is divided equally among the ``parts`` passes. Each pass contributes at least one direction.
     most = max(min(MOST_SAMPLED // parts, count // 2), 1)
     return np.arange(count) if count * parts < _SAMPLED_FROM else stratified(count, most)
 
 
 def stratified(count: int, most: int) -> NDArray[np.int64]:
-    """Return at most ``most`` ascending indices below ``count``: a random one from each of equally long intervals.
+    """Return at most ``most`` ascending indices below ``count``: a random index from each of equally long intervals.
 
     Indices at a constant step would not suffice: if the directions are pixels of a picture, they could all be in a
     single column or diagonal.
@@ -103,7 +106,7 @@ def stratified(count: int, most: int) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class DirectionRange:
-    """Range of the illuminated directions and of the wavelengths of a call.
+    """Range of the illuminated directions, with the scattering vectors (u, v, w), and of the wavelengths of a call.
 
     Attributes:
         max_uv: Largest |(u, v)|.
@@ -127,7 +130,7 @@ class DirectionRange:
         to_lights: NDArray[np.floating], illuminated: NDArray[np.bool_],
         wavelengths_nm: NDArray[np.float64] | None = None,
     ) -> DirectionRange:  # fmt: skip
-        """Return the range of those of n directions that are illuminated, as the mask ``illuminated`` states."""
+        """Return the range of the directions for which the mask ``illuminated`` is True."""
         band = (float(LAMBDA_MIN_NM), float(LAMBDA_MAX_NM))
         if wavelengths_nm is not None:
             band = (float(wavelengths_nm.min()), float(wavelengths_nm.max()))
@@ -142,7 +145,7 @@ class DirectionRange:
         return cls(max_uv, max_order_rate, float(-w.max()), float(-w.min()), *band)
 
     def joined(self, other: DirectionRange) -> DirectionRange:
-        """Return the range that covers this one and ``other``; ranges without illuminated directions are ignored."""
+        """Return the range that covers this range and ``other``; ranges without illuminated directions are ignored."""
         if other.max_w == 0.0:
             return self
         if self.max_w == 0.0:
@@ -155,7 +158,7 @@ class DirectionRange:
 
     @property
     def kappas(self) -> tuple[float, float]:
-        """Smallest and largest |κ| = |w|/λ [1/µm]."""
+        """Smallest and largest |κ| = |w|/λ [1/µm], with the normal component w of the scattering vector."""
         return 1e3 * self.min_w / self.lambda_max_nm, 1e3 * self.max_w / self.lambda_min_nm
 
 
@@ -165,11 +168,12 @@ def order_rate(
     scattering_vectors: NDArray[np.float64],
     to_lights: NDArray[np.floating],
 ) -> NDArray[np.float64]:
-    """Return the order rate of n directions: how fast coefficients pass a direction as 1/λ changes, shape (n,).
+    """Return the order rate of n directions: how fast diffraction orders pass a direction as 1/λ changes, shape (n,).
 
-    The rate is |(u, v)| for a window, and |(u Lx, v Ly)| [µm] for replicas. For a source, whose disc is foreshortened
-    along the tangential part of the direction to the light, the component of (u, v) along this part is first divided by
-    cos θi.
+    The rate is |(u, v)| for a window, and |(u Lx, v Ly)| [µm] for replicas of a patch with the sides Lx and Ly. For a
+    source, the rate is a stretched |(u, v)|. The disc of the source is foreshortened along the tangential part of the
+    direction to the light. The component of (u, v) along this part is therefore divided by cos θi, where θi is the
+    angle of the light from the normal.
     """
     u, v = scattering_vectors[:, 0], scattering_vectors[:, 1]
     if coherence.kind == "replicas":
@@ -181,7 +185,7 @@ def order_rate(
 
 
 def hemisphere_pairs(count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return random pairs of unit vectors, uniform over the hemisphere, both of shape (count, 3)."""
+    """Return two arrays of random unit vectors, uniform over the hemisphere, both of shape (count, 3)."""
     rng = np.random.default_rng(seed)
     z = rng.uniform(0.0, 1.0, (2, count))
     phi = rng.uniform(0.0, 2.0 * math.pi, (2, count))

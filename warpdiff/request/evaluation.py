@@ -33,14 +33,14 @@ class Evaluation:
     Attributes:
         heightfield: Height field whose colours or spectra are computed.
         tolerance: Accepted relative error of XYZ, or of ρ for a spectrum.
-        method: Expansion of exp(2πiκh), one of ``settings.Method``.
+        method: Method, one of ``settings.Method``: an expansion of exp(2πiκh) in κ = w/λ, or the direct sum.
         integration: Method of integrating over the wavelength, one of ``settings.Integration``.
-        coherence: Coherence of the explicit plan, or that of the settings, or the default.
-        normal_reflectance: R(0) of the index of refraction; 1 for a material.
+        coherence: Coherence of the explicit plan. Without a plan, coherence of the settings. Without both, the default.
+        normal_reflectance: Reflectance at normal incidence of the index of refraction; 1 for a material.
         materials: Materials by the name of a geometry. A single material has the name ``""``. A value of None selects
             the index of refraction.
         masking: Whether V-cavity masking is included.
-        energy: ``"stam"``, or ``"normalised"`` if orders are scaled to sum to the reflected power.
+        energy: ``"stam"``, or ``"normalised"`` if diffraction orders are scaled to sum to the reflected power.
         plan: Explicit plan, or None.
         strict: Whether a tolerance that cannot be met is an error.
         device: Warp device that runs the kernels.
@@ -48,7 +48,7 @@ class Evaluation:
         illuminated: Pairs of illuminant and material that occur in the call. A plan must meet the tolerance for each
             pair.
         wavelengths_nm: Wavelengths of a spectrum [nm]; None integrates over the wavelength.
-        footprint: Whether a pixel shows the mean over its filter.
+        footprint: Whether a pixel shows the mean over the pixel filter.
     """
 
     heightfield: HeightField
@@ -108,7 +108,7 @@ class Evaluation:
 
     @property
     def conserves_energy(self) -> bool:
-        """Whether orders sum to the reflected power: energy is normalised, and no surface transmits light."""
+        """Whether all orders sum to the reflected power: energy is normalised, and no surface transmits light."""
         materials = self.materials.values()
         opaque = all(
             self.normal_reflectance == 1.0 if material is None else material.is_opaque for material in materials
@@ -121,11 +121,11 @@ class Evaluation:
         return None if self.energy == "stam" else energy_normalisation.achromatic_factors(self.heightfield)
 
     def with_energy(self, plan: Plan) -> Plan:
-        """Return a copy of a plan with the field ``energy_spread``, from the energy factors of this evaluation."""
+        """Return a copy of a plan whose field ``energy_spread`` is set from the energy factors of this evaluation."""
         spread = 0.0 if self.energy_factors is None else self.energy_factors.spread
         return plan if plan.energy_spread == spread else replace(plan, energy_spread=spread)
 
     @property
     def integrates(self) -> bool:
-        """Whether the result is a colour, an integral over λ, and not a spectrum."""
+        """Whether the result is a colour, which is an integral over the wavelength λ, and not a spectrum."""
         return self.wavelengths_nm is None

@@ -1,6 +1,7 @@
-"""Layers of pictures: their names, the type and the channels of their values, and the texts that describe them.
+"""Layers of pictures: name, type of the values, channels, and describing text of each layer.
 
-A layer is one entry of ``LAYERS``, and one entry of ``VALUES`` in ``render/layers.py`` unless it numbers the faces.
+A layer is one entry of ``LAYERS``. It is also one entry of ``VALUES`` in ``render/layers.py``, unless its values are
+numbers of the faces of the mesh.
 """
 
 from __future__ import annotations
@@ -16,17 +17,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LayerFormat:
-    """Format of a layer: one value per pixel.
+    """Format of a layer, which has one value per pixel.
 
     Attributes:
-        meaning: Meaning of the values, for the reference.
+        meaning: Meaning of the values, for the reference pages of the documentation.
         channels: Suffixes of the EXR channels that hold the values.
         empty: Value of pixels whose central ray hits no mesh, or whose hit the light does not reach.
         dtype: Type of the values.
         by_light: Whether each light has a layer of its own: ``"light.0"``, ``"light.1"``, …
         is_colour: Whether the values are CIE XYZ. EXR files then also have R, G and B.
-        faces: Attribute of the prepared mesh with a number for each face, for layers of such numbers; else empty.
-        names: Attribute of the prepared mesh with the names that the numbers stand for, else empty.
+        faces: For layers of numbers of faces, name of the attribute of the prepared mesh that has a number for each
+            face; else empty.
+        names: Name of the attribute of the prepared mesh with the texts for which these numbers stand, else empty.
     """
 
     meaning: str
@@ -72,12 +74,12 @@ BY_LIGHT = tuple(name for name, layer in LAYERS.items() if layer.by_light)
 
 
 def layer_format(name: str) -> LayerFormat:
-    """Return the format of a layer by its name, which may end in the index of a light."""
+    """Return the format of a layer by its name, which may end in the index of a light, as ``"light.0"`` does."""
     return LAYERS[name.partition(".")[0]]
 
 
 def layer_of(channel: str) -> str:
-    """Return the name of the layer of an EXR channel such as ``"light.0.R"``; an empty string if there is none."""
+    """Return the name of the layer of an EXR channel such as ``"light.0.R"``; an empty string if no layer has it."""
     name, _, rest = channel.partition(".")
     layer = LAYERS.get(name)
     if layer is None:

@@ -1,4 +1,4 @@
-"""``Plan``: the parameters of the kernels with predicted errors; and which coherences each method supports."""
+"""``Plan``: the numbers of a computation with predicted errors. Which coherences each method supports."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 # Format of saved plans, written to each file. The number increases when a field of a plan changes its name or meaning.
 _FORMAT = "warpdiff plan 2"
-# Largest size of a file that is read as a plan [bytes]; files of plans have about 1 kB.
+# Largest size of a file that is read as a plan [bytes]. Files of plans have about 1 kB, so that larger files are no
+# plans.
 _MOST_BYTES = 1 << 20
 METHODS = ("auto", *EXPANDED, "direct")
 AUTOMATIC = "low-rank"
@@ -34,18 +35,19 @@ LABELS = {
     "power": "Chebyshev series of the powers",
     **{name: f"{expansion.label} series" for name, expansion in EXPANSIONS.items()},
 }
-# Measured speeds of one CPU core [multiply-adds per second]. The first is for sums over wavelengths and for the
-# computation of tables; the second is for table look-ups, which the memory slows down. The speeds convert predicted
-# costs to the times that a plan reports.
+# Measured speeds of one CPU core [multiply-adds per second]. The first speed is for sums over wavelengths and for the
+# computation of tables. The second speed is for table look-ups, which the memory slows down. The speeds convert
+# predicted costs to the times that a plan reports.
 _SUMMED_PER_SECOND, _LOOKED_UP_PER_SECOND = 9e9, 2.7e9
 # Smallest and largest number of rings per octave that a colour table may have.
 MIN_RINGS, MAX_RINGS = 4, 512
-# The number of functions of w in a colour table is a multiple of the first number, and at most the second number.
-# Kernels are compiled separately for each number of functions that occurs. A smaller step would cause more
-# compilations.
+# The number of functions of w (the normal component of the scattering vector) in a colour table is a multiple of
+# `W_BASIS_STEP`, and at most `MOST_W_BASIS`. Kernels are compiled separately for each number of functions that occurs.
+# A smaller step would cause more compilations.
 W_BASIS_STEP, MOST_W_BASIS = 4, 32
-# Accepted minimum and maximum of the fields that state for which directions and wavelengths a plan is valid. A
-# component of a sum of two unit vectors is at most 2, plus rounding.
+# Smallest and largest accepted value of each field that states for which directions and wavelengths a plan is valid.
+# The limit 2.001 is for components of the scattering vector: each is the sum of components of two unit vectors, plus
+# rounding.
 _SCOPE = {
     **dict.fromkeys(("max_uv", "min_w", "max_w"), (0.0, 2.001)),
     **dict.fromkeys(("max_order_rate", "height_range_um"), (0.0, validation.MOST)),
@@ -56,48 +58,52 @@ _ERRORS = ("truncation", "neighbourhood", "quadrature", "rounding")
 
 @dataclass(frozen=True, repr=False)
 class Plan:
-    """Parameters of a computation, with predicted errors and costs.
+    """Numbers of a computation, such as the number of wavelengths, with predicted errors and costs.
 
-    ``dataclasses.replace(plan, terms=9)`` changes a parameter; pass the result as ``plan=``. Errors and ``tolerance``
-    are relative errors of XYZ.
+    ``dataclasses.replace(plan, terms=9)`` returns a plan with another number; pass that plan as ``plan=``. Errors and
+    ``tolerance`` are relative errors of XYZ. (u, v, w) is the scattering vector.
 
     Attributes:
-        method: Name of the expansion, or ``"direct"``.
+        method: Name of the expansion of exp(2πiκh) in κ = w/λ, or ``"direct"``.
         coherence: Coherence: a window, a source size or a number of periods.
         tolerance: Accepted error, 1e-5 to 0.5.
         terms: Number of terms of the expansion, 1 to 128.
-        least_weight: Smallest Gaussian weight of powers or amplitudes, 0 to 1. Coefficients with a smaller weight are
-            excluded.
-        wavelengths: Number of samples over 380 to 780 nm, equally spaced in 1/λ, or in log λ for a source. 0 for a
-            spectrum, because the caller chooses its wavelengths.
-        subdivisions: For ``"replicas"``, number of samples of the interference factor per sample of the patch's factor.
-        bandwidth_um: Samples per unit of 1/λ that a direction requires, as (a, b, c) of a·rate + b·|w| + c. The rate is
-            |(u, v)|; for a source it is stretched along the foreshortening, for replicas it is |(u Lx, v Ly)|.
-        adaptive: Whether directions of small bandwidth use fewer samples.
+        least_weight: Smallest Gaussian weight, 0 to 1, with which a Fourier coefficient contributes to a direction.
+            Coefficients with a smaller weight are excluded.
+        wavelengths: Number of wavelength samples over 380 to 780 nm, equally spaced in 1/λ, or in log λ for a source. 0
+            for a spectrum, because the caller chooses the wavelengths of a spectrum.
+        subdivisions: For ``"replicas"``, number of samples of the interference factor of the periods, per sample of the
+            power of one patch.
+        bandwidth_um: Numbers (a, b, c): a direction requires a · rate + b · |w| + c wavelength samples per unit of 1/λ.
+            The rate is |(u, v)| for a window. For a source, (u, v) is stretched along the foreshortening. For replicas
+            of a patch with the sides Lx and Ly, the rate is |(u Lx, v Ly)|.
+        adaptive: Whether directions of small bandwidth use fewer wavelength samples.
         rings_per_octave: Rings per octave of the polar table that replaces the integral over λ; 0 samples wavelengths.
-        azimuths_per_width: Azimuth samples of that table per standard deviation of the spectrum's blur.
-        w_basis_size: Number of functions of w that the table's colours share, a multiple of 4; 0 selects it by the
-            tolerance.
-        footprint: Whether pixels show means over their range of (u, v): from mip levels of the table where powers add,
-            otherwise from many points.
+        azimuths_per_width: Azimuth samples of the polar table per standard deviation of the spectrum's blur.
+        w_basis_size: Number of functions of w that the table's colours share, a multiple of 4. If it is 0, the
+            tolerance determines the number.
+        footprint: Whether pixels show means over the range of (u, v) that each pixel covers. If powers add, the means
+            are computed from mip levels of the table, otherwise from many points.
         energy_spread: Root mean square deviation of the reflected power of single wavelengths and directions from the
             incident power where energy is normalised; not part of ``error``. 0 for ``energy="stam"``.
         max_uv: Largest |(u, v)| for which the plan is valid.
-        max_order_rate: Largest rate, as in ``bandwidth_um``, for which the plan is valid.
+        max_order_rate: Largest rate, as ``bandwidth_um`` defines it, for which the plan is valid.
         min_w: Smallest |w| for which the plan is valid.
         max_w: Largest |w| for which the plan is valid.
         lambda_min_nm: Shortest wavelength for which the plan is valid [nm].
         lambda_max_nm: Longest wavelength for which the plan is valid [nm].
         height_range_um: Largest height range for which the plan is valid [µm].
         truncation: Predicted error of the truncated expansion.
-        neighbourhood: Predicted error of the excluded neighbours.
+        neighbourhood: Predicted error by the Fourier coefficients that ``least_weight`` excludes.
         quadrature: Predicted error of the integral over λ; 0 for a spectrum.
         rounding: Predicted error of float32 arithmetic.
         aliasing: Power of the height field beyond the Nyquist limit of its pitch, which aliases onto the steepest
-            directions, relative to their power. The aliasing is a property of the data and not part of ``error``.
+            directions, relative to the power in these directions. The aliasing is a property of the data and not part
+            of ``error``.
         scalar_error: Expected error of scalar diffraction at 550 nm, or at the nearest wavelength of a spectrum, as a
             share of the reflected power. It is a property of the surface and not part of ``error``.
-        scalar_reason: Reason of that error: ``"steep"``, ``"deep"``, ``"narrow"``, ``"energy"`` or ``"undersampled"``.
+        scalar_reason: Reason of the scalar error: ``"steep"``, ``"deep"``, ``"narrow"``, ``"energy"`` or
+            ``"undersampled"``.
         multiply_adds: Predicted cost per direction [multiply-adds], the mean over the sampled directions.
         is_measured: Whether the errors were measured on validation directions. Otherwise they are typical errors of
             plans whose parameters are upper bounds.
@@ -180,7 +186,8 @@ class Plan:
         for name, (least, most) in _SCOPE.items():
             validation.number(getattr(self, name), name, least=least, most=most)
         for name in (*_ERRORS, "energy_spread", "aliasing", "scalar_error", "multiply_adds", "table_multiply_adds"):
-            # Predicted errors may have any finite value: the error bound of a diverging series may be very large.
+            # Predicted errors may have any finite value, because the error bound of a diverging series may be very
+            # large.
             validation.number(getattr(self, name), name, least=0.0, most=sys.float_info.max)
         validation.choice(self.scalar_reason, "scalar_reason", get_args(Reason))
         validation.flag(self.is_measured, "is_measured")
@@ -197,12 +204,12 @@ class Plan:
 
     @property
     def error(self) -> float:
-        """Predicted relative error of the call: the sum of ``predicted_errors``, without aliasing and scalar error."""
+        """Predicted relative error: the sum of ``predicted_errors``, without ``aliasing`` and ``scalar_error``."""
         return float(sum(self.predicted_errors.values()))
 
     @property
     def predicted_errors(self) -> dict[str, float]:
-        """Predicted errors by the name of their source; their sum is ``error``."""
+        """Predicted errors by the name of their source, such as ``"truncation"``; their sum is ``error``."""
         return {name: getattr(self, name) for name in _ERRORS}
 
     @property
@@ -282,7 +289,7 @@ class Plan:
         return "\n".join([self.verdict, *(f"  {label:20}{text}" for label, text in rows.items())])
 
     def _integration_rows(self) -> dict[str, str]:
-        """Return label and text of the line about the integral over λ in a printed plan; nothing for a spectrum."""
+        """Return label and text of the line of a printed plan about the integral over λ; nothing for a spectrum."""
         if self.rings_per_octave:
             grid = f"{self.rings_per_octave} rings per octave, {self.azimuths_per_width:g} azimuths per lobe width"
             shared = f", {self.w_basis_size} functions of w" if self.w_basis_size else ""
@@ -400,7 +407,7 @@ def check_method(method: str, integration: str, coherence: Coherence) -> None:
 
 
 def check_footprint(method: str) -> None:
-    """Raise an error if a method cannot compute means over footprints, as ``"direct"`` cannot."""
+    """Raise an error for ``method="direct"``, which cannot compute means over the footprints of pixels."""
     if method == "direct":
         raise ArgumentValueError(
             f"{ref('footprint', True)} cannot be used with {ref('method', 'direct')}, which sums single directions: "
@@ -420,8 +427,8 @@ def _is_legal(method: str, integration: str, coherence: Coherence) -> bool:
 def has_table(expansion: str, coherence: Coherence) -> bool:
     """Whether colour tables can be computed from an expansion under a coherence.
 
-    This is so if the coefficients that the expansion provides are added in the way that the coherence requires: powers
-    for averaged windows and sources, amplitudes for centred windows. Replicated periods have no table.
+    Tables exist if the coefficients that the expansion provides are added in the way that the coherence requires:
+    powers for averaged windows and sources, amplitudes for centred windows. Replicated periods have no table.
     """
     return (
         coherence.kind != "replicas"

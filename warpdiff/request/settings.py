@@ -1,4 +1,4 @@
-"""The options of the public functions: one frozen dataclass per group, from which everything else is derived.
+"""The options of the public functions: one frozen dataclass per group of options.
 
 A field states the type, range and unit of an option; ``Attributes:`` states its meaning. Everything else follows from
 the fields: keyword arguments (:mod:`warpdiff.request.keywords`), signatures and docstrings, the command line, the
@@ -40,11 +40,13 @@ GamutName = Literal["srgb", "display-p3"]
 Bits = Literal[8, 16]
 TangentRule = Literal["x", "y", "z", "around-x", "around-y", "around-z", "smooth"]
 TANGENT_RULES: tuple[str, ...] = get_args(TangentRule)
-# Maximum number of camera rays per pixel, 256 × 256; more do not change an 8-bit picture.
+# Maximum number of camera rays per pixel, 256 × 256. More rays do not change a picture with 8 bits per channel.
 MOST_SAMPLES = 2**16
-# Smallest step between the wavelengths of a spectral picture [nm]. Limit: names of channels have six decimals.
+# Smallest step between the wavelengths of a spectral picture [nm]. The value is limited by the names of EXR channels,
+# which contain the wavelength with six decimals.
 LEAST_STEP_NM = 1e-5
-# Largest correction of an exposure [stops]. Limit: a factor of 1e9 is more than any picture needs.
+# Largest correction of an exposure [stops]. The value was chosen so that the exposure can change by a factor of 1e9,
+# which is more than any picture needs.
 MOST_STOPS = 30.0
 
 
@@ -64,10 +66,11 @@ class CommonSettings(Checked):
 
     Attributes:
         tolerance: Accepted relative error of XYZ (or ρ for spectra) at the 99th percentile of all directions or
-            illuminated pixels, and separately of the bright ones. The error is relative to the value itself, or to 1e-3
-            of the reference luminance of all directions if that is larger (see the glossary of the documentation).
-        method: Expansion of exp(2πiκh). ``"auto"`` selects the cheapest one that meets the tolerance; ``"direct"`` is
-            the float64 sum without an expansion, which is slow.
+            illuminated pixels, and separately of the bright directions or pixels. The error is relative to the value
+            itself, or to 1e-3 of the reference luminance of all directions if that is larger (see the glossary of the
+            documentation).
+        method: Expansion of exp(2πiκh) in κ = w/λ, where h is the height. ``"auto"`` selects the cheapest expansion
+            that meets the tolerance; ``"direct"`` is the float64 sum without an expansion, which is slow.
         integration: Integration over the wavelength: by sampled wavelengths, or by a precomputed table of colours.
         coherence: Window, source or periods; None is an averaged window of σ = 16.25 µm.
         ior: Index of refraction; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given. Results are
@@ -76,7 +79,7 @@ class CommonSettings(Checked):
             also accept a mapping from the names of a mesh's geometries to materials.
         strict: Whether a tolerance that cannot be met raises ``ToleranceError``; otherwise it causes a warning.
         device: Warp device, ``"cpu"`` or ``"cuda"``; None is the CPU.
-        threads: Threads on the CPU; None is one per core. Results do not depend on it.
+        threads: Threads on the CPU; None is one per core. Results do not depend on the number of threads.
     """
 
     tolerance: Annotated[float, Interval(ge=1e-5, le=0.5)] = 1e-2
@@ -100,7 +103,7 @@ class CommonSettings(Checked):
 
     @property
     def effective_coherence(self) -> Coherence:
-        """Coherence of the settings, or the default coherence if it is None."""
+        """Coherence of the settings, or the default coherence if ``coherence`` is None."""
         return self.coherence or Coherence()
 
 
@@ -109,7 +112,7 @@ class PlanSettings(CommonSettings):
     """Options of ``plan``.
 
     Attributes:
-        masking: Whether V-cavity masking and shadowing of the relief is included; it has no effect for
+        masking: Whether V-cavity masking and shadowing of the relief is included; the option has no effect for
             ``energy="normalised"``.
     """
 
@@ -121,7 +124,7 @@ class PlannedSettings(CommonSettings):
     """Options of functions that accept an explicit plan.
 
     Attributes:
-        plan: Explicit plan instead of ``tolerance``, ``method``, ``integration`` and ``coherence``; implies
+        plan: Explicit plan instead of ``tolerance``, ``method``, ``integration`` and ``coherence``. A plan implies
             ``strict=False``. Pictures with several surfaces also accept a mapping from parts of the mesh to plans.
     """
 
@@ -137,7 +140,7 @@ class PlannedSettings(CommonSettings):
 
     @property
     def effective_coherence(self) -> Coherence:
-        """Coherence of the explicit plan if there is one, else that of the settings, or the default if it is None."""
+        """Coherence of the explicit plan. Without a plan, coherence of the settings. Without both, the default."""
         return self.plan.coherence if isinstance(self.plan, Plan) else super().effective_coherence
 
 
@@ -147,9 +150,9 @@ class EnergySettings(CommonSettings):
 
     Attributes:
         energy: With ``"stam"``, the order efficiencies of a perfect mirror may sum to more or less than 1. With
-            ``"normalised"``, they sum to 1 for every direction: instead of masking, colours are multiplied by a(ωi)
-            a(ωr), the factors of :func:`warpdiff.order_efficiencies` averaged over the wavelengths. The factors require
-            about two seconds, once per height field.
+            ``"normalised"``, these efficiencies sum to 1 for every direction: instead of masking, colours are
+            multiplied by a(ωi) a(ωr), the factors of :func:`warpdiff.order_efficiencies` averaged over the wavelengths.
+            The factors require about two seconds, once per height field.
     """
 
     energy: Energy = "stam"
@@ -175,7 +178,8 @@ class PictureSettings(EvaluationSettings):
     """Options of pictures of a mesh.
 
     Attributes:
-        pigment: Strength of the mesh's base colour (texture, vertex colours or plain), which lies under the relief.
+        pigment: Strength of the mesh's base colour (texture, vertex colours or one colour), which lies under the
+            relief.
         shadows: Whether the mesh can occlude the lights.
         smooth: Whether vertex normals are interpolated; otherwise facets show.
         tangents: Direction of the height field's x axis, instead of tangents and texture coordinates of the mesh.
@@ -184,14 +188,14 @@ class PictureSettings(EvaluationSettings):
             all, shape (3,), or one per vertex, shape (n, 3), in the world frame. Only the component in the surface is
             used; where it is zero, the mean direction of neighbouring vertices. None is the tangents of a glTF file, or
             else the u axis of the texture coordinates.
-        footprint: Whether a pixel shows the mean over its filter, a Gaussian (σ 0.5 pixel, truncated at 1.5), instead
-            of the colour at its centre. None is on for averaged windows and sources, and off otherwise and for
-            ``method="direct"``.
+        footprint: Whether a pixel shows the mean over the pixel filter instead of the colour at its centre. The filter
+            is a Gaussian with σ = 0.5 pixel, truncated at 1.5 pixels. None is True for averaged windows and sources.
+            For other coherences, and for ``method="direct"``, None is False.
         samples_per_pixel: Number of camera rays per pixel. With 1, the ray passes through the pixel centre. With
-            footprints it is the least number of subpixel cells: 1, 4, 16, … 4,096.
+            footprints, the number is the least number of subpixel cells, the parts of a pixel: 1, 4, 16, … 4,096.
         refine: Whether pixels are subdivided until they meet the tolerance, into 4,096 cells at most, or 1,024 if
-            ``tolerance`` is 0.05 or larger. Without it the tolerance is not guaranteed; ``image.error`` estimates the
-            error.
+            ``tolerance`` is 0.05 or larger. Without refinement the tolerance is not guaranteed; ``image.error``
+            estimates the error.
     """
 
     pigment: Annotated[float, Ge(0.0)] = 1.0
@@ -210,7 +214,7 @@ class PictureSettings(EvaluationSettings):
 
     @property
     def effective_footprint(self) -> bool:
-        """Whether pixels show means over their filter."""
+        """Whether pixels show means over the pixel filter."""
         if self.footprint is not None:
             return self.footprint
         if isinstance(self.plan, Plan):
@@ -224,7 +228,7 @@ class SinglePictureSettings(PictureSettings):
 
     Attributes:
         layers: Names of further outputs, for ``image.layers``. ``"light"``, ``"to_light"`` and ``"scattering"`` are one
-            layer per light; ``"light.0"`` is that of the first light. With ``"light"``, each light is refined
+            layer per light; ``"light.0"`` is the layer of the first light. With ``"light"``, each light is refined
             separately.
         wavelengths_nm: Wavelengths [nm], shape (m,), at which ``image.spectra`` has the radiance of each pixel. Pixels
             are then means over ``samples_per_pixel`` rays instead of footprints. None computes no spectra.
@@ -262,7 +266,7 @@ class SinglePictureSettings(PictureSettings):
 
     @property
     def effective_footprint(self) -> bool:
-        """Whether pixels show means over their filter, which spectral pictures do not."""
+        """Whether pixels show means over the pixel filter; the pixels of spectral pictures do not."""
         return super().effective_footprint and self.wavelengths_nm is None
 
 
@@ -271,8 +275,9 @@ class ColourSettings(Checked):
     """Options of every function that shows colours, besides the display transform itself.
 
     Attributes:
-        exposure: Linear factor of the light; None is automatic, from the mean luminance of what is not black, and 1 for
-            EXR files. With 1 and ``display="colorimetric"``, a perfect mirror at normal incidence is white.
+        exposure: Linear factor of the light. None computes it from the mean luminance of the pixels that are not black;
+            for EXR files, None is 1. With 1 and ``display="colorimetric"``, a perfect mirror at normal incidence is
+            white.
         exposure_stops: Correction of the exposure, a factor of 2 per stop.
     """
 
@@ -303,7 +308,7 @@ class DisplaySettings(GamutSettings):
     Attributes:
         display: Display transform. ``"aces"`` is the ACES 2.0 view for standard dynamic range, which shows bright
             diffraction orders as smooth colour gradients. ``"colorimetric"`` is exact for colours within the gamut and
-            reduces the chroma of others. ``"clip"`` clips each channel. EXR files are linear.
+            reduces the chroma of other colours. ``"clip"`` clips each channel. EXR files are linear.
         bits: Bits per channel of PNG files.
     """
 

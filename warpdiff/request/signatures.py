@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from warpdiff.core.options import Option
 
 Function = TypeVar("Function", bound="Callable[..., Any]")
-# Line width of generated docstrings [characters], equal to that of the code.
+# Line width of generated docstrings [characters], equal to the line width of the code.
 _WIDTH = 120
 
 
@@ -98,6 +98,6 @@ def _with_options(text: str, options: list[Option]) -> str:
 
 
 def _facts(option: Option) -> str:
-    """Return the range, choices, unit and default of an option as text in brackets, for its docstring."""
+    """Return the range, choices, unit and default of an option as text in brackets, for a docstring."""
     facts = list(filter(None, (option.range, " | ".join(map(repr, option.choices)), option.unit)))
     return f"({'; '.join([*facts, f'default {option.default!r}'])})"

@@ -18,12 +18,12 @@ from warpdiff.optics.materials import Material  # noqa: TC001 (fields are descri
 class Surface(Checked):
     """Height field and optics of one part of a mesh, for pictures with several surfaces.
 
-    A value of None takes the setting of the call, such as ``shade(..., coherence=...)``.
+    If a value is None, the setting of the call is used, such as ``shade(..., coherence=...)``.
 
     Attributes:
         heightfield: Height field, whose x axis lies along the tangents of the mesh.
-        coherence: Window, source or periods.
-        material: Material; None takes ``ior``, if it is given, or the material of the call.
+        coherence: Coherence: a window, a light source or a number of periods.
+        material: Material of the surface. None uses ``ior`` if that is not None, else the material of the call.
         ior: Index of refraction; ``math.inf`` is a perfect mirror.
         pigment: Strength of the mesh's base colour, which lies under the relief, at least 0.
 

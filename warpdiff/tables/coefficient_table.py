@@ -34,26 +34,29 @@ if TYPE_CHECKING:
 # Number of float32 values in a SIMD register. The length of a table row is padded to a multiple of this number, so that
 # loops over a row use whole registers. Each padded length requires separately compiled kernels.
 LANES = 8
-# Smallest number of wavelengths in a quadrature, the numerical integral over the wavelength.
+# Smallest number of wavelengths in a quadrature. A quadrature is a numerical integral over the wavelength.
 _FEWEST_WAVELENGTHS = 16
-# A coefficient table contains all neighbours whose Gaussian weight is at least this number, even if the plan excludes
-# some of them. Plans that differ only in the least weight of neighbours can therefore share a table.
+# A coefficient table contains all Fourier coefficients whose Gaussian weight in the sum of a direction is at least this
+# number, even if the plan excludes some of them. Plans that differ only in their least weight can therefore share a
+# table.
 _LEAST_EXTENT_WEIGHT = 1e-14
-# Smallest number of intervals between wavelengths for replicas. Limit: the power of one patch is interpolated by cubics
-# through four neighbouring wavelengths.
+# Smallest number of intervals between wavelengths for replicated patches. The value is limited by the interpolation of
+# the power of one patch, which uses cubics through four neighbouring wavelengths.
 _FEWEST_INTERVALS = 4
-# Number of permitted quadrature sizes (numbers of wavelengths) from one size to twice that size. Plans share a
-# quadrature if they have the same size; more permitted sizes would make this rarer.
+# Number of permitted sizes (numbers of wavelengths) of a quadrature, the numerical integral over the wavelength, from
+# one size to twice that size. Plans share a quadrature if they have the same size; more permitted sizes would make this
+# rarer.
 SETS_PER_OCTAVE = 4
-# Measured peak memory while a quadrature is computed [bytes per wavelength].
+# Measured peak memory while the wavelengths and weights of an integral over the wavelength are computed
+# [bytes per wavelength].
 _BYTES_PER_WAVELENGTH = 370.0
 # Number of values of cos θd at which the reflectance of a material is tabulated; θd is half of the angle between the
-# directions to the light and to the viewer. The error of linear interpolation is at most 1e-4; it is largest near the
-# horizon.
+# directions to the light and to the viewer. The error of linear interpolation between these values is at most 1e-4; it
+# is largest near the horizon.
 _ANGLES = 513
-# Measured peak memory while coefficients are computed [bytes]. First two numbers, per coefficient and term: for a
-# series, and for the fit of a basis to the series. Last two numbers, per frequency of the Fourier transform: in total,
-# and in addition for each thread.
+# Measured peak memory while coefficients are computed [bytes]. `_BYTES_OF_SERIES` and `_BYTES_OF_FIT` are per
+# coefficient and term: for a series, and for the fit of a basis to the series. `_BYTES_PER_SAMPLE` is per frequency of
+# the Fourier transform, and each thread adds `_BYTES_OF_THREAD` per frequency.
 _BYTES_OF_SERIES, _BYTES_OF_FIT, _BYTES_PER_SAMPLE, _BYTES_OF_THREAD = 16.0, 36.0, 8.0, 18.0
 
 
@@ -61,8 +64,9 @@ _BYTES_OF_SERIES, _BYTES_OF_FIT, _BYTES_PER_SAMPLE, _BYTES_OF_THREAD = 16.0, 36.
 class CoefficientRange:
     """Range of frequencies q and of |κ| for which coefficients are stored, rounded up to coarse steps.
 
-    The range includes all visible wavelengths. Small movements of a light or a camera leave the range unchanged, so
-    that the cached coefficients remain valid.
+    q is the spatial frequency (u, v)/λ, and κ is w/λ, where (u, v, w) is the scattering vector. The range includes all
+    visible wavelengths. Small movements of a light or a camera leave the range unchanged, so that the cached
+    coefficients remain valid.
 
     Attributes:
         frequency: Largest |q| [1/µm].
@@ -76,7 +80,7 @@ class CoefficientRange:
 
     @classmethod
     def covering(cls, direction_range: DirectionRange) -> CoefficientRange:
-        """Return the range of coefficients for a range of directions and wavelengths."""
+        """Return the range of Fourier coefficients for a range of directions and wavelengths."""
         shortest = min(direction_range.lambda_min_nm, colorimetry.LAMBDA_MIN_NM)
         longest = max(direction_range.lambda_max_nm, colorimetry.LAMBDA_MAX_NM)
         return cls(
@@ -92,12 +96,12 @@ class CoefficientsKey:
 
     Attributes:
         block: Range of the orders (r, s) whose coefficients are stored.
-        kappas: Range of |κ|, smallest and largest [1/µm].
+        kappas: Smallest and largest |κ| = |w|/λ [1/µm].
         method: One of ``coefficient_basis.METHODS``.
-        terms: Number of terms of the series.
-        fits_powers: Whether a basis is fitted to powers instead of amplitudes.
-        is_tapered: Whether coefficients are also computed at half orders of the patch, as replicas require. The samples
-            are then weighted before the Fourier transform (`Grid.taper`).
+        terms: Number of terms of the series from which the coefficients are computed.
+        fits_powers: Whether a basis is fitted to powers |H|² of the coefficients H instead of amplitudes H.
+        is_tapered: Whether coefficients are also computed at half orders of the patch, as replicas require. The height
+            samples are then weighted before the Fourier transform (`Grid.taper`).
     """
 
     block: Block
@@ -110,15 +114,15 @@ class CoefficientsKey:
 
 @dataclass(frozen=True)
 class RowsKey:
-    """Cache key of the coefficient rows on a device: everything on which they depend except the heights.
+    """Cache key of the coefficient rows on a device: everything on which the rows depend except the heights.
 
     Attributes:
         device: Name of the device.
         block: Range of the orders (r, s) whose coefficients are stored.
-        coefficient_range: Range of frequencies and κ.
+        coefficient_range: Range of spatial frequencies and of |κ| = |w|/λ.
         method: One of ``coefficient_basis.METHODS``.
-        terms: Number of terms of each row.
-        kind: Kind of coherence; rows of a centred window contain the phase of its position.
+        terms: Number of basis terms in the row of each coefficient.
+        kind: Kind of coherence; rows of a centred window contain the phase of the window's position.
         centre_um: Position (y, x) of a centred window [µm]; None is the centre of the patch.
     """
 
@@ -136,10 +140,10 @@ class Table:
     """Table of coefficients on a device, with the kernels that evaluate it.
 
     Attributes:
-        integrate: Kernel that integrates over λ to XYZ.
-        sample: Kernel that computes ρ at wavelengths that the caller selects.
-        arguments: Struct ``Table`` of the kernels, the first argument of both kernels.
-        coefficients: Coefficients on the host from which the table was made.
+        integrate: Kernel that integrates the spectrum over λ to colours XYZ.
+        sample: Kernel that computes the reflectance ρ at wavelengths that the caller selects.
+        arguments: Struct with the arrays and numbers of the table; the first argument of both kernels.
+        coefficients: Fourier coefficients on the host, from which the table was made.
     """
 
     integrate: Any
@@ -149,7 +153,7 @@ class Table:
 
 
 def lanes_of(terms: int) -> int:
-    """Return the padded length of a table row with ``terms`` terms."""
+    """Return the padded length of a table row with ``terms`` terms: a multiple of ``LANES``."""
     return LANES * math.ceil(terms / LANES)
 
 
@@ -157,11 +161,11 @@ def coefficients_for(
     heightfield: HeightField, method: str, coherence: Coherence, direction_range: DirectionRange,
     neighbour_extent: tuple[int, int], *, terms: int, threads: int, to_fit: bool = False,
 ) -> tuple[Coefficients, Block, Grid]:  # fmt: skip
-    """Return the coefficients for a range of directions, from the cache if possible, with their frequencies.
+    """Return the Fourier coefficients for a range of directions, from the cache if possible, with their frequencies.
 
-    The frequencies are those of a ``Grid``; a ``Block`` states which of them are stored.
-
-    The size and the position of a window have no effect on the coefficients.
+    The result has three parts: the coefficients, a ``Block`` and a ``Grid``. The ``Grid`` defines the frequencies, and
+    the ``Block`` states at which of them coefficients are stored. The size and the position of a coherence window have
+    no effect on the coefficients.
 
     Args:
         heightfield: Height field whose coefficients are returned.
@@ -170,8 +174,8 @@ def coefficients_for(
         direction_range: Range of directions and wavelengths.
         neighbour_extent: Number of coefficients along (y, x) on either side of a direction that look-ups may read.
         terms: Number of terms of a series; the fit of a basis selects its own number.
-        threads: Number of transforms that run in parallel.
-        to_fit: Whether the caller only fits a basis to the resulting series. The series is then stored in a cache of
+        threads: Number of Fourier transforms that run in parallel.
+        to_fit: Whether the caller needs the series only to fit a basis to it. The series is then stored in a cache of
             one entry.
     """
     coefficient_range = CoefficientRange.covering(direction_range)
@@ -216,14 +220,14 @@ def coefficients_for(
         series = cache.fitted_to.get(key)
         if series is not None:
             cache.coefficients.put(key, series)
-        # ``cache.fitted_to`` holds the series to which the last basis was fitted. It is emptied: its series is now in
-        # ``cache.coefficients`` or no longer needed, and two cached series would require twice the memory.
+        # ``cache.fitted_to`` contains the series to which the last basis was fitted. It is emptied, because this series
+        # is now in ``cache.coefficients``, or is no longer needed. Two cached series would require twice the memory.
         cache.fitted_to.clear()
     return cache.coefficients.get_or_make(key, make), block, grid
 
 
 def grid_for(heightfield: HeightField, coherence: Coherence) -> Grid:
-    """Return the grid of frequencies at which coefficients are computed for a kind of coherence."""
+    """Return the grid of frequencies at which Fourier coefficients are computed for a kind of coherence."""
     if coherence.kind != "replicas":
         return fourier_coefficients.patch_grid(heightfield)
     return fourier_coefficients.fine_grid(
@@ -232,7 +236,7 @@ def grid_for(heightfield: HeightField, coherence: Coherence) -> Grid:
 
 
 def kernels_for(method: str, coherence: Coherence, terms: int) -> Any:
-    """Return the kernels for table rows with ``terms`` terms."""
+    """Return the kernels that sum coefficients, for table rows with ``terms`` terms."""
     powers = coefficient_basis.holds_powers(method, adds_powers=coherence.adds_powers)
     return coefficient_sum.kernels(lanes_of(terms), coherence.kind, powers)
 
@@ -240,10 +244,11 @@ def kernels_for(method: str, coherence: Coherence, terms: int) -> Any:
 def table_for(
     heightfield: HeightField, plan: Plan, direction_range: DirectionRange, *, device: wp.Device, threads: int
 ) -> Table:
-    """Return the coefficient table for a plan and for the directions of a call, from the cache if possible."""
+    """Return the table of Fourier coefficients for a plan and the directions of a call, from the cache if possible."""
     coherence = plan.coherence
-    # A fitted basis depends on the range of directions to which it is fitted. This is the range of the plan, extended
-    # only if the call exceeds it. All calls within the range of a plan therefore give consistent results.
+    # A fitted basis depends on the range of directions to which it is fitted. Here it is fitted to the range of the
+    # plan, which is extended only if the call exceeds it. All calls within the range of a plan therefore give
+    # consistent results.
     direction_range = plan.direction_range.joined(direction_range)
     coefficients, block, grid = coefficients_for(
         heightfield, plan.method, coherence, direction_range, neighbour_extent(plan, heightfield), terms=plan.terms,
@@ -286,7 +291,7 @@ def table_for(
 
 
 def without_zeroth_order(table: Table) -> Table:
-    """Return a new table with its rows replaced by copies in which the zeroth order is 0."""
+    """Return a new table with copies of the rows in which the zeroth order (the mean plane's reflection) is 0."""
     arguments = table.arguments
     rows = arguments.rows.numpy().copy()
     rows[arguments.origin_y * arguments.count_x + arguments.origin_x] = 0.0
@@ -295,10 +300,11 @@ def without_zeroth_order(table: Table) -> Table:
 
 
 def falloff_um2(coherence: Coherence, wavelength_um: float = 1.0) -> float:
-    """Return the factor a [µm²] of the Gaussian weight exp(−a |q − q_rs|²) of a coefficient.
+    """Return the factor a [µm²] of the Gaussian weight exp(−a |q − q_rs|²) of a Fourier coefficient.
 
-    The factor is 4π²σ² for powers (averaged), 2π²σ² for amplitudes (centred), and λ²/2s² for powers under a source of
-    the spread s at normal incidence.
+    q is the frequency of a direction, and q_rs is the frequency of the coefficient. The factor is 4π²σ² for powers
+    under an averaged window, and 2π²σ² for amplitudes under a centred window, with the standard deviation σ of the
+    window. For powers under a source of the spread s at normal incidence, it is λ²/2s².
     """
     if coherence.sigma_um is None:
         return wavelength_um**2 / (2.0 * coherence.spread**2)
@@ -306,33 +312,35 @@ def falloff_um2(coherence: Coherence, wavelength_um: float = 1.0) -> float:
 
 
 def radius(plan: Plan) -> float:
-    """Return the distance in frequency [1/µm] up to which a table contains the neighbours of each direction."""
+    """Return the distance in frequency [1/µm] up to which each direction includes Fourier coefficients."""
     falloff = falloff_um2(plan.coherence, plan.lambda_min_nm * 1e-3)
     return math.sqrt(-math.log(min(plan.least_weight, _LEAST_EXTENT_WEIGHT)) / falloff)
 
 
 def neighbour_extent(plan: Plan, heightfield: HeightField) -> tuple[int, int]:
-    """Return the number of coefficients along (y, x) on either side of a direction that a table must contain.
+    """Return the number of Fourier coefficients along (y, x) on either side of a direction that a table must contain.
 
-    All plans whose least weight is above ``_LEAST_EXTENT_WEIGHT`` have the same extent, so that they share one fitted
-    basis.
+    All plans whose least Gaussian weight of coefficients is above ``_LEAST_EXTENT_WEIGHT`` have the same extent, so
+    that they share one fitted basis.
     """
     if plan.coherence.kind == "replicas":
         return coefficient_sum.TAPS, coefficient_sum.TAPS
-    # At oblique incidence, the neighbours under a source lie within an ellipse. The kernels sum over a parallelogram
-    # that contains the ellipse and extends farther by up to the factor √2.
+    # At oblique incidence, the coefficients that contribute to a direction under a source lie within an ellipse. The
+    # kernels sum over a parallelogram that contains the ellipse. It extends farther than the ellipse by up to the
+    # factor √2.
     around = radius(plan) * (math.sqrt(2.0) if plan.coherence.kind == "source" else 1.0)
     rows, columns = (math.ceil(around * length + 0.5) for length in grid_for(heightfield, plan.coherence).lengths_um)
     return rows, columns
 
 
 def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: IlluminatedMaterial, *, device: wp.Device) -> Any:
-    """Return the struct ``Quadrature`` for a plan and an illuminated material: wavelengths with colour weights."""
+    """Return the struct ``Quadrature`` of a plan and an illuminated material: wavelengths with colour weights."""
     per_lateral, per_w, constant = plan.bandwidth_um
     largest = per_lateral * plan.max_order_rate + per_w * plan.max_w + constant
     counts = [plan.wavelengths]
-    # Directions of smaller bandwidth use sets with fewer wavelengths. The smallest useful set is the one for the
-    # constant part of the bandwidth, which every direction requires.
+    # The bandwidth of a direction is the number of wavelengths that it requires per unit of 1/λ. Directions of smaller
+    # bandwidth use sets with fewer wavelengths. The smallest useful set is for the constant part of the bandwidth,
+    # which every direction requires.
     levels = math.floor(SETS_PER_OCTAVE * (math.log2(largest) - math.log2(constant))) if plan.adaptive else 0
     for level in range(1, levels + 1):
         fewer = wavelength_set_size(plan.wavelengths * 2.0 ** (-level / SETS_PER_OCTAVE))
@@ -377,9 +385,10 @@ def _taps(count: int) -> NDArray[np.float32]:
 
 
 def _set_taps(table: Any, kernels: Any, heightfield: HeightField, device: wp.Device) -> None:
-    """Store the polynomials of the gridding kernel, which interpolates between stored frequencies, in a table's struct.
+    """Store the gridding kernel, which interpolates between stored frequencies, in the struct of a table.
 
-    Along an axis with a single sample, one constant weight of 1 replaces them.
+    The gridding kernel is stored as polynomials. Along an axis with a single height sample, one constant weight of 1
+    replaces these polynomials.
     """
     taps = _taps(coefficient_sum.TAPS)
     constant_x = np.zeros((1, coefficient_sum.TAPS), dtype=np.float32)
@@ -391,14 +400,17 @@ def _set_taps(table: Any, kernels: Any, heightfield: HeightField, device: wp.Dev
 
 
 def _rotated(rows: NDArray[np.float32], phase: NDArray[np.complex128]) -> NDArray[np.float32]:
-    """Return amplitudes, shape (my, mx, 2, terms), multiplied by complex phase factors, shape (my, mx)."""
+    """Return rows of amplitudes, shape (my, mx, 2, terms), multiplied by complex phase factors, shape (my, mx)."""
     cosine, sine = (part.astype(np.float32)[:, :, None] for part in (phase.real, phase.imag))
     re, im = rows[:, :, 0], rows[:, :, 1]
     return np.stack([re * cosine - im * sine, re * sine + im * cosine], axis=2)
 
 
 def _centre_phase(heightfield: HeightField, coherence: Coherence, block: Block) -> NDArray[np.complex128]:
-    """Return exp(−2πi q_rs·x_c): factors of the coefficients that move the window from a corner to its centre x_c."""
+    """Return exp(−2πi q_rs·x_c), a factor of each coefficient that moves the window from a corner to its centre x_c.
+
+    q_rs is the frequency of the coefficient (r, s).
+    """
     middle = [n // 2 * pitch for n, pitch in zip(heightfield.shape, heightfield.pitch_um, strict=True)]
     centre = coherence.centre_um or middle
     s, r = block.orders()

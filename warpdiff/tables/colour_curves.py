@@ -1,7 +1,8 @@
-"""Colour curves: spline weights that convert rows of the power spectrum to XYZ, and functions of w that colours share.
+"""Colour curves: spline weights that convert a power spectrum to XYZ, and functions of w that colours share.
 
-A colour curve is the product of an illuminant, a CIE colour-matching function and the reflectance of a material, as a
-function of the wavelength.
+A colour curve is a product as a function of the wavelength. Its factors are the spectrum of an illuminant, a CIE
+colour-matching function and the reflectance of a material. w is the component of the scattering vector along the
+normal.
 """
 
 from __future__ import annotations
@@ -30,43 +31,47 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
     from warpdiff.tables.mip_layout import MipLayout
 
-# Number of values of |w| at which the functions of w are tabulated: at least 32 per oscillation of a function. Cubics
-# interpolate between them.
+# Number of values of |w| at which the functions of w of a colour table are tabulated. w is the normal component of the
+# scattering vector. Each oscillation of a function has at least 32 values. Cubics interpolate between these values.
 _ENTRIES_OVER_W = 160
-# Errors by truncating the functions of w are relative to the size of the colours at the same |w|. The divisor is at
-# least this share of the largest size of the colours over all |w|.
+# A colour table has only a limited number of functions of w, the normal component of the scattering vector. The error
+# by truncating the functions is relative to the size of the colours at the same |w|. The divisor is at least this share
+# of the largest size of the colours over all |w|.
 _LEAST_SCALE_OVER_W = 1e-2
-# Number of wavelengths from one ring to the next at which the colour curves are sampled, for the fit of splines.
+# Number of wavelengths from one ring of the table to the next at which the colour curves are sampled. Splines are
+# fitted to these samples.
 _SAMPLES_PER_NODE = 64
-# Errors in the fit of splines are relative to the values of a colour curve, which vanish at both ends of the spectrum.
-# The divisor is at least this share of the largest value of the curve.
+# Errors in the fit of splines are relative to the values of a colour curve, which vanish at both ends of the visible
+# range. The divisor is at least this share of the largest value of the curve.
 _LEAST_SCALE = 0.005
-# Colour curves include the reflectance of the material at one value of cos θd, which is the first number. θd is half of
-# the angle between the directions to the light and to the viewer. The ratio of the reflectance at other angles to this
-# one is approximated by a sum of products: a function of |(u, v)| times a function of λ and w. The second number is the
-# largest error of this sum, as a share of the tolerance.
+# Colour curves include the reflectance of the material at one angle θd, which is half of the angle between the
+# directions to the light and to the viewer. `_MIDDLE_COSINE` is its cosine. The reflectance at another angle divided by
+# this reflectance is approximated by a sum of products: a function of |(u, v)| times a function of λ and w.
+# `_PRODUCTS_SHARE` is the largest error of the sum, as a share of the tolerance.
 _MIDDLE_COSINE, _PRODUCTS_SHARE = 0.8, 0.02
-# The ratio of a material's reflectance to that in the colour curves is approximated by polynomials in cos θd through
-# Chebyshev nodes. First number: largest absolute error of this ratio. Others: smallest and largest number of nodes.
-# Metals need the fewest nodes; thin films with resonances near the horizon need the most.
+# The reflectance of a material, divided by its reflectance in the colour curves, is approximated by polynomials in cos
+# θd through Chebyshev nodes. `_POLYNOMIALS_ERR` is the largest absolute error of this ratio. The other numbers are the
+# smallest and the largest number of nodes. Metals need the fewest nodes; thin films with resonances near the horizon
+# need the most.
 _POLYNOMIALS_ERR, _FEWEST_ROOTS, _MOST_ROOTS = 1e-6, 32, 512
-# Smallest reflectance in colour curves, as a share of the largest one; smaller ones are replaced by it. Thin films
-# reflect nothing at some wavelengths, and ratios to a reflectance of 0 would be infinite.
+# Smallest reflectance in colour curves, as a share of the largest one. Smaller reflectances are replaced by it. Thin
+# films reflect nothing at some wavelengths, and ratios to a reflectance of 0 would be infinite.
 _LEAST_SHARE = 0.3
 
 
 @dataclass(frozen=True)
 class SpectrumBasis:
-    """Basis functions of |κ| in which the rows of a power spectrum are expanded.
+    """Basis functions of |κ| = |w|/λ in which the rows of a power spectrum are expanded.
 
     Attributes:
         basis_at: Function of an array of |κ|, shape (n,), that returns the basis functions there, shape (n, terms).
-        kappas: Range of |κ|, smallest and largest [1/µm].
-        sizes: Relative size of each term in typical rows, shape (terms,).
-        share: Permitted error of truncating the functions of w, as a share of the tolerance.
+        kappas: Smallest and largest |κ| [1/µm].
+        sizes: Relative size of the weight of each basis function in typical rows, shape (terms,).
+        share: Permitted error by truncating the functions of w (the normal component) of the colour table, as a share
+            of the tolerance.
         holds_lines: Whether rows are powers per unit area of frequency, as for a source, under which orders are
-            spectral lines. Colours require powers per unit area of (u, v). The weights therefore include the factor λ⁻²
-            between the two.
+            spectral lines. Colours require powers per unit area of (u, v). The weights of the colour curves therefore
+            include the factor λ⁻², which converts the first to the second.
     """
 
     basis_at: Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -78,10 +83,10 @@ class SpectrumBasis:
 
 @dataclass(frozen=True)
 class SeparableTerm:
-    """Summand of the colours in one octave of |(u, v)|: a projection of the spectrum times a factor for each ring.
+    """Summand of the colours in one octave of |(u, v)|: the spectrum projected to colours, times factors of rings.
 
     Attributes:
-        projection: Index of the projection; several octaves may share it.
+        projection: Index of the matrix in ``Projection.matrices``; several octaves may share a matrix.
         factors: Factor for each ring of the octave, shape (rings,); None is 1.
     """
 
@@ -91,14 +96,15 @@ class SeparableTerm:
 
 @dataclass(frozen=True)
 class Projection:
-    """Weights that convert rows of the spectrum to colours.
+    """Weights that convert rows of the power spectrum to colours.
 
     Attributes:
         ws: Tabulated values of |w|, equally spaced, shape (entries,).
-        w_basis: Functions of w that all colours share, at these |w|, shape (entries, m).
+        w_basis: Functions of w (the normal component of the scattering vector) that all colours of a table share, at
+            the values ``ws``, shape (entries, m).
         weights: Spline coefficients of the colour curves: weights in X, Y and Z of the rings that contribute to one
             colour, shape (rings, 3).
-        matrices: One matrix per projection: the coefficients of the functions of w for each ring and term, shape
+        matrices: Each matrix has the coefficients of the functions of w for each ring and basis term, shape
             (rings, terms, m). The colour at one |(u, v)| requires the rings |(u, v)|/λ from the longest visible
             wavelength to the shortest, and one ring more at each end.
         octaves: For each octave of |(u, v)|, the terms whose sum is the octave's colours. Without a material there is a
@@ -118,11 +124,13 @@ def make_projection(
 ) -> Projection:
     """Return the weights that convert the power spectrum on the rings of a plan's table to colours.
 
-    If the plan does not set the number of functions of w, the tolerance selects it. Because cos θd = |(u, v, w)|/2, the
-    reflectance R(θd, λ) of a material is a function of λ, w and the radius |(u, v)| of a ring. The integral over λ
-    therefore includes it, and look-ups need no material.
+    If the plan does not set the number of functions of w, the tolerance determines it. The angle θd is half of the
+    angle between the directions to the light and to the viewer. Because cos θd = |(u, v, w)|/2, the reflectance
+    R(θd, λ) of a material is a function of λ, w and the radius |(u, v)| of a ring. The integral over λ therefore
+    includes R, and look-ups need no material.
     """
-    # Smallest and largest |w| for which |κ| = |w|/λ is within the range of the basis at all visible wavelengths.
+    # Smallest and largest |w| for which |κ| = |w|/λ is within the range of the basis functions at all visible
+    # wavelengths.
     low, high = terms.kappas[0] * colorimetry.LAMBDA_MAX_NM * 1e-3, terms.kappas[1] * colorimetry.LAMBDA_MIN_NM * 1e-3
     ws, per_um = _places(plan.rings_per_octave, low, high)
     weights = colour_weights(plan.rings_per_octave, illuminated, lines=terms.holds_lines)
@@ -143,8 +151,9 @@ def make_projection(
     matrix *= relative
     values, vectors = np.linalg.eigh(matrix @ matrix.T)
     squares, left = np.maximum(values, 0.0), vectors[:, ::-1]
-    # Entry n of `remaining` is the truncation error with the first n functions of w. It is the largest error over all
-    # |w| and not the mean, because a call may use a single |w|.
+    # Entry n of `remaining` is the truncation error with the first n functions of w, the normal component of the
+    # scattering vector. The error is the largest one over all |w| and not the mean, because a call may use a single
+    # |w|.
     remaining = np.sqrt(np.append(np.cumsum(squares * vectors**2, axis=1).max(axis=0)[::-1], 0.0))
     needed = int(np.argmax(remaining <= terms.share * plan.tolerance))
     m = plan.w_basis_size or min(W_BASIS_STEP * math.ceil(max(needed, 1) / W_BASIS_STEP), MOST_W_BASIS)
@@ -157,24 +166,24 @@ def make_projection(
 
 
 def _on_curve(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the reflectance of a material that colour curves include: at one cos θd, and limited from below."""
-    # If the largest reflectance is 0, as for air, it is replaced by 1, because it is a divisor later.
+    """Return the reflectance of a material that colour curves include: at one angle, and limited from below."""
+    # If the largest reflectance is 0, as for air, the number 1 replaces it, because it is a divisor later.
     most = reflectance_at(material, VISIBLE_NM, np.array(_MIDDLE_COSINE)).max() or 1.0
     reflectances = reflectance_at(material, wavelengths_nm, np.array(_MIDDLE_COSINE))
     return np.asarray(np.maximum(reflectances, _LEAST_SHARE * most))
 
 
-# Only the approximation of the last call is cached. It does not depend on the illuminant or on the number of functions
-# of w, so that tables of one material that are computed one after the other share it.
+# Only the result of the last call is cached. It does not depend on the illuminant or on the number of functions of w in
+# the table. Tables of one material that are computed one after the other therefore share it.
 @functools.lru_cache(maxsize=1)
 def _material_products(
     material: Material | None, rings_per_octave: int, share: float, layout: MipLayout, low: float, high: float
 ) -> tuple[tuple[tuple[NDArray[np.float64], float], ...], tuple[tuple[SeparableTerm, ...], ...]]:
-    """Approximate a material's reflectance, relative to that in the colour curves, by sums of separable terms.
+    """Approximate a material's reflectance, divided by the one in the colour curves, by sums of separable terms.
 
-    A separable term is a factor for each ring of |(u, v)| times a function of (w, λ). The error is at most ``share``
-    for |w| from ``low`` to ``high``. Octaves of small |(u, v)|, where the reflectance hardly changes, share one
-    function of (w, λ).
+    A separable term is a factor for each ring of |(u, v)| times a function of (w, λ). The absolute error of the ratio
+    is at most ``share`` for |w| from ``low`` to ``high``. Octaves of small |(u, v)|, where the reflectance hardly
+    changes, share one function of (w, λ).
 
     Returns:
         Functions of (w, λ), each with its largest factor over all rings; and the terms of each octave.
@@ -195,8 +204,8 @@ def _material_products(
     functions: list[tuple[NDArray[np.float64], float]] = []
     octaves: list[tuple[SeparableTerm, ...]] = []
     shared: SeparableTerm | None = None
-    # The outermost rings of the grid may have a larger |(u, v)| than 2, which no direction has. The reflectance at 2 is
-    # used for them.
+    # The outermost rings of the grid may have a larger |(u, v)| than 2, which no direction has. These rings use the
+    # reflectance at |(u, v)| = 2.
     for uv in np.minimum(grid.radii, 2.0):
         if np.abs(ratio(uv[-1:]) - centre).max() <= share:
             if shared is None:
@@ -205,8 +214,8 @@ def _material_products(
             octaves.append((shared,))
             continue
         values = ratio(uv).reshape(len(uv), -1)
-        # The singular value decomposition of `values` is computed by the eigenvectors of its Gram matrix, which is
-        # smaller.
+        # The singular value decomposition of `values` is computed by the eigenvectors of the Gram matrix of `values`,
+        # which is smaller than `values`.
         left = np.linalg.eigh(values @ values.T)[1][:, ::-1]
         right = left.T @ values
         rank = 1
@@ -221,15 +230,15 @@ def _material_products(
 def _places(rings_per_octave: int, low: float, high: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return equally spaced |w| from ``low`` to ``high``, and the wavenumbers 1/λ [1/µm] of one colour.
 
-    At a fixed (u, v), each ring |(u, v)|/λ belongs to one wavenumber. The result has those of all rings that contribute
-    to one colour.
+    At a fixed (u, v), each ring |(u, v)|/λ of the spectrum belongs to one wavenumber. The result has the wavenumbers of
+    all rings that contribute to one colour.
     """
     per_um = np.exp(LOG_RED + (np.arange(ring_count(rings_per_octave)) - 1.0) * math.log(2.0) / rings_per_octave)
     return np.linspace(low, high, _ENTRIES_OVER_W), per_um
 
 
 def _ratios_at_roots(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the ratio of a material's reflectance to that in the colour curves, at Chebyshev nodes of cos θd."""
+    """Return a material's reflectance divided by the one in the colour curves, at Chebyshev nodes of cos θd."""
 
     def at_roots(count: int) -> NDArray[np.float64]:
         roots = chebyshev.nodes(0.0, 1.0, count)[:, None]
@@ -247,22 +256,24 @@ def _ratios_at_roots(material: Material, wavelengths_nm: NDArray[np.float64]) ->
 
 @functools.lru_cache(maxsize=64)
 def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool = False) -> NDArray[np.float64]:
-    """Return the spline coefficients of the colour curves.
+    """Return the coefficients of splines that are fitted to the colour curves.
 
     Args:
         rings: Number of rings per octave of the table.
         illuminated: Illuminant, and the material whose reflectance at cos θd = `_MIDDLE_COSINE` the curves include.
-        lines: Whether rows are powers per unit area of frequency, as ``holds_lines`` of :class:`SpectrumBasis`.
+        lines: Whether rows of the spectrum are powers per unit area of frequency, as ``holds_lines`` of
+            :class:`SpectrumBasis` states.
 
     Returns:
-        Weights of consecutive rings, shape (ring_count(rings), 3); the first one is one ring below that of the longest
-        visible wavelength. XYZ is the sum of these weights times the spectrum at the rings.
+        Weights of consecutive rings, shape (ring_count(rings), 3). The first ring is one ring below the ring of the
+        longest visible wavelength. XYZ is the sum of these weights times the spectrum at the rings.
     """
     products = colour_products(illuminated)
     if lines:
         products = products / (1e-3 * np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))[:, None] ** 2
     result = _projected(products, rings)
-    # A constant power spectrum must give the exact colour of white, up to rounding. The weights are scaled accordingly.
+    # A constant power spectrum must give the exact colour of white, up to rounding. The weights of rings are scaled
+    # accordingly.
     return np.asarray(result * products.sum(axis=0) / (math.log(2.0) / rings * result.sum(axis=0)))
 
 
@@ -276,10 +287,13 @@ def colour_products(illuminated: IlluminatedMaterial) -> NDArray[np.float64]:
 
 
 def _projected(products: NDArray[np.float64], rings_per_octave: int) -> NDArray[np.float64]:
-    """Fit splines to the colour curves by least squares, shape (ring_count(rings_per_octave), 3)."""
+    """Return the coefficients of splines that are fitted to the colour curves by least squares.
+
+    The shape is (ring_count(rings_per_octave), 3).
+    """
     count = ring_count(rings_per_octave)
-    # The splines at both ends extend beyond the visible range, and the fit includes these wavelengths. The colour
-    # curves are 0 there.
+    # The splines at both ends extend beyond the visible range, and the fit includes the wavelengths there. At these
+    # wavelengths, the colour curves are 0.
     places = (np.arange((count + 4) * _SAMPLES_PER_NODE) + 0.5) / _SAMPLES_PER_NODE - 2.0
     at = 1e3 * np.exp(-(LOG_RED + (places - 1.0) * (math.log(2.0) / rings_per_octave)))
     # The curves are multiplied by λ, because the splines are functions of ln λ, and dλ = λ d ln λ.
@@ -293,6 +307,6 @@ def _projected(products: NDArray[np.float64], rings_per_octave: int) -> NDArray[
 
 
 def spline(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the quadratic B-spline at distances from its centre, in units of its knot spacing."""
+    """Return the quadratic B-spline at distances from its centre, in units of the knot spacing."""
     away = np.abs(x)
     return np.where(away < 0.5, 0.75 - away**2, 0.5 * np.maximum(1.5 - away, 0.0) ** 2)

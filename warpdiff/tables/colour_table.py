@@ -1,4 +1,4 @@
-"""Colour tables: XYZ under an illuminant over polar coordinates of (u, v), with their construction and cache."""
+"""Colour tables: XYZ under an illuminant over polar coordinates of (u, v). Construction and cache of the tables."""
 
 from __future__ import annotations
 
@@ -33,15 +33,17 @@ if TYPE_CHECKING:
     from warpdiff.tables.colour_curves import Projection
     from warpdiff.tables.mip_layout import MipLayout
 
-# Decimation: a look-up with a wide footprint adds only every second ring if the colour curves are smooth over ln λ.
+# A look-up with a wide footprint adds only every second ring if the colour curves are smooth over ln λ (decimation).
 # Such a sum confuses (aliases) one frequency over ln λ, that of a full oscillation per two rings, with a constant.
-# First number: upper limit for the Fourier transform of the colour curves at that frequency, relative to frequency 0.
-# Second number: least distance of that frequency from the largest frequency of the power spectrum over ln λ, in
-# standard deviations of the Fourier transform of the look-up's Gaussian. Third number: value of the field
+# `_MOST_AT_ALIAS` is the upper limit for the Fourier transform of the colour curves at that frequency, relative to
+# frequency
+# 0. `_SAFE_DEVIATIONS` is the least distance of that frequency from the largest frequency of the power spectrum over ln
+# λ,
+# in standard deviations of the Fourier transform of the look-up's Gaussian. `_NO_DECIMATION` is the value of the field
 # `decimation_scale` that disables decimation.
 _MOST_AT_ALIAS, _SAFE_DEVIATIONS, _NO_DECIMATION = 0.05, 4.2, 1e6
-# First number: number of wavelengths at which look-ups integrate the zeroth order. Second number: number of values of
-# cos θd at which the reflectance of the material is tabulated for this integral; θd is half of the angle between the
+# `_ZEROTH_WAVELENGTHS` is the number of wavelengths at which look-ups integrate the zeroth order. For this integral,
+# the reflectance of the material is tabulated at `_ZEROTH_ANGLES` values of cos θd. θd is half of the angle between the
 # directions to the light and to the viewer.
 _ZEROTH_WAVELENGTHS, _ZEROTH_ANGLES = 40, 512
 # Number of azimuth samples that a CPU thread processes in one launch while a table is computed.
@@ -50,12 +52,13 @@ _AZIMUTHS_OF_SLICE = 32
 
 @dataclass(frozen=True, eq=False)
 class ColourTable:
-    """Table of the colours under an illuminant: XYZ(u, v, w) = Σ_k c_k(u, v) f_k(w), plus the zeroth order.
+    """Table of the colours XYZ(u, v, w) = Σ_k c_k(u, v) f_k(w) under an illuminant, plus the zeroth order.
 
     Attributes:
-        kernels: Kernels and types for the number of functions of w.
-        layout: Layout of the table; it has only those mip levels whose rows are filled.
-        fields: Values of the fields of the kernels' struct ``Colours`` by name, without those of the layout.
+        kernels: Kernels and types for the number of functions f_k of w in the table.
+        layout: Layout of the table, with only those mip levels whose rows are filled.
+        fields: Values of the fields of the kernels' struct ``Colours`` by name, without the fields that the layout
+            defines.
     """
 
     kernels: types.SimpleNamespace
@@ -76,7 +79,7 @@ class ColourTable:
 
     @property
     def nbytes(self) -> int:
-        """Size of the table's arrays [bytes]. On the CPU, only filled rows count, as unused space is not in memory."""
+        """Size of the table's arrays [bytes]. On the CPU, only filled rows count, as unfilled rows occupy no memory."""
         values = [getattr(self.struct, name) for name in self.kernels.Colours.vars if name != "rows"]
         others: int = sum(value.capacity for value in values if isinstance(value, wp.array))
         rows = self.fields["rows"]
@@ -102,7 +105,7 @@ class ColourTable:
     def fill(self, levels: range, compute: Callable[[int, int, wp.array], None], **options: Any) -> None:
         """Fill the rows of some mip levels with spline coefficients.
 
-        ``compute`` writes the values of one octave of a level, through which the splines pass.
+        ``compute`` writes the values of one octave of a level. The splines pass through these values.
         """
         grid = self.layout.levels[0]
         values = wp.empty(max(grid.azimuths) * grid.rings, dtype=self.kernels.row, device=options["device"])
@@ -126,7 +129,7 @@ def table_for(
     source = source_for(heightfield, plan, direction_range, device=device, threads=threads)
     key = source.key, illuminated
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _AZIMUTHS_OF_SLICE}
-    # The cache entry is read only once, because another thread may replace it at any time.
+    # The entry of the cache is read only once, because another thread may replace it at any time.
     table = cache.colours.get(key)
     if table is None:
         table = _made(source, plan, illuminated, cache, **options)
@@ -143,7 +146,7 @@ def function_count(
     heightfield: HeightField, plan: Plan, direction_range: DirectionRange, illuminated: IlluminatedMaterial, *,
     device: wp.Device, threads: int,
 ) -> int:  # fmt: skip
-    """Return the number of functions of w that the colours of a plan's table share."""
+    """Return the number of functions of w (the normal component) that the colours of a plan's table share."""
     source = source_for(heightfield, plan, direction_range, device=device, threads=threads)
     return int(source.projection(plan, illuminated).w_basis.shape[1])
 
@@ -166,7 +169,7 @@ def _made(
     load([*needed, kernels.blur] if has_mip_levels(plan) else needed, device)
     if samples is None:
         # The spectrum does not depend on the illuminant and the material, and is cached for further tables. The cache
-        # holds one spectrum, and is emptied before the next one is computed, to save memory.
+        # has room for one spectrum. It is emptied before the next spectrum is computed, to save memory.
         cache.spectra.clear()
         samples = source.sampled(**options)
         cache.spectra.put(source.key, samples)
@@ -195,11 +198,11 @@ def _fields(
     source: SpectrumSource, projection: Projection, illuminated: IlluminatedMaterial, kernels: types.SimpleNamespace,
     device: wp.Device,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the values of the fields of the struct ``Colours``, except its layout; the rows are not filled yet."""
+    """Return the values of the fields of the struct ``Colours`` without the layout; the rows are not filled yet."""
     grid, zeroth, coherence = source.layout.levels[0], source.zeroth, source.key.coherence
     per_log = grid.rings / math.log(2.0)
-    # ``lobe2`` is the variance of an order's peak over the frequency. For a source it is 0: the peaks of orders then
-    # have the same width in (u, v) at all wavelengths, which ``spread2`` describes.
+    # ``lobe2`` is the variance of the peak of a diffraction order, per squared wavelength. For a source it is 0: the
+    # peaks of orders then have the same width in (u, v) at all wavelengths, which ``spread2`` describes.
     lobe2 = 0.0 if source.has_lines else zeroth.lobe_variance(1.0)
     wavenumbers, weights = colorimetry.uniform_quadrature(_ZEROTH_WAVELENGTHS, illuminated.illuminant)
     reflectances = np.zeros((len(weights), 0))

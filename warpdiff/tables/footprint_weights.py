@@ -1,4 +1,4 @@
-"""Weights of footprint look-ups: Gaussian taps over azimuth samples and rings, and the parts of a long footprint."""
+"""Weights with which look-ups add azimuths and rings of a mip level, and the parts of a long footprint."""
 
 from __future__ import annotations
 
@@ -18,32 +18,35 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# A mip level is blurred less than the footprint. The look-up adds the remaining blur by weights, which are tabulated.
-# First number: number of tabulated blurs. Second number: their largest variance [squared distances of samples]. It must
-# exceed 3 · 1.2². The standard deviation b of the blur doubles from level to level, so that the variance that remains
-# is less than (2b)² − b² = 3b², and b is at most 1.2 distances of samples.
+# A mip level is blurred less than the footprint of a pixel. The look-up adds the remaining blur by tabulated weights.
+# `_REMAINING_BLURS` is the number of blurs for which weights are tabulated. `_MOST_REMAINING_VARIANCE` is the largest
+# variance of these blurs [squared distances of samples]. It must exceed 3 · 1.2². The standard deviation b of the blur
+# of a level doubles from level to level, so that the variance that remains is less than (2b)² − b² = 3b². b is at most
+# 1.2 distances of samples.
 _REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
-# Typical standard deviation of the blur of the spectrum in a mip level, in distances of azimuth samples. In level 0, it
-# is from 0.9 to 2.1. The weights for spectra under a window are fitted to this blur.
+# Typical standard deviation of the blur of the spectrum in a mip level, in distances of azimuth samples. In level 0,
+# this blur is from 0.9 to 2.1. The weights for spectra under a window are fitted to this blur.
 _OWN_BLUR_SPACINGS = 1.1
 # Filter that converts sampled values to coefficients of quadratic splines; its outermost weights are about 1e-6.
 _PREFILTER = np.array(quadratic_spline.prefilter(8))
-# Number of positions between two samples for which tap weights are tabulated.
+# Number of positions between two samples for which the weights of taps are tabulated. Taps are the samples that a
+# look-up adds.
 _TAP_POSITIONS = 64
-# A long footprint is represented by a sum of n narrower Gaussians, its parts. The variance of a part is this number
-# divided by n, times the variance of the whole footprint. If the number is doubled, parts become 1.4 times as wide, and
+# A long footprint is represented by a sum of n narrower Gaussians, its parts. The variance of a part is the variance of
+# the whole footprint, times this number divided by n. If the number is doubled, parts become 1.4 times as wide, and
 # polar coordinates, which are linearised within a part, become less accurate.
 _VARIANCE_WITHIN_PARTS = 1.2
 
 
 @dataclass(frozen=True)
 class TapRule:
-    """Rule for the weights of taps that approximate a Gaussian over azimuth samples or rings.
+    """Rule for the weights of taps: samples along the azimuth or the rings whose sum approximates a Gaussian blur.
 
     Attributes:
         radius_sigmas: Smallest extent of the taps on either side, in standard deviations of the blur.
         weigh: Function that returns the weights of samples, shape (n, m). Its arguments are the positions of the
-            samples relative to the centre of the Gaussian, shape (n, m), and the variance, in distances of samples.
+            samples relative to the centre of the Gaussian, shape (n, m), and the variance of the Gaussian. Their unit
+            is the distance of neighbouring samples.
     """
 
     radius_sigmas: float
@@ -52,7 +55,7 @@ class TapRule:
 
 @functools.cache
 def footprint_taps(device: str, rule: TapRule) -> Any:
-    """Return the struct ``FootprintTaps``, tables of weights for look-ups, for a tap rule and a device by its name."""
+    """Return the struct ``FootprintTaps`` with the weights of look-ups, for the name of a device and a tap rule."""
     result = colour_lookup.FootprintTaps()
     weights, lengths = _tap_weights(2 * colour_lookup.HALF_TAPS, rule)
     result.weights = wp.array(weights, dtype=wp.float32, device=device)
@@ -66,8 +69,8 @@ def footprint_taps(device: str, rule: TapRule) -> Any:
 def _parts(most: int) -> NDArray[np.float64]:
     """Return approximations of the standard normal distribution by sums of 1 … ``most`` narrower Gaussians.
 
-    The entry for each number of summands contains their variance, positions and weights; the result has the shape
-    (most, 3, most).
+    The result has the shape (most, 3, most). The entry for a number of Gaussians has three rows: the variance of these
+    Gaussians, their positions and their weights.
     """
     result = np.zeros((most, 3, most))
     for count in range(1, most + 1):
@@ -80,10 +83,10 @@ def _parts(most: int) -> NDArray[np.float64]:
 
 
 def _tap_weights(most: int, rule: TapRule) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Return tabulated tap weights, shape (variances, positions, most), and the number of taps for each variance.
+    """Return the tabulated weights of taps, shape (variances, positions, most), and the number of taps per variance.
 
-    The tabulated positions are those of the centre of the Gaussian relative to the centre of the taps, from −1/2 to 1/2
-    distances of samples.
+    Taps are the samples that a look-up adds. A tabulated position is the centre of the Gaussian relative to the centre
+    of the taps, from −1/2 to 1/2 distances of samples.
     """
     fractions = (np.arange(_TAP_POSITIONS) + 0.5) / _TAP_POSITIONS - 0.5
     weights = np.zeros((_REMAINING_BLURS, _TAP_POSITIONS, most))
@@ -98,7 +101,7 @@ def _tap_weights(most: int, rule: TapRule) -> tuple[NDArray[np.float32], NDArray
 
 @np.errstate(under="ignore")
 def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Return the weights of spline coefficients that blur a spline by a Gaussian, truncated at the outermost taps."""
+    """Return weights of spline coefficients that blur a spline by a Gaussian; it is truncated at the outermost one."""
     # The blur is computed by a discrete Fourier transform, which is periodic. The interval extends to 16 sample
     # distances from the centre, where even the widest Gaussian is negligible.
     fine = np.arange(-1024, 1024) / 64.0
@@ -112,10 +115,11 @@ def _closest(places: NDArray[np.float64], variance: float) -> NDArray[np.float64
     """Return the weights of spline coefficients that best blur a spectrum which is itself a Gaussian.
 
     The Gaussian has the standard deviation ``_OWN_BLUR_SPACINGS``. The weighted sum of spline coefficients is fitted to
-    the blurred Gaussian by least squares over all positions of its centre. It has the exact area, mean and variance.
+    the blurred Gaussian by least squares over all positions of the Gaussian. The fitted sum has the exact area, mean
+    and variance.
     """
-    # The weights solve the normal equations of the fit. Their right-hand side contains the products of each spline
-    # coefficient and the blurred Gaussian, integrated over all positions of the Gaussian.
+    # The weights solve the normal equations of the fit. The right-hand side of these equations contains the products of
+    # each spline coefficient and the blurred Gaussian, integrated over all positions of the Gaussian.
     inverse = _inverse_products(places.shape[1])
     weights = _filtered(places, _PREFILTER, 2.0 * _OWN_BLUR_SPACINGS**2 + variance) @ inverse
     powers = places[:, None, :] ** np.arange(3)[:, None]
@@ -127,9 +131,10 @@ def _closest(places: NDArray[np.float64], variance: float) -> NDArray[np.float64
 
 @functools.cache
 def _inverse_products(count: int) -> NDArray[np.float64]:
-    """Return the inverse matrix of the normal equations for the weights of ``count`` taps.
+    """Return the inverse matrix of the normal equations of the fit of the weights of ``count`` taps.
 
-    The entries of the matrix are products of two spline coefficients of a Gaussian, integrated over its position.
+    The entries of the matrix are products of two spline coefficients of a Gaussian, integrated over the position of the
+    Gaussian.
     """
     order = np.arange(float(count))
     products = _filtered(order[:, None] - order, np.convolve(_PREFILTER, _PREFILTER), 2.0 * _OWN_BLUR_SPACINGS**2)
@@ -137,12 +142,12 @@ def _inverse_products(count: int) -> NDArray[np.float64]:
 
 
 def _filtered(at: NDArray[np.float64], filters: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Return a Gaussian with the area 1 and a given variance, convolved with a discrete filter, at positions ``at``."""
+    """Return a Gaussian with the area 1, convolved with the discrete filter ``filters``, at the positions ``at``."""
     away = at[..., None] - (np.arange(len(filters)) - len(filters) // 2)
     gaussian = np.exp(-0.5 * away**2 / variance)
     return np.asarray(gaussian @ filters / math.sqrt(2.0 * math.pi * variance))
 
 
-# Taps for spectral lines extend further than taps for a spectrum under a window, because the tails of single lines are
-# visible.
+# Taps are the samples that a look-up adds. For spectral lines, they extend further than for a smooth spectrum under a
+# coherence window, because the tails of single lines are visible.
 SPECTRUM_TAPS, LINE_TAPS = TapRule(2.5, _closest), TapRule(3.1, _cut_off)

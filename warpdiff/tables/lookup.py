@@ -20,33 +20,35 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Multiply-adds of one look-up for each function of w. Derived: three colour channels times 3 × 3 spline coefficients.
+# Multiply-adds of one look-up for each function of w, the normal component of the scattering vector. The number was
+# derived as three colour channels times 3 × 3 spline coefficients.
 MULTIPLY_ADDS_OF_FUNCTION = 27.0
-# Number of tables that a `ColourLookup` caches for its callers, such as tables of skies. Two entries suffice for two
-# skies that alternate.
+# Number of derived tables that a `ColourLookup` caches for its callers, such as the colours under skies. Two entries
+# suffice for two skies that alternate.
 _MOST_DERIVED = 2
-# Number of directions that a CPU thread looks up in one launch. Limit: their arrays fit into the cache of a core.
+# Number of directions that a CPU thread looks up in one launch. The value was chosen so that the arrays of these
+# directions fit into the cache of a core.
 _LOOK_UPS_OF_SLICE = 2048
 
 
 class Lookups(tuple["ColourLookup | None", ...]):
-    """Look-ups of the colours of the surfaces of a picture, one for each; None for a plain surface."""
+    """Look-ups of the surfaces of a picture: one per height field, and None for a surface without a height field."""
 
     __slots__ = ()
 
     @property
     def uses_footprints(self) -> bool:
-        """Whether the colours of any surface are means over footprints."""
+        """Whether the colours of any surface are means over the footprints of pixels."""
         return any(lookup is not None and lookup.plan.uses_footprints for lookup in self)
 
     @property
     def needs_sampling(self) -> bool:
-        """Whether the table of any surface excludes some directions."""
+        """Whether the colour table of any surface excludes some directions."""
         return any(lookup is not None and lookup.needs_sampling for lookup in self)
 
     @property
     def slice_size(self) -> int:
-        """Number of directions in one slice of a launch."""
+        """Number of directions that a CPU thread processes in one launch."""
         return max(lookup.slice_size for lookup in self if lookup is not None)
 
 
@@ -57,7 +59,7 @@ class ColourLookup:
         heightfield: Height field whose colours are looked up.
         plan: Plan that the kernels and tables follow.
         device: Warp device on which the tables are and the kernels run.
-        derived: Cache of tables that callers compute by this look-up, by keys that they choose.
+        derived: Cache of tables that callers compute by this look-up. The callers choose the keys.
     """
 
     def __init__(
@@ -84,10 +86,10 @@ class ColourLookup:
         Args:
             scattering_vectors: Scattering vectors (u, v, w), shape (n,).
             to_lights: Directions to the light in the local frame, shape (n,).
-            gains: Gain of each scattering vector, by which its XYZ is multiplied, shape (n,).
+            gains: Geometry factor (gain) by which the XYZ of each scattering vector is multiplied, shape (n,).
             illuminated: Illuminant, and the material of the surface.
             xyz: Array to which the XYZ are added, shape (n,).
-            footprints: Footprint of each scattering vector, shape (n,), for a plan with footprints.
+            footprints: Footprint of the pixel around each scattering vector, shape (n,), for a plan with footprints.
             among: Range of the indices of the directions to evaluate; its start is a multiple of the batch size. None
                 is all directions.
             options: Options ``slice_size`` and ``progress`` of ``launch_pipeline``.
@@ -99,7 +101,7 @@ class ColourLookup:
         )
 
     def copy_with(self, plan: Plan) -> ColourLookup:
-        """Return a look-up of the same directions by another plan, with tables of its own."""
+        """Return a look-up of the same directions by another plan; it has tables of its own."""
         return ColourLookup(
             self.heightfield, plan, self._range, zeroth_order=self._zeroth_order, device=self.device,
             threads=self._threads,
@@ -107,7 +109,7 @@ class ColourLookup:
 
     @property
     def slice_size(self) -> int:
-        """Number of directions in one slice of a launch."""
+        """Number of directions that a CPU thread processes in one launch."""
         return _LOOK_UPS_OF_SLICE if self.plan.rings_per_octave and not self.needs_sampling else ELEMENTS_OF_SLICE
 
     @property
@@ -121,8 +123,9 @@ class ColourLookup:
     ) -> list[KernelCall]:  # fmt: skip
         """Return the kernel calls that :meth:`accumulate` launches.
 
-        The look-up writes the gains of directions that the table excludes into the array ``unserved_gain``, which has
-        at least n entries; those directions then sample wavelengths. None allocates the array.
+        The look-up writes the geometry factors (gains) of directions that the table excludes into the array
+        ``unserved_gain``, which has at least n entries. The colours of these directions are then integrated over
+        sampled wavelengths. If ``unserved_gain`` is None, the array is allocated.
         """
         directions = [scattering_vectors, to_lights]
         if not self.plan.rings_per_octave:
@@ -153,7 +156,7 @@ class ColourLookup:
     def _sample(self, directions: list[wp.array], illuminated: IlluminatedMaterial, xyz: wp.array) -> KernelCall:
         """Return the kernel call that integrates over sampled wavelengths and adds the colours to ``xyz``."""
         heightfield, plan, device = self.heightfield, self.plan, self.device
-        # The coefficient table is stored in an attribute of this object, because the shared cache may discard it
+        # The coefficient table is stored in an attribute of this object, because the shared cache may discard the table
         # between two calls.
         if self._table is None:
             self._table = coefficient_table.table_for(

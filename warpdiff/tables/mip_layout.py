@@ -1,4 +1,4 @@
-"""Layout of a colour table: grids of the spectrum and of the mip levels, their blurs, and the order of the rows."""
+"""Layout of a colour table: grids of the spectrum and of the mip levels, blurs of the grids, and order of rows."""
 
 from __future__ import annotations
 
@@ -17,43 +17,44 @@ if TYPE_CHECKING:
 
     from warpdiff.request.plan import Plan
 
-# Largest distance along the radius between samples of the spectrum, in standard deviations of its blur by the window.
-# Derived: a sum of Gaussians at this distance varies by 2 exp(−2π²/1.6²) = 9e-4. At the inner end of each octave, the
-# distance is half as large and the variation is 1e-13.
+# Largest distance along the radius between samples of the spectrum, in standard deviations of the blur by the coherence
+# window. The number was derived from a sum of Gaussians at this distance, which varies by 2 exp(−2π²/1.6²) = 9e-4. At
+# the inner end of each octave, the distance is half as large and the variation is 1e-13.
 _SAMPLE_SPACING_SIGMAS = 1.6
-# Smallest number of samples of the spectrum from one ring to the next. Limit: with a single sample, the integral
-# between rings is inaccurate; the 99th percentile of the error was 7e-4 instead of 2e-5.
+# Smallest number of samples of the spectrum from one ring to the next. With a single sample, the integral between rings
+# is inaccurate: the 99th percentile of its error was 7e-4 instead of 2e-5.
 _FEWEST_DIVISIONS = 2.0
-# Radius of the innermost ring, in standard deviations of the spectrum's blur by the window. Derived: within it, the
-# spectrum deviates from a constant by at most (1/50)²/2 = 2e-4.
+# Radius of the innermost ring, in standard deviations of the spectrum's blur by the coherence window. The number was
+# derived from a Gaussian of this width: within the radius, it deviates from a constant by at most (1/50)²/2 = 2e-4.
 _FLAT_WITHIN_SIGMAS = 0.02
-# Standard deviation by which the lines of a source's spectrum are blurred in a table, in distances of azimuth samples.
-# Splines represent lines of this width accurately.
+# Standard deviation by which the spectral lines under a light source are blurred in a table, in distances of azimuth
+# samples. Splines represent lines of this width accurately.
 _LINE_BLUR_SPACINGS = 0.8
-# Number of azimuth samples of a mip level per standard deviation of its total blur.
+# Number of azimuth samples of a mip level per standard deviation of the total blur of this level.
 _BLURRED_AZIMUTHS_PER_WIDTH = 1.2
-# Largest standard deviation of the blur of a mip level in angle [rad].
+# Largest standard deviation of the blur that a mip level adds to level 0, as an angle of azimuth [rad].
 _WIDEST_BLUR_RAD = 0.4
-# Largest number of azimuth samples of a ring; larger numbers, which would overflow 64-bit integers, are reduced to it.
-# A table of this size is refused later, by a ``MemoryError``.
+# Largest number of azimuth samples of a ring; larger numbers, which would overflow 64-bit integers, are reduced to this
+# one. A table with so many samples is refused later, by a ``MemoryError``.
 _MOST_AZIMUTHS = 2.0**60
 
 
 @dataclass(frozen=True)
 class MipLayout:
-    """Layout of a colour table: its grids, and the order of its rows (by level, then octave, azimuth and ring).
+    """Layout of a colour table: its grids, and the order of its rows (by mip level, then octave, azimuth and ring).
 
-    The grid of |(u, v)| has the radii of the grid of frequencies, times the longest visible wavelength. Octave k of
-    |(u, v)| then corresponds to octave k of the frequencies. At shorter wavelengths its frequencies are higher, so that
-    its colours also use octave k + 1. For a window, octave k of |(u, v)| has as many azimuth samples as octave k + 1 of
-    the frequencies.
+    The grid of |(u, v)| has the radii of the grid of frequencies, times the longest visible wavelength. At the longest
+    wavelength, octave k of |(u, v)| therefore corresponds to octave k of the frequencies. At shorter wavelengths the
+    frequencies of this octave of |(u, v)| are higher, so that its colours also use octave k + 1 of the frequencies. For
+    a coherence window, octave k of |(u, v)| has as many azimuth samples as octave k + 1 of the frequencies.
 
     Attributes:
         spectrum: Grid of frequencies [1/µm] from which level 0 is projected.
         divisions: Number of spectrum samples from one ring to the next, for each octave; 0 for spectral lines.
-        blurs: Standard deviation of the spectrum's own blur in angle, for each octave of |(u, v)| [rad].
+        blurs: Standard deviation of the blur that the spectrum itself has along the azimuth [rad], for each octave of
+            |(u, v)|.
         levels: Grid of |(u, v)| for each mip level.
-        level_blurs: Standard deviation of the additional blur of each level and octave [rad].
+        level_blurs: Standard deviation of the blur that each mip level adds along the azimuth [rad], for each octave.
         highest: Largest frequency of a look-up [1/µm].
     """
 
@@ -71,11 +72,11 @@ class MipLayout:
 
     @classmethod
     def _of_window(cls, plan: Plan, highest: float) -> MipLayout:
-        """Return the layout of a table for a window. The spectrum is then smooth and is sampled."""
+        """Return the layout of a table for a coherence window, whose spectrum is smooth and is sampled."""
         rings, width = plan.rings_per_octave, blur(plan.coherence)
         step = math.log(2.0) / rings
-        # A colour uses up to three rings beyond its octave of frequencies, and the spline of a look-up uses two more.
-        # The outermost octave of frequencies ends five rings beyond the largest frequency.
+        # A colour uses up to three rings beyond its octave of frequencies, and the spline of a look-up uses two further
+        # rings. The outermost octave of frequencies ends five rings beyond the largest frequency.
         top = math.log(max(highest, width)) + 5.0 * step
         octaves = max(math.ceil((top - math.log(_FLAT_WITHIN_SIGMAS * width)) / math.log(2.0)), 2)
         log_low = top - octaves * math.log(2.0)
@@ -83,7 +84,8 @@ class MipLayout:
         divisions = np.maximum(np.ceil(tops * step / (_SAMPLE_SPACING_SIGMAS * width)), _FEWEST_DIVISIONS)
         most = 2.0 * math.pi * tops[-1] / width * plan.azimuths_per_width
         doublings = min(max(math.floor(math.log2(most / polar_grid.FEWEST_AZIMUTHS)), 0), octaves - 1)
-        # The number of azimuth samples is a multiple of 4, because the projection processes four of them at once.
+        # The number of azimuth samples is a multiple of 4, because the projection to colours processes four of them at
+        # once.
         fewest = max(4 * math.ceil(most / 4.0 / 2.0**doublings), polar_grid.FEWEST_AZIMUTHS)
         azimuths = tuple((fewest * 2 ** np.maximum(np.arange(octaves) - (octaves - 1 - doublings), 0)).tolist())
         level0 = PolarGrid(rings, log_low - LOG_RED, azimuths[1:])
@@ -94,7 +96,7 @@ class MipLayout:
 
     @classmethod
     def _of_lines(cls, plan: Plan, highest: float) -> MipLayout:
-        """Return the layout of a table for a source. Its spectrum is a sum of lines, which are added to the grid."""
+        """Return the layout of a table for a source, whose spectrum is a sum of lines; lines are added to the grid."""
         rings, spread = plan.rings_per_octave, plan.coherence.spread
         step = math.log(2.0) / rings
         # The grid ends three rings beyond the largest frequency, because the spline of a look-up uses these rings, too.
@@ -111,13 +113,13 @@ class MipLayout:
         )  # fmt: skip
 
     def with_mip_levels(self) -> MipLayout:
-        """Return the layout with all mip levels, which footprints and sources require."""
+        """Return the layout with all mip levels, which means over footprints and look-ups under sources require."""
         narrow = np.asarray(self.levels[0].azimuths)
         first = 2.0 * math.pi / narrow
         levels, level_blurs = [self.levels[0]], [self.level_blurs[0]]
         for level in range(math.ceil(math.log2(_WIDEST_BLUR_RAD / float(first.min()))) + 1):
-            # The blur of an octave doubles from level to level up to ``_WIDEST_BLUR_RAD``. All further levels of this
-            # octave are equal.
+            # The blur of an octave doubles from level to level up to ``_WIDEST_BLUR_RAD``. Levels beyond this blur are
+            # equal for this octave.
             blurred = np.minimum(first * 2.0**level, np.maximum(_WIDEST_BLUR_RAD, first))
             total = np.hypot(self.blurs, blurred)
             fewer = np.ceil(2.0 * math.pi / total * _BLURRED_AZIMUTHS_PER_WIDTH)
@@ -150,8 +152,8 @@ class MipLayout:
     def source(self, level: int, octave: int) -> int:
         """Return the finer mip level from which one octave of ``level`` is computed, by a further blur.
 
-        It is the most blurred level for which the standard deviation of the further blur is at least the distance of
-        that level's azimuth samples.
+        The result is the most blurred level that permits an accurate further blur: the standard deviation of this blur
+        is at least the distance of azimuth samples in the result.
         """
         width = self.level_blurs[level][octave]
         spacings = [2.0 * math.pi / grid.azimuths[octave] for grid in self.levels[:level]]
@@ -160,19 +162,20 @@ class MipLayout:
 
 
 def has_mip_levels(plan: Plan) -> bool:
-    """Whether the table of a plan has mip levels, because its look-ups are blurred."""
+    """Whether the table of a plan has mip levels, because look-ups blur over footprints or over a light source."""
     return plan.uses_footprints or plan.coherence.kind == "source"
 
 
 def megabytes(plan: Plan) -> float:
     """Return the size of a plan's table [MB].
 
-    If the plan does not state the number of functions of w, the number of its terms is used instead.
+    A plan may not state the number of functions of w (the normal component) that a table needs. The number of terms of
+    the plan is then used instead.
     """
     return layout_of(plan).rows * 3 * (plan.w_basis_size or plan.terms) * 4e-6
 
 
 def layout_of(plan: Plan) -> MipLayout:
-    """Return the layout of the table that a plan describes, with mip levels if its look-ups are blurred."""
+    """Return the layout of the table that a plan describes, with mip levels if look-ups in the table are blurred."""
     layout = MipLayout.for_plan(plan, coefficient_table.CoefficientRange.covering(plan.direction_range).frequency)
     return layout.with_mip_levels() if has_mip_levels(plan) else layout

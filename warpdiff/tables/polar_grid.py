@@ -1,14 +1,14 @@
-"""Polar grids of (u, v) and of frequencies, and the sizes of colour tables on them.
+"""Polar grids of (u, v) and of frequencies, and the sizes of colour tables on these grids.
 
 The power spectrum under an averaged or centred window is smooth: its Fourier transform is the autocorrelation of the
-surface times exp(−r²/4σ²). A table over logarithmic polar coordinates (rings with equal ratios) resolves it. Such a
-table contains the integral over λ of any number of orders, for every light and view. ``colour_table`` computes it once
-per height field and coherence.
+surface times exp(−r²/4σ²). A table over logarithmic polar coordinates (rings whose radii have equal ratios) resolves
+it. Such a table contains the integral over λ of any number of orders, for every direction of light and view.
+``colour_table`` computes the table once per height field and coherence.
 
 A source blurs (u, v) equally at all wavelengths, and so does the footprint of a pixel. The table of a source contains
 spectral lines with little blur; each look-up adds the blur of the source and of the footprint. Tables of sources
-exclude directions near the mirror direction, and directions where the blur of a grazing source is less than that of the
-table; for those, wavelengths are sampled.
+exclude directions near the mirror direction. They also exclude directions where a source near the horizon blurs less
+than the table does. The colours of excluded directions are integrated over sampled wavelengths.
 """
 
 from __future__ import annotations
@@ -28,33 +28,36 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.request.plan import Plan
 
-# Smallest number of azimuth samples of a ring.
+# Smallest number of azimuth samples of a ring of a table.
 FEWEST_AZIMUTHS = 16
 # Wavelength in the middle of the visible range [µm].
 MIDDLE_UM = 0.55
-# Number of azimuth samples in tables of sources, relative to other tables. More samples reduce the blur of the table
-# itself, so that fewer directions of grazing sources must sample wavelengths. Memory is proportional to the factor.
+# Number of azimuth samples in tables of light sources, relative to other tables. More samples reduce the blur of the
+# table itself. Fewer directions under sources near the horizon must then sample wavelengths. Memory is proportional to
+# the factor.
 _MORE_AZIMUTHS_OF_SOURCES = 1.5
-# Smallest |(u, v)| that tables of sources serve, in standard deviations of the source. Nearer to the mirror direction,
-# a blur in polar coordinates is inaccurate: at a quarter of this limit, the median error was 4e-2.
+# Smallest |(u, v)| that tables of light sources serve, in standard deviations of the source. Nearer to the mirror
+# direction, (u, v) = 0, a blur in polar coordinates is inaccurate: at a quarter of this limit, the median error was
+# 4e-2.
 INNER_RADIUS_SPREADS = 30.0
 LOG_RED, LOG_BLUE = (
     math.log(colorimetry.NM_PER_UM / end) for end in (colorimetry.LAMBDA_MAX_NM, colorimetry.LAMBDA_MIN_NM)
 )
 # Sizes of colour tables, as pairs: rings per octave, and azimuth samples per standard deviation of the spectrum's blur.
-# The numbers of a pair cause errors of similar size.
+# The two numbers of a pair were chosen so that the errors along the radius and along the azimuth are of similar size.
 TABLE_SIZES = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1), (96, 2.6), (128, 3.0))
 # Order of convergence p: the error of a table with n rings per octave is proportional to n^−p.
 ERROR_ORDER = 2.0
-# Distance of neighbouring diffraction orders above which they count as separate, in standard deviations of an order in
-# the spectrum.
+# Distance above which neighbouring diffraction orders count as separate, in standard deviations of the peak of an order
+# in the spectrum.
 _ORDERS_APART_SIGMAS = 4.0
 # Expected error of a table for skies, as a share of the tolerance. The remaining part of the tolerance is for the
-# random scatter of the sky samples. Fitted: under a smooth sky viewed at 80°, with a tolerance of 0.1, the mean colour
-# of several pixels has little scatter, and its error shows that of the table. With this share the error meets the limit
-# of a test, 2 % (tests/lights/test_environment.py). With a share of 1 it is 2.4 %.
+# random scatter of the sky samples. The share was fitted to a smooth sky viewed at 80°, with a tolerance of 0.1. There,
+# the mean colour of several pixels has little scatter, so that its error is mainly the error of the table. With this
+# share, the error is within the limit of a test, 2 % (tests/lights/test_environment.py). With a share of 1 it is 2.4 %.
 _SHARE_OF_SKIES = 1.0 / 3.0
-# Largest size of a colour table [MB]. Limit: larger tables require more time to compute than they save.
+# Largest size of a colour table [MB]. The value is limited by time: larger tables require more time to compute than
+# they save.
 MOST_MEGABYTES = 300.0
 
 
@@ -62,7 +65,8 @@ MOST_MEGABYTES = 300.0
 class PolarGrid:
     """Polar grid of a plane: rings with a constant ratio of radii, and equally spaced azimuth samples on each ring.
 
-    The innermost ring has the index 0. The first sample of each ring is on the first axis of the plane.
+    The innermost ring has the index 0. The first sample of each ring is on the first axis of the plane, such as the u
+    axis.
 
     Attributes:
         rings: Number of rings per octave of the radius.
@@ -107,21 +111,21 @@ class PolarGrid:
 def azimuth_counts(radii: NDArray[np.floating[Any]], width: float, per_width: float) -> NDArray[np.float64]:
     """Return the number of azimuth samples on rings of given radii, a multiple of 4.
 
-    Neighbouring samples are at most ``width / per_width`` apart; ``width`` is that of the finest feature on the rings,
-    in the unit of ``radii``.
+    Neighbouring samples are at most ``width / per_width`` apart; ``width`` is the width of the finest feature on the
+    rings, in the unit of ``radii``.
     """
     return np.asarray(np.maximum(4.0 * np.ceil(2.0 * math.pi * radii / width * per_width / 4.0), FEWEST_AZIMUTHS))
 
 
 def inner_radius(coherence: Coherence) -> float:
-    """Return the smallest |(u, v)| that a table serves: 0 for windows, and a multiple of the spread for a source."""
+    """Return the smallest |(u, v)| that a table serves: 0 for windows, and a multiple of its spread for a source."""
     return INNER_RADIUS_SPREADS * coherence.spread
 
 
 def blur(coherence: Coherence) -> float:
-    """Return the standard deviation of an order in the power spectrum [1/µm].
+    """Return the standard deviation of the peak of a diffraction order in the power spectrum [1/µm].
 
-    Under a source it depends on the wavelength, and is that at 0.55 µm.
+    Under a source, the standard deviation depends on the wavelength; the result is for 0.55 µm.
     """
     if coherence.sigma_um is None:
         return coherence.spread / MIDDLE_UM
@@ -129,7 +133,7 @@ def blur(coherence: Coherence) -> float:
 
 
 def ring_count(rings_per_octave: int) -> int:
-    """Return the number of rings that contribute to one colour."""
+    """Return the number of rings of the spectrum that contribute to one colour."""
     return math.ceil((LOG_BLUE - LOG_RED) / math.log(2.0) * rings_per_octave) + 3
 
 
@@ -145,19 +149,22 @@ def orders_are_separate(heightfield: HeightField, coherence: Coherence) -> bool:
 
 
 def table_sizes(coherence: Coherence) -> list[tuple[int, float]]:
-    """Return the available table sizes in ascending order, as pairs like those of ``TABLE_SIZES``."""
+    """Return the available table sizes in ascending order, as pairs of rings per octave and azimuths per width."""
     factor = _MORE_AZIMUTHS_OF_SOURCES if coherence.kind == "source" else 1.0
     return [(rings_per_octave, factor * azimuths) for rings_per_octave, azimuths in TABLE_SIZES]
 
 
 def smallest_sufficient_size(plan: Plan, share: float = 1.0) -> tuple[int, float] | None:
-    """Return the smallest table size whose typical error is at most ``share`` of a plan's tolerance, or None."""
+    """Return the smallest table size whose typical error is at most ``share`` of a plan's tolerance, or None.
+
+    A size is a pair like those of ``TABLE_SIZES``. None means that no size suffices.
+    """
     sizes = table_sizes(plan.coherence)
     return next((size for size in sizes if table_error(size[0]) <= share * plan.tolerance), None)
 
 
 def size_for_skies(plan: Plan) -> tuple[int, float]:
-    """Return the table size for look-ups under a sky, at most that of the plan's own table.
+    """Return the table size for look-ups under a sky, at most the size of the plan's own table.
 
     A smaller table suffices for a sky, because the errors of a table change their sign between neighbouring directions
     and partly cancel in the sum over the sky.

@@ -1,4 +1,4 @@
-"""Power spectra from which colour tables are computed: a sampled spectrum under a window, or spectral lines."""
+"""Power spectra from which colour tables are computed: a sampled spectrum, or a sum of spectral lines."""
 
 from __future__ import annotations
 
@@ -34,31 +34,34 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Smallest |κ| of the basis of a spectrum, as a share of its largest |κ|. At smaller |κ|, all orders except the zeroth
-# one are negligible.
+# Smallest |κ| = |w|/λ of the basis functions of a spectrum, as a share of the largest |κ|. At smaller |κ|, all
+# diffraction orders except the zeroth order are negligible.
 _SMALLEST_KAPPA = 1e-3
-# Permitted errors by truncating the functions of w, as shares of the tolerance. First number: for spectra in which
-# powers |H|² add. Second number: for other spectra, which are interpolated by polynomials in |κ|. Sums of their terms
-# may be much smaller than the single terms, so that an error of a term counts more.
+# Permitted errors by truncating the functions of w (the normal component of the scattering vector) of a colour table,
+# as shares of the tolerance. `_FUNCTIONS_SHARE` is for spectra in which powers |H|² of Fourier coefficients add.
+# `_CARDINALS_SHARE` is for other spectra, which are interpolated by polynomials in |κ|. A sum of the terms of such a
+# polynomial may be much smaller than its single terms, so that an error of a term counts more.
 _FUNCTIONS_SHARE, _CARDINALS_SHARE = 0.5, 0.05
-# First number: number of coefficients from whose rows the typical size of each basis term is computed. Second number:
-# smallest size that is assumed for a term, relative to the largest term.
+# `_ROWS_FOR_TERM_SIZES` is the number of Fourier coefficients from whose rows the typical size of each basis term is
+# computed. `_LEAST_TERM_SIZE` is the smallest size that is assumed for a term, relative to the largest term.
 _ROWS_FOR_TERM_SIZES, _LEAST_TERM_SIZE = 4096, 1e-3
-# Number of values of |κ| at which the power of the zeroth order is tabulated.
+# Number of values of |κ| = |w|/λ at which the power of the zeroth order is tabulated.
 _ZEROTH_ENTRIES = 2048
-# Peak memory while spectral lines are listed [bytes per line], counted from the code.
+# Peak memory while spectral lines are listed [bytes per line]. It was derived by adding the sizes of the arrays in the
+# code.
 _BYTES_PER_LINE = 80.0
-# Distance in angle at which the Gaussian blur of a spectral line is truncated, in standard deviations of the blur.
+# Angle from a spectral line at which the Gaussian blur of the line is truncated, in standard deviations of the blur.
 _LINE_RADIUS_SIGMAS = 4.5
 
 
 @dataclass(frozen=True)
 class SpectrumKey:
-    """Cache key of the spectrum of a colour table: everything on which it depends except the heights.
+    """Cache key of the spectrum of a colour table: everything on which the spectrum depends except the heights.
 
     Attributes:
         device: Name of the device.
-        coefficient_range: Range of frequencies and κ of the coefficients. All other attributes are those of the plan.
+        coefficient_range: Range of spatial frequencies and of |κ| = |w|/λ of the Fourier coefficients. All further
+            attributes are those of the plan.
     """
 
     device: str
@@ -75,17 +78,18 @@ class SpectrumKey:
 
 @dataclass(frozen=True, eq=False)
 class SpectrumSource(ABC):
-    """Description of the power spectrum of a height field, from which a colour table is computed, without its samples.
+    """Description of the power spectrum from which a colour table is computed, without the samples of the spectrum.
 
     Attributes:
         key: Cache key of the spectrum.
         layout: Grids of the table, with mip level 0 only.
-        table: Table of coefficients on the device.
+        table: Table of Fourier coefficients on the device.
         basis: Basis functions in which the rows of the spectrum are expanded.
-        at_kappas: Where amplitudes add: basis functions of the coefficients at several |κ|, shape (number of |κ|,
-            lanes). The powers at these |κ| form a row of the spectrum. Where powers add: zeros.
-        zeroth: Zeroth order, which is stored separately from the rows. Where amplitudes add, its array of powers is
-            empty, and the rows include it.
+        at_kappas: If amplitudes add, basis functions of the coefficients at several |κ| = |w|/λ, shape
+            (number of |κ|, lanes). The powers at these |κ| form a row of the spectrum. If powers add, the array
+            contains zeros.
+        zeroth: Zeroth order, which is stored separately from the rows. If amplitudes add, its array of powers is empty,
+            and the rows include the zeroth order.
         phase: Fastest oscillation of a power over ln λ [rad per unit of ln λ].
         projections: Projections that were computed already, by illuminant and material.
     """
@@ -104,7 +108,7 @@ class SpectrumSource(ABC):
 
     @abstractmethod
     def kernels(self, w_basis_size: int) -> list[Any]:
-        """Return all kernels that sample the spectrum and project it to colours, so that callers can load them."""
+        """Return all kernels that sample the spectrum and project it to colours; callers load these kernels."""
 
     @abstractmethod
     def sampled(self, **options: Any) -> Any:
@@ -116,7 +120,7 @@ class SpectrumSource(ABC):
 
         Args:
             samples: Result of :meth:`sampled`.
-            curves: Weights of the rings in X, Y and Z, on the device.
+            curves: Weights with which the rings of the spectrum contribute to X, Y and Z, on the device.
             options: Options of ``launch``, which include the device.
 
         Returns:
@@ -125,23 +129,23 @@ class SpectrumSource(ABC):
         """
 
     def projection(self, plan: Plan, illuminated: IlluminatedMaterial) -> Projection:
-        """Return the projection for an illuminant and a material, from the cache if possible."""
+        """Return the projection to colours for an illuminant and a material, from the cache if possible."""
         if illuminated not in self.projections:
             self.projections[illuminated] = make_projection(plan, self.basis, illuminated, self.layout)
         return self.projections[illuminated]
 
     @property
     def sampled_bytes(self) -> float:
-        """Size of the spectrum samples [bytes]; 0 for lines, which are processed octave by octave."""
+        """Size of the spectrum samples [bytes]; 0 for spectral lines, which are processed octave by octave."""
         return 0.0 if self.has_lines else 4.0 * len(self.at_kappas) * self.layout.spectrum.nodes
 
     def projection_kernels(self, w_basis_size: int) -> Any:
-        """Return the kernels and types that convert rows of the spectrum to colours with a number of functions of w."""
+        """Return the kernels and types that convert spectrum rows to colours with ``w_basis_size`` functions of w."""
         return spectrum_sampling.projector(len(self.at_kappas), w_basis_size)
 
 
 class WindowedSpectrum(SpectrumSource):
-    """Power spectrum under an averaged or centred window, sampled on a polar grid of frequencies."""
+    """Power spectrum under an averaged or centred coherence window, sampled on a polar grid of frequencies."""
 
     has_lines, tap_rule = False, SPECTRUM_TAPS
 
@@ -151,11 +155,11 @@ class WindowedSpectrum(SpectrumSource):
         return spectrum_sampling.resampler(lanes, self.table.coefficients.rows.shape[2] == 1, width)
 
     def kernels(self, w_basis_size: int) -> list[Any]:
-        """Return the kernel that samples the spectrum, and the kernel that projects two octaves of samples."""
+        """Return the kernel that samples the spectrum, and the kernel that projects two octaves of it to colours."""
         return [self._sampler.resample, self.projection_kernels(w_basis_size).project]
 
     def sampled(self, **options: Any) -> list[wp.array]:
-        """Return the sampled rows of the power spectrum by octave, azimuth and ring.
+        """Return the sampled rows of the power spectrum, ordered by octave, azimuth and ring.
 
         The result also contains, for each octave, the index of its first row and its number of azimuth samples.
         """
@@ -171,10 +175,10 @@ class WindowedSpectrum(SpectrumSource):
         return [values, *(wp.array(counts, dtype=wp.int32, device=device) for counts in (starts, grid.azimuths))]
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Return a function that projects samples of the spectrum, in one octave and the next one, to colours."""
+        """Return a function that projects samples of the spectrum, in one octave and the next octave, to colours."""
         azimuths, terms, rings = self.layout.levels[0].azimuths, len(self.basis.sizes), self.layout.spectrum.rings
         # Working memory in which each azimuth sample has room for its rings of one octave and the next one. On the CPU,
-        # the threads use only the beginning of it, and the rest occupies no memory.
+        # the threads use only the beginning of this memory, and the rest of the allocation occupies no memory.
         length = rings + len(curves) - 1 + FILTER_REACH
         sequence = wp.empty(azimuths[-1] * length, dtype=samples[0].dtype, device=options["device"])
 
@@ -187,10 +191,10 @@ class WindowedSpectrum(SpectrumSource):
 
 
 class Lines(NamedTuple):
-    """Spectral lines of all Fourier coefficients except the zeroth order, sorted by angle.
+    """Spectral lines of all Fourier coefficients except the zeroth order, sorted by the angle of their frequency.
 
     Attributes:
-        rows: Index of each line's row in the table of coefficients.
+        rows: For each line, index of the row of its coefficient in the table of coefficients.
         angles: Angle of each frequency vector q, from 0 to 2π [rad].
         log_frequencies: Natural logarithm of each |q|, with |q| in 1/µm.
     """
@@ -200,13 +204,13 @@ class Lines(NamedTuple):
     log_frequencies: NDArray[np.float64]
 
 
-# Number of table entries to which each spectral line is added; the cost model uses it. Derived: 2 × 7 azimuth samples
-# times 3 rings.
+# Number of table entries to which each spectral line is added; the cost model uses it. It was derived as 2 × 7 azimuth
+# samples times 3 rings.
 NODES_OF_LINE = 42.0
 
 
 class LineSpectrum(SpectrumSource):
-    """Power spectrum of an infinite surface under a source: one line at the frequency of each coefficient."""
+    """Power spectrum of an infinite surface under a source: one line at the frequency of each Fourier coefficient."""
 
     has_lines, tap_rule = True, LINE_TAPS
 
@@ -215,11 +219,11 @@ class LineSpectrum(SpectrumSource):
         return spectrum_sampling.gatherer(self.at_kappas.shape[1])
 
     def kernels(self, w_basis_size: int) -> list[Any]:
-        """Return the kernel that adds lines to azimuth samples, and the kernel that projects the sums to colours."""
+        """Return the kernel that adds spectral lines to azimuths, and the kernel that projects the sums to colours."""
         return [self._sampler.gather, self.projection_kernels(w_basis_size).project_lines]
 
     def sampled(self, **_options: Any) -> Lines:
-        """Return the lines up to the largest frequency of a look-up; they are not added to a grid yet."""
+        """Return the spectral lines up to the largest frequency of a look-up, without adding them to a grid."""
         arguments, highest = self.table.arguments, self.layout.highest
         lengths = arguments.length_y, arguments.length_x
         most = math.prod(2.0 * highest * length + 1.0 for length in lengths)
@@ -231,8 +235,8 @@ class LineSpectrum(SpectrumSource):
         qy, qx = s[:, None] / lengths[0], r[None, :] / lengths[1]
         squared = qy**2 + qx**2
         inside = (squared <= highest**2) & (squared > 0.0)
-        # The coefficients of a sampled surface are periodic in the frequency. Lines beyond the Nyquist limit of the
-        # pitch therefore use the coefficients of lower frequencies.
+        # The coefficients of a sampled surface are periodic in the frequency. Spectral lines beyond the Nyquist limit
+        # of the pitch therefore use the coefficients of lower frequencies.
         rows = (s + arguments.origin_y) % arguments.count_y
         columns = (r + arguments.origin_x) % arguments.count_x
         coefficient_rows = (rows[:, None] * arguments.count_x + columns[None, :])[inside].astype(np.int32)
@@ -241,7 +245,7 @@ class LineSpectrum(SpectrumSource):
         return Lines(coefficient_rows[order], angles[order], 0.5 * np.log(squared[inside][order]))
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Return a function that adds the lines of one octave to a grid and projects the sums to colours."""
+        """Return a function that adds the spectral lines of one octave to a grid, and projects the sums to colours."""
         grid, sampler, terms, device = self.layout.spectrum, self._sampler, len(self.basis.sizes), options["device"]
         rings = grid.rings + len(curves) - 1 + 2 * FILTER_REACH
 
@@ -252,8 +256,8 @@ class LineSpectrum(SpectrumSource):
             places = (samples.log_frequencies - log_begin) * (grid.rings / math.log(2.0))
             inside = np.flatnonzero((places > -0.5) & (places < rings - 0.5))
             angles = samples.angles[inside]
-            # Angles are periodic: the blur of a line near the angle 0 extends to angles below 2π, and vice versa.
-            # Copies of such lines are therefore added at the other end.
+            # Angles are periodic: the blur of a spectral line near the angle 0 extends to angles below 2π, and vice
+            # versa. Copies of such lines are therefore added at the other end of the range of angles.
             far = _LINE_RADIUS_SIGMAS * blur
             after, before = np.searchsorted(angles, far), np.searchsorted(angles, 2.0 * math.pi - far)
             rotated = np.concatenate([angles[before:] - 2.0 * math.pi, angles, angles[:after] + 2.0 * math.pi])
@@ -277,14 +281,14 @@ class LineSpectrum(SpectrumSource):
 
 
 def source_type(coherence: Coherence) -> type[SpectrumSource]:
-    """Return the class of power spectra for a coherence: lines for a source, otherwise samples."""
+    """Return the class of power spectra for a coherence: spectral lines for a source, otherwise samples."""
     return LineSpectrum if coherence.kind == "source" else WindowedSpectrum
 
 
 def source_for(
     heightfield: HeightField, plan: Plan, direction_range: DirectionRange, *, device: wp.Device, threads: int
 ) -> SpectrumSource:
-    """Return the spectrum for a plan and for the directions of a call, from the cache if possible."""
+    """Return the power spectrum for a plan and for the directions of a call, from the cache if possible."""
     coefficient_range = CoefficientRange.covering(plan.direction_range.joined(direction_range))
     key = SpectrumKey(
         device.alias, coefficient_range, plan.method, plan.coherence, plan.terms, plan.least_weight,
@@ -318,10 +322,10 @@ def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) 
         power = np.maximum(basis_at(np.linspace(*kappas, _ZEROTH_ENTRIES)) @ own, 0.0).astype(np.float32)
         at_kappas = np.zeros((lanes, lanes), dtype=np.float32)
     else:
-        # Where amplitudes add, the zeroth order interferes with other orders and has no power of its own. The array of
-        # its powers is therefore empty.
+        # If amplitudes add, the zeroth order interferes with other orders and has no power of its own. The array of its
+        # powers is therefore empty.
         power = np.zeros(0, dtype=np.float32)
-        # The number of Chebyshev nodes over κ follows from how fast a power oscillates over κ.
+        # The number of Chebyshev nodes over κ = w/λ is derived from the fastest oscillation of a power over κ.
         argument = math.pi * (kappas[1] - kappas[0]) * heightfield.height_range_um
         node_count = math.ceil(argument + 4.0 * argument ** (1.0 / 3.0) + 2.0)
         nodes = chebyshev.nodes(*kappas, node_count)
@@ -338,7 +342,10 @@ def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) 
 
 
 def _term_sizes(rows: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the root mean square of each basis term in the rows, each row divided by its norm, shape (terms,)."""
+    """Return the typical size of each basis term in ``rows``, shape (terms,).
+
+    The size is the root mean square over the rows, after each row is divided by its norm.
+    """
     flat = rows.reshape(-1, rows.shape[2])
     sampled_rows = flat[:: max(1, len(flat) // _ROWS_FOR_TERM_SIZES)].astype(np.float64)
     norms = np.linalg.norm(sampled_rows, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Cache of the tables of each height field that were used last. It is deleted together with the height field.
+"""Cache of the tables of each height field that were used last, which is deleted together with the height field.
 
 Pictures with moving lights or cameras reuse the same tables. A search for a plan tries tables of a few sizes, which the
 cache keeps for later calls. Keys are frozen dataclasses of everything on which a table depends, except the heights.
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from warpdiff.tables.colour_table import ColourTable
     from warpdiff.tables.spectrum_source import SpectrumSource
 
-# Maximum size of the cache of a height field. First number: entries of each kind, except colour tables. Second number:
-# total size of the colour tables [bytes]. Memory is proportional to these numbers.
+# Maximum size of the cache of a height field. `MOST_CACHED` is the number of entries of each kind, except colour
+# tables. `MOST_BYTES` is the total size of the colour tables [bytes]. Memory is proportional to these numbers.
 MOST_CACHED, MOST_BYTES = 4, 1e9
 _caches: weakref.WeakKeyDictionary[HeightField, TableCache] = weakref.WeakKeyDictionary()
 
@@ -29,12 +29,13 @@ class TableCache:
     """Cached tables of one height field.
 
     Attributes:
-        coefficients: Coefficients on the host.
+        coefficients: Fourier coefficients on the host.
         fitted_to: Coefficients of the series to which the last fitted basis was fitted. They are moved or deleted when
-            coefficients of a series are requested for evaluation.
-        rows: Rows and basis of coefficients on devices.
-        sources: Descriptions of the power spectra for colour tables, without samples.
-        spectra: Samples of the last spectrum, from which tables for other illuminants and materials can be computed.
+            a caller requests coefficients of a series for evaluation.
+        rows: Rows of Fourier coefficients on devices, with their basis functions.
+        sources: Descriptions of the power spectra for colour tables, without the samples of these spectra.
+        spectra: Samples of the power spectrum that was computed last, from which tables for other illuminants and
+            materials can be computed.
         colours: Colour tables. No two of them share an array, so that their sizes add up to the memory in use.
     """
 
@@ -48,5 +49,5 @@ class TableCache:
 
     @classmethod
     def of(cls, heightfield: HeightField) -> TableCache:
-        """Return the cache of a height field."""
+        """Return the cache of a height field; create it at the first call."""
         return _caches.setdefault(heightfield, cls())

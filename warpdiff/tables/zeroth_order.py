@@ -1,7 +1,7 @@
 """Zeroth order of a height field: the reflection of its mean plane, which colour tables store separately.
 
-The lobe of the zeroth order is narrower than the spacing of a table's rings, so that rows cannot represent it, but it
-has a closed form.
+The lobe of the zeroth order is narrower than the spacing of a table's rings, so that the rows of a table cannot
+represent it. The lobe has a closed form instead.
 """
 
 from __future__ import annotations
@@ -18,18 +18,19 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Number of height levels of the histogram from which the zeroth order is computed. With this number, the phases of
-# heights have an error of at most 1e-4 rad.
+# Number of height levels of the histogram from which the zeroth order is computed. With this number, the phases that
+# heights cause have an error of at most 1e-4 rad.
 _HEIGHTS = 65_536
 
 
 @dataclass(frozen=True, eq=False)
 class ZerothOrder:
-    """Power of the zeroth order as a function of |κ|, and the width of its lobe.
+    """Power of the zeroth order as a function of |κ| = |w|/λ, and the width of its lobe.
 
     Attributes:
-        power: |H₀₀|² at equally spaced |κ|, for linear interpolation, shape (entries,), float32. The array is empty
-            where amplitudes add, because the zeroth order then interferes with the others.
+        power: Power |H₀₀|² of the Fourier coefficient (0, 0) at equally spaced |κ|, for linear interpolation, shape
+            (entries,), float32. The array is empty if amplitudes add, because the zeroth order then interferes with the
+            other orders.
         least_kappa: |κ| of the first entry [1/µm].
         largest_kappa: |κ| of the last entry [1/µm].
         coherence: Coherence that determines the width of the lobe.
@@ -44,7 +45,7 @@ class ZerothOrder:
     def of_heights(
         cls, heightfield: HeightField, coherence: Coherence, kappas: tuple[float, float], entries: int
     ) -> ZerothOrder:
-        """Return the zeroth order over a range of |κ|, computed from the histogram of the heights."""
+        """Return the zeroth order over a range of |κ| = |w|/λ, computed from the histogram of the heights."""
         import scipy.signal
 
         heights = heightfield.heights_um - heightfield.heights_um.min()
@@ -57,14 +58,14 @@ class ZerothOrder:
         return cls(np.asarray(np.abs(means) ** 2, dtype=np.float32), *kappas, coherence)
 
     def at(self, kappas: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the power at the peak of the lobe for |κ| within the range, shape (n,)."""
+        """Return the power at the peak of the zeroth order for |κ| = |w|/λ within the tabulated range, shape (n,)."""
         shares = (kappas - self.least_kappa) / (self.largest_kappa - self.least_kappa)
         return between_entries(self.power[:, None], shares)[:, 0]
 
     def lobe_variance(self, wavelength_um: float) -> float:
-        """Return the variance of the lobe along u or v at a wavelength [µm].
+        """Return the variance of the zeroth order's lobe along u or v at a wavelength [µm].
 
-        Under a source it depends on the direction of the light, and is that at normal incidence.
+        Under a source, the variance depends on the direction of the light; the result is for normal incidence.
         """
         if self.coherence.sigma_um is None:
             return self.coherence.spread**2
@@ -72,9 +73,9 @@ class ZerothOrder:
 
 
 def between_entries(entries: NDArray[Any], shares: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Interpolate linearly between equally spaced entries.
+    """Interpolate linearly between equally spaced entries of a table.
 
-    ``entries`` has the shape (n, m). The positions ``shares`` run from 0 at the first entry to 1 at the last one.
+    ``entries`` has the shape (n, m). The positions ``shares`` run from 0 at the first entry to 1 at the last entry.
     """
     at = shares * (len(entries) - 1)
     first = np.clip(at.astype(np.int64), 0, len(entries) - 2)
