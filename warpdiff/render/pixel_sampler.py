@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from warpdiff.lights.light_pass import Counting, LightSamples, RayBatch
+from warpdiff.render import pixel_filter
 from warpdiff.request.directions import DirectionRange, DirectionSample
 
 if TYPE_CHECKING:
@@ -96,7 +97,8 @@ class PixelSampler:
 
     def _trace_calls(self, sample: int, samples_per_pixel: int) -> list[KernelCall]:
         self.invalidate()
-        return self._context.rays.trace(sample, samples_per_pixel)
+        deviation = pixel_filter.deviation_at(0, means=self._means)
+        return self._context.rays.trace(sample, samples_per_pixel, deviation)
 
     def scatter(
         self, sample: int, index: LobeIndex, sums: Accumulators, *, samples_per_pixel: int | None = None

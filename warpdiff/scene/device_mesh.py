@@ -11,6 +11,7 @@ import warp as wp
 from warpdiff.core import forks
 from warpdiff.core.caching import LruCache
 from warpdiff.kernels.structs import Camera, SurfaceArrays
+from warpdiff.scene.textures import table_of
 
 if TYPE_CHECKING:
     from warpdiff.kernels.shadow_rays import ShadowGrid
@@ -36,6 +37,7 @@ class SceneArrays:
     Attributes:
         bare: The arrays as a struct for kernels. It has a hierarchy of faces after the first call of
             :meth:`with_hierarchy`.
+        textures: Textures as a struct for kernels; None without any.
         face_count: Number of faces.
         grids: Cache of occluder grids by light direction.
     """
@@ -45,19 +47,20 @@ class SceneArrays:
 
         If ``smooth`` is False, kernels use face normals instead of vertex normals.
         """
-        colours = np.zeros((1, 3), np.float32) if surface.vertex_colours is None else surface.vertex_colours
+        colours = np.zeros((0, 3), np.float32) if surface.vertex_colours is None else surface.vertex_colours
         arrays = SurfaceArrays()
         for name, values, dtype in (
             ("positions", surface.vertices, wp.vec3f), ("faces", surface.faces, wp.int32),
             ("normals", surface.normals, wp.vec3f), ("tangents", surface.tangents, wp.vec3f),
             ("handedness", surface.handedness, wp.float32), ("uvs", surface.uvs, wp.vec2f),
-            ("vertex_colours", colours, wp.vec3f), ("texture", surface.texture, wp.vec3f),
+            ("vertex_colours", colours, wp.vec3f),
         ):  # fmt: skip
             setattr(arrays, name, wp.array(values, dtype=dtype, device=device))
-        arrays.has_vertex_colours = surface.vertex_colours is not None
+        arrays.plain_colour = wp.vec3f(*surface.plain_colour)
         arrays.smooth = bool(smooth)
         self.face_count = len(surface.faces)
         self.bare = arrays
+        self.textures = table_of(surface.textures, surface.materials, device) if surface.is_textured else None
         self._mesh: wp.Mesh | None = None
         self.grids: LruCache[ShadowGrid] = LruCache(_MOST_GRIDS)
 
@@ -109,7 +112,7 @@ def needs_shadow_rays(surface: Surface, view: View) -> bool:
     They are not required for a convex body that is viewed from outside, because no visible illuminated point is in
     shadow.
     """
-    if not surface.is_convex:
+    if not (surface.is_convex and surface.is_opaque):
         return True
     frame = view.frame()
     eye = (frame.origin - surface.centre) / surface.radius
