@@ -7,53 +7,35 @@
 
 namespace warpdiff {
 
-// Face that a ray hits: its corners, and the barycentric coordinates of the hit.
-struct TexturedHit {
-    const int* corners;
-    float shares[3];
+// Footprint of a ray in texture coordinates: their changes over one standard deviation of the ray's filter, along rows
+// and then along columns of the picture.
+struct UvFootprint {
+    float changes[4];
 
-    template <class Surface, class Pixels>
-    WARPDIFF_INLINE TexturedHit(const Surface& surface, const Pixels& pixels, int face, long long ray)
-    {
-        const float* const place = numbers<const float>(pixels.place) + 2 * ray;
-        corners = numbers<const int>(surface.faces) + 3LL * face;
-        shares[0] = place[0];
-        shares[1] = place[1];
-        shares[2] = wp::max(0.0f, 1.0f - place[0] - place[1]);
-    }
-
-    // Compute the texture coordinates at the hit.
-    WARPDIFF_INLINE void find_uv(const float* uvs, float* uv) const
-    {
-        for (int c = 0; c < 2; ++c)
-            uv[c] = shares[0] * uvs[2LL * corners[0] + c] + shares[1] * uvs[2LL * corners[1] + c]
-                + shares[2] * uvs[2LL * corners[2] + c];
-    }
-
-    // Compute the changes of the texture coordinates over one standard deviation of the ray's filter, along rows and
-    // then along columns.
-    WARPDIFF_INLINE void find_footprint(const float* positions, const float* uvs, const float* to_view,
-        const FilterSteps& filter, float least_facing, float* footprint) const
+    // Differentiate the texture coordinates of a hit on a face. `place` has the barycentric coordinates of the hit.
+    WARPDIFF_INLINE UvFootprint(const float* positions, const float* uvs, const int* corners, const float* place,
+        const float* to_view, const FilterSteps& filter, float least_facing)
     {
         HitDifferentials hit;
+        const float share1 = place[1], share2 = 1.0f - place[0] - place[1];
         float edge1[3], edge2[3], away[3];
         for (int c = 0; c < 3; ++c) {
             const float start = positions[3LL * corners[0] + c];
             edge1[c] = positions[3LL * corners[1] + c] - start;
             edge2[c] = positions[3LL * corners[2] + c] - start;
             hit.view[c] = to_view[c];
-            away[c] = filter.eye[c] - start - shares[1] * edge1[c] - shares[2] * edge2[c];
+            away[c] = filter.eye[c] - start - share1 * edge1[c] - share2 * edge2[c];
         }
         hit.differentiate(edge1, edge2, away, filter, least_facing);
         for (int axis = 0; axis < 2; ++axis) {
             const float* const step = filter.step[axis];
             const float through = dot(hit.across, step);
-            const float share1 = hit.scale * (dot(hit.of_share1, step) - hit.slide1 * through);
-            const float share2 = hit.scale * (dot(hit.of_share2, step) - hit.slide2 * through);
+            const float change1 = hit.scale * (dot(hit.of_share1, step) - hit.slide1 * through);
+            const float change2 = hit.scale * (dot(hit.of_share2, step) - hit.slide2 * through);
             for (int c = 0; c < 2; ++c) {
                 const float start = uvs[2LL * corners[0] + c];
-                footprint[2 * axis + c] = share1 * (uvs[2LL * corners[1] + c] - start)
-                    + share2 * (uvs[2LL * corners[2] + c] - start);
+                changes[2 * axis + c] = change1 * (uvs[2LL * corners[1] + c] - start)
+                    + change2 * (uvs[2LL * corners[2] + c] - start);
             }
         }
     }
@@ -80,16 +62,16 @@ WARPDIFF_INLINE void look_up_base_colours(const Camera& camera, const Surface& s
             colour[0] = colour[1] = colour[2] = 0.0f;
             continue;
         }
-        const TexturedHit textured(surface, pixels, face[ray], ray);
-        float uv[2], footprint[4];
-        textured.find_uv(uvs, uv);
+        const int* const corners = numbers<const int>(surface.faces) + 3LL * face[ray];
+        const float* const place = numbers<const float>(pixels.place) + 2LL * ray;
+        const PointUv uv(uvs, corners, place);
         Rgba sampled;
         if (deviation > 0.0f) {
             const float* const to_view = numbers<const float>(pixels.to_view) + 3LL * ray;
-            textured.find_footprint(positions, uvs, to_view, filter, least_facing, footprint);
-            sampled = sample_footprint(textures, number, uv[0], uv[1], footprint);
+            const UvFootprint footprint(positions, uvs, corners, place, to_view, filter, least_facing);
+            sampled = sample_footprint(textures, number, uv.u, uv.v, footprint.changes);
         } else {
-            sampled = sample_point(textures, number, uv[0], uv[1]);
+            sampled = sample_point(textures, number, uv);
         }
         for (int c = 0; c < 3; ++c) colour[c] = sampled.channels[c];
     }

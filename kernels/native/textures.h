@@ -74,34 +74,93 @@ WARPDIFF_INLINE int wrapped_index(int index, int size, int wrap)
     return index;
 }
 
-// Add a factor times the colour at (u, v) by bilinear interpolation between texel centres. Row 0 is at v = 1. Texel
-// centres are half a texel from the edges.
+// Four texels around a position in an image, and the position between them, 0 to 1. Texel centres are half a texel from
+// the edges. Row 0 is at the top.
+struct TexelSquare {
+    const float *upper_left, *upper_right, *lower_left, *lower_right;
+    float right, down;
+
+    // Find the texels around a position in texels, `x` from the left edge and `y` from the top edge, minus 0.5.
+    WARPDIFF_INLINE TexelSquare(const TextureLevel& level, const int* wrap, float x, float y)
+    {
+        const float column = wp::floor(x), row = wp::floor(y);
+        right = x - column;
+        down = y - row;
+        const int x0 = wrapped_index((int)column, level.width, wrap[0]);
+        const int x1 = wrapped_index((int)column + 1, level.width, wrap[0]);
+        const int y0 = wrapped_index((int)row, level.height, wrap[1]);
+        const int y1 = wrapped_index((int)row + 1, level.height, wrap[1]);
+        const float* const upper = level.texels + 4LL * y0 * level.width;
+        const float* const lower = level.texels + 4LL * y1 * level.width;
+        upper_left = upper + 4 * x0;
+        upper_right = upper + 4 * x1;
+        lower_left = lower + 4 * x0;
+        lower_right = lower + 4 * x1;
+    }
+};
+
+// Add a factor times the colour at (u, v) by bilinear interpolation between texel centres.
 WARPDIFF_INLINE void add_bilinear(
     const TextureLevel& level, const int* wrap, float u, float v, float factor, Rgba& result)
 {
     const float x = wrapped(u, wrap[0]) * (float)level.width - 0.5f;
     const float y = (1.0f - wrapped(v, wrap[1])) * (float)level.height - 0.5f;
-    const float column = wp::floor(x), row = wp::floor(y), fx = x - column, fy = y - row;
-    const int x0 = wrapped_index((int)column, level.width, wrap[0]);
-    const int y0 = wrapped_index((int)row, level.height, wrap[1]);
-    const int x1 = wrapped_index((int)column + 1, level.width, wrap[0]);
-    const int y1 = wrapped_index((int)row + 1, level.height, wrap[1]);
-    const float* const upper = level.texels + 4LL * y0 * level.width;
-    const float* const lower = level.texels + 4LL * y1 * level.width;
-    for (int c = 0; c < 4; ++c) {
-        const float top = (1.0f - fx) * upper[4 * x0 + c] + fx * upper[4 * x1 + c];
-        const float bottom = (1.0f - fx) * lower[4 * x0 + c] + fx * lower[4 * x1 + c];
-        result.channels[c] += factor * ((1.0f - fy) * top + fy * bottom);
-    }
+    const TexelSquare texels(level, wrap, x, y);
+    const float lower = factor * texels.down, upper = factor - lower;
+    const float upper_right = upper * texels.right, lower_right = lower * texels.right;
+    const float upper_left = upper - upper_right, lower_left = lower - lower_right;
+    for (int c = 0; c < 4; ++c)
+        result.channels[c] += upper_left * texels.upper_left[c] + upper_right * texels.upper_right[c]
+            + lower_left * texels.lower_left[c] + lower_right * texels.lower_right[c];
 }
 
-// Return the colour of a texture at (u, v) without a filter.
+// Texture coordinates of a point. `v_again` is v with another rounding error.
+struct PointUv {
+    float u, v, v_again;
+
+    // Interpolate between the texture coordinates of three corners of a face, by barycentric coordinates.
+    //
+    // Here and in `sample_point`, operations and roundings have the order that a compiler once chose for them, so that
+    // pictures that show points do not change with the compiler or its options.
+    WARPDIFF_INLINE PointUv(const float* uvs, const int* corners, const float* place)
+    {
+#if defined(__clang__)
+#pragma clang fp reassociate(off) contract(off)
+#endif
+        const float* const a = uvs + 2LL * corners[0];
+        const float* const b = uvs + 2LL * corners[1];
+        const float* const c = uvs + 2LL * corners[2];
+        const float share0 = place[0], share1 = place[1], share2 = wp::max(0.0f, 1.0f - (share0 + share1));
+        u = fmaf(share2, c[0], fmaf(share1, b[0], share0 * a[0]));
+        v = fmaf(share2, c[1], fmaf(share1, b[1], share0 * a[1]));
+        v_again = fmaf(share2, c[1], fmaf(share0, a[1], share1 * b[1]));
+    }
+};
+
+// Return the colour of a texture at a point, by bilinear interpolation between texel centres.
 template <class Textures>
-WARPDIFF_INLINE Rgba sample_point(const Textures& textures, int number, float u, float v)
+WARPDIFF_INLINE Rgba sample_point(const Textures& textures, int number, const PointUv& uv)
 {
+#if defined(__clang__)
+#pragma clang fp reassociate(off) contract(off)
+#endif
     const Texture<Textures> texture(textures, number);
+    const TextureLevel level = texture.level(0);
+    const float from_left = wrapped(uv.u, texture.wrap[0]);
+    const float from_top = texture.wrap[1] == REPEAT ? wp::floor(uv.v) + (1.0f - uv.v_again)
+                                                     : 1.0f - wrapped(uv.v, texture.wrap[1]);
+    const float x = fmaf(from_left, (float)level.width, -0.5f), y = fmaf(from_top, (float)level.height, -0.5f);
+    const TexelSquare texels(level, texture.wrap, x, y);
+    const float right = texels.right, left = 1.0f - right, down = texels.down, up = 1.0f - down;
     Rgba result;
-    add_bilinear(texture.level(0), texture.wrap, u, v, 1.0f, result);
+    for (int c = 0; c < 4; ++c) {
+        const float *const a = texels.upper_left + c, *const b = texels.upper_right + c;
+        const float *const d = texels.lower_left + c, *const e = texels.lower_right + c;
+        if (c == 0)
+            result.channels[c] = fmaf(up, fmaf(right, *b, left * *a), down * fmaf(right, *e, left * *d));
+        else
+            result.channels[c] = fmaf(down, fmaf(left, *d, right * *e), up * fmaf(left, *a, right * *b));
+    }
     return result;
 }
 

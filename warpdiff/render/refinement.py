@@ -139,8 +139,7 @@ class LightRefinement:
         splat = KernelCall(
             subdivision.splat_cells, inputs, outputs, in_runs=True, block=refinement_levels.rays_at(level)
         )
-        deviation = pixel_filter.deviation_at(level, means=self.lookups.uses_footprints)
-        return [*rays.calls(sampling, batch.gbuffer, deviation), *self.light_pass.shade(batch, self.lookups), splat]
+        return [*rays.calls(sampling, batch.gbuffer, batch.deviation), *self.light_pass.shade(batch, self.lookups), splat]
 
     def resolve_pixels(self, group: TileGroup, marks: wp.array) -> KernelCall:
         """Return the kernel call that replaces the colours of pixels by weighted sums over cells.
