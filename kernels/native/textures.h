@@ -13,15 +13,15 @@ namespace warpdiff {
 constexpr int REPEAT = 0, CLAMP = 1, MIRROR = 2;
 // Largest number of probes along the long axis of a footprint; longer footprints are blurred across, too. Fitted:
 // docs/decisions/textures.md.
-constexpr int MOST_PROBES = 8;
+constexpr int MOST_PROBES = 12;
 // Share of a footprint's variance along its short axis that the pyramid level provides; two probes provide the rest.
 // Fitted: docs/decisions/textures.md.
-constexpr float SHARE_OF_LEVEL = 0.25f;
+constexpr float SHARE_OF_LEVEL = 1.0f;
 // Distance of probes along the long axis, in standard deviations of the blur of the level. Fitted:
 // docs/decisions/textures.md.
 constexpr float PROBE_SPACING = 1.5f;
 // Range of probes along the long axis [standard deviations of the footprint]. Limit: the Gaussian beyond is omitted.
-constexpr float PROBE_RANGE = 2.5f;
+constexpr float PROBE_RANGE = 2.0f;
 
 struct Rgba {
     float channels[4] = {};
