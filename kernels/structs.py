@@ -72,6 +72,14 @@ class Textures:
 
 
 @wp.struct
+class Transparency:
+    """Alpha of the scene by which rays pass through faces, in addition to that of textures; empty if it is opaque."""
+
+    cutoffs: wp.array(dtype=wp.float32)  # alpha below which rays pass, by material; 0: opaque; negative: blended
+    vertex_alphas: wp.array(dtype=wp.float32)  # alpha at the vertices; empty if it is 1 everywhere
+
+
+@wp.struct
 class Pixels:
     """Arrays of hits and shading frames, one entry per ray.
 

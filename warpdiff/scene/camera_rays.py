@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from warpdiff.device.kernel_calls import KernelCall, launch, launch_pipeline
-from warpdiff.kernels import base_colours, bvh, primary_hits
+from warpdiff.kernels import base_colours, bvh, primary_hits, transparency
 from warpdiff.kernels.structs import Cells, Sampling
 from warpdiff.scene import device_mesh
 from warpdiff.scene.gbuffer import GBuffer
@@ -104,11 +104,18 @@ class CameraRays:
     def _known_face_calls(self, sampling: Sampling, gbuffer: GBuffer, deviation: float) -> list[KernelCall]:
         """Return the calls that compute hits, frames and base colours, after the nearest face of each ray is known."""
         inputs = [self.camera, self.scene.bare, sampling, gbuffer.pixels]
-        calls = [
+        calls = []
+        if not self.scene.is_opaque:
+            scene = self.scene
+            passing = [self.camera, scene.with_hierarchy(), scene.textures, scene.transparency, sampling]
+            calls.append(
+                KernelCall(transparency.pass_transparent, passing, [gbuffer.pixels.nearest], in_runs=True)
+            )
+        calls += [
             KernelCall(primary_hits.intersect_known_faces, inputs, [], in_runs=True),
             KernelCall(primary_hits.make_shading_frames, [self.scene.bare, gbuffer.pixels], [], in_runs=True),
         ]
-        if self.scene.textures is not None and gbuffer.is_coloured:
+        if self.scene.is_textured and gbuffer.is_coloured:
             inputs = [self.camera, self.scene.bare, self.scene.textures, gbuffer.pixels, deviation]
             calls.append(KernelCall(base_colours.sample_base_colours, inputs, [], in_runs=True))
         return calls
@@ -176,6 +183,7 @@ class RasterizedRays(CameraRays):
         """Return an occluder grid for each light. Grids that save no time, or need too much memory, are empty."""
         faces = self.scene.face_count
         pays = _FACES_PER_RAY * shadow_rays() > faces and _BYTES_PER_FACE * faces * len(to_lights) <= _MOST_BYTES
+        pays = pays and self.scene.is_opaque
         return [
             grid_for(self.surface, self.scene, to_light, **self.options)
             if pays and to_light is not None

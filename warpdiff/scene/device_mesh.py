@@ -10,7 +10,7 @@ import warp as wp
 
 from warpdiff.core import forks
 from warpdiff.core.caching import LruCache
-from warpdiff.kernels.structs import Camera, SurfaceArrays
+from warpdiff.kernels.structs import Camera, SurfaceArrays, Textures, Transparency
 from warpdiff.scene.textures import table_of
 
 if TYPE_CHECKING:
@@ -37,7 +37,10 @@ class SceneArrays:
     Attributes:
         bare: The arrays as a struct for kernels. It has a hierarchy of faces after the first call of
             :meth:`with_hierarchy`.
-        textures: Textures as a struct for kernels; None without any.
+        textures: Textures as a struct for kernels; empty without any.
+        transparency: Transparency as a struct for kernels; empty if all faces are opaque.
+        is_textured: Whether any base colour is that of a texture.
+        is_opaque: Whether no ray passes through a face.
         face_count: Number of faces.
         grids: Cache of occluder grids by light direction.
     """
@@ -60,7 +63,14 @@ class SceneArrays:
         arrays.smooth = bool(smooth)
         self.face_count = len(surface.faces)
         self.bare = arrays
-        self.textures = table_of(surface.textures, surface.materials, device) if surface.is_textured else None
+        self.is_textured, self.is_opaque = surface.is_textured, surface.is_opaque
+        self.textures, self.transparency = Textures(), Transparency()
+        if surface.is_textured or not surface.is_opaque:
+            self.textures = table_of(surface.textures, surface.materials, device)
+        if not surface.is_opaque:
+            self.transparency.cutoffs = wp.array(surface.alpha_cutoffs, dtype=wp.float32, device=device)
+            alphas = np.zeros(0, np.float32) if surface.vertex_alphas is None else surface.vertex_alphas
+            self.transparency.vertex_alphas = wp.array(alphas, dtype=wp.float32, device=device)
         self._mesh: wp.Mesh | None = None
         self.grids: LruCache[ShadowGrid] = LruCache(_MOST_GRIDS)
 

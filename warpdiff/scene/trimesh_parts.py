@@ -15,7 +15,11 @@ from warpdiff.scene.scene_parts import Appearance, ScenePart, TextureMap, unique
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from warpdiff.scene.scene_parts import AlphaMode
+
 _WHITE = (1.0, 1.0, 1.0, 1.0)
+# Alpha modes by the names that trimesh uses, which are those of glTF.
+_ALPHA_MODES: dict[str, AlphaMode] = {"MASK": "mask", "BLEND": "blend"}
 
 
 def parts_of(mesh: Any) -> list[ScenePart]:
@@ -122,6 +126,8 @@ def _appearance(material: Any, name: str) -> Appearance:
             name, base_colour=colour, base_texture=None if image is None else TextureMap(image),
             metallic=1.0 if material.metallicFactor is None else float(material.metallicFactor),
             roughness=1.0 if material.roughnessFactor is None else float(material.roughnessFactor),
+            alpha_mode=_ALPHA_MODES.get(str(material.alphaMode).upper(), "opaque"),
+            alpha_cutoff=0.5 if material.alphaCutoff is None else float(material.alphaCutoff),
         )  # fmt: skip
     image, diffuse = getattr(material, "image", None), getattr(material, "diffuse", None)
     # trimesh gives a mesh without a material a texture of 2 × 2 grey pixels, which is ignored here.
