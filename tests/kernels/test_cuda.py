@@ -33,9 +33,11 @@ FUNCTIONS_ONLY = {"atomics", "compile_options", "footprints", "indices", "sample
 # Modules of the package ``kernels`` that contain only constants, for code that does not import Warp.
 WITHOUT_WARP = {"refinement_levels", "thresholds", "quadratic_spline"}
 KERNELS = {
+    "base_colours": {"sample_base_colours"},
     "bvh": {"trace_bvh"},
     "primary_hits": {"rasterize", "intersect_known_faces", "place_samples", "make_shading_frames"},
     "shadow_rays": {"count", "fill", "trace_shadow_rays", "project"},
+    "transparency": {"pass_transparent", "trace_shadow_rays_through"},
     "light_samples": {"balance_energy", "pixel_footprints", "scattering_vectors", "select_finish",
                       "add_light_rotation", "add_light_extent", "add_source_extent"},
     "disc_samples": {"draw_disc"},
