@@ -29,8 +29,8 @@ LEAST_LEVEL_OF_POINTS = 2
 # successive changes of (u, v); the change is that of (u, v) per pixel relative to |(u, v)|. Fitted to bound 95 of 100
 # pixels (docs/decisions/adaptive_sampling.md); twice as much refines more pixels.
 CONTRAST_BASE, CONTRAST_PER_UNEVENNESS, CONTRAST_PER_CHANGE = 0.008, 0.52, 0.55
-# Estimated error of the filter of textures in a pixel with one ray, divided by the contrast that textures cause with its
-# neighbours. Fitted to bound 95 of 100 pixels (docs/decisions/textures.md); twice as much refines more pixels.
+# Estimated error of the filter of textures in a pixel with one ray, divided by the contrast that textures cause with
+# its neighbours. Fitted to bound 95 of 100 pixels (docs/decisions/textures.md); twice as much refines more pixels.
 CONTRAST_OF_TEXTURE = 0.2
 # The level of a tile is selected from the predicted change of its colour if its cells were finer. This change is
 # multiplied by the first number, and at edges also by the second. A tile is at an edge if it and its neighbours have

@@ -214,7 +214,8 @@ def mirror_deflections(
 def sample_sky(
     sky: Sky, table: SkyDistribution, pixels: Pixels, footprints: wp.array(dtype=Footprint), rgb_to_xyz: wp.mat33d,
     reflection: Reflection, surface: wp.int32, mesh: SurfaceArrays, textures: Textures, transparency: Transparency,
-    mesh_id: wp.uint64, shadows: wp.bool, tiles: wp.array(dtype=wp.int32), width: wp.int32, across: wp.int32, sample: wp.int32, samples: wp.int32, first: wp.int32, run: wp.int32,
+    mesh_id: wp.uint64, shadows: wp.bool, tiles: wp.array(dtype=wp.int32), width: wp.int32, across: wp.int32,
+    sample: wp.int32, samples: wp.int32, first: wp.int32, run: wp.int32,
     scattering_vectors_out: wp.array(dtype=wp.vec3d), to_lights_out: wp.array(dtype=wp.vec3f),
     gains_out: wp.array2d(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     illuminated_out: wp.array(dtype=wp.bool),

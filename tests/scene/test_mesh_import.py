@@ -295,7 +295,9 @@ def test_textures_are_decoded_row_0_first():
     np.testing.assert_array_equal(texels[0], [[1, 0, 0, 1], [0, 1, 0, 1]])
     np.testing.assert_allclose(texels[1, 1, :3], decode(0.2), atol=1e-6)
     halved = PBRMaterial(baseColorTexture=image, baseColorFactor=[255, 51, 255, 255])
-    np.testing.assert_allclose(prepare_surface(square(material=halved)).textures[0].texels[0, 1], [0, 0.2, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(
+        prepare_surface(square(material=halved)).textures[0].texels[0, 1], [0, 0.2, 0, 1], atol=1e-6
+    )
     deep = Image.fromarray(np.array([[65535, 13107]], np.uint16))
     grey = prepare_surface(square(material=SimpleMaterial(image=deep))).textures[0].texels
     np.testing.assert_allclose(grey[0, :, 0], [1.0, decode(0.2)], atol=1e-6)

@@ -1,5 +1,7 @@
 """Textures of scenes: pyramids, continuation outside of the image, and memory."""
 
+import itertools
+
 import numpy as np
 import pytest
 import trimesh
@@ -28,7 +30,7 @@ def test_texels_of_a_level_are_means_over_their_areas(shape, rng):
     levels = pyramid(texels)
     assert [level.shape[:2] for level in levels] == sizes(*shape)
     assert levels[-1].shape == (1, 1, 4)
-    for before, after in zip(levels, levels[1:], strict=False):
+    for before, after in itertools.pairwise(levels):
         rows = by_overlaps(before.astype(np.float64), after.shape[0])
         expected = by_overlaps(rows.swapaxes(0, 1), after.shape[1]).swapaxes(0, 1)
         np.testing.assert_allclose(after, expected, rtol=1e-5)

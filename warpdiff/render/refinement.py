@@ -145,7 +145,11 @@ class LightRefinement:
         splat = KernelCall(
             subdivision.splat_cells, inputs, outputs, in_runs=True, block=refinement_levels.rays_at(level)
         )
-        return [*rays.calls(sampling, batch.gbuffer, batch.deviation), *self.light_pass.shade(batch, self.lookups), splat]
+        return [
+            *rays.calls(sampling, batch.gbuffer, batch.deviation),
+            *self.light_pass.shade(batch, self.lookups),
+            splat,
+        ]
 
     def resolve_pixels(self, group: TileGroup, marks: wp.array) -> KernelCall:
         """Return the kernel call that replaces the colours of pixels by weighted sums over cells.

@@ -108,9 +108,7 @@ class CameraRays:
         if not self.scene.is_opaque:
             scene = self.scene
             passing = [self.camera, scene.with_hierarchy(), scene.textures, scene.transparency, sampling]
-            calls.append(
-                KernelCall(transparency.pass_transparent, passing, [gbuffer.pixels.nearest], in_runs=True)
-            )
+            calls.append(KernelCall(transparency.pass_transparent, passing, [gbuffer.pixels.nearest], in_runs=True))
         calls += [
             KernelCall(primary_hits.intersect_known_faces, inputs, [], in_runs=True),
             KernelCall(primary_hits.make_shading_frames, [self.scene.bare, gbuffer.pixels], [], in_runs=True),

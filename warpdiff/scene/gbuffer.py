@@ -41,7 +41,7 @@ class GBuffer:
     @property
     def is_coloured(self) -> bool:
         """Whether the arrays include base colours."""
-        return self.pixels.base_colour.shape[0] > 0
+        return len(self.pixels.base_colour) > 0
 
     @property
     def hit_count(self) -> int:

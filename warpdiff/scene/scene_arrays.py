@@ -31,8 +31,8 @@ class SceneArrays:
     Some vertices of the input are duplicated. For each vertex, ``source`` has the index of the input vertex, and
     ``count`` is the number of input vertices. Each name of ``geometry_names`` and ``material_names`` has its index in
     ``geometries`` and ``materials``, which have an element per face. ``textures`` and ``cutoffs`` have an element for
-    each name of ``material_names``: its base-colour texture, and the alpha below which rays pass through it. The cut-off
-    is 0 for opaque materials, and negative for materials that are blended with their background.
+    each name of ``material_names``: its base-colour texture, and the alpha below which rays pass through it. The
+    cut-off is 0 for opaque materials, and negative for materials that are blended with their background.
     """
 
     vertices: NDArray[np.float64]
@@ -174,7 +174,9 @@ def _take_alphas(appearance: Appearance, part: SceneArrays, alphas: NDArray[np.f
     if appearance.alpha_mode == "opaque":
         return
     (texture,) = part.textures
-    least = float(np.min(alphas if texture is None else texture.texels[..., 3]))
+    least = float(1.0 if alphas is None else alphas.min())
+    if texture is not None:
+        least = float(texture.texels[..., 3].min())
     if least < (1.0 if appearance.alpha_mode == "blend" else appearance.alpha_cutoff):
         part.cutoffs = (-1.0 if appearance.alpha_mode == "blend" else appearance.alpha_cutoff,)
         part.alphas = alphas

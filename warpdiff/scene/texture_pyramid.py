@@ -46,6 +46,7 @@ def _reduced(texels: NDArray[np.float32], size: int, axis: int) -> NDArray[np.fl
         reduced = np.zeros((size, *lines.shape[1:]), np.float32)
         for step in range(3):
             at = first + step
-            overlap = np.clip(np.minimum(edges[1:], at + 1.0) - np.maximum(edges[:-1], at), 0.0, None) * (size / before)
-            reduced += overlap.astype(np.float32).reshape(-1, *[1] * (lines.ndim - 1)) * lines[np.minimum(at, before - 1)]
+            overlap = np.clip(np.minimum(edges[1:], at + 1.0) - np.maximum(edges[:-1], at), 0.0, None)
+            share = (overlap * (size / before)).astype(np.float32).reshape(-1, *[1] * (lines.ndim - 1))
+            reduced += share * lines[np.minimum(at, before - 1)]
     return np.ascontiguousarray(np.moveaxis(reduced, 0, axis))

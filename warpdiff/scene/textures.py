@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 # Codes of continuations, as in kernels/native/textures.h.
 _WRAPS: dict[Wrap, int] = {"repeat": 0, "clamp": 1, "mirror": 2}
-# Memory for a texel of an image: 16 bytes decoded, 21.3 bytes for its pyramid on the device and as much while it is made,
-# and 8 bytes while it is decoded. If doubled, scenes that would fit are refused.
+# Memory for a texel of an image: 16 bytes decoded, 21.3 bytes for its pyramid on the device and as much while it is
+# made, and 8 bytes while it is decoded. If doubled, scenes that would fit are refused.
 _BYTES_PER_TEXEL = 67.0
 
 
@@ -93,9 +93,7 @@ class TextureImages:
         return pixels
 
 
-def table_of(
-    of_base_colour: Sequence[Texture | None], materials: NDArray[np.int32], device: wp.DeviceLike
-) -> Textures:
+def table_of(of_base_colour: Sequence[Texture | None], materials: NDArray[np.int32], device: wp.DeviceLike) -> Textures:
     """Return the textures of a scene on a device, with the pyramids of their images.
 
     Args:
@@ -121,7 +119,8 @@ def table_of(
             for size in sizes(height, width):
                 levels.append((count, size[1], size[0]))
                 count += size[0] * size[1]
-        rows[texture] = (images[id(texture.texels)], len(sizes(height, width)), *(_WRAPS[wrap] for wrap in texture.wrap))
+        along_u, along_v = (_WRAPS[wrap] for wrap in texture.wrap)
+        rows[texture] = images[id(texture.texels)], len(sizes(height, width)), along_u, along_v
     _require_texels(count)
     result = Textures()
     result.texels = wp.empty(count, dtype=wp.vec4f, device=device)

@@ -242,7 +242,7 @@ def _only_texture(surface: Surface) -> NDArray[np.float32]:
     textures = {id(texture.texels): texture for texture in surface.textures if texture is not None}
     if len(textures) > 1:
         raise ArgumentValueError(
-            f"{ref('mesh')} must have at most one texture image in a page, got {len(textures)}: bake them into one image"
+            f"{ref('mesh')} must have at most one texture image in a page, got {len(textures)}: bake them into one"
         )
     (texture,) = textures.values()
     if texture.wrap != ("repeat", "repeat"):
