@@ -26,8 +26,8 @@ _MEAN_ERROR_PER_PLAN_ERROR = 0.32
 _BOUND_OF_BOTH = 1.1
 
 # Relative error of the filter of textures, and its largest share of the tolerance. Pictures at tolerances of 0.1 and
-# 0.03 have the same errors of the filter, because nearly all pixels of far textures have cells of the same level. Fitted
-# to bound 90 % of the pixels of far textures (docs/decisions/textures.md).
+# 0.03 have the same errors of the filter, because nearly all pixels of far textures have cells of the same level.
+# Fitted to bound 90 % of the pixels of far textures (docs/decisions/textures.md).
 _FILTER_OF_TEXTURES, _MOST_OF_TOLERANCE = 0.01, 0.33
 
 # Model of the probability that the true error of a pixel exceeds the tolerance. If the estimated error equals the
