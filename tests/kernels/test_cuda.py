@@ -12,6 +12,7 @@ from conftest import hemisphere, relative_errors, slow
 import warpdiff as wd
 from warpdiff import kernels
 from warpdiff.kernels import (
+    base_colours,
     bvh,
     coefficient_sum,
     colour_lookup,
@@ -21,6 +22,7 @@ from warpdiff.kernels import (
     spectrum_sampling,
     subdivision,
     tile_lists,
+    transparency,
 )
 
 SM = 90
@@ -104,7 +106,9 @@ def test_every_kernel_module_is_listed_in_this_file():
 
 @pytest.mark.parametrize("arch", ARCHITECTURES)
 @pytest.mark.parametrize(
-    "module", [bvh, primary_hits, light_samples, subdivision, shadow_rays, tile_lists], ids=lambda item: item.__name__
+    "module",
+    [bvh, primary_hits, light_samples, subdivision, shadow_rays, tile_lists, base_colours, transparency],
+    ids=lambda item: item.__name__,
 )
 def test_modules_compile(module, arch, tmp_path):
     assert entry_points(compile_to_ptx(module, tmp_path, arch)) == KERNELS[module.__name__.rpartition(".")[2]]
