@@ -1,5 +1,5 @@
 // Textures: look-ups in an image pyramid, filtered by the footprint of a ray. A footprint is a Gaussian over texture
-// coordinates. Several probes along its long axis, each trilinear, approximate it (as in Feline, McCormack et al. 1999).
+// coordinates. Two rows of probes along its long axis, on one level, approximate it (as in Feline, McCormack et al. 1999).
 //
 // All texels are in one array. Level 0 of a texture is its image, and each further level has half the size.
 
@@ -11,14 +11,11 @@ namespace warpdiff {
 
 // Continuation of a texture outside of its image along an axis: repeated, clamped to the edge, or mirrored.
 constexpr int REPEAT = 0, CLAMP = 1, MIRROR = 2;
-// Largest number of probes along the long axis of a footprint; longer footprints are blurred across, too. Fitted:
-// docs/decisions/textures.md.
+// Largest number of probes along the long axis of a footprint; longer footprints are blurred across, too. Fitted
+// (docs/decisions/textures.md): with 8, errors of long footprints are 1.4 times as large.
 constexpr int MOST_PROBES = 12;
-// Share of a footprint's variance along its short axis that the pyramid level provides; two probes provide the rest.
-// Fitted: docs/decisions/textures.md.
-constexpr float SHARE_OF_LEVEL = 1.0f;
-// Distance of probes along the long axis, in standard deviations of the blur of the level. Fitted:
-// docs/decisions/textures.md.
+// Largest distance of probes along the long axis, in standard deviations of the blur of the level and of bilinear
+// interpolation. Fitted (docs/decisions/textures.md): twice the distance leaves gaps between the probes.
 constexpr float PROBE_SPACING = 1.5f;
 // Range of probes along the long axis [standard deviations of the footprint]. Limit: the Gaussian beyond is omitted.
 constexpr float PROBE_RANGE = 2.0f;
@@ -184,14 +181,17 @@ WARPDIFF_INLINE Rgba sample_footprint(const Textures& textures, int number, floa
         return result;
     }
     // Level n of a pyramid adds the variance (4ⁿ − 1)/4 along each axis [texels²]: that of the box filter, and that of
-    // bilinear interpolation between its wider texels. Probes add the rest of the footprint's variance.
+    // bilinear interpolation between its wider texels. The coarsest level is used whose blur is at most the
+    // footprint's variance along the short axis. Probes add the rest.
+    // Where the footprint is too long for its probes, the level is coarser: `limited` is the variance with which their
+    // distance is the largest one.
     constexpr float PROBES = MOST_PROBES * PROBE_SPACING / (2.0f * PROBE_RANGE);
     const float limited = (longest - 0.25f * PROBES * PROBES) / (1.0f + PROBES * PROBES);
-    const float variance = wp::max(SHARE_OF_LEVEL * shortest, limited);
-    int at_level = 0;
+    const float variance = wp::max(shortest, limited);
+    int chosen = 0;
     float power = 1.0f;
-    for (; at_level < texture.count - 1 && 4.0f * power <= 1.0f + 4.0f * variance; ++at_level) power *= 4.0f;
-    const TextureLevel level = texture.level(at_level);
+    for (; chosen < texture.count - 1 && 4.0f * power <= 1.0f + 4.0f * variance; ++chosen) power *= 4.0f;
+    const TextureLevel level = texture.level(chosen);
     const float blur = 0.25f * (power - 1.0f);
     // Unit vector of the long axis [texels].
     float along_x = xx >= yy ? longest - yy : xy, along_y = xx >= yy ? xy : longest - xx;
