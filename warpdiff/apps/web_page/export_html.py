@@ -17,6 +17,7 @@ from warpdiff.apps.web_page.packing import Arrays, octahedral, quantised
 from warpdiff.baked.interpolation import ring_of_largest
 from warpdiff.baked.lobe_table import LARGEST_W, BakedLobes, normal_reflectance, zeroth_order_power
 from warpdiff.core import files, memory, validation
+from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.image import display_transform
 from warpdiff.lights.base import MOST_POWER, Light
@@ -213,6 +214,8 @@ def _add_mesh(arrays: Arrays, surface: Surface) -> dict[str, Any]:
     }  # fmt: skip
     if (surface.handedness < 0.0).any():
         arrays.add("handedness", "int8", surface.handedness.astype(np.int8).tobytes())
+    if not surface.is_opaque:
+        warn(f"{ref('mesh')} has transparent materials, which a page draws opaque")
     header["plain_colour"] = [*_encoded(surface.plain_colour.clip(0.0, None)).tolist(), 255]
     if surface.is_textured:
         import PIL.Image
