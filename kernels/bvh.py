@@ -17,8 +17,11 @@ FAR = wp.constant(wp.float32(4.0))
 
 
 @wp.func
-def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.int32) -> wp.uint64:
-    """Return the index of the first face that a ray hits, or ``UNSEEN`` if it hits no face."""
+def position_of(camera: Camera, sampling: Sampling, ray: wp.int32) -> wp.vec2d:
+    """Return the position of a ray in the picture, (right, down) of its upper left corner [pixels].
+
+    If the ray belongs to no pixel, the result is negative.
+    """
     pixel = ray
     offset = wp.vec2d()
     if sampling.offsets.shape[0] > 0:
@@ -27,16 +30,24 @@ def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.in
     if sampling.tiles.shape[0] > 0:
         pixel = sampling.tiles[ray // rays]
         if pixel < 0:
-            return UNSEEN
+            return wp.vec2d(wp.float64(-10.0), wp.float64(-10.0))
         offset = sampling.places[ray % rays]
+    column = wp.float64(pixel % camera.width) + wp.float64(0.5) + offset[0]
+    row = wp.float64(pixel // camera.width) + wp.float64(0.5) + offset[1]
+    return wp.vec2d(column, row)
 
+
+@wp.func
+def camera_ray(camera: Camera, position: wp.vec2d) -> tuple[wp.vec3f, wp.vec3f]:
+    """Return the start and the direction of the ray through a position in the picture.
+
+    The start is close to the mesh. The direction is zero if the ray misses the sphere around the mesh.
+    """
     # The start of the ray is moved close to the mesh in float64, because the eye may be thousands of radii away from
     # the mesh.
     two = wp.float64(2.0)
-    column = wp.float64(pixel % camera.width) + wp.float64(0.5) + offset[0]
-    row = wp.float64(pixel // camera.width) + wp.float64(0.5) + offset[1]
-    x = camera.axes[4][0] * (two * column / wp.float64(camera.width) - wp.float64(1.0))
-    y = camera.axes[4][1] * (wp.float64(1.0) - two * row / wp.float64(camera.height))
+    x = camera.axes[4][0] * (two * position[0] / wp.float64(camera.width) - wp.float64(1.0))
+    y = camera.axes[4][1] * (wp.float64(1.0) - two * position[1] / wp.float64(camera.height))
     across = x * camera.axes[1] + y * camera.axes[2]
     origin = camera.axes[0]
     along = across - camera.axes[3]
@@ -48,10 +59,22 @@ def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.in
     # the sphere.
     ahead = -wp.dot(origin, along)
     closest = origin + ahead * along
-    if wp.dot(closest, closest) > wp.float64(1.0 + 1.0e-5):
+    direction = wp.vec3f()
+    if wp.dot(closest, closest) <= wp.float64(1.0 + 1.0e-5):
+        direction = wp.vec3f(along)
+    return wp.vec3f(origin + wp.max(ahead - two, wp.float64(0.0)) * along), direction
+
+
+@wp.func
+def trace(camera: Camera, surface: SurfaceArrays, sampling: Sampling, ray: wp.int32) -> wp.uint64:
+    """Return the index of the first face that a ray hits, or ``UNSEEN`` if it hits none."""
+    position = position_of(camera, sampling, ray)
+    if position[0] < wp.float64(-5.0):
         return UNSEEN
-    start = wp.vec3f(origin + wp.max(ahead - two, wp.float64(0.0)) * along)
-    query = wp.mesh_query_ray(surface.mesh_id, start, wp.vec3f(along), FAR)
+    start, along = camera_ray(camera, position)
+    if wp.length_sq(along) == 0.0:
+        return UNSEEN
+    query = wp.mesh_query_ray(surface.mesh_id, start, along, FAR)
     face = UNSEEN
     if query.result:
         face = wp.uint64(query.face)

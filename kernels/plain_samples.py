@@ -32,9 +32,10 @@ from warpdiff.kernels.sky_samples import (
     place_in_sky,
     power_at,
 )
-from warpdiff.kernels.structs import Footprint, Pixels
+from warpdiff.kernels.structs import Footprint, Pixels, SurfaceArrays, Textures, Transparency
+from warpdiff.kernels.transparency import is_occluded
 
-wp.set_module_options(compile_options.options())
+wp.set_module_options(compile_options.options("transparency.h"))
 
 HORIZON = wp.constant(wp.float32(thresholds.HORIZON))
 # Least share of the samples that are drawn from microfacets, among those of the surface. Shares of the samples that are
@@ -167,8 +168,9 @@ def share_of_facets(gloss: Gloss) -> wp.float32:
 @wp.kernel
 def sample_plain_sky(
     sky: Sky, table: SkyDistribution, pixels: Pixels, materials: PlainMaterials, footprints: wp.array(dtype=Footprint),
-    rgb_to_xyz: wp.mat33d, mesh_id: wp.uint64, shadows: wp.bool, tiles: wp.array(dtype=wp.int32), width: wp.int32,
-    across: wp.int32, sample: wp.int32, samples: wp.int32, first: wp.int32, run: wp.int32,
+    rgb_to_xyz: wp.mat33d, mesh: SurfaceArrays, textures: Textures, transparency: Transparency, mesh_id: wp.uint64,
+    shadows: wp.bool, tiles: wp.array(dtype=wp.int32), width: wp.int32, across: wp.int32, sample: wp.int32,
+    samples: wp.int32, first: wp.int32, run: wp.int32,
     xyz_out: wp.array(dtype=wp.vec3f), illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
     """Draw one direction of the sky for each ray on a plain surface with a roughness, and add the reflected light.
@@ -180,6 +182,9 @@ def sample_plain_sky(
         materials: Materials of the plain surfaces.
         footprints: Footprints of the rays' filters for light from the mirror direction.
         rgb_to_xyz: Matrix from linear sRGB to XYZ.
+        mesh: Mesh, for shadow rays through transparent faces.
+        textures: Textures of the materials, which have the alpha of transparent faces.
+        transparency: Cut-offs of the materials.
         mesh_id: Id of the mesh with the hierarchy for shadow rays.
         shadows: Whether shadow rays are traced.
         tiles: Pixels whose cells are the rays; −1 is no pixel. If empty, the rays are one per pixel of the picture.
@@ -227,7 +232,7 @@ def sample_plain_sky(
         if density <= 0.0:
             continue
         if shadows:
-            if wp.mesh_query_ray_anyhit(mesh_id, pixels.shadow_origin[i], along, FAR):
+            if is_occluded(mesh, textures, transparency, mesh_id, pixels.shadow_origin[i], along, FAR):
                 continue
         power = power_at(sky, place)
         white = wp.transpose(sky.whites) * power

@@ -65,42 +65,6 @@ def pixel_offset(sample: wp.int32, samples: wp.int32, seed: wp.int32, pixel: wp.
     return result
 
 
-@wp.func
-def wrap(index: wp.int32, size: wp.int32) -> wp.int32:
-    """Return ``index`` modulo ``size``, for an index in −``size`` to 2 ``size`` − 1.
-
-    With :func:`~warpdiff.kernels.indices.cyclic` instead, the compiler would round texture look-ups differently, and
-    pictures would change.
-    """
-    result = index
-    if result < 0:
-        result = result + size
-    if result >= size:
-        result = result - size
-    return result
-
-
-@wp.func
-def sample_texture(texture: wp.array2d(dtype=wp.vec3f), uv: wp.vec2f) -> wp.vec3f:
-    """Return the colour of a periodic texture by bilinear interpolation between texel centres.
-
-    Row 0 of the texture is at v = 1. Texel centres are half a texel from the edges.
-    """
-    height = texture.shape[0]
-    width = texture.shape[1]
-    x = (uv[0] - wp.floor(uv[0])) * wp.float32(width) - 0.5
-    y = (wp.float32(1.0) - (uv[1] - wp.floor(uv[1]))) * wp.float32(height) - 0.5
-    fx = x - wp.floor(x)
-    fy = y - wp.floor(y)
-    x0 = wrap(wp.int32(wp.floor(x)), width)
-    y0 = wrap(wp.int32(wp.floor(y)), height)
-    x1 = wrap(x0 + 1, width)
-    y1 = wrap(y0 + 1, height)
-    top = (1.0 - fx) * texture[y0, x0] + fx * texture[y0, x1]
-    bottom = (1.0 - fx) * texture[y1, x0] + fx * texture[y1, x1]
-    return (1.0 - fy) * top + fy * bottom
-
-
 # Number of cells of a pixel at the finest level. Derived from the number of that level.
 _MOST_CELLS = max(refinement_levels.rays_at(level) for level in refinement_levels.LEVELS)
 
@@ -143,25 +107,16 @@ def rasterize(
 
 @wp.func
 def paint(surface: SurfaceArrays, pixels: Pixels, ray: wp.int32):
-    """Write the mesh's base colour at a hit into ``pixels.base_colour``."""
-    i0 = surface.faces[pixels.face[ray], 0]
-    i1 = surface.faces[pixels.face[ray], 1]
-    i2 = surface.faces[pixels.face[ray], 2]
-    b0 = pixels.place[ray][0]
-    b1 = pixels.place[ray][1]
-    b2 = wp.max(wp.float32(0.0), 1.0 - b0 - b1)
-    colour = wp.vec3f(-1.0, -1.0, -1.0)
-    if surface.has_vertex_colours:
-        c0 = surface.vertex_colours[i0]
-        c1 = surface.vertex_colours[i1]
-        c2 = surface.vertex_colours[i2]
+    """Write the base colour at a hit into ``pixels.base_colour``; it is negative where a texture has the colour."""
+    colour = surface.plain_colour
+    if surface.vertex_colours.shape[0] > 0:
+        b0 = pixels.place[ray][0]
+        b1 = pixels.place[ray][1]
+        b2 = wp.max(wp.float32(0.0), 1.0 - b0 - b1)
+        c0 = surface.vertex_colours[surface.faces[pixels.face[ray], 0]]
+        c1 = surface.vertex_colours[surface.faces[pixels.face[ray], 1]]
+        c2 = surface.vertex_colours[surface.faces[pixels.face[ray], 2]]
         colour = b0 * c0 + b1 * c1 + b2 * c2
-    if colour[0] < 0.0:
-        # A uniform colour is stored as a texture of one texel.
-        colour = surface.texture[0, 0]
-        if surface.texture.shape[0] * surface.texture.shape[1] > 1:
-            uv = b0 * surface.uvs[i0] + b1 * surface.uvs[i1] + b2 * surface.uvs[i2]
-            colour = sample_texture(surface.texture, uv)
     pixels.base_colour[ray] = colour
 
 
@@ -185,7 +140,7 @@ def intersect_known_faces(
         surface: Mesh with its base colours.
         sampling: Positions of the rays in their pixels.
         pixels: Arrays of hits. ``nearest`` is read; face, position on the face, direction to the viewer and base colour
-            are written.
+            are written. Base colours are negative where a texture has the colour.
         first: Index of the first thread's first ray.
         run: Number of rays per thread.
     """

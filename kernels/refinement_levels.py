@@ -31,6 +31,9 @@ LEAST_LEVEL_OF_POINTS = 2
 # to |(u, v)|. The numbers were fitted so that the error of 95 of 100 pixels is smaller
 # (docs/decisions/adaptive_sampling.md). Twice as large numbers refine more pixels.
 CONTRAST_BASE, CONTRAST_PER_UNEVENNESS, CONTRAST_PER_CHANGE = 0.008, 0.52, 0.55
+# Estimated error of the filter of textures in a pixel with one ray, divided by the contrast that textures cause with
+# its neighbours. Fitted to bound 95 of 100 pixels (docs/decisions/textures.md); twice as much refines more pixels.
+CONTRAST_OF_TEXTURE = 0.2
 # A tile is a pixel that is divided into subpixel cells. The level of a tile is selected from the predicted change of
 # its colour if its cells were finer. This change is multiplied by CAUTION, and at edges also by EDGE_FACTOR. A tile is
 # at an edge if it and its neighbours have both illuminated cells and dark or empty cells. Both factors were fitted to

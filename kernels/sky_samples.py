@@ -14,9 +14,10 @@ from warpdiff.kernels.bvh import FAR
 from warpdiff.kernels.light_samples import Reflection, energy_factor, finish_of, transmittance
 from warpdiff.kernels.sample_sequence import filter_point, light_point, sample_index
 from warpdiff.kernels.shading_frames import LEAST_COSINE
-from warpdiff.kernels.structs import Footprint, Pixels
+from warpdiff.kernels.structs import Footprint, Pixels, SurfaceArrays, Textures, Transparency
+from warpdiff.kernels.transparency import is_occluded
 
-wp.set_module_options(compile_options.options())
+wp.set_module_options(compile_options.options("transparency.h"))
 
 LEAST_LIGHT2 = wp.constant(wp.float32(thresholds.HORIZON**2 + 1.0e-6))
 
@@ -212,8 +213,9 @@ def mirror_deflections(
 @wp.kernel
 def sample_sky(
     sky: Sky, table: SkyDistribution, pixels: Pixels, footprints: wp.array(dtype=Footprint), rgb_to_xyz: wp.mat33d,
-    reflection: Reflection, surface: wp.int32, mesh_id: wp.uint64, shadows: wp.bool, tiles: wp.array(dtype=wp.int32),
-    width: wp.int32, across: wp.int32, sample: wp.int32, samples: wp.int32, first: wp.int32, run: wp.int32,
+    reflection: Reflection, surface: wp.int32, mesh: SurfaceArrays, textures: Textures, transparency: Transparency,
+    mesh_id: wp.uint64, shadows: wp.bool, tiles: wp.array(dtype=wp.int32), width: wp.int32, across: wp.int32,
+    sample: wp.int32, samples: wp.int32, first: wp.int32, run: wp.int32,
     scattering_vectors_out: wp.array(dtype=wp.vec3d), to_lights_out: wp.array(dtype=wp.vec3f),
     gains_out: wp.array2d(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     illuminated_out: wp.array(dtype=wp.bool),
@@ -229,6 +231,9 @@ def sample_sky(
         reflection: Parameters of the reflectance.
         surface: Surface for whose faces directions are drawn. Other rays get gains of 0; their directions are
             unchanged.
+        mesh: Mesh, whose transparent faces shadow rays pass.
+        textures: Textures of the materials.
+        transparency: Cut-offs of the materials; empty if all faces are opaque.
         mesh_id: Id of the mesh with the hierarchy for shadow rays.
         shadows: Whether shadow rays are traced.
         tiles: Pixels whose cells are the rays; −1 is no pixel. If empty, the rays are one per pixel of the picture.
@@ -304,7 +309,7 @@ def sample_sky(
         if density <= 0.0:
             continue
         if shadows:
-            if wp.mesh_query_ray_anyhit(mesh_id, pixels.shadow_origin[i], along, FAR):
+            if is_occluded(mesh, textures, transparency, mesh_id, pixels.shadow_origin[i], along, FAR):
                 continue
         rgb = (wp.float32(reflection.units[finish]) * (weight / density)) * power_at(sky, place)
         gain = gain_over_cosine(reflection, finish, uv, light, view)

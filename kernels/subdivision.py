@@ -27,6 +27,7 @@ SCATTER_FACTOR = wp.constant(wp.float32(refinement_levels.SCATTER_FACTOR))
 CONTRAST_BASE = wp.constant(wp.float32(refinement_levels.CONTRAST_BASE))
 CONTRAST_PER_UNEVENNESS = wp.constant(wp.float32(refinement_levels.CONTRAST_PER_UNEVENNESS))
 CONTRAST_PER_CHANGE = wp.constant(wp.float32(refinement_levels.CONTRAST_PER_CHANGE))
+CONTRAST_OF_TEXTURE = wp.constant(wp.float32(refinement_levels.CONTRAST_OF_TEXTURE))
 TINY = wp.constant(wp.float32(1.0e-30))
 FILTER_SHARES = wp.constant(wp.vec3f(*refinement_levels.FILTER_SHARES))
 ASLANT = wp.constant(wp.float32(refinement_levels.FILTER_SHARES[0] / refinement_levels.FILTER_SHARES[1]))
@@ -69,11 +70,26 @@ def contrast_weight(scattering_vectors: wp.array(dtype=wp.vec3d), pixel: wp.int3
     )
 
 
+@wp.func
+def base_colour_change(
+    base_colours: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32), row: wp.int32, column: wp.int32,
+    width: wp.int32, height: wp.int32,
+) -> wp.float32:  # fmt: skip
+    """Return the largest difference of base colour between a pixel and its neighbours, relative to its base colour."""
+    own = base_colours[row * width + column]
+    change2 = wp.float32(0.0)
+    for y in range(wp.max(row - 1, 0), wp.min(row + 2, height)):
+        for x in range(wp.max(column - 1, 0), wp.min(column + 2, width)):
+            if hit[y * width + x] != 0:
+                change2 = wp.max(change2, wp.length_sq(base_colours[y * width + x] - own))
+    return wp.sqrt(change2 / wp.max(wp.length_sq(own), TINY))
+
+
 @wp.kernel
 def estimate_errors(
     colours: wp.array(dtype=wp.vec3f), scattering_vectors: wp.array(dtype=wp.vec3d), hit: wp.array(dtype=wp.int32),
-    width: wp.int32, floor: wp.array(dtype=wp.float32), bound: wp.float32, all_pixels: wp.bool,
-    subdivides_silhouettes: wp.bool, first: wp.int32, run: wp.int32,
+    base_colours: wp.array(dtype=wp.vec3f), width: wp.int32, floor: wp.array(dtype=wp.float32), bound: wp.float32,
+    all_pixels: wp.bool, subdivides_silhouettes: wp.bool, first: wp.int32, run: wp.int32,
     errors_out: wp.array(dtype=wp.float32), marks_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
     """Estimate the errors ‖ΔXYZ‖ of pixels with one ray each, and mark the pixels to subdivide.
@@ -85,6 +101,7 @@ def estimate_errors(
         colours: Colours of the pixels of the picture, row by row.
         scattering_vectors: Scattering vectors of the pixels, (u, v, w).
         hit: Whether the pixels hit the mesh.
+        base_colours: Base colours of the pixels, linear RGB; empty without textures.
         width: Number of pixels per row.
         floor: Lower limit of ‖XYZ‖ in the denominator of relative errors.
         bound: Relative error above which pixels are subdivided. With a negative bound, all pixels that hit the mesh are
@@ -133,6 +150,9 @@ def estimate_errors(
         if met == 9:
             weight = contrast_weight(scattering_vectors, pixel, width)
         error = weight * wp.sqrt(contrast2)
+        if base_colours.shape[0] > 0 and met > 1:
+            change = base_colour_change(base_colours, hit, row, column, width, height)
+            error = wp.max(error, CONTRAST_OF_TEXTURE * wp.sqrt(wp.min(contrast2, change * change * wp.length_sq(own))))
         errors_out[pixel] = wp.where(hit[pixel] != 0, error, 0.0)
         is_silhouette = met < around and subdivides_silhouettes
         is_active = met > 0 and (is_silhouette or error > bound * wp.max(wp.length(own), floor[0]))

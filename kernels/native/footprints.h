@@ -57,11 +57,36 @@ struct FootprintBatch {
     }
 };
 
-// Derivatives with respect to displacements in the picture plane: of the barycentric coordinates of a hit, and of the
-// quantities that these coordinates interpolate.
-struct FaceDifferentials {
+// Derivatives of the barycentric coordinates of a hit with respect to displacements in the picture plane. If the ray is
+// displaced, the hit point is displaced by a vector in the plane of the face: the displacement of the ray plus a multiple
+// of the view direction. `facing` is −1 if the camera sees the back of the face.
+struct HitDifferentials {
     float view[3], of_share1[3], of_share2[3], across[3];
     float slide1, slide2, scale, per_unit, facing;
+
+    // Differentiate a hit on a face with two edges from its first corner. `view` is the direction to the viewer, and
+    // `away` is the vector from the hit point to the eye.
+    WARPDIFF_INLINE void differentiate(
+        const float* edge1, const float* edge2, const float* away, const FilterSteps& filter, float least_facing)
+    {
+        cross(edge1, edge2, across);
+        cross(edge2, across, of_share1);
+        cross(across, edge1, of_share2);
+        const float area2 = dot(across, across) + 1.0e-30f, rotated = dot(across, view);
+        facing = rotated < 0.0f ? -1.0f : 1.0f;
+        const float least = least_facing * wp::sqrt(area2);
+        const float per_facing = 1.0f / (facing * rotated > least ? rotated : facing * least);
+        slide1 = dot(view, of_share1) * per_facing;
+        slide2 = dot(view, of_share2) * per_facing;
+        // Factors that convert a length in the picture plane: `per_unit` to a change of the view direction, and `scale`
+        // to a distance near the hit point.
+        per_unit = filter.perspective ? dot(view, filter.back) : 0.0f;
+        scale = (filter.perspective ? per_unit * wp::sqrt(dot(away, away)) : 1.0f) / area2;
+    }
+};
+
+// Derivatives of a hit, and of the quantities that are interpolated with its barycentric coordinates.
+struct FaceDifferentials : HitDifferentials {
     float normal1[3], normal2[3], tangent1[3], tangent2[3], blend[3], tangent[3];
 };
 
@@ -84,22 +109,7 @@ WARPDIFF_INLINE FaceDifferentials differentiate_face(
         face.tangent[c] = pixels.tangent[0][c][i] + share1 * face.tangent1[c] + share2 * face.tangent2[c];
         away[c] = filter.eye[c] - pixels.position[0][c][i] - share1 * edge1[c] - share2 * edge2[c];
     }
-    // If the ray is displaced in the picture plane, the hit point is displaced by a vector in the plane of the face:
-    // the displacement of the ray plus a multiple of the view direction. The following vectors and factors give the
-    // change of the barycentric coordinates.
-    cross(edge1, edge2, face.across);
-    cross(edge2, face.across, face.of_share1);
-    cross(face.across, edge1, face.of_share2);
-    const float area2 = dot(face.across, face.across) + 1.0e-30f, rotated = dot(face.across, face.view);
-    face.facing = rotated < 0.0f ? -1.0f : 1.0f;
-    const float least = limits.least_facing * wp::sqrt(area2);
-    const float per_facing = 1.0f / (face.facing * rotated > least ? rotated : face.facing * least);
-    face.slide1 = dot(face.view, face.of_share1) * per_facing;
-    face.slide2 = dot(face.view, face.of_share2) * per_facing;
-    // Factors that convert a length in the picture plane: `per_unit` to a change of the view direction, and `scale` to
-    // a distance near the hit point.
-    face.per_unit = filter.perspective ? dot(face.view, filter.back) : 0.0f;
-    face.scale = (filter.perspective ? face.per_unit * wp::sqrt(dot(away, away)) : 1.0f) / area2;
+    face.differentiate(edge1, edge2, away, filter, limits.least_facing);
     return face;
 }
 

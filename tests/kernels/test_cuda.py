@@ -12,6 +12,7 @@ from conftest import hemisphere, relative_errors, slow
 import warpdiff as wd
 from warpdiff import kernels
 from warpdiff.kernels import (
+    base_colours,
     bvh,
     coefficient_sum,
     colour_lookup,
@@ -21,6 +22,7 @@ from warpdiff.kernels import (
     spectrum_sampling,
     subdivision,
     tile_lists,
+    transparency,
 )
 
 SM = 90
@@ -33,9 +35,11 @@ FUNCTIONS_ONLY = {"atomics", "compile_options", "footprints", "indices", "sample
 # Modules of the package ``kernels`` that contain only constants, for code that does not import Warp.
 WITHOUT_WARP = {"refinement_levels", "thresholds", "quadratic_spline"}
 KERNELS = {
+    "base_colours": {"sample_base_colours"},
     "bvh": {"trace_bvh"},
     "primary_hits": {"rasterize", "intersect_known_faces", "place_samples", "make_shading_frames"},
     "shadow_rays": {"count", "fill", "trace_shadow_rays", "project"},
+    "transparency": {"pass_transparent", "trace_shadow_rays_through"},
     "light_samples": {"balance_energy", "pixel_footprints", "scattering_vectors", "select_finish",
                       "add_light_rotation", "add_light_extent", "add_source_extent"},
     "plain_reflection": {"add_plain_reflection", "add_emission"},
@@ -104,7 +108,9 @@ def test_every_kernel_module_is_listed_in_this_file():
 
 @pytest.mark.parametrize("arch", ARCHITECTURES)
 @pytest.mark.parametrize(
-    "module", [bvh, primary_hits, light_samples, subdivision, shadow_rays, tile_lists], ids=lambda item: item.__name__
+    "module",
+    [bvh, primary_hits, light_samples, subdivision, shadow_rays, tile_lists, base_colours, transparency],
+    ids=lambda item: item.__name__,
 )
 def test_modules_compile(module, arch, tmp_path):
     assert entry_points(compile_to_ptx(module, tmp_path, arch)) == KERNELS[module.__name__.rpartition(".")[2]]

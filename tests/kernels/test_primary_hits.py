@@ -14,7 +14,7 @@ from trimesh.visual.material import SimpleMaterial
 
 from bench.truth.brute_force import intersect, pixel_rays, shading_frame
 from warpdiff import meshes
-from warpdiff.kernels import bvh, compile_options, primary_hits, refinement_levels
+from warpdiff.kernels import base_colours, bvh, compile_options, primary_hits, refinement_levels
 from warpdiff.kernels.structs import Cells, Pixels, Sampling
 from warpdiff.render import pixel_filter
 from warpdiff.scene.camera import View
@@ -46,9 +46,13 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
         (primary_hits.intersect_known_faces, count, [axes, scene.bare, sampling, pixels], []),
         (primary_hits.make_shading_frames, count, [scene.bare, pixels], []),
     ]
+    if scene.is_textured:
+        inputs = [axes, scene.bare, scene.textures, pixels, 0.0]
+        launches.append((base_colours.sample_base_colours, count, inputs, []))
     for kernel, size, arguments, outputs in launches:
         for begin, end in itertools.pairwise(np.linspace(0, size, slices + 1).astype(int)):
-            wp.launch(kernel, 1, [*arguments, int(begin), int(end - begin)], outputs, device="cpu")
+            shape = (1, 1) if kernel is base_colours.sample_base_colours else 1
+            wp.launch(kernel, shape, [*arguments, int(begin), int(end - begin)], outputs, device="cpu")
     return {name: getattr(pixels, name).numpy() for name in OUTPUTS}
 
 

@@ -292,7 +292,15 @@ def test_cell_weights_and_footprints_approximate_the_pixel_filter(level, means):
 ASLANT = refinement_levels.FILTER_SHARES[0] / refinement_levels.FILTER_SHARES[1]
 
 
-def estimate_by_hand(colours, uv, hit, floor, bound):
+def texture_contrast(base, colours, hit, near, place):
+    """Return the part of a pixel's contrast that its base colour explains, ‖own colour‖ times the relative change."""
+    if sum(hit[other] for other in near) < 2:
+        return 0.0
+    change = max(np.linalg.norm(base[other] - base[place]) for other in near if hit[other])
+    return np.linalg.norm(colours[place]) * change / np.linalg.norm(base[place])
+
+
+def estimate_by_hand(colours, uv, hit, floor, bound, base=None):
     """Compute pixel by pixel, in Python, what the kernel ``estimate_errors`` returns."""
     height, width = hit.shape
     result, marks, size = np.zeros((height, width)), np.zeros((height, width), bool), np.linalg.norm
@@ -324,6 +332,9 @@ def estimate_by_hand(colours, uv, hit, floor, bound):
                     + refinement_levels.CONTRAST_PER_CHANGE * wide
                 )
             result[row, column] = min(share, 1.0) * contrast
+            if base is not None:
+                explained = min(contrast, texture_contrast(base, colours, hit, near, (row, column)))
+                result[row, column] = max(result[row, column], refinement_levels.CONTRAST_OF_TEXTURE * explained)
         limit = bound * max(size(colours[row, column]) if hit[row, column] else 0.0, floor)
         marks[row, column] = any(hits) and (rim or result[row, column] > limit)
     return result, marks
@@ -331,7 +342,8 @@ def estimate_by_hand(colours, uv, hit, floor, bound):
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 70), (41, 1), (3, 5), (20, 33), (9, 100)], ids=str)
 @pytest.mark.parametrize("slices", [1, 6])
-def test_errors_are_estimated_from_neighbouring_pixels(size, slices, rng):
+@pytest.mark.parametrize("is_textured", [False, True])
+def test_errors_are_estimated_from_neighbouring_pixels(size, slices, is_textured, rng):
     colours = rng.lognormal(0.0, 1.0, (*size, 3)).astype(np.float32)
     # The kernel estimates the error of a pixel differently at the rim of the mesh and where (u, v) changes irregularly
     # between pixels. This picture has both: every sixth row of pixels misses the mesh, and (u, v) is noisy.
@@ -340,10 +352,13 @@ def test_errors_are_estimated_from_neighbouring_pixels(size, slices, rng):
     uv = np.stack([0.3 + 0.01 * x + 0.002 * y, 0.02 * y], axis=-1)
     uv += rng.choice([0.0, 1e-4, 1e-3], (*size, 1), p=[0.9, 0.07, 0.03])
     scattering_vectors = np.concatenate([uv, np.zeros((*size, 1))], axis=-1)
+    base = rng.uniform(0.1, 1.0, (*size, 3)).astype(np.float32)
     given = [
         wp.array(colours.reshape(-1, 3), dtype=wp.vec3f, device="cpu"),
         wp.array(scattering_vectors.reshape(-1, 3), dtype=wp.vec3d, device="cpu"),
-        wp.array(hit.ravel(), dtype=wp.int32, device="cpu"), size[1], wp.array([0.8], dtype=wp.float32, device="cpu"),
+        wp.array(hit.ravel(), dtype=wp.int32, device="cpu"),
+        wp.array(base.reshape(-1, 3) if is_textured else np.zeros((0, 3)), dtype=wp.vec3f, device="cpu"),
+        size[1], wp.array([0.8], dtype=wp.float32, device="cpu"),
         0.3, False, True,
     ]  # fmt: skip
     result = wp.full(hit.size, 7.0, dtype=wp.float32, device="cpu")
@@ -351,7 +366,7 @@ def test_errors_are_estimated_from_neighbouring_pixels(size, slices, rng):
     for begin, end in itertools.pairwise(np.linspace(0, hit.size, slices + 1).astype(int)):
         inputs = [*given, int(begin), int(end - begin)]
         wp.launch(kernels.estimate_errors, (1, 1), inputs, [result, wanted], device="cpu")
-    expected, is_wanted = estimate_by_hand(colours, uv, hit, 0.8, 0.3)
+    expected, is_wanted = estimate_by_hand(colours, uv, hit, 0.8, 0.3, base if is_textured else None)
     np.testing.assert_allclose(result.numpy().reshape(size), expected, rtol=2e-3, atol=1e-6)
     near = np.abs(expected - 0.3 * np.maximum(np.linalg.norm(colours, axis=2), 0.8)) < 1e-3
     np.testing.assert_array_equal(wanted.numpy().reshape(size)[~near], is_wanted[~near])

@@ -64,8 +64,8 @@ def test_an_unreadable_texture_is_reported_and_replaced_by_the_plain_colour(tmp_
     with pytest.warns(WarpdiffWarning, match=message) as caught:
         surface = prepare_surface(tmp_path / "mesh.obj")
     assert len(caught) == 1
-    assert surface.texture.shape == (1, 1, 3)
-    np.testing.assert_allclose(surface.texture[0, 0], [0.2140, 0.0509, 1.0], atol=4e-3)
+    assert not surface.is_textured
+    np.testing.assert_allclose(surface.plain_colour, [0.2140, 0.0509, 1.0], atol=4e-3)
 
 
 def test_a_refused_texture_and_a_missing_material_library_are_reported(tmp_path):
@@ -101,7 +101,7 @@ def test_a_damaged_texture_inside_of_a_glb_is_reported(tmp_path):
     (tmp_path / "mesh.glb").write_bytes(data[:begin] + b"\xff" * 6 + data[begin + 6 :])
     with pytest.warns(WarpdiffWarning, match=r"texture 'an image in mesh\.glb' is damaged and ignored"):
         surface = prepare_surface(tmp_path / "mesh.glb")
-    np.testing.assert_allclose(surface.texture[0, 0], [1.0, 128 / 255, 0.0], atol=1e-6)
+    np.testing.assert_allclose(surface.plain_colour, [1.0, 128 / 255, 0.0], atol=1e-6)
 
 
 def test_a_damaged_texture_of_a_mesh_in_memory_is_reported(tmp_path):
@@ -112,7 +112,7 @@ def test_a_damaged_texture_of_a_mesh_in_memory_is_reported(tmp_path):
     for _ in range(2):
         with pytest.warns(WarpdiffWarning, match="texture 'an image' is damaged and ignored: broken PNG file"):
             surface = prepare_surface(mesh)
-    np.testing.assert_allclose(surface.texture[0, 0], [1.0, 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(surface.plain_colour, [1.0, 0.0, 0.0], atol=1e-6)
 
 
 def test_an_obj_file_cut_off_anywhere_is_read_or_refused_by_its_path(tmp_path):

@@ -172,14 +172,16 @@ def test_both_orientations_of_the_texture_paint_the_same_snake(surface):
     # Both orientations of the texture are right-handed: (u, v) becomes (v, 1 − u).
     np.testing.assert_array_equal(along.vertices, surface.vertices)
     np.testing.assert_allclose(along.uvs, surface.uvs[:, ::-1] * [1.0, -1.0] + [0.0, 1.0], atol=1e-6)
-    np.testing.assert_array_equal(along.texture, surface.texture[::-1].transpose(1, 0, 2))
+    (texture,), (other,) = surface.textures, along.textures
+    np.testing.assert_array_equal(other.texels, texture.texels[::-1].transpose(1, 0, 2))
 
 
 def test_the_pattern_has_its_colours_at_the_right_positions(surface):
-    height, width, _ = surface.texture.shape
+    texels = surface.textures[0].texels[..., :3]
+    height, width, _ = texels.shape
 
     def colour(u, v):
-        return surface.texture[int((1.0 - v) * height), int(u * width)]
+        return texels[int((1.0 - v) * height), int(u * width)]
 
     # The eyes are on the sides, behind the snout by 0.43 of the head's length, and their centres are black.
     for u in (0.335, 0.665):

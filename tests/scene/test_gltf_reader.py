@@ -262,9 +262,14 @@ def test_base_colours_of_materials_are_read(tmp_path):
     assert (appearance.alpha_mode, appearance.alpha_cutoff, appearance.is_double_sided) == ("mask", 0.3, True)
     assert (appearance.metallic, appearance.roughness, appearance.emission) == (0.25, 1.0, (1.0, 0.5, 0.0))
     assert appearance.base_texture.wrap == ("clamp", "mirror")
-    with pytest.warns(WarpdiffWarning, match="features that are not rendered: transparency of 'material 0'"):
-        surface = prepare_surface(path, plain={"*": True})
-    np.testing.assert_allclose(surface.texture, [[[1, 0, 0], [0, 0.5, 0]], [[0, 0, 1], [1, 0.5, 1]]], atol=1e-6)
+    surface = prepare_surface(path, plain={"*": True})
+    (texture,) = surface.textures
+    np.testing.assert_allclose(
+        texture.texels, [[[1, 0, 0, 0.5], [0, 0.5, 0, 0.5]], [[0, 0, 1, 0.5], [1, 0.5, 1, 0.5]]], atol=1e-6
+    )
+    assert texture.wrap == ("clamp", "mirror")
+    # An alpha of 0.5 is nowhere below the cut-off of 0.3.
+    assert surface.is_opaque
 
 
 def test_names_are_kept_and_made_unique(tmp_path):
@@ -348,7 +353,7 @@ def test_files_in_the_folder_are_opened_by_their_decoded_names(tmp_path):
     assert "refers to 'a%20%E2%9D%A4/pain%74.png', which is ignored: there is no file" in message
     (tmp_path / "a ❤").mkdir()
     Image.new("RGB", (2, 2), (255, 0, 0)).save(tmp_path / "a ❤" / "paint.png")
-    np.testing.assert_array_equal(prepare_surface(path).texture[0, 0], [1, 0, 0])
+    np.testing.assert_array_equal(prepare_surface(path).textures[0].texels[0, 0], [1, 0, 0, 1])
 
 
 @pytest.mark.parametrize("code", ["utf-8-sig", "utf-16", "utf-16-le", "latin-1", "cp1252"])

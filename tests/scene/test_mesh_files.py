@@ -169,7 +169,7 @@ def test_a_material_library_in_another_encoding_is_read(tmp_path):
     for code in ("latin-1", "utf-16"):
         (tmp_path / "a.mtl").write_bytes(mtl.encode(code))
         surface = prepare_surface(written(tmp_path / "a.obj", f"mtllib a.mtl\n{OBJ}".encode(code)))
-        np.testing.assert_allclose(surface.texture, [[[1, 0, 0]]], atol=1e-6)
+        np.testing.assert_allclose(surface.plain_colour, [1, 0, 0], atol=1e-6)
         assert surface.material_names == ("Öl",)
 
 

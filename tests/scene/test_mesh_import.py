@@ -103,7 +103,7 @@ def test_a_mesh_changed_in_place_has_another_surface():
     assert not np.array_equal(moved.vertices, first.vertices)
     texture.putpixel((1, 2), (10, 20, 30))
     painted = prepare_surface(mesh)
-    assert not np.array_equal(painted.texture, moved.texture)
+    assert not np.array_equal(painted.textures[0].texels, moved.textures[0].texels)
     mesh.vertex_normals = np.tile([[0.0, 0.6, 0.8]], (4, 1))
     assert not np.array_equal(prepare_surface(mesh).normals, painted.normals)
 
@@ -272,10 +272,10 @@ def test_a_mesh_without_material_has_no_base_colour():
         surface = prepare_surface(mesh, tangents=along_x(mesh))
         assert not surface.has_base_colour
         assert surface.vertex_colours is None
-        np.testing.assert_array_equal(surface.texture, np.zeros((1, 1, 3)))
+        np.testing.assert_array_equal(surface.plain_colour, 0.0)
 
 
-def test_a_plain_material_becomes_a_texture_of_one_pixel():
+def test_a_plain_material_has_one_colour():
     for material, expected in [
         (SimpleMaterial(diffuse=[255, 51, 0, 255]), (1.0, decode(0.2), 0.0)),
         # The base colour factor of glTF is linear, unlike the diffuse colour of other formats.
@@ -283,20 +283,23 @@ def test_a_plain_material_becomes_a_texture_of_one_pixel():
     ]:
         surface = prepare_surface(square(material=material))
         assert surface.has_base_colour
-        np.testing.assert_allclose(surface.texture, np.reshape(expected, (1, 1, 3)), atol=1e-6)
+        np.testing.assert_allclose(surface.plain_colour, expected, atol=1e-6)
 
 
 def test_textures_are_decoded_row_0_first():
     pixels = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [51, 51, 51]], [[0, 0, 0], [255] * 3]], np.uint8)
     image = Image.fromarray(pixels)
     surface = prepare_surface(square(material=SimpleMaterial(image=image)))
-    assert surface.texture.shape == (3, 2, 3)
-    np.testing.assert_array_equal(surface.texture[0], [[1, 0, 0], [0, 1, 0]])
-    np.testing.assert_allclose(surface.texture[1, 1], decode(0.2), atol=1e-6)
+    texels = surface.textures[0].texels
+    assert texels.shape == (3, 2, 4)
+    np.testing.assert_array_equal(texels[0], [[1, 0, 0, 1], [0, 1, 0, 1]])
+    np.testing.assert_allclose(texels[1, 1, :3], decode(0.2), atol=1e-6)
     halved = PBRMaterial(baseColorTexture=image, baseColorFactor=[255, 51, 255, 255])
-    np.testing.assert_allclose(prepare_surface(square(material=halved)).texture[0, 1], [0, 0.2, 0], atol=1e-6)
+    np.testing.assert_allclose(
+        prepare_surface(square(material=halved)).textures[0].texels[0, 1], [0, 0.2, 0, 1], atol=1e-6
+    )
     deep = Image.fromarray(np.array([[65535, 13107]], np.uint16))
-    grey = prepare_surface(square(material=SimpleMaterial(image=deep))).texture
+    grey = prepare_surface(square(material=SimpleMaterial(image=deep))).textures[0].texels
     np.testing.assert_allclose(grey[0, :, 0], [1.0, decode(0.2)], atol=1e-6)
 
 
@@ -328,15 +331,22 @@ def test_scenes_are_joined_with_their_transforms():
     # its texture is marked as mirrored.
     np.testing.assert_allclose(surface.normals[:, 2], 1.0, atol=1e-6)
     np.testing.assert_array_equal(surface.handedness, [1] * 4 + [-1] * 4)
-    assert surface.texture.shape == (4, 4, 3)
+    assert surface.textures[0].texels.shape == (4, 4, 4)
+    assert surface.textures[1] is None
     np.testing.assert_array_equal(surface.vertex_colours, [[-1] * 3] * 4 + [[0, 1, 0]] * 4)
 
 
-def test_scenes_with_two_textures_are_refused():
-    images = [Image.new("RGB", (2, 2), colour) for colour in ((255, 0, 0), (0, 255, 0))]
-    scene = trimesh.Scene([square(material=SimpleMaterial(image=image)) for image in images])
-    with pytest.raises(ValueError, match="got a scene with 2, of 'geometry_0', 'geometry_1'; render"):
-        prepare_surface(scene)
+def test_scenes_have_a_texture_for_each_material():
+    images = [Image.new("RGB", (2, 2), colour) for colour in ((255, 0, 0), (0, 255, 0), (255, 0, 0))]
+    surface = prepare_surface(trimesh.Scene([square(material=SimpleMaterial(image=image)) for image in images]))
+    red, green, again = surface.textures
+    np.testing.assert_array_equal(surface.materials, [0, 0, 1, 1, 2, 2])
+    np.testing.assert_array_equal([red.texels[0, 0, :3], green.texels[0, 0, :3]], [[1, 0, 0], [0, 1, 0]])
+    # Equal images are stored once.
+    assert again.texels is red.texels
+
+
+def test_parts_of_scenes_without_texture_coordinates_are_named():
     mixed = trimesh.Scene([square(), mesh_of()])
     with pytest.raises(ValueError, match="geometry 'geometry_1' has no texture coordinates; give tangents="):
         prepare_surface(mixed)
@@ -383,7 +393,7 @@ def test_mesh_files_are_read_and_other_files_refused(tmp_path, fuze_path):
         warnings.simplefilter("error")
         surface = prepare_surface(str(fuze_path))
     assert len(surface.faces) == 1000
-    assert surface.texture.shape == (1024, 1024, 3)
+    assert surface.textures[0].texels.shape == (1024, 1024, 4)
     assert surface.has_base_colour
     np.testing.assert_allclose(np.sum(surface.tangents * surface.normals, axis=1), 0.0, atol=1e-6)
 

@@ -26,6 +26,11 @@ _MEAN_ERROR_PER_PLAN_ERROR = 0.32
 # The value was fitted as the module's docstring describes.
 _BOUND_OF_BOTH = 1.1
 
+# Relative error of the filter of textures, and its largest share of the tolerance. Pictures at tolerances of 0.1 and
+# 0.03 have the same errors of the filter, because nearly all pixels of far textures have cells of the same level.
+# Fitted to bound 90 % of the pixels of far textures (docs/decisions/textures.md).
+_FILTER_OF_TEXTURES, _MOST_OF_TOLERANCE = 0.01, 0.33
+
 # Model of the probability that the true error of a pixel exceeds the tolerance. `_ODDS_AT_TOLERANCE` are the odds if
 # the estimated error equals the tolerance. The odds are proportional to the ratio of estimated error to tolerance, to
 # the power `_ODDS_POWER`. Both values were fitted as the module's docstring describes.
@@ -42,11 +47,13 @@ class ErrorParts:
             directions, which are not averages over a pixel.
         cells: Error ‖ΔXYZ‖ that remains after the subdivision into subpixel cells, shape (n,). None without
             subdivision.
+        textures: Relative error of the filter of textures; 0 without textures.
     """
 
     xyz: NDArray[np.float32]
     contrasts: NDArray[np.float32] | None = None
     cells: NDArray[np.float32] | None = None
+    textures: float = 0.0
 
 
 @np.errstate(under="ignore")
@@ -61,7 +68,14 @@ def combined_errors(parts: ErrorParts, plan_error: float) -> NDArray[np.float64]
     if parts.cells is not None:
         # The errors of the colours and of the subpixel cells are independent of each other, so that their squares add.
         errors = _BOUND_OF_BOTH * np.hypot(errors, parts.cells)
+    if parts.textures > 0.0:
+        errors = np.hypot(errors, parts.textures * size)
     return errors
+
+
+def texture_error(tolerance: float) -> float:
+    """Return the relative error of the filter of textures in a picture with a tolerance."""
+    return min(_FILTER_OF_TEXTURES, _MOST_OF_TOLERANCE * tolerance)
 
 
 def lengths(xyz: NDArray[np.float32]) -> NDArray[np.float32]:

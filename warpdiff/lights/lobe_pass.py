@@ -11,6 +11,7 @@ from warpdiff.core.wording import ArgumentValueError
 from warpdiff.device.kernel_calls import KernelCall
 from warpdiff.kernels import light_samples, plain_reflection
 from warpdiff.kernels.shadow_rays import trace_shadow_rays
+from warpdiff.kernels.transparency import trace_shadow_rays_through
 from warpdiff.lights.light_pass import LightPass
 
 if TYPE_CHECKING:
@@ -166,8 +167,11 @@ class LobePass(LightPass):
         outputs = [*samples.directions, *batch.sums]
         calls = []
         if len(occluded):
-            shadow_inputs = [self._grids[light], self._lights.places, light, towards, pixels]
-            calls.append(KernelCall(trace_shadow_rays, shadow_inputs, [occluded], in_runs=True))
+            scene, light_inputs = self.context.rays.scene, [self._lights.places, light, towards, pixels]
+            kernel, of_mesh = trace_shadow_rays, [self._grids[light]]
+            if not scene.is_opaque:
+                kernel, of_mesh = trace_shadow_rays_through, [scene.bare, scene.textures, scene.transparency]
+            calls.append(KernelCall(kernel, [*of_mesh, *light_inputs], [occluded], in_runs=True))
         calls.append(KernelCall(light_samples.scattering_vectors, inputs, outputs, in_runs=True))
         if len(self.context.reflection.energy):
             inputs = [pixels, samples.scattering_vectors, samples.to_lights, self.context.reflection]

@@ -97,14 +97,16 @@ class SkyPass(LightPass):
         count = len(self.cell_lobes(batch.level) if batch.level else self.first_lobes)
         lookups = Lookups(map(sky_distribution.lookup_for_skies, lookups))
         share = _SKY_SHARE_OF_PIGMENT if context.is_pigmented else _SKY_SHARE
-        mesh_id = context.rays.scene.with_hierarchy().mesh_id if context.casts_shadows else 0
+        scene = context.rays.scene
+        mesh_id = scene.with_hierarchy().mesh_id if context.casts_shadows else 0
         outputs = [samples.scattering_vectors, samples.to_lights, gains, batch.xyz, batch.illuminated]
         calls = [self.filter_footprints(batch)]
         for surface, lookup in enumerate(lookups):
             table = sky_distribution.distribution_for(lookup, self.of_surface(surface), self._blocks, sky_share=share)
             inputs = [
                 self._sky, table, pixels, samples.footprints, self._lights.rgb_to_xyz, context.reflection, surface,
-                mesh_id, context.casts_shadows, batch.tiles, context.rays.width, 1 << batch.level, lobe, count,
+                scene.bare, scene.textures, scene.transparency, mesh_id, context.casts_shadows, batch.tiles,
+                context.rays.width, 1 << batch.level, lobe, count,
             ]  # fmt: skip
             calls.append(KernelCall(sky_samples.sample_sky, inputs, outputs, in_runs=True))
             calls += self.look_up(0, [gains[spectrum] for spectrum in range(3)], None, batch, lookups, surface)
@@ -112,8 +114,8 @@ class SkyPass(LightPass):
         if plain is not None and plain.has_glossy_faces:
             inputs = [
                 self._sky, sky_distribution.distribution_of_blocks(self._blocks), pixels, plain.struct,
-                samples.footprints, self._lights.rgb_to_xyz, mesh_id, context.casts_shadows, batch.tiles,
-                context.rays.width, 1 << batch.level, lobe, count,
+                samples.footprints, self._lights.rgb_to_xyz, scene.bare, scene.textures, scene.transparency, mesh_id,
+                context.casts_shadows, batch.tiles, context.rays.width, 1 << batch.level, lobe, count,
             ]  # fmt: skip
             calls.append(KernelCall(plain_samples.sample_plain_sky, inputs, outputs[-2:], in_runs=True))
         return calls

@@ -12,7 +12,7 @@ from warpdiff.core.threads import subprogress
 from warpdiff.device.devices import load
 from warpdiff.device.kernel_calls import KernelCall, launch_pipeline
 from warpdiff.evaluate.reflectance import direct_colour
-from warpdiff.image.error_model import ErrorParts, combined_errors, relative_errors
+from warpdiff.image.error_model import ErrorParts, combined_errors, relative_errors, texture_error
 from warpdiff.image.image import Image
 from warpdiff.image.report import report_of
 from warpdiff.kernels import light_samples, primary_hits, subdivision
@@ -354,7 +354,9 @@ class Picture:
             # computed before the margin is removed, because pixels at the border require all their neighbours.
             padded = sums.xyz.numpy().reshape(self.rays.height, self.rays.width, 3)
             contrasts = part(pixel_filter.contrasts(padded).ravel())
-        parts = ErrorParts(xyz[illuminated], contrasts, cells=part(sums.errors))
+        tolerance = min(plan.tolerance for plan in plans)
+        textures = texture_error(tolerance) if self._means and self.context.is_textured else 0.0
+        parts = ErrorParts(xyz[illuminated], contrasts, cells=part(sums.errors), textures=textures)
         error = np.zeros(illuminated.shape, dtype=np.float32)
         error[illuminated] = relative_errors(combined_errors(parts, max(plan.error for plan in plans)), parts.xyz)
         # The number of subdivided pixels may exceed the number of covered pixels: it includes the margin, and pixels
@@ -363,7 +365,7 @@ class Picture:
         covered = int(np.count_nonzero(sums.coverage.numpy()))
         edges = self._cropped(sums.edges) if self._means and self._refine else None
         report = report_of(
-            error, illuminated, edges, tolerance=min(plan.tolerance for plan in plans),
+            error, illuminated, edges, tolerance=tolerance,
             light_sample_count=sum(light.sample_count for light in self._parts),
             refined_share=min(subdivided / max(covered, 1), 1.0),
         )  # fmt: skip

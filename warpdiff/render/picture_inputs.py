@@ -280,7 +280,7 @@ class PictureInputs:
             finish_of_faces: NDArray[np.int32] | None = key_of_faces(mesh, list(self.surfaces), "heightfield")
             if not mesh.has_base_colour:
                 # Without a base colour, plain surfaces are white.
-                mesh = replace(mesh, texture=np.ones((1, 1, 3), dtype=np.float32), has_base_colour=True)
+                mesh = replace(mesh, plain_colour=np.ones(3, dtype=np.float32), has_base_colour=True)
         else:
             finish_of_faces = next(iter(self.surfaces.values())).materials_of_faces(mesh)
         unit = PictureUnit(_in_unit(self).coherence, self._reference_area_um2)

@@ -97,7 +97,8 @@ class PixelSampler:
 
     def _trace_calls(self, sample: int, samples_per_pixel: int) -> list[KernelCall]:
         self.invalidate()
-        return self._context.rays.trace(sample, samples_per_pixel)
+        deviation = pixel_filter.deviation_at(0, means=self._means)
+        return self._context.rays.trace(sample, samples_per_pixel, deviation)
 
     def scatter(
         self, sample: int, index: LobeIndex, sums: Accumulators, *, samples_per_pixel: int | None = None

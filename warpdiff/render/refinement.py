@@ -111,12 +111,18 @@ class LightRefinement:
         sums = self.sums
         return [sums.xyz, sums.errors, sums.coverage, sums.coverage_levels, sums.illuminated, sums.edges]
 
+    @property
+    def _cells_are_means(self) -> bool:
+        """Whether cells have a filter: that of footprints in (u, v), or that of textures."""
+        return self.lookups.uses_footprints or self.light_pass.context.is_textured
+
     def estimate_errors(self, floor: wp.array, marks: wp.array) -> KernelCall:
         """Return the kernel call that estimates errors from one ray per pixel, and marks pixels for subdivision."""
-        rays, policy = self.light_pass.context.rays, self.policy
+        context, policy, pixels = self.light_pass.context, self.policy, self.batch.gbuffer.pixels
         bound = -1.0 if policy.is_sampled else policy.tolerance
         inputs = [
-            self.sums.xyz, self.batch.samples.scattering_vectors, self.batch.gbuffer.pixels.hit, rays.width, floor,
+            self.sums.xyz, self.batch.samples.scattering_vectors, pixels.hit,
+            pixels.base_colour if context.is_textured else context.no_colours, context.rays.width, floor,
             bound if policy.refine else np.inf, policy.least_level > 0, policy.refine,
         ]  # fmt: skip
         return KernelCall(subdivision.estimate_errors, inputs, [self.sums.errors, marks], in_runs=True)
@@ -132,14 +138,18 @@ class LightRefinement:
         sampling.tiles, sampling.places = buffers.tiles[level], pixel_filter.places_at(level, device)
         inputs = [
             batch.xyz, batch.gbuffer.pixels.hit, buffers.tiles[level], self.sums.xyz, sums.ranks,
-            pixel_filter.weights_at(level, self.lookups.uses_footprints, device), level,
+            pixel_filter.weights_at(level, self._cells_are_means, device), level,
             level == self.policy.base_level, self.policy.is_sampled,
         ]  # fmt: skip
         outputs = [sums.filtered_sums, sums.quadrants, sums.changes, sums.levels, sums.lighting]
         splat = KernelCall(
             subdivision.splat_cells, inputs, outputs, in_runs=True, block=refinement_levels.rays_at(level)
         )
-        return [*rays.calls(sampling, batch.gbuffer), *self.light_pass.shade(batch, self.lookups), splat]
+        return [
+            *rays.calls(sampling, batch.gbuffer, batch.deviation),
+            *self.light_pass.shade(batch, self.lookups),
+            splat,
+        ]
 
     def resolve_pixels(self, group: TileGroup, marks: wp.array) -> KernelCall:
         """Return the kernel call that replaces the colours of pixels by weighted sums over cells.
@@ -175,7 +185,7 @@ class LightRefinement:
         result.changes = wp.empty(tiles, dtype=wp.float32, device=device)
         result.levels, result.lighting = (wp.empty(tiles, dtype=wp.uint8, device=device) for _ in range(2))
         result.ranks = wp.empty(0, dtype=wp.int32, device=device)
-        result.filter_normalisation = pixel_filter.filter_normalisation_on(self.lookups.uses_footprints, device.alias)
+        result.filter_normalisation = pixel_filter.filter_normalisation_on(self._cells_are_means, device.alias)
         return result
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from warpdiff.device.kernel_calls import KernelCall, launch, launch_pipeline
-from warpdiff.kernels import bvh, primary_hits
+from warpdiff.kernels import base_colours, bvh, primary_hits, transparency
 from warpdiff.kernels.structs import Cells, Sampling
 from warpdiff.scene import device_mesh
 from warpdiff.scene.gbuffer import GBuffer
@@ -78,27 +78,45 @@ class CameraRays:
         self.camera = device_mesh.camera(view, self.surface, axes=self._axes, margin=self._margin)
         self.may_be_occluded = device_mesh.needs_shadow_rays(self.surface, view)
 
-    def trace(self, sample: int, samples: int) -> list[KernelCall]:
-        """Choose the position of one of ``samples`` rays in each pixel; return the kernel calls that trace it."""
-        return self.calls(self._sampling(sample, samples), self.gbuffer)
+    def trace(self, sample: int, samples: int, deviation: float = 0.0) -> list[KernelCall]:
+        """Choose the position of one of ``samples`` rays in each pixel; return the kernel calls that trace it.
+
+        ``deviation`` is that of :meth:`calls`.
+        """
+        return self.calls(self._sampling(sample, samples), self.gbuffer, deviation)
 
     def launch(self, calls: Sequence[KernelCall]) -> None:
         """Launch kernel calls over all pixels, with one ray per pixel."""
         launch_pipeline(calls, self.size, slice_size=RAYS_OF_SLICE, **self.options)
 
-    def calls(self, sampling: Sampling, gbuffer: GBuffer) -> list[KernelCall]:
-        """Return the kernel calls that find the hits of rays, and compute the shading frames at the hits."""
+    def calls(self, sampling: Sampling, gbuffer: GBuffer, deviation: float) -> list[KernelCall]:
+        """Return the kernel calls that find the hits of rays, and compute shading frames and base colours at the hits.
+
+        Args:
+            sampling: Positions of the rays.
+            gbuffer: Arrays of hits.
+            deviation: Standard deviation of the rays' filter [pixels], by which textures are filtered; 0 is no filter.
+        """
         inputs = [self.camera, self.scene.with_hierarchy(), sampling]
         trace = KernelCall(bvh.trace_bvh, inputs, [gbuffer.pixels.nearest], in_runs=True)
-        return [trace, *self._known_face_calls(sampling, gbuffer)]
+        return [trace, *self._known_face_calls(sampling, gbuffer, deviation)]
 
-    def _known_face_calls(self, sampling: Sampling, gbuffer: GBuffer) -> list[KernelCall]:
-        """Return the kernel calls that compute hits and shading frames, after the nearest face of each ray is known."""
+    def _known_face_calls(self, sampling: Sampling, gbuffer: GBuffer, deviation: float) -> list[KernelCall]:
+        """Return the calls that compute hits, frames and base colours, after the nearest face of each ray is known."""
         inputs = [self.camera, self.scene.bare, sampling, gbuffer.pixels]
-        return [
+        calls = []
+        if not self.scene.is_opaque:
+            scene = self.scene
+            passing = [self.camera, scene.with_hierarchy(), scene.textures, scene.transparency, sampling]
+            calls.append(KernelCall(transparency.pass_transparent, passing, [gbuffer.pixels.nearest], in_runs=True))
+        calls += [
             KernelCall(primary_hits.intersect_known_faces, inputs, [], in_runs=True),
             KernelCall(primary_hits.make_shading_frames, [self.scene.bare, gbuffer.pixels], [], in_runs=True),
         ]
+        if self.scene.is_textured and gbuffer.is_coloured:
+            inputs = [self.camera, self.scene.bare, self.scene.textures, gbuffer.pixels, deviation]
+            calls.append(KernelCall(base_colours.sample_base_colours, inputs, [], in_runs=True))
+        return calls
 
     def _sampling(self, sample: int, samples: int) -> Sampling:
         """Return a struct with the position of one of ``samples`` rays in each pixel; a single ray is in the centre."""
@@ -133,16 +151,16 @@ class RasterizedRays(CameraRays):
     Rasterization takes a quarter of the time of a hierarchy on the CPU, but its launches cannot be recorded as a graph.
     """
 
-    def trace(self, sample: int, samples: int) -> list[KernelCall]:
+    def trace(self, sample: int, samples: int, deviation: float = 0.0) -> list[KernelCall]:
         """Find the nearest faces for one of ``samples`` rays per pixel; return the calls that compute the hits."""
         sampling, nearest = self._sampling(sample, samples), self.gbuffer.pixels.nearest
         nearest.fill_(primary_hits.UNSEEN)
         self._rasterize(sampling, Cells(), 0.0 if samples == 1 else primary_hits.MOST_OFFSET, nearest)
-        return self.calls(sampling, self.gbuffer)
+        return self.calls(sampling, self.gbuffer, deviation)
 
-    def calls(self, sampling: Sampling, gbuffer: GBuffer) -> list[KernelCall]:
-        """Return the kernel calls that compute hits and shading frames, after rasterization of the nearest faces."""
-        return self._known_face_calls(sampling, gbuffer)
+    def calls(self, sampling: Sampling, gbuffer: GBuffer, deviation: float) -> list[KernelCall]:
+        """Return the kernel calls of :meth:`CameraRays.calls`, after rasterization of the nearest faces."""
+        return self._known_face_calls(sampling, gbuffer, deviation)
 
     def rasterize_cells(self, cells: Cells, pixels: int) -> NDArray[np.uint64]:
         """Return the index of the nearest face for each cell of ``pixels`` pixels, one pixel after the other."""
@@ -163,6 +181,7 @@ class RasterizedRays(CameraRays):
         """Return an occluder grid for each light. Grids that save no time, or need too much memory, are empty."""
         faces = self.scene.face_count
         pays = _FACES_PER_RAY * shadow_rays() > faces and _BYTES_PER_FACE * faces * len(to_lights) <= _MOST_BYTES
+        pays = pays and self.scene.is_opaque
         return [
             grid_for(self.surface, self.scene, to_light, **self.options)
             if pays and to_light is not None

@@ -10,7 +10,8 @@ import warp as wp
 
 from warpdiff.core import forks
 from warpdiff.core.caching import LruCache
-from warpdiff.kernels.structs import Camera, SurfaceArrays
+from warpdiff.kernels.structs import Camera, SurfaceArrays, Textures, Transparency
+from warpdiff.scene.textures import table_of
 
 if TYPE_CHECKING:
     from warpdiff.kernels.shadow_rays import ShadowGrid
@@ -36,6 +37,10 @@ class SceneArrays:
     Attributes:
         bare: The arrays as a struct for kernels. It has a hierarchy of faces after the first call of
             :meth:`with_hierarchy`.
+        textures: Textures as a struct for kernels; empty without any.
+        transparency: Transparency as a struct for kernels; empty if all faces are opaque.
+        is_textured: Whether any base colour is that of a texture.
+        is_opaque: Whether no ray passes through a face.
         face_count: Number of faces.
         grids: Cache of occluder grids by light direction.
     """
@@ -45,19 +50,27 @@ class SceneArrays:
 
         If ``smooth`` is False, kernels use face normals instead of vertex normals.
         """
-        colours = np.zeros((1, 3), np.float32) if surface.vertex_colours is None else surface.vertex_colours
+        colours = np.zeros((0, 3), np.float32) if surface.vertex_colours is None else surface.vertex_colours
         arrays = SurfaceArrays()
         for name, values, dtype in (
             ("positions", surface.vertices, wp.vec3f), ("faces", surface.faces, wp.int32),
             ("normals", surface.normals, wp.vec3f), ("tangents", surface.tangents, wp.vec3f),
             ("handedness", surface.handedness, wp.float32), ("uvs", surface.uvs, wp.vec2f),
-            ("vertex_colours", colours, wp.vec3f), ("texture", surface.texture, wp.vec3f),
+            ("vertex_colours", colours, wp.vec3f),
         ):  # fmt: skip
             setattr(arrays, name, wp.array(values, dtype=dtype, device=device))
-        arrays.has_vertex_colours = surface.vertex_colours is not None
+        arrays.plain_colour = wp.vec3f(*surface.plain_colour)
         arrays.smooth = bool(smooth)
         self.face_count = len(surface.faces)
         self.bare = arrays
+        self.is_textured, self.is_opaque = surface.is_textured, surface.is_opaque
+        self.textures, self.transparency = Textures(), Transparency()
+        if surface.is_textured or not surface.is_opaque:
+            self.textures = table_of(surface.textures, surface.materials, device)
+        if not surface.is_opaque:
+            self.transparency.cutoffs = wp.array(surface.alpha_cutoffs, dtype=wp.float32, device=device)
+            alphas = np.zeros(0, np.float32) if surface.vertex_alphas is None else surface.vertex_alphas
+            self.transparency.vertex_alphas = wp.array(alphas, dtype=wp.float32, device=device)
         self._mesh: wp.Mesh | None = None
         self.grids: LruCache[ShadowGrid] = LruCache(_MOST_GRIDS)
 
@@ -109,7 +122,7 @@ def needs_shadow_rays(surface: Surface, view: View) -> bool:
     They are not required for a convex body that is viewed from outside, because no visible illuminated point is in
     shadow.
     """
-    if not surface.is_convex:
+    if not (surface.is_convex and surface.is_opaque):
         return True
     frame = view.frame()
     eye = (frame.origin - surface.centre) / surface.radius

@@ -39,6 +39,11 @@ class GBuffer:
         return cls(pixels)
 
     @property
+    def is_coloured(self) -> bool:
+        """Whether the arrays include base colours."""
+        return len(self.pixels.base_colour) > 0
+
+    @property
     def hit_count(self) -> int:
         """Number of rays that hit the mesh. The array of hits is copied to the host to count them."""
         return int(np.count_nonzero(self.pixels.hit.numpy()))

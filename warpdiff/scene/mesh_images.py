@@ -1,4 +1,4 @@
-"""Images that mesh files refer to: opened from bytes, and decoded to linear RGB."""
+"""Images that mesh files refer to: opened from bytes, and decoded to linear RGBA."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 # Key under which the dictionary ``info`` of a Pillow image stores the reason why the image cannot be decoded.
 _DAMAGE = "warpdiff:damage"
+# Pillow's image modes with an alpha channel.
+_MODES_WITH_ALPHA = ("RGBA", "RGBa", "LA", "La", "PA")
 
 
 def opened(data: bytes) -> Image.Image:
@@ -36,22 +38,28 @@ def opened(data: bytes) -> Image.Image:
         raise OSError("Pillow cannot read it as an image") from None
 
 
-def linear_rgb(image: Image.Image) -> NDArray[np.float32] | None:
-    """Return an image in linear RGB, shape (h, w, 3), or None with a warning if it is damaged."""
+def linear_rgba(image: Image.Image) -> NDArray[np.float32] | None:
+    """Return an image in linear RGBA, shape (h, w, 4), or None with a warning if it is damaged.
+
+    Alpha is 1 in images without an alpha channel.
+    """
     if damage := _damage(image):
         _warn_of_damage(image, damage)
         return None
+    result = np.ones((image.height, image.width, 4), np.float32)
     if image.mode.startswith("I"):
         # Pillow's image modes that begin with the letter I have 16-bit grey values. Pillow's own conversion to RGB
         # would clip these at 255.
-        grey = srgb_decode(np.asarray(image, dtype=np.float64) / 65535.0)
-        return np.repeat(grey[:, :, None], 3, axis=2).astype(np.float32)
-    if image.mode == "P":
-        # Pillow warns if it converts a palette with transparency to RGB directly.
-        image = image.convert("RGBA")
+        result[..., :3] = srgb_decode(np.asarray(image, dtype=np.float64) / 65535.0)[:, :, None]
+        return result
+    has_alpha = image.mode in ("P", *_MODES_WITH_ALPHA) or "transparency" in image.info
+    values = np.asarray(image.convert("RGBA" if has_alpha else "RGB"), dtype=np.uint8)
     # For speed, the sRGB transfer function is computed once for each of the 256 possible values, not for every pixel.
     table = srgb_decode(np.arange(256) / 255.0).astype(np.float32)
-    return np.ascontiguousarray(table[np.asarray(image.convert("RGB"), dtype=np.uint8)])
+    result[..., :3] = table[values[..., :3]]
+    if has_alpha:
+        result[..., 3] = values[..., 3] / np.float32(255.0)
+    return result
 
 
 def mean_values(image: Image.Image) -> tuple[float, float, float] | None:

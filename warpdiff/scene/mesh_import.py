@@ -38,12 +38,12 @@ from warpdiff.scene.mesh_geometry import (
 from warpdiff.scene.part_names import key_of_faces
 from warpdiff.scene.scene_arrays import (
     SceneArrays,
-    Textures,
     arrays_of,
     joined,
     labelled_parts,
     warn_of_features,
 )
+from warpdiff.scene.textures import TextureImages
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -53,6 +53,7 @@ if TYPE_CHECKING:
 
     from warpdiff.scene.material_factors import MaterialFactors
     from warpdiff.scene.scene_parts import ScenePart
+    from warpdiff.scene.textures import Texture
 
 # Remedy in messages about a mesh without directions.
 _HOW_TO_GET_TANGENTS = (
@@ -77,15 +78,20 @@ class Surface:
         handedness: −1 where the texture mapping is mirrored, else 1, shape (n,), float32; equal for all vertices of a
             face.
         uvs: Texture coordinates, v upwards, shape (n, 2), float32; zero where undefined.
-        texture: Linear RGB, row 0 at v = 1, shape (h, w, 3), float32; 1 × 1 for a uniform colour, black without colour.
-        vertex_colours: Linear RGB, shape (n, 3), float32; negative at vertices that use ``texture``. None if all
-            vertices use ``texture``.
+        plain_colour: Linear RGB of a uniform colour, shape (3,), float32; black without colour, −1 with textures.
+        vertex_colours: Linear RGB, shape (n, 3), float32; negative at vertices whose base colour is that of a texture.
+            None if the colour is uniform, or that of textures at all vertices.
         has_base_colour: Whether the input mesh has a colour of any kind.
         geometries: For each face, the index of its geometry in ``geometry_names``, shape (m,), int32.
         geometry_names: Names of the geometries, which all differ; "mesh 0" for a single mesh without a name.
         materials: For each face, the index of its material in ``material_names``, shape (m,), int32; −1 without one.
         material_names: Names of the materials, which all differ.
         material_factors: Metallic, roughness and emission of the materials; None if all are matte and dark.
+        textures: Base-colour texture of each material; None without one.
+        alpha_cutoffs: Alpha below which rays pass through a face, by material; 0 for opaque materials, and negative for
+            materials that are blended with their background.
+        vertex_alphas: Alpha at the vertices, shape (n,), float32, which is 1 where a texture has the alpha; None if it
+            is 1 at all vertices.
         is_convex: Whether the mesh bounds a convex body or is in a plane, so that no point on its outside is in shadow.
         centre: Origin of ``vertices``, world frame, shape (3,), float64.
         radius: Unit of ``vertices``, in mesh units.
@@ -97,7 +103,7 @@ class Surface:
     tangents: NDArray[np.float32]
     handedness: NDArray[np.float32]
     uvs: NDArray[np.float32]
-    texture: NDArray[np.float32]
+    plain_colour: NDArray[np.float32]
     vertex_colours: NDArray[np.float32] | None
     has_base_colour: bool
     geometries: NDArray[np.int32]
@@ -108,6 +114,19 @@ class Surface:
     geometry_names: tuple[str, ...] = (UNNAMED,)
     material_names: tuple[str, ...] = ()
     material_factors: MaterialFactors | None = None
+    textures: tuple[Texture | None, ...] = ()
+    alpha_cutoffs: tuple[float, ...] = ()
+    vertex_alphas: NDArray[np.float32] | None = None
+
+    @property
+    def is_textured(self) -> bool:
+        """Whether any base colour is that of a texture."""
+        return any(texture is not None for texture in self.textures)
+
+    @property
+    def is_opaque(self) -> bool:
+        """Whether no ray passes through a face."""
+        return not any(self.alpha_cutoffs)
 
     @forks.cached_property
     def is_closed(self) -> bool:
@@ -144,7 +163,8 @@ def prepare_surface(
         FileNotFoundError: The file does not exist.
         TypeError: ``mesh`` is of another type.
         ValueError: The file cannot be read; the mesh has no vertices, faces or area, is not finite, or its faces have
-            indices without a vertex; there are neither tangents nor texture coordinates; there are several textures.
+            indices without a vertex; there are neither tangents nor texture coordinates.
+        MemoryError: A texture requires more memory than is free.
     """
     if isinstance(mesh, Surface) and tangents is None:
         return mesh
@@ -152,8 +172,8 @@ def prepare_surface(
     with _naming_file(mesh):
         scene = labelled_parts(mesh)
         with single_threaded_blas():
-            textures = Textures()
-            part = joined([arrays_of(entry, label, textures) for entry, label in scene])
+            images = TextureImages()
+            part = joined([arrays_of(entry, label, images) for entry, label in scene])
             if isinstance(field, np.ndarray) and field.shape == (3,):
                 field = np.broadcast_to(field, (part.count, 3))
             roles = _FaceRoles.of([entry for entry, _ in scene], part, plain)
@@ -291,19 +311,21 @@ def _build(
         has_poles=isinstance(tangents, str),
     )  # fmt: skip
 
-    has_colour = part.texture is not None or part.colours is not None
-    texture = np.zeros((1, 1, 3), np.float32) if part.texture is None else part.texture
     colours = None if part.colours is None else part.colours[index]
-    if colours is not None and np.all(colours == colours[0]) and part.texture is None:
-        texture, colours = colours[:1].reshape(1, 1, 3).astype(np.float32), None
+    plain = np.full(3, -1.0 if part.is_textured else 0.0)
+    if colours is not None and np.all(colours == colours[0]) and not part.is_textured:
+        plain, colours = colours[0], None
     return Surface(
         vertices=vertices.T.astype(np.float32, order="C"), faces=faces.T.astype(np.int32, order="C"),
         normals=normals.T.astype(np.float32, order="C"), tangents=field.T.astype(np.float32, order="C"),
-        handedness=handedness.astype(np.float32), uvs=uvs.T.astype(np.float32, order="C"), texture=texture,
-        vertex_colours=None if colours is None else colours.astype(np.float32), has_base_colour=has_colour,
+        handedness=handedness.astype(np.float32), uvs=uvs.T.astype(np.float32, order="C"),
+        plain_colour=plain.astype(np.float32), vertex_colours=None if colours is None else colours.astype(np.float32),
+        has_base_colour=part.is_textured or part.colours is not None,
         geometries=geometries, materials=materials,
         is_convex=is_convex(vertices, faces, geometry.normals, welded), centre=centre, radius=radius,
-        geometry_names=part.geometry_names, material_names=part.material_names,
+        geometry_names=part.geometry_names, material_names=part.material_names, textures=part.textures,
+        alpha_cutoffs=part.cutoffs,
+        vertex_alphas=None if part.alphas is None else part.alphas[index].astype(np.float32),
     )  # fmt: skip
 
 

@@ -11,14 +11,14 @@ import numpy as np
 from warpdiff.core import validation
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, listed, ref
-from warpdiff.scene import mesh_files, mesh_images, trimesh_parts
+from warpdiff.scene import mesh_files, trimesh_parts
 from warpdiff.scene.mesh_geometry import unit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-    from PIL import Image
 
-    from warpdiff.scene.scene_parts import ScenePart
+    from warpdiff.scene.scene_parts import Appearance, ScenePart
+    from warpdiff.scene.textures import Texture, TextureImages
 
 # First words of the label by which messages name a geometry of a scene; the name of the geometry follows.
 _GEOMETRY = f"{ref('mesh')}'s geometry "
@@ -30,7 +30,9 @@ class SceneArrays:
 
     Some vertices of the input are duplicated. For each vertex, ``source`` has the index of the input vertex, and
     ``count`` is the number of input vertices. Each name of ``geometry_names`` and ``material_names`` has its index in
-    ``geometries`` and ``materials``, which have an element per face.
+    ``geometries`` and ``materials``, which have an element per face. ``textures`` and ``cutoffs`` have an element for
+    each name of ``material_names``: its base-colour texture, and the alpha below which rays pass through it. The
+    cut-off is 0 for opaque materials, and negative for materials that are blended with their background.
     """
 
     vertices: NDArray[np.float64]
@@ -40,40 +42,20 @@ class SceneArrays:
     normals: NDArray[np.float64] | None
     tangents: NDArray[np.float64] | None
     uvs: NDArray[np.float64] | None
-    texture: NDArray[np.float32] | None
     colours: NDArray[np.float64] | None
+    alphas: NDArray[np.float64] | None
     geometries: NDArray[np.int32]
     geometry_names: tuple[str, ...]
     materials: NDArray[np.int32]
     material_names: tuple[str, ...]
+    textures: tuple[Texture | None, ...]
+    cutoffs: tuple[float, ...]
     label: str
 
-
-class Textures:
-    """Base-colour textures of a scene in linear RGB. Each image is decoded once."""
-
-    def __init__(self) -> None:
-        self._images: list[tuple[Image.Image, NDArray[np.float32] | None]] = []
-        self._textures: list[tuple[Image.Image, NDArray[np.float64], NDArray[np.float32]]] = []
-
-    def texture(self, image: Image.Image, colour: NDArray[np.float64]) -> NDArray[np.float32] | None:
-        """Return an image times a colour, shape (h, w, 3), or None with a warning if the image is damaged."""
-        for known, factor, texture in self._textures:
-            if known is image and np.array_equal(factor, colour):
-                return texture
-        pixels = self._pixels(image)
-        if pixels is None:
-            return None
-        texture = pixels if np.all(colour == 1.0) else (pixels * colour).astype(np.float32)
-        self._textures.append((image, colour, texture))
-        return texture
-
-    def _pixels(self, image: Image.Image) -> NDArray[np.float32] | None:
-        for known, pixels in self._images:
-            if known is image:
-                return pixels
-        self._images.append((image, mesh_images.linear_rgb(image)))
-        return self._images[-1][1]
+    @property
+    def is_textured(self) -> bool:
+        """Whether any base colour is that of a texture."""
+        return any(texture is not None for texture in self.textures)
 
 
 def labelled_parts(mesh: Any) -> list[tuple[ScenePart, str]]:
@@ -84,13 +66,13 @@ def labelled_parts(mesh: Any) -> list[tuple[ScenePart, str]]:
     return [(part, f"{_GEOMETRY}{part.geometry!r}") for part in parts]
 
 
-def arrays_of(entry: ScenePart, label: str, textures: Textures | None) -> SceneArrays:
+def arrays_of(entry: ScenePart, label: str, images: TextureImages | None) -> SceneArrays:
     """Check a part of a scene and return its arrays in world coordinates. Messages of errors begin with its label.
 
     Args:
         entry: Part of a scene.
         label: Label for messages.
-        textures: Textures of the scene; None computes no colours.
+        images: Images of the scene; None computes no colours.
     """
     _check(entry, label)
     normals = None if entry.normals is None else _sound(entry.normals)
@@ -100,13 +82,15 @@ def arrays_of(entry: ScenePart, label: str, textures: Textures | None) -> SceneA
         raise ArgumentValueError(f"{label} must be placed at finite coordinates, got a transform with huge numbers")
     part = SceneArrays(
         vertices=placed.vertices, faces=placed.faces, source=placed.source, count=placed.source_count,
-        normals=placed.normals, tangents=placed.tangents, uvs=_base_uvs(placed, label), texture=None, colours=None,
+        normals=placed.normals, tangents=placed.tangents, uvs=_base_uvs(placed, label), colours=None, alphas=None,
         geometries=np.zeros(len(placed.faces), np.int32), geometry_names=(placed.geometry or mesh_files.UNNAMED,),
         materials=np.full(len(placed.faces), -1 if placed.appearance is None else 0, np.int32),
-        material_names=() if placed.appearance is None else (placed.appearance.name,), label=label,
+        material_names=() if placed.appearance is None else (placed.appearance.name,),
+        textures=() if placed.appearance is None else (None,), cutoffs=() if placed.appearance is None else (0.0,),
+        label=label,
     )  # fmt: skip
-    if textures is not None:
-        _take_colours(placed, part, textures)
+    if images is not None:
+        _take_colours(placed, part, images)
     return part
 
 
@@ -156,22 +140,46 @@ def _base_uvs(part: ScenePart, label: str) -> NDArray[np.float64] | None:
     return uvs
 
 
-def _take_colours(entry: ScenePart, part: SceneArrays, textures: Textures) -> None:
-    """Set the texture or the vertex colours of a part."""
+def _take_colours(entry: ScenePart, part: SceneArrays, images: TextureImages) -> None:
+    """Set the texture or the vertex colours of a part, and its transparency."""
     appearance = entry.appearance
     colour = None if appearance is None else appearance.base_colour
     if appearance is not None and appearance.base_texture is not None:
-        image = appearance.base_texture.image
-        if image is not None and part.uvs is not None:
-            part.texture = textures.texture(image, np.array((1.0,) * 3 if colour is None else colour[:3]))
-        if part.texture is not None:
+        source = appearance.base_texture
+        if source.image is not None and part.uvs is not None:
+            part.textures = (images.texture(source, (1.0,) * 4 if colour is None else colour),)
+        if part.is_textured:
+            _take_alphas(appearance, part, None)
             return
-        colour = appearance.fallback_colour or colour if image is not None else colour
+        colour = appearance.fallback_colour or colour if source.image is not None else colour
+    alphas = np.full(len(part.vertices), 1.0 if colour is None else colour[3])
     if entry.colours is not None:
-        colours = np.nan_to_num(entry.colours[:, :3], posinf=1.0, neginf=0.0).clip(0.0, None)
-        part.colours = colours if colour is None else colours * np.array(colour[:3])
+        colours = np.nan_to_num(entry.colours, posinf=1.0, neginf=0.0).clip(0.0, None)
+        part.colours = colours[:, :3] if colour is None else colours[:, :3] * np.array(colour[:3])
+        alphas *= colours[:, 3]
     elif colour is not None:
         part.colours = np.tile(np.array(colour[:3]), (len(part.vertices), 1))
+    if appearance is not None:
+        _take_alphas(appearance, part, alphas)
+
+
+def _take_alphas(appearance: Appearance, part: SceneArrays, alphas: NDArray[np.float64] | None) -> None:
+    """Set the cut-off of a part's material, unless its alpha is nowhere below.
+
+    Args:
+        appearance: Material.
+        part: Part of a scene, with its texture.
+        alphas: Alpha at the vertices; None if it is that of the texture.
+    """
+    if appearance.alpha_mode == "opaque":
+        return
+    (texture,) = part.textures
+    least = float(1.0 if alphas is None else alphas.min())
+    if texture is not None:
+        least = float(texture.texels[..., 3].min())
+    if least < (1.0 if appearance.alpha_mode == "blend" else appearance.alpha_cutoff):
+        part.cutoffs = (-1.0 if appearance.alpha_mode == "blend" else appearance.alpha_cutoff,)
+        part.alphas = alphas
 
 
 def warn_of_features(parts: list[ScenePart]) -> None:
@@ -202,20 +210,14 @@ def joined(parts: list[SceneArrays]) -> SceneArrays:
     """
     if len(parts) == 1:
         return parts[0]
-    textures: list[NDArray[np.float32]] = []
-    textured: list[str] = []
-    for part in parts:
-        texture = part.texture
-        if texture is not None and not any(texture is known or np.array_equal(texture, known) for known in textures):
-            textures.append(texture)
-            textured.append(part.label.removeprefix(_GEOMETRY))
-    if len(textures) > 1:
-        raise ArgumentValueError(
-            f"{ref('mesh')} must have at most one texture image, got a scene with {len(textures)}, of "
-            f"{', '.join(textured)}; render its geometries one by one, or bake them into one texture"
-        )
     geometry_names, geometries = _joined_names([(part.geometry_names, part.geometries) for part in parts])
     material_names, materials = _joined_names([(part.material_names, part.materials) for part in parts])
+    textures: dict[str, Texture | None] = dict.fromkeys(material_names)
+    cutoffs = dict.fromkeys(material_names, 0.0)
+    for part in parts:
+        for name, texture, cutoff in zip(part.material_names, part.textures, part.cutoffs, strict=True):
+            textures[name] = texture or textures[name]
+            cutoffs[name] = cutoff or cutoffs[name]
     vertex_start = np.cumsum([0, *(len(part.vertices) for part in parts)])
     source_start = np.cumsum([0, *(part.count for part in parts)])
 
@@ -233,15 +235,20 @@ def joined(parts: list[SceneArrays]) -> SceneArrays:
     colours = gather("colours", 3)
     if colours is not None:
         # A part of the scene without colour and texture has no pigment, so its colour is black.
-        none = [np.full(len(part.vertices), -1.0 if part.texture is not None else 0.0) for part in parts]
+        none = [np.full(len(part.vertices), -1.0 if part.is_textured else 0.0) for part in parts]
         colours = np.where(np.isnan(colours), np.concatenate(none)[:, None], colours)
+    alphas = None
+    if any(part.alphas is not None for part in parts):
+        ones = [np.ones(len(part.vertices)) if part.alphas is None else part.alphas for part in parts]
+        alphas = np.concatenate(ones)
     return SceneArrays(
         vertices=np.concatenate([part.vertices for part in parts]),
         faces=np.concatenate([part.faces + start for part, start in zip(parts, vertex_start[:-1], strict=True)]),
         source=np.concatenate([part.source + start for part, start in zip(parts, source_start[:-1], strict=True)]),
         count=int(source_start[-1]), normals=gather("normals", 3), tangents=gather("tangents", 4),
-        uvs=gather("uvs", 2), texture=textures[0] if textures else None, colours=colours, geometries=geometries,
+        uvs=gather("uvs", 2), colours=colours, alphas=alphas, geometries=geometries,
         geometry_names=geometry_names, materials=materials, material_names=material_names,
+        textures=tuple(textures.values()), cutoffs=tuple(cutoffs.values()),
         label=ref("mesh"),
     )  # fmt: skip
 

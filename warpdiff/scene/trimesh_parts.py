@@ -17,7 +17,11 @@ if TYPE_CHECKING:
     from PIL import Image
     from trimesh.visual.material import PBRMaterial
 
+    from warpdiff.scene.scene_parts import AlphaMode
+
 _WHITE = (1.0, 1.0, 1.0, 1.0)
+# Alpha modes by the names that trimesh uses, which are those of glTF.
+_ALPHA_MODES: dict[str, AlphaMode] = {"MASK": "mask", "BLEND": "blend"}
 
 
 def parts_of(mesh: Any) -> list[ScenePart]:
@@ -126,6 +130,8 @@ def _appearance(material: Any, name: str) -> Appearance:
             roughness=_stated_roughness(material), emission=_rgb(material.emissiveFactor),
             metallic_roughness_texture=_map(material.metallicRoughnessTexture),
             emission_texture=_map(material.emissiveTexture),
+            alpha_mode=_ALPHA_MODES.get(str(material.alphaMode).upper(), "opaque"),
+            alpha_cutoff=0.5 if material.alphaCutoff is None else float(material.alphaCutoff),
         )  # fmt: skip
     metallic, roughness, emission = _mtl_factors(getattr(material, "kwargs", None) or {})
     image, diffuse = getattr(material, "image", None), getattr(material, "diffuse", None)

@@ -17,6 +17,7 @@ from warpdiff.apps.web_page.packing import Arrays, octahedral, quantised
 from warpdiff.baked.interpolation import ring_of_largest
 from warpdiff.baked.lobe_table import LARGEST_W, BakedLobes, normal_reflectance, zeroth_order_power
 from warpdiff.core import files, memory, validation
+from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.image import display_transform
 from warpdiff.lights.base import MOST_POWER, Light
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from numpy.typing import ArrayLike
+    from numpy.typing import ArrayLike, NDArray
 
     from warpdiff.request.settings import TangentRule
     from warpdiff.scene.mesh_import import Surface
@@ -216,11 +217,13 @@ def _add_mesh(arrays: Arrays, surface: Surface) -> dict[str, Any]:
     }  # fmt: skip
     if (surface.handedness < 0.0).any():
         arrays.add("handedness", "int8", surface.handedness.astype(np.int8).tobytes())
-    texture = np.rint(255.0 * colorimetry.srgb_encode(surface.texture)).astype(np.uint8)
-    header["plain_colour"] = [*texture[0, 0].tolist(), 255]
-    if texture.shape[0] * texture.shape[1] > 1:
+    if not surface.is_opaque:
+        warn(f"{ref('mesh')} has transparent materials, which a page draws opaque")
+    header["plain_colour"] = [*_encoded(surface.plain_colour.clip(0.0, None)).tolist(), 255]
+    if surface.is_textured:
         import PIL.Image
 
+        texture = _encoded(_only_texture(surface))
         file = io.BytesIO()
         PIL.Image.fromarray(texture).save(file, "png", optimize=True)
         arrays.add("texture", "bytes", file.getvalue())
@@ -233,6 +236,27 @@ def _add_mesh(arrays: Arrays, surface: Surface) -> dict[str, Any]:
         colours = np.rint(255.0 * colorimetry.srgb_encode(surface.vertex_colours))
         arrays.add_differences("colours", np.hstack([colours, own]))
     return header
+
+
+def _encoded(colours: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Return linear colours in 8 bits of sRGB."""
+    return np.rint(255.0 * colorimetry.srgb_encode(colours)).astype(np.uint8)
+
+
+def _only_texture(surface: Surface) -> NDArray[np.float32]:
+    """Return the texture of a mesh that has one image, linear RGB; raise an error if it has several."""
+    textures = {id(texture.texels): texture for texture in surface.textures if texture is not None}
+    if len(textures) > 1:
+        raise ArgumentValueError(
+            f"{ref('mesh')} must have at most one texture image in a page, got {len(textures)}: bake them into one"
+        )
+    (texture,) = textures.values()
+    if texture.wrap != ("repeat", "repeat"):
+        raise ArgumentValueError(
+            f"{ref('mesh')} must have a texture that is repeated in a page, got {texture.wrap[0]!r} along u and "
+            f"{texture.wrap[1]!r} along v: give texture coordinates of 0 to 1 and the continuation 'repeat'"
+        )
+    return texture.texels[..., :3]
 
 
 def _defined_normals(surface: Surface) -> Any:

@@ -98,7 +98,7 @@ class Materials:
             emission_texture=self._texture(material, "emissiveTexture"),
             alpha_mode=cast("AlphaMode", alpha_mode.lower()), alpha_cutoff=material.number("alphaCutoff", 0.5),
             is_double_sided=material.flag("doubleSided", default=False),
-            not_rendered=_not_rendered(material, metal, emits=bool(emission.any()), alpha_mode=alpha_mode),
+            not_rendered=_not_rendered(material, metal, emits=bool(emission.any())),
         )  # fmt: skip
 
     def normal_uv_set(self, index: int) -> int:
@@ -194,14 +194,13 @@ def _wrap(sampler: Element, name: str) -> Wrap:
     return _WRAPS[kind]
 
 
-def _not_rendered(material: Element, metal: Element, *, emits: bool, alpha_mode: str) -> tuple[str, ...]:
+def _not_rendered(material: Element, metal: Element, *, emits: bool) -> tuple[str, ...]:
     """Return the features of a material that have no effect on pictures.
 
     Args:
         material: The material.
         metal: Its metallic-roughness model.
         emits: Whether its emission is not zero.
-        alpha_mode: Its alpha mode.
     """
     features = []
     if "normalTexture" in material:
@@ -212,8 +211,6 @@ def _not_rendered(material: Element, metal: Element, *, emits: bool, alpha_mode:
         features.append("metallic-roughness texture except for its mean")
     if emits and "emissiveTexture" in material:
         features.append("emission with a texture")
-    if alpha_mode != "OPAQUE":
-        features.append("transparency")
     extensions = material.element("extensions")
     names = () if extensions is None else (name for name in extensions.values if name not in _READ)
     features += [_NOT_RENDERED.get(name, re.sub(r"[^\w]", "?", name)[:60]) for name in names]

@@ -1,0 +1,111 @@
+"""Base colours of textured hits: look-ups at points and over footprints, compared with sums over many points."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+import warp as wp
+from PIL import Image
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import SimpleMaterial
+
+import warpdiff as wd
+from warpdiff.scene.camera_rays import rays_for
+from warpdiff.scene.mesh_import import prepare_surface
+from warpdiff.scene.scene_parts import Appearance, TextureMap
+from warpdiff.scene.trimesh_parts import parts_of
+
+
+def continued(index, size, wrap):
+    """Return the index of a texel inside of the image."""
+    if wrap == "repeat":
+        return index % size
+    if wrap == "clamp":
+        return np.clip(index, 0, size - 1)
+    return np.where(index // size % 2 == 0, index % size, size - 1 - index % size)
+
+
+def bilinear(texels, wrap, u, v):
+    """Return colours of a texture by bilinear interpolation; row 0 is at v = 1."""
+    height, width = texels.shape[:2]
+    if wrap[0] == "clamp":
+        u = np.clip(u, 0.0, 1.0)
+    if wrap[1] == "clamp":
+        v = np.clip(v, 0.0, 1.0)
+    x, y = u * width - 0.5, (1.0 - v) * height - 0.5
+    column, row = np.floor(x).astype(int), np.floor(y).astype(int)
+    right, down = (x - column)[..., None], (y - row)[..., None]
+
+    def at(rows, columns):
+        return texels[continued(rows, height, wrap[1]), continued(columns, width, wrap[0])]
+
+    upper = (1.0 - right) * at(row, column) + right * at(row, column + 1)
+    lower = (1.0 - right) * at(row + 1, column) + right * at(row + 1, column + 1)
+    return (1.0 - down) * upper + down * lower
+
+
+def textured(texels, scale, wrap, monkeypatch):
+    """Return a square whose texture coordinates range over ``scale`` images, as a surface."""
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]])
+    visual = TextureVisuals(uv=corners[:, :2] * scale, material=SimpleMaterial(image=Image.fromarray(texels)))
+    (part,) = parts_of(trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False))
+    appearance = Appearance("paint", (1.0,) * 4, TextureMap(part.appearance.base_texture.image, wrap=wrap))
+    entry = dataclasses.replace(part, appearance=appearance)
+    monkeypatch.setattr("warpdiff.scene.mesh_import.labelled_parts", lambda _: [(entry, "mesh")])
+    return prepare_surface(trimesh.Trimesh())
+
+
+def colours_of(surface, view, deviation):
+    """Return base colours and texture coordinates of the rays through pixel centres."""
+    rays = rays_for(surface, view, device=wp.get_device("cpu"), threads=1)
+    rays.launch(rays.trace(0, 1, deviation))
+    pixels = rays.gbuffer.pixels
+    assert (pixels.hit.numpy() == 1).all()
+    place = pixels.place.numpy().astype(np.float64)
+    corners = surface.uvs[surface.faces[pixels.face.numpy()]].astype(np.float64)
+    shares = np.column_stack([place, 1.0 - place.sum(axis=1)])
+    return pixels.base_colour.numpy(), np.einsum("nk,nkc->nc", shares, corners)
+
+
+WRAPS = [("repeat", "repeat"), ("clamp", "mirror"), ("mirror", "clamp"), ("clamp", "repeat")]
+
+
+@pytest.mark.parametrize("wrap", WRAPS, ids=str)
+def test_points_are_interpolated_between_texels(wrap, rng, monkeypatch):
+    surface = textured(rng.integers(0, 256, (5, 7, 3), dtype=np.uint8), 2.3, wrap, monkeypatch)
+    view = wd.View.orthographic((0.0, 0.0, 3.0), (0, 0, 0), extent_y=1.9, width=40, height=40)
+    colours, uv = colours_of(surface, view, 0.0)
+    texels = surface.textures[0].texels[..., :3].astype(np.float64)
+    np.testing.assert_allclose(colours, bilinear(texels, wrap, uv[:, 0], uv[:, 1]), atol=2e-5)
+
+
+@pytest.mark.parametrize("wrap", [("repeat", "repeat"), ("mirror", "repeat")], ids=str)
+@pytest.mark.parametrize(("scale", "eye"), [(0.4, (0, 0, 3.0)), (2.0, (0, 0, 3.0)), (3.0, (0.5, -2.0, 1.2))], ids=str)
+def test_filtered_colours_are_means_over_the_pixel_filter(wrap, scale, eye, rng, monkeypatch):
+    """The reference are sums over 81 × 81 points of the pixel filter, on the same plane.
+
+    Clamped textures are not compared: outside of the image, a level has the colour of its wider texels.
+    """
+    surface = textured(rng.integers(0, 256, (64, 48, 3), dtype=np.uint8), scale, wrap, monkeypatch)
+    view = wd.View.orthographic(eye, (0, 0, 0), extent_y=0.3, width=16, height=16)
+    deviation = 0.5
+    colours, uv = colours_of(surface, view, deviation)
+    # Texture coordinates are an affine function of the position in the picture.
+    right, down = (uv[1] - uv[0]) * deviation, (uv[16] - uv[0]) * deviation
+    steps = np.linspace(-3.5, 3.5, 81)
+    x, y = np.meshgrid(steps, steps)
+    weights = np.exp(-0.5 * (x * x + y * y))[..., None]
+    texels = surface.textures[0].texels[..., :3].astype(np.float64)
+    exact = np.array(
+        [
+            np.sum(weights * bilinear(texels, wrap, *(at[c] + x * right[c] + y * down[c] for c in (0, 1))), axis=(0, 1))
+            for at in uv
+        ]
+    ) / np.sum(weights)
+    size = np.linalg.norm(exact, axis=1)
+    error = np.linalg.norm(colours - exact, axis=1) / size
+    points = np.linalg.norm(colours_of(surface, view, 0.0)[0] - exact, axis=1) / size
+    # The texture is white noise, whose texels differ by their whole range.
+    assert np.sqrt(np.mean(error**2)) < 0.15
+    assert np.sqrt(np.mean(error**2)) < 0.5 * np.sqrt(np.mean(points**2))

@@ -1,0 +1,77 @@
+"""Textures of scenes: pyramids, continuation outside of the image, and memory."""
+
+import itertools
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
+
+from warpdiff.core import memory
+from warpdiff.scene.mesh_import import prepare_surface
+from warpdiff.scene.scene_parts import TextureMap
+from warpdiff.scene.texture_pyramid import pyramid, sizes
+from warpdiff.scene.textures import TextureImages, table_of
+
+
+def by_overlaps(lines, size):
+    """Return means over ``size`` equal parts of axis 0, from the overlaps of all parts and all texels."""
+    edges, whole = np.linspace(0.0, len(lines), size + 1), np.arange(len(lines))
+    overlaps = np.minimum(edges[1:, None], whole + 1.0) - np.maximum(edges[:-1, None], whole)
+    weights = np.clip(overlaps, 0.0, None) * size / len(lines)
+    return np.tensordot(weights, lines, (1, 0))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (8, 8), (7, 5), (1, 13), (33, 2), (100, 57)], ids=str)
+def test_texels_of_a_level_are_means_over_their_areas(shape, rng):
+    texels = rng.uniform(size=(*shape, 4)).astype(np.float32)
+    levels = pyramid(texels)
+    assert [level.shape[:2] for level in levels] == sizes(*shape)
+    assert levels[-1].shape == (1, 1, 4)
+    for before, after in itertools.pairwise(levels):
+        rows = by_overlaps(before.astype(np.float64), after.shape[0])
+        expected = by_overlaps(rows.swapaxes(0, 1), after.shape[1]).swapaxes(0, 1)
+        np.testing.assert_allclose(after, expected, rtol=1e-5)
+    np.testing.assert_allclose(levels[-1][0, 0], texels.mean(axis=(0, 1), dtype=np.float64), rtol=1e-5)
+
+
+def image_of(rng, size=(4, 6), mode="RGBA"):
+    return Image.fromarray(rng.integers(0, 256, (*size, len(mode)), dtype=np.uint8), mode)
+
+
+def test_equal_images_have_one_copy_on_the_device(rng):
+    images, picture = TextureImages(), image_of(rng)
+    one = images.texture(TextureMap(picture), (1.0, 0.5, 1.0, 1.0))
+    same = images.texture(TextureMap(picture.copy()), (1.0, 0.5, 1.0, 1.0))
+    clamped = images.texture(TextureMap(picture, wrap=("clamp", "mirror")), (1.0, 0.5, 1.0, 1.0))
+    other = images.texture(TextureMap(picture), (1.0,) * 4)
+    assert same is one
+    assert clamped is not one
+    assert clamped.texels is one.texels
+    table = table_of([one, None, clamped, other, same], np.zeros(1, np.int32), "cpu")
+    np.testing.assert_array_equal(table.of_base_colour.numpy(), [0, -1, 1, 2, 0])
+    np.testing.assert_array_equal(table.table.numpy(), [[0, 4, 0, 0], [0, 4, 1, 2], [4, 4, 0, 0]])
+    count = sum(height * width for height, width in sizes(4, 6))
+    assert len(table.texels) == 2 * count
+    np.testing.assert_array_equal(table.texels.numpy()[: 4 * 6], one.texels.reshape(-1, 4))
+
+
+def test_alpha_is_read_from_images_with_and_without_it(rng):
+    images = TextureImages()
+    for mode, alpha in [("RGBA", None), ("RGB", 1.0)]:
+        picture = image_of(rng, mode=mode)
+        texels = images.texture(TextureMap(picture), (1.0,) * 4).texels
+        expected = np.asarray(picture)[..., 3] / 255.0 if alpha is None else alpha
+        np.testing.assert_allclose(texels[..., 3], np.broadcast_to(expected, (4, 6)), atol=1e-6)
+
+
+def test_a_texture_that_does_not_fit_into_memory_is_named(monkeypatch, rng):
+    monkeypatch.setattr(memory, "available", lambda: 1e3)
+    material = PBRMaterial(baseColorTexture=image_of(rng, mode="RGB"))
+    square = trimesh.Trimesh(
+        [[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], visual=TextureVisuals(uv=np.eye(3, 2), material=material)
+    )
+    with pytest.raises(MemoryError, match="the texture 'an image' of mesh, 6 × 4 pixels, requires about"):
+        prepare_surface(square)

@@ -1,0 +1,52 @@
+"""Texture pyramids: an image and its reductions to half the size, for look-ups that are filtered by footprints."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+def sizes(height: int, width: int) -> list[tuple[int, int]]:
+    """Return the heights and widths of all levels of a pyramid: halves, rounded up, until one texel is left."""
+    result = [(height, width)]
+    while max(result[-1]) > 1:
+        height, width = result[-1]
+        result.append(((height + 1) // 2, (width + 1) // 2))
+    return result
+
+
+def pyramid(texels: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    """Return all levels of the pyramid of an image, shape (h, w, channels); the first level is the image.
+
+    A texel of a level is the mean of the previous level over its area. Levels therefore have the mean of the image.
+    """
+    levels = [texels]
+    for height, width in sizes(*texels.shape[:2])[1:]:
+        levels.append(_reduced(_reduced(levels[-1], height, 0), width, 1))
+    return levels
+
+
+def _reduced(texels: NDArray[np.float32], size: int, axis: int) -> NDArray[np.float32]:
+    """Return means over ``size`` equal parts of an axis, where texels at the edges of a part count by their share."""
+    before = texels.shape[axis]
+    if before == size:
+        return texels
+    lines = np.moveaxis(texels, axis, 0)
+    if before == 2 * size:
+        reduced = 0.5 * (lines[0::2] + lines[1::2])
+    else:
+        # The number of texels is odd, 2 n − 1 for n parts. Each part overlaps two texels or, near a texel's middle,
+        # three of them.
+        edges = np.arange(size + 1) * (before / size)
+        first = np.minimum(edges[:-1].astype(np.int64), before - 1)
+        reduced = np.zeros((size, *lines.shape[1:]), np.float32)
+        for step in range(3):
+            at = first + step
+            overlap = np.clip(np.minimum(edges[1:], at + 1.0) - np.maximum(edges[:-1], at), 0.0, None)
+            share = (overlap * (size / before)).astype(np.float32).reshape(-1, *[1] * (lines.ndim - 1))
+            reduced += share * lines[np.minimum(at, before - 1)]
+    return np.ascontiguousarray(np.moveaxis(reduced, 0, axis))
