@@ -61,7 +61,12 @@ SHARED = [
     ("tangents", np.ones((3, 3)), ValueError, r"tangents must have shape \(\d+, 3\).* got \(3, 3\)"),
     ("tangents", "radial", ValueError, "tangents must be one of 'x', 'y', 'z', 'around-x'.*, got 'radial'"),
     ("tangents", b"x", TypeError, "tangents must be an array of real numbers, got bytes"),
-    ("tangents", np.zeros_like(MESH.vertices), ValueError, "tangents must define a direction along the surface"),
+    (
+        "tangents",
+        np.zeros_like(MESH.vertices),
+        ValueError,
+        "got none at any vertex: give another direction, such as ta",
+    ),
     ("tangents", np.full_like(MESH.vertices, math.nan), ValueError, "tangents must be finite"),
 ]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import itertools
 import re
 from dataclasses import replace
@@ -14,7 +13,7 @@ from warpdiff.core.wording import ArgumentValueError, did_you_mean, ref
 from warpdiff.request.settings import TANGENT_RULES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from warpdiff.core.options import Option
 
@@ -120,7 +119,7 @@ class Flags:
 def _shape(option: Option) -> dict[str, Any]:
     """Return the arguments of ``add_argument`` of argparse for a flag: type, number and placeholder of its values."""
     if option.name == "tangents":
-        return {"type": str, "nargs": "+", "metavar": ("RULE or X", "Y Z")}
+        return {"type": str, "metavar": "RULE or X Y Z"}
     kind = integer if isinstance((option.choices or [""])[0], int) else _TYPES.get(option.kind, str)
     placeholder: Any = _METAVARS.get(option.kind, "X")
     if option.kind not in ("numbers", "integers", "pair", "choices"):
@@ -181,19 +180,44 @@ def given(options: argparse.Namespace, described: Mapping[str, Option], prefix: 
     return result
 
 
-def _tangents(texts: list[str]) -> str | list[float]:
+def with_joined_tangents(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments of a command with the words of ``--tangents`` joined to one, such as ``--tangents=1 0 0``.
+
+    The flag has one word for a rule, and all numbers that follow for a vector. Without this, argparse would take MESH
+    after the flag for one more of its words, and ``-1e-3`` for a flag.
+    """
+    result: list[str] = []
+    rest = list(arguments)
+    while rest:
+        result.append(rest.pop(0))
+        if result[-1] == "--tangents" and rest:
+            words = list(itertools.takewhile(_is_number, rest)) or [word for word in rest[:1] if word[:1] != "-"]
+            if words:
+                del rest[: len(words)]
+                result[-1] = f"--tangents={' '.join(words)}"
+    return result
+
+
+def _is_number(text: str) -> bool:
+    """Return whether a word of the command line is a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _tangents(text: str) -> str | list[float]:
     """Return the rule or the vector that ``--tangents`` has. Its Python option also accepts an array of vectors."""
-    if len(texts) == 1 and texts[0] in TANGENT_RULES:
-        return texts[0]
-    vector = []
-    with contextlib.suppress(ValueError):
-        vector = [float(text) for text in texts]
-    if len(vector) != 3:
+    if text in TANGENT_RULES:
+        return text
+    words = text.split()
+    if len(words) != 3 or not all(map(_is_number, words)):
         raise ArgumentValueError(
             f"{ref('tangents')} must be one of {', '.join(TANGENT_RULES)}, or three numbers X Y Z, got "
-            f"{' '.join(texts)!r}{did_you_mean(texts[0], TANGENT_RULES)}"
+            f"{text!r}{did_you_mean(text, TANGENT_RULES)}"
         )
-    return vector
+    return [float(word) for word in words]
 
 
 def word(name: str, value: str | None, words: Mapping[str, str]) -> str:

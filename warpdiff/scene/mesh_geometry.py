@@ -12,7 +12,7 @@ import numpy as np
 
 from warpdiff.core import forks
 from warpdiff.core.warnings import warn
-from warpdiff.core.wording import ArgumentValueError
+from warpdiff.core.wording import ArgumentValueError, ref
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -257,7 +257,10 @@ def fill(
     lacking, needed = int(np.count_nonzero(counted)), int(np.count_nonzero(is_needed))
     if lacking:
         if lacking == needed:
-            raise ArgumentValueError(f"{name} must define a direction along the surface, got none at any vertex")
+            raise ArgumentValueError(
+                f"{name} must define a direction along the surface, got none at any vertex: give another direction, "
+                f"such as {ref('tangents', 'smooth')}"
+            )
         warn(
             f"{name}: no direction along the surface at {lacking} of {needed} vertices; they get the mean direction of "
             "their neighbours"
