@@ -65,7 +65,7 @@ SHARED = [
         "tangents",
         np.zeros_like(MESH.vertices),
         ValueError,
-        "got none at any vertex: give another direction, such as ta",
+        "got none at any vertex: give another direction",
     ),
     ("tangents", np.full_like(MESH.vertices, math.nan), ValueError, "tangents must be finite"),
 ]
