@@ -284,8 +284,8 @@ def fill(
     # Some faces still have no tangent at any corner, for example those perpendicular to all directions around them.
     is_zero = (field == 0.0).all(axis=0)
     if is_zero.any():
-        is_zero[faces[:, ~is_zero[faces].all(axis=0)]] = False
-        field[:, is_zero] = any_tangents(normals[:, is_zero])
+        corners = np.unique(faces[:, is_zero[faces].all(axis=0)])
+        field[:, corners] = any_tangents(normals[:, corners])
     return field
 
 
