@@ -212,7 +212,7 @@ def test_faces_perpendicular_to_the_axis_get_another_direction_with_a_warning():
 def test_a_face_whose_corners_all_lie_between_opposite_directions_gets_a_direction():
     # Each corner of the first face has two further neighbours, with opposite directions.
     middle = np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0]])
-    points = np.concatenate([middle, middle + (-1, -1, 0), middle + (-1, -2, 0)])
+    points = np.concatenate([middle, middle - [1, 1, 0], middle - [1, 2, 0]])
     body = trimesh.Trimesh(points, [[0, 1, 2], [0, 3, 6], [1, 4, 7], [2, 5, 8]], process=False)
     tangents = np.repeat([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], 3, axis=0)
     with pytest.warns(WarpdiffWarning, match="no direction along the surface at 3 of 9 vertices"):

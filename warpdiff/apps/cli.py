@@ -130,7 +130,7 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         text = message.removeprefix("argument ").replace(": must ", " must ", 1)
-        self.exit(2, f"{self.prog}: {text}. See {self.prog} --help\n")
+        self.exit(2, f"{self.prog}: {text}{'' if text.endswith('?') else '.'} See {self.prog} --help\n")
 
 
 class _Version(argparse.Action):

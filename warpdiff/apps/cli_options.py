@@ -39,6 +39,28 @@ def lengths(text: str) -> list[float]:
     return [number(part) for part in re.split(r"[x×,]", text)]
 
 
+def tangents(text: str) -> str | list[float]:
+    """Return the rule or the vector that ``--tangents`` has. Its Python option also accepts an array of vectors."""
+    if text in TANGENT_RULES:
+        return text
+    words = text.split()
+    if len(words) != 3 or not all(map(_is_number, words)):
+        raise argparse.ArgumentTypeError(
+            f"must be one of {', '.join(TANGENT_RULES)}, or three numbers X Y Z, got {text!r}"
+            f"{did_you_mean(text, TANGENT_RULES)}"
+        )
+    return [float(word) for word in words]
+
+
+def _is_number(text: str) -> bool:
+    """Return whether a word of the command line is a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
 _TYPES: dict[str, Callable[[str], Any]] = {
     "integer": integer, "integers": integer, "number": number, "numbers": number, "pair": lengths,
 }  # fmt: skip
@@ -119,7 +141,7 @@ class Flags:
 def _shape(option: Option) -> dict[str, Any]:
     """Return the arguments of ``add_argument`` of argparse for a flag: type, number and placeholder of its values."""
     if option.name == "tangents":
-        return {"type": str, "metavar": "RULE or X Y Z"}
+        return {"type": tangents, "metavar": "RULE or X Y Z"}
     kind = integer if isinstance((option.choices or [""])[0], int) else _TYPES.get(option.kind, str)
     placeholder: Any = _METAVARS.get(option.kind, "X")
     if option.kind not in ("numbers", "integers", "pair", "choices"):
@@ -168,8 +190,6 @@ def given(options: argparse.Namespace, described: Mapping[str, Option], prefix: 
         key = f"{prefix.replace('-', '_')}{option.name}"
         if key in values and key in options.stored:
             value = values[key]
-            if option.name == "tangents":
-                value = _tangents(value)
             if option.kind == "pair":
                 value = list(itertools.chain.from_iterable(value))
                 if len(value) > 2:
@@ -181,43 +201,26 @@ def given(options: argparse.Namespace, described: Mapping[str, Option], prefix: 
 
 
 def with_joined_tangents(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments of a command with the words of ``--tangents`` joined to one, such as ``--tangents=1 0 0``.
+    """Return the arguments with the words of ``--tangents`` joined to one after the command, as ``--tangents=1 0 0``.
 
-    The flag has one word for a rule, and all numbers that follow for a vector. Without this, argparse would take MESH
-    after the flag for one more of its words, and ``-1e-3`` for a flag.
+    The flag has one word for a rule, and all numbers that follow for a vector. Without this, argparse would use MESH
+    after the flag as one more of its words, and ``-1e-3`` as a flag. It would also not accept MESH after a flag if
+    MESH is optional.
     """
-    result: list[str] = []
+    others: list[str] = []
+    joined: list[str] = []
     rest = list(arguments)
     while rest:
-        result.append(rest.pop(0))
-        if result[-1] == "--tangents" and rest:
+        argument = rest.pop(0)
+        words = []
+        if argument == "--tangents":
             words = list(itertools.takewhile(_is_number, rest)) or [word for word in rest[:1] if word[:1] != "-"]
-            if words:
-                del rest[: len(words)]
-                result[-1] = f"--tangents={' '.join(words)}"
-    return result
-
-
-def _is_number(text: str) -> bool:
-    """Return whether a word of the command line is a number."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _tangents(text: str) -> str | list[float]:
-    """Return the rule or the vector that ``--tangents`` has. Its Python option also accepts an array of vectors."""
-    if text in TANGENT_RULES:
-        return text
-    words = text.split()
-    if len(words) != 3 or not all(map(_is_number, words)):
-        raise ArgumentValueError(
-            f"{ref('tangents')} must be one of {', '.join(TANGENT_RULES)}, or three numbers X Y Z, got "
-            f"{text!r}{did_you_mean(text, TANGENT_RULES)}"
-        )
-    return [float(word) for word in words]
+        if words:
+            joined.append(f"{argument}={' '.join(words)}")
+            del rest[: len(words)]
+        else:
+            others.append(argument)
+    return [*others[:1], *joined, *others[1:]]
 
 
 def word(name: str, value: str | None, words: Mapping[str, str]) -> str:
