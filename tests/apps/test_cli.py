@@ -16,10 +16,10 @@ from small_pictures import rough
 import warpdiff as wd
 from warpdiff import gratings
 from warpdiff.apps import cli, cli_inputs, cli_progress, demo
-from warpdiff.apps.cli_options import given
+from warpdiff.apps.cli_options import given, with_joined_tangents
 from warpdiff.core import disk_cache
 from warpdiff.core.options import describe
-from warpdiff.request.settings import SinglePictureSettings
+from warpdiff.request.settings import PictureSettings, SinglePictureSettings
 
 BRDF = "brdf --heightfield blazed -o x.png"
 SMALL = ["--tolerance", "0.1", "--sigma-um", "5"]
@@ -280,8 +280,38 @@ def test_a_mesh_without_texture_coordinates_is_rendered_with_directions_by_a_rul
     assert message in capsys.readouterr().err
     assert run(*words, "--tangents", "smooth") == 0
     assert wd.Image.load(output).xyz.max() > 0.0
-    assert run(*words, "--tangents", "smooth", "0") == 2
-    assert "--tangents must be one of x, y, z, around-x, " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "tangents"),
+    [("smooth", "smooth"), ("around-z", "around-z"), ("1 0 0", (1, 0, 0)), ("-1e-3 -0 -.5", (-1e-3, 0, -0.5))],
+)
+def test_a_mesh_after_the_words_of_tangents_is_the_mesh(words, tangents):
+    for line in (
+        "render --tangents {} ball.ply -o a.png --heightfield blazed",
+        "sequence -o a ball.ply --heightfield blazed --tangents {}", "export-html a.html --tangents {} ball.ply",
+    ):  # fmt: skip
+        arguments = with_joined_tangents(line.format(words).split())
+        options = cli._parser(arguments).parse_args(arguments)
+        assert options.mesh == "ball.ply"
+        assert given(options, describe(PictureSettings))["tangents"] == tangents
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("", "expected one argument"), ("1 0", "three numbers X Y Z, got '1 0'"),
+        ("1 0 0 0", "three numbers X Y Z, got '1 0 0 0'"), ("1,0,0", "got '1,0,0'"),
+        ("smoth", "got 'smoth'; did you mean 'smooth'?"), ("ball.ply", "must be one of x, y, z, around-x, "),
+    ],
+)  # fmt: skip
+def test_tangents_without_a_rule_or_three_numbers_are_refused_in_one_line(words, message, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        run("render --heightfield blazed", "--tangents", *words.split(), "-o", "a.png")
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("warpdiff render: --tangents")
+    assert line.endswith(" See warpdiff render --help")
+    assert message in line
 
 
 def test_omitted_options_have_the_defaults_of_the_library():

@@ -60,8 +60,13 @@ SHARED = [
     ("illuminant", "ISO 7589 Photographic Daylight", ValueError, "illuminant must cover 380 to 780 nm"),
     ("tangents", np.ones((3, 3)), ValueError, r"tangents must have shape \(\d+, 3\).* got \(3, 3\)"),
     ("tangents", "radial", ValueError, "tangents must be one of 'x', 'y', 'z', 'around-x'.*, got 'radial'"),
-    ("tangents", b"x", TypeError, "tangents must be an array of real numbers, got bytes"),
-    ("tangents", np.zeros_like(MESH.vertices), ValueError, "tangents must define a direction along the surface"),
+    ("tangents", b"x", TypeError, "tangents must be an array of real numbers, or one of 'x', .*, got bytes b'x'"),
+    (
+        "tangents",
+        np.zeros_like(MESH.vertices),
+        ValueError,
+        "got none at any vertex: give another direction",
+    ),
     ("tangents", np.full_like(MESH.vertices, math.nan), ValueError, "tangents must be finite"),
 ]
 

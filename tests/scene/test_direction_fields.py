@@ -1,6 +1,7 @@
 """Directions on meshes without texture coordinates: along and around axes, and smooth fields."""
 
 import os
+import time
 
 import numpy as np
 import pytest
@@ -208,6 +209,17 @@ def test_faces_perpendicular_to_the_axis_get_another_direction_with_a_warning():
     np.testing.assert_allclose(np.sum(surface.tangents * surface.normals, axis=1), 0.0, atol=1e-6)
 
 
+def test_a_face_whose_corners_all_lie_between_opposite_directions_gets_a_direction():
+    # Each corner of the first face has two further neighbours, with opposite directions.
+    middle = np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0]])
+    points = np.concatenate([middle, middle - [1, 1, 0], middle - [1, 2, 0]])
+    body = trimesh.Trimesh(points, [[0, 1, 2], [0, 3, 6], [1, 4, 7], [2, 5, 8]], process=False)
+    tangents = np.repeat([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], 3, axis=0)
+    with pytest.warns(WarpdiffWarning, match="no direction along the surface at 3 of 9 vertices"):
+        surface = prepare_surface(body, tangents=tangents)
+    np.testing.assert_allclose(np.linalg.norm(surface.tangents, axis=1), 1.0, atol=1e-6)
+
+
 def test_poles_of_a_rule_are_filled_without_a_warning(recwarn):
     ball = trimesh.creation.icosphere(subdivisions=2)
     surface = prepare_surface(ball, tangents="around-z")
@@ -221,6 +233,21 @@ def test_smooth_fields_of_separate_parts_do_not_depend_on_each_other():
     together = prepare_surface(trimesh.util.concatenate([one, other]), tangents="smooth").tangents
     alone = [prepare_surface(mesh, tangents="smooth").tangents for mesh in (one, other)]
     np.testing.assert_allclose(together, np.concatenate(alone), atol=2e-3)
+
+
+def test_many_small_parts_have_their_own_fields_within_seconds():
+    rng = np.random.default_rng(4)
+    kinds = [trimesh.Trimesh(rng.normal(size=(3, 3)), [[0, 1, 2]], process=False), plate(3), blob(1), blob(2)]
+    kinds = [kind.apply_scale(1.0 / kind.scale) for kind in kinds]
+    chosen = [*rng.integers(0, 3, 40), 3, *rng.integers(0, 2, 3000)]
+    places = 3.0 * np.stack([np.arange(len(chosen)) // 60, np.arange(len(chosen)) % 60, np.zeros(len(chosen))], axis=1)
+    parts = [kinds[kind].copy().apply_translation(place) for kind, place in zip(chosen, places, strict=True)]
+    start = time.process_time()
+    surface = prepare_surface(trimesh.util.concatenate(parts), tangents="smooth")
+    # The limit is about 20 times the time that was required, and a third of the time with a sparse matrix per part.
+    assert time.process_time() - start < 6.0
+    alone = [prepare_surface(kind, tangents="smooth").tangents for kind in kinds]
+    np.testing.assert_allclose(surface.tangents, np.concatenate([alone[kind] for kind in chosen]), atol=0.02)
 
 
 def test_both_sides_of_a_thin_sheet_have_a_field():

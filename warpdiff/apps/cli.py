@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import warpdiff as wd
 from warpdiff.apps import cli_commands, cli_inputs, cli_tables
-from warpdiff.apps.cli_options import CLEANING, COHERENCE_FLAGS, Flags, integer, number, word
+from warpdiff.apps.cli_options import CLEANING, COHERENCE_FLAGS, Flags, integer, number, with_joined_tangents, word
 from warpdiff.apps.cli_progress import CommandProgress
 from warpdiff.core.options import describe
 from warpdiff.core.wording import did_you_mean, spelled
@@ -33,8 +33,8 @@ _HEIGHT_FIELD_HELP = (
     "example fingers:size_um=25.6,seed=3; pairs are written as 2.0x1.0"
 )
 _MESH_HELP = (
-    f"mesh file with texture coordinates, or one of {', '.join(cli_inputs.BODIES)}, with parameters of "
-    "warpdiff.meshes, for example snake:tangent=along"
+    "mesh file, which requires --tangents if it has no texture coordinates, or one of "
+    f"{', '.join(cli_inputs.BODIES)}, with parameters of warpdiff.meshes, for example snake:tangent=along"
 )
 # Flag or operand of the command line that sets an argument of the library's Python functions. Error messages print the
 # flag or operand instead of the argument's name. Flags that ``cli_options.py`` generates from the options of a Python
@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Args:
         arguments: Arguments without the program's name; None is ``sys.argv[1:]``.
     """
-    arguments = sys.argv[1:] if arguments is None else arguments
+    arguments = with_joined_tangents(sys.argv[1:] if arguments is None else arguments)
     options, unknown = _parser(arguments).parse_known_args(arguments)
     options.progress = progress = CommandProgress(options.command)
 
@@ -130,7 +130,7 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         text = message.removeprefix("argument ").replace(": must ", " must ", 1)
-        self.exit(2, f"{self.prog}: {text}. See {self.prog} --help\n")
+        self.exit(2, f"{self.prog}: {text}{'' if text.endswith('?') else '.'} See {self.prog} --help\n")
 
 
 class _Version(argparse.Action):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import itertools
 import re
 from dataclasses import replace
@@ -14,7 +13,7 @@ from warpdiff.core.wording import ArgumentValueError, did_you_mean, ref
 from warpdiff.request.settings import TANGENT_RULES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from warpdiff.core.options import Option
 
@@ -38,6 +37,28 @@ def number(text: str) -> float:
 def lengths(text: str) -> list[float]:
     """Return the numbers of a text such as ``0.3x0.15``, ``0.3,0.15`` or ``0.3``."""
     return [number(part) for part in re.split(r"[x×,]", text)]
+
+
+def tangents(text: str) -> str | list[float]:
+    """Return the rule or the vector that ``--tangents`` has. Its Python option also accepts an array of vectors."""
+    if text in TANGENT_RULES:
+        return text
+    words = text.split()
+    if len(words) != 3 or not all(map(_is_number, words)):
+        raise argparse.ArgumentTypeError(
+            f"must be one of {', '.join(TANGENT_RULES)}, or three numbers X Y Z, got {text!r}"
+            f"{did_you_mean(text, TANGENT_RULES)}"
+        )
+    return [float(word) for word in words]
+
+
+def _is_number(text: str) -> bool:
+    """Return whether a word of the command line is a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 _TYPES: dict[str, Callable[[str], Any]] = {
@@ -120,7 +141,7 @@ class Flags:
 def _shape(option: Option) -> dict[str, Any]:
     """Return the arguments of ``add_argument`` of argparse for a flag: type, number and placeholder of its values."""
     if option.name == "tangents":
-        return {"type": str, "nargs": "+", "metavar": ("RULE or X", "Y Z")}
+        return {"type": tangents, "metavar": "RULE or X Y Z"}
     kind = integer if isinstance((option.choices or [""])[0], int) else _TYPES.get(option.kind, str)
     placeholder: Any = _METAVARS.get(option.kind, "X")
     if option.kind not in ("numbers", "integers", "pair", "choices"):
@@ -169,8 +190,6 @@ def given(options: argparse.Namespace, described: Mapping[str, Option], prefix: 
         key = f"{prefix.replace('-', '_')}{option.name}"
         if key in values and key in options.stored:
             value = values[key]
-            if option.name == "tangents":
-                value = _tangents(value)
             if option.kind == "pair":
                 value = list(itertools.chain.from_iterable(value))
                 if len(value) > 2:
@@ -181,19 +200,27 @@ def given(options: argparse.Namespace, described: Mapping[str, Option], prefix: 
     return result
 
 
-def _tangents(texts: list[str]) -> str | list[float]:
-    """Return the rule or the vector that ``--tangents`` has. Its Python option also accepts an array of vectors."""
-    if len(texts) == 1 and texts[0] in TANGENT_RULES:
-        return texts[0]
-    vector = []
-    with contextlib.suppress(ValueError):
-        vector = [float(text) for text in texts]
-    if len(vector) != 3:
-        raise ArgumentValueError(
-            f"{ref('tangents')} must be one of {', '.join(TANGENT_RULES)}, or three numbers X Y Z, got "
-            f"{' '.join(texts)!r}{did_you_mean(texts[0], TANGENT_RULES)}"
-        )
-    return vector
+def with_joined_tangents(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments with the words of ``--tangents`` joined to one after the command, as ``--tangents=1 0 0``.
+
+    The flag has one word for a rule, and all numbers that follow for a vector. Without this, argparse would use MESH
+    after the flag as one more of its words, and ``-1e-3`` as a flag. It would also not accept MESH after a flag if
+    MESH is optional.
+    """
+    others: list[str] = []
+    joined: list[str] = []
+    rest = list(arguments)
+    while rest:
+        argument = rest.pop(0)
+        words = []
+        if argument == "--tangents":
+            words = list(itertools.takewhile(_is_number, rest)) or [word for word in rest[:1] if word[:1] != "-"]
+        if words:
+            joined.append(f"{argument}={' '.join(words)}")
+            del rest[: len(words)]
+        else:
+            others.append(argument)
+    return [*others[:1], *joined, *others[1:]]
 
 
 def word(name: str, value: str | None, words: Mapping[str, str]) -> str:

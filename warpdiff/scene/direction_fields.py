@@ -11,6 +11,8 @@ from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.scene.mesh_geometry import FaceGeometry, compacted, dot, sum_at, tangential, unit
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
     from scipy.sparse import csr_array
 
@@ -36,6 +38,9 @@ _RANDOM, _MOST_ITERATIONS, _CONVERGED = 2, 40, 1e-4
 # Eigenvectors whose eigenvalues exceed the least one by at most this share count as equally smooth. Choice: those of a
 # sphere are equal, but those of its triangles differ by about this much.
 _EQUAL_SHARE = 0.02
+# Largest number of positions of a connected part whose matrix is dense, and largest number of elements of a batch of
+# such matrices. Choice: sparse matrices of small parts require 5 ms each, mainly for calls. A batch has 4 MB.
+_MOST_DENSE, _MOST_ELEMENTS = 64, 2**18
 # Values of an eigenvector below this share of the largest one have no direction. Limit: rounding.
 _LEAST_SIZE = 1e-13
 
@@ -173,8 +178,11 @@ class _Net:
         mass = sum_at(corners, np.broadcast_to(geometry.twice_area / 6.0, corners.shape), count)
         return cls(node, positions, of_nodes, first, second, mass, laplacian)
 
-    def components(self) -> list[NDArray[np.int64]]:
-        """Return the nodes of each connected component; raise an error if one of them is too large."""
+    def components(self) -> Iterator[NDArray[np.int64]]:
+        """Yield the nodes of connected components of equal size, shape (components, size).
+
+        Components of more than ``_MOST_DENSE`` nodes are separate. An error is raised first if one is too large.
+        """
         from scipy.sparse import csgraph
 
         _, component = csgraph.connected_components(abs(self.laplacian), directed=False)
@@ -184,10 +192,24 @@ class _Net:
                 f"{ref('tangents', 'smooth')} requires connected parts of at most {MOST_POSITIONS:,} positions, got "
                 f"{sizes.max():,}: use a mesh with fewer faces, or another rule, such as {ref('tangents', 'x')}"
             )
-        return np.split(np.argsort(component, kind="stable"), np.cumsum(sizes)[:-1])
+        order, start = np.lexsort((component, sizes[component])), 0
+        for size, count in zip(*np.unique(sizes, return_counts=True), strict=True):
+            group = order[start : start + size * count].reshape(count, size)
+            step = max(1, _MOST_ELEMENTS // size**2) if size <= _MOST_DENSE else 1
+            yield from (group[first : first + step] for first in range(0, count, step))
+            start += size * count
+
+    def matrices(self, nodes: NDArray[np.int64]) -> NDArray[np.complex128]:
+        """Return the connection Laplacians of components of k nodes as dense matrices, shape (components, k, k)."""
+        result = np.zeros((*nodes.shape, nodes.shape[1]), np.complex128)
+        local = np.zeros(len(self.mass), np.int64)
+        local[nodes] = np.arange(nodes.shape[1])
+        rows = self.laplacian[nodes.ravel()].tocoo()
+        result.reshape(-1, nodes.shape[1])[rows.coords[0], local[rows.coords[1]]] = rows.data
+        return result
 
     def candidates(self, nodes: NDArray[np.int64]) -> NDArray[np.complex128]:
-        """Return unit fields along the three axes and around them at some nodes, shape (len(nodes), 6).
+        """Return unit fields along the three axes and around them at the nodes of components, shape (…, 6).
 
         Bodies of revolution, plates and other symmetric bodies have one of them as their smooth field.
         """
@@ -196,39 +218,53 @@ class _Net:
             self.mass[nodes],
             self.normals.take(nodes, axis=1),
         )
-        arms = positions - (positions @ mass / mass.sum())[:, None]
+        arms = positions - np.sum(positions * mass, axis=-1, keepdims=True) / mass.sum(axis=-1, keepdims=True)
         axes = np.eye(3)
-        fields = [np.tile(axis[:, None], len(nodes)) for axis in axes]
+        fields = [np.broadcast_to(axis[:, None, None], arms.shape) for axis in axes]
         fields += [np.cross(axis, arms, axisb=0, axisc=0) for axis in axes]
         units = [unit(tangential(field, normals)) for field in fields]
         first, second = self.first.take(nodes, axis=1), self.second.take(nodes, axis=1)
-        return np.stack([dot(field, first) + 1j * dot(field, second) for field in units], axis=1)
+        return np.stack([dot(field, first) + 1j * dot(field, second) for field in units], axis=-1)
 
 
 def _smoothest(net: _Net, nodes: NDArray[np.int64]) -> NDArray[np.complex128]:
-    """Return the smoothest field on one connected component, unit complex numbers at its nodes.
+    """Return the smoothest fields on connected components of equal size, unit complex numbers at their nodes.
 
     If several eigenvectors are equally smooth, which they always are by a common rotation, the field is that
     combination of them which is nearest to a candidate field. Candidates are ordered by preference. One is accepted if
     it has at least half of the largest share in these eigenvectors that any candidate has.
+
+    Args:
+        net: Net of the mesh.
+        nodes: Nodes of the components, shape (components, size).
     """
-    mass = net.mass[nodes] / net.mass[nodes].sum()
-    root = np.sqrt(np.maximum(mass, _LEAST_MASS / len(nodes)))
-    candidates = root[:, None] * net.candidates(nodes)
-    eigenvectors = _least_eigenvectors(net.laplacian[nodes][:, nodes], root, candidates)
-    parts = eigenvectors.conj().T @ candidates
-    shares = np.sum(np.abs(parts) ** 2, axis=0)
-    chosen = parts[:, np.argmax(shares >= 0.5 * shares.max())] if shares.max() > 0.0 else np.eye(len(parts))[0]
-    field = eigenvectors @ chosen
+    mass, size = net.mass[nodes], nodes.shape[1]
+    root = np.sqrt(np.maximum(mass / mass.sum(axis=1, keepdims=True), _LEAST_MASS / size))
+    candidates = root[..., None] * net.candidates(nodes)
+    if size <= _MOST_DENSE:
+        eigenvalues, eigenvectors = np.linalg.eigh(net.matrices(nodes) / (root[..., None] * root[:, None]))
+    else:
+        (one,) = nodes
+        results = _least_eigenvectors(net.laplacian[one][:, one], root[0], candidates[0])
+        eigenvalues, eigenvectors = (result[None] for result in results)
+    is_least = eigenvalues <= (1.0 + _EQUAL_SHARE) * eigenvalues[:, :1] + _SHIFT
+    eigenvectors = eigenvectors * is_least[:, None]
+    parts = eigenvectors.conj().swapaxes(1, 2) @ candidates
+    shares = np.sum(np.abs(parts) ** 2, axis=1)
+    largest = shares.max(axis=1, keepdims=True)
+    chosen = np.take_along_axis(parts, np.argmax(shares >= 0.5 * largest, axis=1)[:, None, None], axis=2)
+    # Without any candidate, the field is the first eigenvector.
+    chosen[:, 0] += largest == 0.0
+    field = (eigenvectors @ chosen)[..., 0]
     sizes = np.abs(field)
-    is_zero = sizes <= _LEAST_SIZE * sizes.max()
+    is_zero = sizes <= _LEAST_SIZE * sizes.max(axis=1, keepdims=True)
     return np.asarray(np.where(is_zero, 0.0, field / np.where(is_zero, 1.0, sizes)))
 
 
 def _least_eigenvectors(
     laplacian: csr_array, root: NDArray[np.float64], start: NDArray[np.complex128]
-) -> NDArray[np.complex128]:
-    """Return the eigenvectors of the least eigenvalue, by inverse iteration of a subspace (Rayleigh and Ritz).
+) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
+    """Return the least eigenvalues and their eigenvectors, by inverse iteration of a subspace (Rayleigh and Ritz).
 
     Args:
         laplacian: Connection Laplacian of one connected component, shape (k, k).
@@ -236,7 +272,8 @@ def _least_eigenvectors(
         start: First columns of the start of the iteration, shape (k, columns).
 
     Returns:
-        Orthonormal columns, shape (k, columns); a field is a column divided by ``root``.
+        Eigenvalues in ascending order, shape (columns,), and orthonormal columns, shape (k, columns). A field is a
+        column divided by ``root``.
     """
     from scipy.sparse import diags_array, eye_array
     from scipy.sparse.linalg import splu
@@ -254,7 +291,7 @@ def _least_eigenvectors(
         block, last, least = block @ rotation, least, eigenvalues[0]
         if last - least <= _CONVERGED * least + _SHIFT:
             break
-    return np.asarray(block[:, eigenvalues <= (1.0 + _EQUAL_SHARE) * least + _SHIFT])
+    return eigenvalues, block
 
 
 def _planes(normals: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

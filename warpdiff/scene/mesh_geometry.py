@@ -12,7 +12,7 @@ import numpy as np
 
 from warpdiff.core import forks
 from warpdiff.core.warnings import warn
-from warpdiff.core.wording import ArgumentValueError
+from warpdiff.core.wording import ArgumentValueError, ref
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -257,7 +257,10 @@ def fill(
     lacking, needed = int(np.count_nonzero(counted)), int(np.count_nonzero(is_needed))
     if lacking:
         if lacking == needed:
-            raise ArgumentValueError(f"{name} must define a direction along the surface, got none at any vertex")
+            raise ArgumentValueError(
+                f"{name} must define a direction along the surface, got none at any vertex: give another direction, "
+                f"such as {ref('tangents', 'smooth')}"
+            )
         warn(
             f"{name}: no direction along the surface at {lacking} of {needed} vertices; they get the mean direction of "
             "their neighbours"
@@ -281,8 +284,8 @@ def fill(
     # Some faces still have no tangent at any corner, for example those perpendicular to all directions around them.
     is_zero = (field == 0.0).all(axis=0)
     if is_zero.any():
-        is_zero[faces[:, ~is_zero[faces].all(axis=0)]] = False
-        field[:, is_zero] = any_tangents(normals[:, is_zero])
+        corners = np.unique(faces[:, is_zero[faces].all(axis=0)])
+        field[:, corners] = any_tangents(normals[:, corners])
     return field
 
 

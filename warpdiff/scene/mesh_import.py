@@ -15,7 +15,7 @@ import numpy as np
 from warpdiff.core import forks, validation
 from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.warnings import warn
-from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.request.settings import TANGENT_RULES, TangentRule, check_tangents
 from warpdiff.scene.direction_fields import Body, direction_field
 from warpdiff.scene.material_factors import factors_of, warn_of_hidden_emission
@@ -74,7 +74,8 @@ class Surface:
         vertices: Positions in the unit sphere, (world − ``centre``) / ``radius``, shape (n, 3), float32.
         faces: Vertex indices, counter-clockwise as viewed from the front, shape (m, 3), int32.
         normals: Unit vertex normals, shape (n, 3), float32; zero where no direction is defined.
-        tangents: Unit vectors along the height field's x axis, perpendicular to the normals, shape (n, 3), float32.
+        tangents: Unit vectors along the height field's x axis, perpendicular to the normals, shape (n, 3), float32;
+            zero at a vertex between opposite directions (a pole), but not at all corners of a face.
         handedness: −1 where the texture mapping is mirrored, else 1, shape (n,), float32; equal for all vertices of a
             face.
         uvs: Texture coordinates, v upwards, shape (n, 2), float32; zero where undefined.
@@ -418,7 +419,13 @@ def _checked_field(tangents: TangentRule | ArrayLike | None) -> Any:
     """Return ``tangents`` as a rule, a float64 array or None."""
     if tangents is None or isinstance(tangents, str):
         return check_tangents(tangents)
-    return validation.finite_array(tangents, "tangents")
+    try:
+        return validation.finite_array(tangents, "tangents")
+    except ArgumentTypeError:
+        raise ArgumentTypeError(
+            f"{ref('tangents')} must be an array of real numbers, or one of {', '.join(map(repr, TANGENT_RULES))}, got "
+            f"{validation.described(tangents)}"
+        ) from None
 
 
 def _check_tangents(part: SceneArrays, tangents: Any, is_plain: NDArray[np.bool_]) -> None:
