@@ -119,6 +119,20 @@ def hemisphere(rng: np.random.Generator, count: int, lowest: float = 0.05) -> np
     return np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
 
 
+def launch(kernel, dim, inputs=(), outputs=(), *, device="cpu") -> None:
+    """Launch a kernel, which the threads of the library compile.
+
+    Each thread that compiles first reads Warp's headers, which takes 1 to 2 s of processor time. Without this function,
+    the main thread would be one more such thread.
+    """
+    import warp as wp
+
+    from warpdiff.device import devices
+
+    devices.load_now([kernel], devices.resolve_device(device))
+    wp.launch(kernel, dim, inputs, outputs, device=device)
+
+
 def write_image(path: Path, pixels: np.ndarray) -> None:
     """Write pixels (height, width, channels) to an image file with the same number type."""
     import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from conftest import relative_errors, slow
+from conftest import launch, relative_errors, slow
 
 import warpdiff as wd
 from bench.truth.sky_sums import SkySums
@@ -75,7 +75,7 @@ def drawn_towards(diameter, *, normal, view, lobe):
     towards = wp.zeros(count, dtype=wp.vec4f, device="cpu")
     tiles = wp.array([5], dtype=wp.int32, device="cpu")
     inputs = [lights, 0, 0.0, lobe, pixels, tiles, 16, 64, 0, 1, 0, count]
-    wp.launch(draw_disc, (1, 1), inputs, [towards], device="cpu")
+    launch(draw_disc, (1, 1), inputs, [towards], device="cpu")
     return towards.numpy()
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from conftest import slow
+from conftest import launch, slow
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
 
@@ -368,11 +368,11 @@ def test_the_luminance_floor_is_0_001_of_the_99th_percentile(count, octaves, rng
     flags = wp.array(illuminated, dtype=wp.bool, device="cpu")
     tallies = wp.zeros(tile_lists.GROUPS * (1 + tile_lists.BINS), dtype=wp.int32, device="cpu")
     floor = wp.empty(1, dtype=wp.float32, device="cpu")
-    wp.launch(
+    launch(
         tile_lists.luminance_histogram, dim=1, inputs=[colours, flags, 0, len(illuminated)], outputs=[tallies],
         device="cpu",
     )  # fmt: skip
-    wp.launch(tile_lists.luminance_floor, dim=1, inputs=[tallies], outputs=[floor], device="cpu")
+    launch(tile_lists.luminance_floor, dim=1, inputs=[tallies], outputs=[floor], device="cpu")
     bright = np.sort(luminance[illuminated])
     # The 99th percentile is the value that one per cent of the illuminated pixels, rounded down, exceed.
     expected = 1e-3 * bright[-1 - count // 100] if count else 0.0

@@ -6,7 +6,7 @@ import itertools
 import numpy as np
 import pytest
 import warp as wp
-from conftest import hemisphere, relative_errors, slow
+from conftest import hemisphere, launch, relative_errors, slow
 
 import warpdiff as wd
 from bench.truth import reference
@@ -107,7 +107,7 @@ def test_azimuth_samples_are_sums_of_gaussians_projected_on_splines(powers, coun
         table, wp.array(at_kappas, dtype=sampler.row, device="cpu"), rays, nodes, log_low, divisions, highest, excluded,
         0, 0,
     ]  # fmt: skip
-    wp.launch(sampler.resample, dim=rays, inputs=inputs, outputs=[values], device="cpu")
+    launch(sampler.resample, dim=rays, inputs=inputs, outputs=[values], device="cpu")
 
     coefficients = rows.reshape(-1, parts, lanes).astype(float)
     if powers:
@@ -169,7 +169,7 @@ def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_si
         wp.array(weights, dtype=wp.vec3f, device="cpu"), terms, nodes, 0, length,
         wp.empty(rays[1] * length, dtype=row_t, device="cpu"), 0, groups,
     ]  # fmt: skip
-    wp.launch(projector.project, dim=1, inputs=inputs, outputs=[colours], device="cpu")
+    launch(projector.project, dim=1, inputs=inputs, outputs=[colours], device="cpu")
 
     own, following, further = (
         rows[start : start + count * nodes].reshape(count, nodes, lanes).astype(float)
