@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -70,6 +71,27 @@ def device(request) -> str:
         if not wp.is_cuda_available():
             pytest.skip("no CUDA device on this machine")
     return request.param
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Import the tests without garbage collection, and exempt all objects of the imports from later collections.
+
+    A collection visits 400,000 objects of Warp, of other packages and of the tests, which takes 0.24 s of processor
+    time. The import of the tests causes 16 of them.
+    """
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.collect()
+        gc.freeze()
+        gc.enable()
+
+
+def pytest_unconfigure():
+    """Let the exit of the interpreter free all objects: OpenImageIO's binding would report them as leaks."""
+    gc.unfreeze()
 
 
 @pytest.hookimpl(trylast=True)
