@@ -241,7 +241,8 @@ def test_pixels_that_face_away_from_the_light_may_contain_shadowed_cells_that_fa
     view = wd.View(tuple(eye), tuple(eye + along), fov_y_deg=0.148, width=4, height=4)
     options = {"coherence": wd.Coherence(sigma_um=3.25), "tolerance": 0.1, "pigment": 0.0, "strict": False}
     many = wd.View(tuple(eye), tuple(eye + along), fov_y_deg=0.148, width=96, height=96)
-    points = wd.shade(meshes.snake(), heightfield, light, many, footprint=False, **options)
+    snake = meshes.snake()
+    points = wd.shade(snake, heightfield, light, many, footprint=False, **options)
     assert points.mask.sum() > 1000
     assert not points.illuminated.any()
-    assert not wd.shade(meshes.snake(), heightfield, light, view, refine=False, **options).illuminated.any()
+    assert not wd.shade(snake, heightfield, light, view, refine=False, **options).illuminated.any()

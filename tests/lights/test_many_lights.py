@@ -10,7 +10,7 @@ from warpdiff.render import picture_inputs
 from warpdiff.scene import occluder_grid
 
 TOLERANCE = 0.1
-VIEW = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=48, height=36)
+VIEW = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=40, height=30)
 
 
 def hemisphere(count, illuminant="D65"):
