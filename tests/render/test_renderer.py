@@ -103,7 +103,7 @@ def test_pictures_equal_those_of_shade(tube, fingers, plans, name, count, option
         np.testing.assert_array_equal(xyz.numpy(), expected.xyz)
 
 
-@pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "four rays with footprints"])
+@pytest.mark.parametrize("name", [slow("footprints"), "footprints and two lights", "four rays with footprints"])
 def test_previews_equal_pictures_of_their_tolerances_and_the_last_picture_is_unchanged(tube, fingers, plans, name):
     of, count, options = CASES[name]
     drawn = wd.Renderer(tube, fingers, LIGHTS[:count], view(), plan=plans[of], **options)
@@ -236,7 +236,7 @@ def test_pictures_without_refinement_have_no_previews(tube, fingers, plans):
     same(drawn.image(), before)
 
 
-@pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points", slow("source")])
+@pytest.mark.parametrize("name", [slow("footprints"), "footprints and two lights", "points", slow("source")])
 def test_pictures_contain_no_remains_of_earlier_views(tube, fingers, plans, name):
     """Pictures with very different views follow each other, and each must equal a picture by a new renderer.
 
