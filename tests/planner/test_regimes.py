@@ -58,7 +58,8 @@ def line():
 
 @pytest.mark.parametrize(
     ("kind", "sigma"),
-    [("averaged", 1.0), ("averaged", 20.0), ("averaged", 400.0), ("centred", 1.0), ("centred", 20.0), slow("centred", 400.0)],
+    [("averaged", 1.0), ("averaged", 20.0), ("averaged", 400.0), ("centred", 1.0), ("centred", 20.0),
+     slow("centred", 400.0)],
 )  # fmt: skip
 def test_automatic_plans_meet_the_tolerance_for_all_windows(line, kind, sigma):
     assert Case(line, methods.in_plane(32, 1.8), wd.Coherence(kind, sigma)).automatic <= TOLERANCE
