@@ -110,7 +110,7 @@ def test_a_smaller_delta_e_needs_more_bytes(fingers, lobes):
 
 def test_lobes_of_a_source_are_baked_for_normal_incidence():
     bumps = wd.gratings.bumps(height_um=0.1, width_um=0.4, length_um=0.6, spacing_um=(1.0, 0.75))
-    sun = wd.Coherence("source", angular_diameter_deg=20.0)
+    sun = wd.Coherence("source", angular_diameter_deg=12.0)
     baked = wd.bake(bumps, coherence=sun, delta_e=10.0)
     views = hemisphere(np.random.default_rng(7), 150)
     above = np.array([0.0, 0.0, 1.0])

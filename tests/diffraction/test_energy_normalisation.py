@@ -40,7 +40,7 @@ def test_under_an_even_sky_a_perfect_mirror_is_as_bright_as_the_sky():
     """A perfect mirror in a uniform environment (white furnace) must be as bright as the environment."""
     off, heightfield = [], SURFACES["blazed"]()
     for energy in ("stam", "normalised"):
-        image, radius = furnace_picture(heightfield, energy, tolerance=1e-1, size=14)
+        image, radius = furnace_picture(heightfield, energy, tolerance=1e-1, size=20)
         off.append(np.sqrt(np.mean((image.xyz[radius < 0.85, 1] - 1.0) ** 2)))
     assert off[1] < 0.08
     assert off[1] < 0.7 * off[0]

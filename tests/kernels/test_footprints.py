@@ -36,7 +36,7 @@ def tube():
 
 
 def view():
-    return wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=18.0, width=64, height=48)
+    return wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=96, height=72)
 
 
 @pytest.fixture(scope="module")

@@ -228,7 +228,7 @@ def test_progress_increases_to_the_end_once(fingers, plan, rng):
 
 def test_pictures_of_sources_have_footprints(fingers):
     tube = meshes.tube(segments_along=64, segments_around=48)
-    view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=18.0, width=48, height=36)
+    view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=72, height=54)
     image = wd.shade(tube, fingers, LIGHT, view, coherence=SOURCE, tolerance=0.2)
     assert image.plan.footprint
     points = dataclasses.replace(image.plan, footprint=False)
