@@ -133,6 +133,6 @@ def test_a_series_that_fails_is_refused_or_reported(surfaces, method, height):
             call(*arguments, coherence=WINDOW, method=method)
         with pytest.warns(wd.WarpdiffWarning, match=r"Taylor series cannot meet.*height range") as caught:
             values = call(*arguments, coherence=WINDOW, method=method, strict=False)
-        assert sum("scalar diffraction" not in str(one.message) for one in caught) == 1, [str(one) for one in caught]
+        assert sum("scalar diffraction" not in str(one.message) for one in caught) == 1
         assert np.isfinite(values).all()
         assert values.min() >= 0.0
