@@ -43,3 +43,9 @@ def draw_roughly(monkeypatch):
     for name in ("shade", "Renderer"):
         monkeypatch.setattr(wd, name, rough(getattr(wd, name), tolerance=0.3, coherence=window))
     monkeypatch.setattr(wd, "bake", rough(wd.bake, delta_e=20.0, coherence=window))
+
+
+def draw_reports_roughly(monkeypatch):
+    """Give the pictures of reports few pixels. Their numbers and tables do not change."""
+    monkeypatch.setattr("warpdiff.apps.report.report_data._MAP_PIXELS", 24)
+    monkeypatch.setattr("warpdiff.apps.report.report_figures._DPI", 30)

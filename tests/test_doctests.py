@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from small_pictures import draw_reports_roughly
 
 import warpdiff as wd
 
@@ -61,6 +62,7 @@ def test_public_name_has_an_example(name):
 def test_examples_run(name, tmp_path, monkeypatch):
     """Run the examples of a name and of its methods in a temporary folder, and compare the printed output."""
     monkeypatch.chdir(tmp_path)
+    draw_reports_roughly(monkeypatch)
     runner = doctest.DocTestRunner(optionflags=OPTIONS, verbose=False)
     report: list[str] = []
     # NumPy must print numbers in its default format, which packages that other tests have imported may have changed.

@@ -21,7 +21,8 @@ import warp as wp
 from scipy.special import ndtr, ndtri
 
 import warpdiff as wd
-from warpdiff.device.devices import resolve_device
+from warpdiff.device.devices import load_now, resolve_device
+from warpdiff.kernels import compile_options
 from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import colour_science
 from warpdiff.scene.camera_rays import rays_for
@@ -45,7 +46,8 @@ _DIRECTIONS = 1 << 17
 _FAR = 4.0
 
 
-@wp.kernel(module="unique", enable_backward=False)
+# With other compile options than those of the package, Warp would precompile its own C++ headers once more, for 2 s.
+@wp.kernel(module="unique", module_options=compile_options.options())
 def _find_occluded(
     mesh: wp.uint64, origins: wp.array(dtype=wp.vec3f), towards: wp.array(dtype=wp.vec3f), far: wp.float32,
     occluded: wp.array(dtype=wp.bool),
@@ -209,6 +211,7 @@ class SkySums:
             return np.zeros(len(origins), dtype=np.bool_)
         arrays = [wp.array(values, dtype=wp.vec3f, device=self._device) for values in (origins, towards)]
         occluded = wp.empty(len(origins), dtype=wp.bool, device=self._device)
+        load_now([_find_occluded], self._device)
         wp.launch(_find_occluded, len(origins), [self._mesh.id, *arrays, _FAR], [occluded], device=self._device)
         return np.asarray(occluded.numpy())
 

@@ -11,7 +11,7 @@ import numpy as np
 
 import warpdiff as wd
 
-depths_um, duties = np.linspace(0.02, 0.4, 20), np.linspace(0.1, 0.9, 17)
+depths_um, duties = np.linspace(0.02, 0.4, 15), np.linspace(0.1, 0.9, 13)
 first_order = np.zeros((len(duties), len(depths_um)))
 for j, duty in enumerate(duties):
     for i, depth_um in enumerate(depths_um):

@@ -493,9 +493,11 @@ def test_warnings_are_one_line(tmp_path, monkeypatch, capsys):
 TINY = pytest.mark.filterwarnings("ignore:.*expected to err by more")
 
 
-def small_fingers(fingers, *, size_um, pitch_um):
-    """Return fingers on a patch with a sixth of the requested side, as a fast replacement of ``gratings.fingers``."""
-    return fingers(size_um=size_um / 6.0, pitch_um=pitch_um)
+def small_gratings(monkeypatch):
+    """Make the gratings of the demonstration small: fingers with a sixth of the side, and a disc with few tracks."""
+    fingers = functools.partial(gratings.fingers, size_um=64.0 / 6.0, pitch_um=0.08)
+    monkeypatch.setattr(gratings, "fingers", lambda **_: fingers())
+    monkeypatch.setattr(gratings, "disc", rough(gratings.disc, tracks=6, length_um=12.5))
 
 
 def draw_roughly(monkeypatch, *names):
@@ -509,7 +511,7 @@ def test_without_the_data_the_demonstration_draws_synthetic_gratings(tmp_path, m
     empty = tmp_path / "data"
     empty.mkdir()
     # A smaller grating, a shorter window and a larger tolerance make the demonstration several seconds faster.
-    monkeypatch.setattr(gratings, "fingers", functools.partial(small_fingers, gratings.fingers))
+    small_gratings(monkeypatch)
     draw_roughly(monkeypatch, "shade", "reflectance_map")
     lines: list[str] = []
     written = demo.run(tmp_path / "pictures", data=empty, scale=0.03, say=lines.append)
@@ -530,6 +532,7 @@ def test_without_the_data_the_demonstration_draws_synthetic_gratings(tmp_path, m
 def test_with_the_data_the_demonstration_draws_the_scan(name, crop_um, fuze_path, scan_path, monkeypatch):
     assert scan_path.is_file()
     cleaned = demo.cleaned_scan
+    small_gratings(monkeypatch)
     draw_roughly(monkeypatch, "shade")
     monkeypatch.setattr(demo, "cleaned_scan", lambda path: cleaned(path).cropped(crop_um))
     (made,) = (each for each in demo.pictures(fuze_path.parent, scale=0.03) if each.name == name)
@@ -538,7 +541,8 @@ def test_with_the_data_the_demonstration_draws_the_scan(name, crop_um, fuze_path
 
 def test_python_m_warpdiff_runs_the_command_line(tmp_path):
     done = subprocess.run(
-        [sys.executable, "-m", "warpdiff", "brdf", "--heightfield", "blazed", *SMALL, "--size", "4", "-o", "map.exr"],
+        [sys.executable, "-m", "warpdiff", "brdf", "--heightfield", "blazed", "--sigma-um", "1", "--method", "direct",
+         "--size", "4", "-o", "map.exr"],
         cwd=tmp_path, capture_output=True, text=True, check=False, env=os.environ | {"PYTHONIOENCODING": "utf-8"},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

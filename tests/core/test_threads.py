@@ -210,7 +210,7 @@ def test_large_matrices_are_processed_by_one_thread(what, rng):
     tube = wd.meshes.tube(segments_along=300, segments_around=300)
     ones = np.ones((300, 400), np.float32)
     xyz = rng.random((*ones.shape, 3), np.float32)
-    plan = wd.plan(wd.HeightField(np.zeros((4, 4)), 0.05))
+    plan = wd.plan(wd.HeightField(np.zeros((4, 4)), 0.05), method="direct")
     image = wd.Image(xyz=xyz, mask=ones > 0, illuminated=ones > 0, coverage=ones, error=ones, plan=plan)
 
     def moved():

@@ -121,13 +121,13 @@ def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
 @pytest.fixture(scope="module")
 def scan_crops(scan):
     """Return two crops of the scan: a large one for windows, a small one for sources and replicas, which are slow."""
-    return scan.cropped(12.5), scan.cropped(6.25)
+    return scan.cropped(9.0), scan.cropped(6.25)
 
 
 @pytest.fixture(scope="module")
 def fingers():
     """Return two patches of fingers: a large one for windows, and a small one for sources and replicas."""
-    return tuple(wd.gratings.fingers(size_um=size, seed=1) for size in (12.8, 6.4))
+    return tuple(wd.gratings.fingers(size_um=size, seed=1) for size in (8.0, 6.4))
 
 
 @pytest.fixture(scope="module")
@@ -180,7 +180,7 @@ def test_kernel_equals_direct_sum_for_moved_windows(rng):
 # Coherence model, patch size in µm and number of directions. Patches and numbers are small, because direct sums over
 # narrow orders require thousands of wavelengths. A source near the horizon requires most.
 COLOURED = {
-    "averaged": (wd.Coherence("averaged", 5.0), 6.4, 10),
+    "averaged": (wd.Coherence("averaged", 5.0), 4.5, 10),
     "centred": (wd.Coherence("centred", 5.0), 6.4, 16),
     "source": (wd.Coherence("source", angular_diameter_deg=3.0), (3.06, 1.8), 8),
     "replicas": (wd.Coherence("replicas", periods=(2, 3)), (3.06, 1.8), 14),

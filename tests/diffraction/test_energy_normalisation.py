@@ -13,7 +13,7 @@ from warpdiff.diffraction import energy_normalisation
 WINDOW = wd.Coherence(sigma_um=8.0)
 MIRROR = {"coherence": WINDOW, "ior": math.inf, "masking": False}
 SURFACES = {
-    "fingers": lambda: wd.gratings.fingers(size_um=6.4, pitch_um=0.08),
+    "fingers": lambda: wd.gratings.fingers(size_um=3.2, pitch_um=0.08),
     "blazed": lambda: wd.gratings.blazed(2.5, 0.25),
 }
 

@@ -7,7 +7,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from PIL import Image
-from small_pictures import draw_roughly, rough
+from small_pictures import draw_reports_roughly, draw_roughly, rough
 
 import warpdiff as wd
 
@@ -30,6 +30,7 @@ def _small(monkeypatch, request):
     monkeypatch.setattr(wd.meshes, "snake", rough(wd.meshes.snake, scale_rows=9, ventrals=20, segments=2))
     monkeypatch.setattr(wd, "report", rough(wd.report, sigmas_um=[1.5], tolerance=0.5, wavelengths_nm=550.0))
     draw_roughly(monkeypatch)
+    draw_reports_roughly(monkeypatch)
 
 
 @pytest.mark.usefixtures("_small")

@@ -2,13 +2,13 @@
 
 import numpy as np
 import warp as wp
-from conftest import hemisphere, noise
+from conftest import hemisphere, launch, noise
 
 import warpdiff as wd
-from warpdiff.kernels import coefficient_sum
+from warpdiff.kernels import coefficient_sum, compile_options
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module="unique", module_options=compile_options.options())
 def reflectances_of(
     quadrature: coefficient_sum.Quadrature, scattering_vectors: wp.array(dtype=wp.vec3d),
     wavenumbers: wp.array(dtype=wp.float64), result: wp.array(dtype=wp.float32),
@@ -17,7 +17,7 @@ def reflectances_of(
     result[i] = coefficient_sum.reflectance_of(quadrature, scattering_vectors[i], wavenumbers[i])
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module="unique", module_options=compile_options.options())
 def factors_of(
     positions: wp.array(dtype=wp.float64), periods: wp.array(dtype=wp.float64), result: wp.array(dtype=wp.float32)
 ):
@@ -32,7 +32,7 @@ def test_interference_of_periods_has_its_closed_form_at_and_near_resonance(rng):
     positions = rng.integers(-20, 20, 300) + turns / periods
     inputs = [wp.array(values, dtype=wp.float64, device="cpu") for values in (positions, periods)]
     result = wp.zeros(300, dtype=wp.float32, device="cpu")
-    wp.launch(factors_of, 300, inputs, [result], device="cpu")
+    launch(factors_of, 300, inputs, [result], device="cpu")
     turns[0] = 1e-9
     expected = (np.sin(np.pi * turns) / (periods * np.sin(np.pi * turns / periods))) ** 2
     np.testing.assert_allclose(result.numpy(), expected, rtol=1e-5, atol=1e-6)
@@ -57,7 +57,7 @@ def test_reflectances_of_a_material_are_bilinear(rng):
     places = (
         wp.array(vectors, dtype=wp.vec3d, device="cpu"), wp.array(1e3 / nanometres, dtype=wp.float64, device="cpu"),
     )  # fmt: skip
-    wp.launch(reflectances_of, 60, [quadrature, *places], [result], device="cpu")
+    launch(reflectances_of, 60, [quadrature, *places], [result], device="cpu")
     np.testing.assert_allclose(result.numpy(), reflectance(4.0 * cosines, nanometres - 380.0), rtol=1e-5)
 
 

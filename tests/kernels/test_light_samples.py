@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 import warp as wp
-from conftest import hemisphere
+from conftest import hemisphere, launch
 
-from warpdiff.kernels import light_samples, thresholds
+from warpdiff.kernels import compile_options, light_samples, thresholds
 from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
 COUNT = 100
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module="unique", module_options=compile_options.options())
 def interpolated(
     reflection: light_samples.Reflection, directions: wp.array(dtype=wp.vec3f),
     energy_out: wp.array(dtype=wp.float32), transmittance_out: wp.array(dtype=wp.vec3f),
@@ -39,7 +39,7 @@ def test_factors_are_linear_between_angles(rng):
     energies = np.stack([np.full_like(energy, np.nan), energy])
     reflection.energy, reflection.transmittances = array(energies, wp.float32), array(transmittances, wp.vec3f)
     energy_factors, through = array(np.zeros(COUNT), wp.float32), array(np.zeros((COUNT, 3)), wp.vec3f)
-    wp.launch(interpolated, COUNT, [reflection, array(directions, wp.vec3f)], [energy_factors, through], device="cpu")
+    launch(interpolated, COUNT, [reflection, array(directions, wp.vec3f)], [energy_factors, through], device="cpu")
     x, y, z = directions.T
     rows = 4.0 * np.sqrt((1.0 - z) / (1.0 - thresholds.LOWEST))
     share = y / (np.abs(x) + np.abs(y))
@@ -64,7 +64,7 @@ def test_the_extent_of_a_light_adds_its_covariance_to_footprints(rng):
     footprints = rng.normal(size=(COUNT, 4))
     result = array(footprints, Footprint)
     inputs = [lights, 1, array([], wp.vec4f), 0.0, pixels, 0, COUNT // 2]
-    wp.launch(light_samples.add_light_extent, (2, 1), inputs, [result], device="cpu")
+    launch(light_samples.add_light_extent, (2, 1), inputs, [result], device="cpu")
 
     def covariances(values):
         changes = values.reshape(-1, 2, 2)
@@ -112,7 +112,7 @@ def test_the_rotation_of_a_near_light_equals_differences_between_neighbouring_ra
     pixels.tangent, pixels.bitangent = array(tangents, wp.vec3f), array(bitangents, wp.vec3f)
     result = array(np.ones((COUNT, 4)), Footprint)
     inputs = [camera, surface, pixels, lights, 1, deviation, 0, COUNT // 2]
-    wp.launch(light_samples.add_light_rotation, (2, 1), inputs, [result], device="cpu")
+    launch(light_samples.add_light_rotation, (2, 1), inputs, [result], device="cpu")
     steps = np.diag([2.0, -2.0]) * deviation * half / (width, height) * 1e-3
     for i in range(COUNT):
         turns = [1e3 * (towards(hits[i][0]) - towards(met(x[i] + dx, y[i] + dy)[0])) for dx, dy in steps]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from conftest import slow
+from conftest import launch, slow
 from PIL import Image
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
@@ -52,7 +52,7 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
     for kernel, size, arguments, outputs in launches:
         for begin, end in itertools.pairwise(np.linspace(0, size, slices + 1).astype(int)):
             shape = (1, 1) if kernel is base_colours.sample_base_colours else 1
-            wp.launch(kernel, shape, [*arguments, int(begin), int(end - begin)], outputs, device="cpu")
+            launch(kernel, shape, [*arguments, int(begin), int(end - begin)], outputs, device="cpu")
     return {name: getattr(pixels, name).numpy() for name in OUTPUTS}
 
 
@@ -269,20 +269,20 @@ def test_rasterized_cells_equal_traced_cells(mesh, view, level, slices):
     camera = camera_of(view, surface)
     for begin, end in itertools.pairwise(np.linspace(0, scene.face_count, slices + 1).astype(int)):
         inputs = [camera, scene.bare, Sampling(), cells, 0.0, int(begin), int(end - begin)]
-        wp.launch(primary_hits.rasterize, 1, inputs, [nearest], device="cpu")
+        launch(primary_hits.rasterize, 1, inputs, [nearest], device="cpu")
     sampling = Sampling()
     sampling.tiles = wp.array(chosen, dtype=wp.int32, device="cpu")
     sampling.places = pixel_filter.places_at(level, "cpu")
     result = []
     by_rays = wp.empty_like(nearest)
-    wp.launch(bvh.trace_bvh, 1, [camera, scene.with_hierarchy(), sampling, 0, count], [by_rays], device="cpu")
+    launch(bvh.trace_bvh, 1, [camera, scene.with_hierarchy(), sampling, 0, count], [by_rays], device="cpu")
     for faces in (nearest, by_rays):
         pixels = pixels_for(count)
         pixels.nearest = faces
         # With 7 slices, some slices begin in the middle of a pixel's cells.
         for begin, end in itertools.pairwise(np.linspace(0, count, slices + 1).astype(int)):
             inputs = [camera, scene.bare, sampling, pixels, int(begin), int(end - begin)]
-            wp.launch(primary_hits.intersect_known_faces, 1, inputs, device="cpu")
+            launch(primary_hits.intersect_known_faces, 1, inputs, device="cpu")
         result.append([getattr(pixels, name).numpy() for name in ("face", "hit", "place", "to_view")])
     (face, hit, place, to_view), (face_by_rays, _, place_by_rays, view_by_rays) = result
     np.testing.assert_array_equal(hit, face >= 0)
@@ -306,7 +306,7 @@ def test_rasterization_writes_only_the_cells_of_refined_pixels():
     count = 16 * len(pixels)
     nearest = wp.full(count + 500, primary_hits.UNSEEN, dtype=wp.uint64, device="cpu")
     inputs = [camera_of(view, surface), scene.bare, Sampling(), cells, 0.0, 0, scene.face_count]
-    wp.launch(primary_hits.rasterize, 1, inputs, [nearest], device="cpu")
+    launch(primary_hits.rasterize, 1, inputs, [nearest], device="cpu")
     met = nearest.numpy() != int(primary_hits.UNSEEN)
     assert np.all(met[:count])
     assert not np.any(met[count:])
@@ -441,7 +441,7 @@ def shadowed(scene, origins, direction):
     result = wp.zeros(len(origins), dtype=wp.int32, device="cpu")
     start = wp.array(origins, dtype=wp.vec3f, device="cpu")
     inputs = [scene.with_hierarchy().mesh_id, start, wp.vec3f(*(float(c) for c in direction))]
-    wp.launch(shadow_rays, dim=len(origins), inputs=inputs, outputs=[result], device="cpu")
+    launch(shadow_rays, dim=len(origins), inputs=inputs, outputs=[result], device="cpu")
     return result.numpy() == 1
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
+from conftest import slow
 
 import warpdiff as wd
 from bench.truth.brute_force import intersect
@@ -96,7 +97,9 @@ def grid_of(surface, scene, light, threads=1):
     return occluder_grid.grid_for(surface, scene, light, device=wp.get_device("cpu"), threads=threads)
 
 
-@pytest.mark.parametrize("light", [(0.3, 0.5, 0.8), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.05, -1.0, 0.0)], ids=str)
+@pytest.mark.parametrize(
+    "light", [(0.3, 0.5, 0.8), slow((0.0, 0.0, 1.0)), (1.0, 0.0, 0.0), slow((0.05, -1.0, 0.0))], ids=str
+)
 @pytest.mark.parametrize("make", MESHES.values(), ids=MESHES)
 def test_shadows_equal_brute_force(make, light, rng):
     light = unit(light)
@@ -241,7 +244,8 @@ def test_pixels_that_face_away_from_the_light_may_contain_shadowed_cells_that_fa
     view = wd.View(tuple(eye), tuple(eye + along), fov_y_deg=0.148, width=4, height=4)
     options = {"coherence": wd.Coherence(sigma_um=3.25), "tolerance": 0.1, "pigment": 0.0, "strict": False}
     many = wd.View(tuple(eye), tuple(eye + along), fov_y_deg=0.148, width=96, height=96)
-    points = wd.shade(meshes.snake(), heightfield, light, many, footprint=False, **options)
+    snake = meshes.snake()
+    points = wd.shade(snake, heightfield, light, many, footprint=False, **options)
     assert points.mask.sum() > 1000
     assert not points.illuminated.any()
-    assert not wd.shade(meshes.snake(), heightfield, light, view, refine=False, **options).illuminated.any()
+    assert not wd.shade(snake, heightfield, light, view, refine=False, **options).illuminated.any()

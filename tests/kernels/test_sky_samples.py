@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 import warp as wp
-from conftest import hemisphere
+from conftest import hemisphere, launch
 
-from warpdiff.kernels import sample_sequence, sky_samples
+from warpdiff.kernels import compile_options, sample_sequence, sky_samples
 from warpdiff.kernels.light_samples import Reflection
 from warpdiff.lights.sky_grid import sample_grid
 from warpdiff.optics import reflectance_factors
@@ -19,7 +19,7 @@ def array(values, dtype):
     return wp.array(values, dtype=dtype, device="cpu")
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module="unique", module_options=compile_options.options())
 def call_functions(
     table: sky_samples.SkyDistribution, sky: sky_samples.Sky, reflection: Reflection,
     along: wp.array(dtype=wp.vec3f), views: wp.array(dtype=wp.vec3f), points: wp.array(dtype=wp.vec2f),
@@ -70,7 +70,7 @@ def results():
     }  # fmt: skip
     outputs = {name: wp.zeros(COUNT, dtype=dtype, device="cpu") for name, dtype in types.items()}
     inputs = [table, sky, reflection, array(along, wp.vec3f), array(views, wp.vec3f)]
-    wp.launch(call_functions, COUNT, inputs, list(outputs.values()), device="cpu")
+    launch(call_functions, COUNT, inputs, list(outputs.values()), device="cpu")
     given = {"along": along, "views": views, "grid": grid, "rings": rings, "spokes": spokes, "blocks": blocks}
     return given, {name: values.numpy() for name, values in outputs.items()}
 

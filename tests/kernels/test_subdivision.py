@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
+from conftest import launch
 
 from warpdiff.kernels import refinement_levels, subdivision
 
@@ -36,7 +37,7 @@ def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
             0, 1,
         ]  # fmt: skip
         outputs = [sums, quadrants, changes, levels, lighting]
-        wp.launch(subdivision.splat_cells, (1, 1), inputs, outputs, device="cpu")
+        launch(subdivision.splat_cells, (1, 1), inputs, outputs, device="cpu")
         values = (np.column_stack([colours * gains[:, None], np.ones(across**2)]) * hit[:, None]).reshape(
             across, across, 4
         )
@@ -68,7 +69,7 @@ def test_the_scatter_of_samples_follows_from_squares_of_four_cells(level, rng):
     ]  # fmt: skip
     unread = [wp.zeros((9, size), dtype=dtype, device="cpu") for size, dtype in ((9, wp.vec4f), (4, wp.vec3f))]
     outputs = [*unread, changes, *(wp.zeros(9, dtype=wp.uint8, device="cpu") for _ in range(2))]
-    wp.launch(subdivision.splat_cells, (1, 1), inputs, outputs, device="cpu")
+    launch(subdivision.splat_cells, (1, 1), inputs, outputs, device="cpu")
     square = 0.0
     for row in range(0, across, 2):
         for column in range(0, across, 2):
@@ -78,7 +79,7 @@ def test_the_scatter_of_samples_follows_from_squares_of_four_cells(level, rng):
     assert changes.numpy()[5] == pytest.approx(expected, rel=1e-4)
     # Equal colours have no variance, even if some cells miss the mesh.
     inputs[0] = array(np.ones((across**2, 3)), wp.vec3f)
-    wp.launch(subdivision.splat_cells, (1, 1), inputs, outputs, device="cpu")
+    launch(subdivision.splat_cells, (1, 1), inputs, outputs, device="cpu")
     assert changes.numpy()[5] == pytest.approx(0.0, abs=1e-6)
 
 
@@ -99,7 +100,7 @@ def test_the_level_of_a_tile_rises_if_its_scatter_causes_an_error_above_the_tole
         array(errors.ravel(), wp.float32), width, height, array([floor], wp.float32), tolerance, level, most, 0,
         height * width,
     ]  # fmt: skip
-    wp.launch(subdivision.raise_levels, (1, 1), inputs, [levels], device="cpu")
+    launch(subdivision.raise_levels, (1, 1), inputs, [levels], device="cpu")
     shares = np.outer(refinement_levels.FILTER_SHARES, refinement_levels.FILTER_SHARES)
     expected = shaded.copy()
     for row, column in zip(*np.nonzero(shaded == level), strict=True):
@@ -170,7 +171,7 @@ def test_levels_follow_from_second_differences_of_colours(rng):
         width, height, array([floor], wp.float32), tolerance, 1, 6, 2, 0,
         height * width,
     ]  # fmt: skip
-    wp.launch(subdivision.select_levels, (1, 1), inputs, [changes, chosen], device="cpu")
+    launch(subdivision.select_levels, (1, 1), inputs, [changes, chosen], device="cpu")
     expected, levels = levels_by_hand(quadrants.astype(float), marks, colours, lighting, floor, tolerance, 6)
     np.testing.assert_allclose(changes.numpy().reshape(height, width), expected, rtol=1e-4, atol=1e-5)
     np.testing.assert_array_equal(chosen.numpy().reshape(height, width), levels)
@@ -185,7 +186,7 @@ def test_threads_add_the_colours_of_a_light_to_each_pixel_once(rng):
     illuminated, others_illuminated = rng.uniform(size=(2, 12)) < 0.5
     inputs = [array(colours, wp.vec3f), array(errors, wp.float32), array(illuminated, wp.bool), 1, 5]
     outputs = [array(others, wp.vec3f), array(other_errors, wp.float32), array(others_illuminated, wp.bool)]
-    wp.launch(subdivision.accumulate, (2, 1), inputs, outputs, device="cpu")
+    launch(subdivision.accumulate, (2, 1), inputs, outputs, device="cpu")
     # Two threads process the pixels 1 to 10. The pixels 0 and 11 are outside of their ranges and must not change.
     share = np.arange(12) % 11 > 0
     np.testing.assert_allclose(outputs[0].numpy(), others + share[:, None] * colours, rtol=1e-6)

@@ -11,11 +11,14 @@ from trimesh.visual.material import PBRMaterial
 import warpdiff as wd
 from warpdiff import meshes
 from warpdiff.device.kernel_calls import KernelCall
+from warpdiff.kernels import compile_options
 from warpdiff.kernels.light_samples import Lights, away_from
 from warpdiff.kernels.structs import Pixels
 from warpdiff.lights.base import EmissionProfile, LobeSet
 
-# The kernel of the user-defined spotlight.
+# The kernel of the user-defined spotlight. It has the package's compile options, because with other options Warp would
+# precompile its own C++ headers once more.
+wp.set_module_options(compile_options.options())
 
 
 @wp.kernel

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import slow
 
 import warpdiff as wd
 from warpdiff import meshes
@@ -24,7 +25,7 @@ def hemisphere(count, illuminant="D65"):
     ]
 
 
-@pytest.mark.parametrize("others", [[], [wd.PointLight((0.5, 2.0, 1.0)), wd.DirectionalLight((1.0, 1.0, 1.0))]])
+@pytest.mark.parametrize("others", [slow([]), [wd.PointLight((0.5, 2.0, 1.0)), wd.DirectionalLight((1.0, 1.0, 1.0))]])
 def test_a_choice_of_lights_has_the_colours_of_all_lights(fingers, monkeypatch, others):
     body, lights = meshes.tube(segments_along=48, segments_around=24), [*hemisphere(MANY_LIGHTS), *others]
     coherence = wd.Coherence(sigma_um=4.0)

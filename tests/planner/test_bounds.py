@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
-from conftest import hemisphere
+from conftest import hemisphere, slow
 
 import warpdiff as wd
 from bench.truth import judge, reference
@@ -51,7 +51,7 @@ def test_third_orders_of_a_shallow_sine_meet_the_tolerance(rng, tolerance):
     assert ratio(heightfield, lights, views, tolerance) <= 0.5
 
 
-@pytest.mark.parametrize(("height_um", "illuminant"), [(3.0, "HP2"), (5.5, "FL12")])
+@pytest.mark.parametrize(("height_um", "illuminant"), [slow(3.0, "HP2"), (5.5, "FL12")])
 def test_two_tall_levels_in_the_mirror_direction_meet_the_tolerance(rng, height_um, illuminant):
     """Tall steps have spectra that oscillate quickly with the wavelength, and the illuminant has narrow lines.
 
@@ -75,7 +75,7 @@ def test_the_tail_of_the_lobe_around_a_mirrored_sun_meets_the_tolerance(rng, tol
     assert ratio(wd.HeightField(np.zeros((8, 8)), 0.1), lights, views, tolerance, coherence=source) <= 0.5
 
 
-@pytest.mark.parametrize("illuminant", ["FL11", "HP1"])
+@pytest.mark.parametrize("illuminant", ["FL11", slow("HP1")])
 def test_maps_under_illuminants_with_narrow_lines_meet_the_tolerance(illuminant):
     """Most directions of a map show diffraction orders at wavelengths between the narrow lines of the illuminant."""
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4)

@@ -4,16 +4,17 @@ import math
 
 import numpy as np
 import pytest
-from conftest import at_angle
+from conftest import at_angle, slow
 
 import warpdiff as wd
 
 # Gratings with their period along x [µm]. None means that the whole field is one period.
 GRATINGS = {
-    "sinusoidal": (wd.gratings.sinusoidal(2.0, 0.3), 2.0), "lamellar": (wd.gratings.lamellar(1.2, 0.15), 1.2),
-    "blazed": (wd.gratings.blazed(2.5, 0.25), 2.5), "CD": (wd.gratings.disc("CD"), 1.6),
-    "DVD": (wd.gratings.disc("DVD"), 0.74), "Blu-ray": (wd.gratings.disc("Blu-ray"), 0.32),
-    "bumps": (wd.gratings.bumps(), None),
+    "sinusoidal": (lambda: wd.gratings.sinusoidal(2.0, 0.3), 2.0),
+    "lamellar": (lambda: wd.gratings.lamellar(1.2, 0.15), 1.2),
+    "blazed": (lambda: wd.gratings.blazed(2.5, 0.25), 2.5), "CD": (lambda: wd.gratings.disc("CD"), 1.6),
+    "DVD": (lambda: wd.gratings.disc("DVD"), 0.74), "Blu-ray": (lambda: wd.gratings.disc("Blu-ray"), 0.32),
+    "bumps": (wd.gratings.bumps, None),
 }  # fmt: skip
 INCIDENCES_DEG = (0.0, 20.0, 45.0, 60.0, 75.0)
 WAVELENGTHS_UM = (0.40, 0.50, 0.60, 0.70)
@@ -24,9 +25,10 @@ def efficiency(heightfield, order_index, kappa):
     return abs(np.fft.ifft(np.exp(2j * np.pi * kappa * heightfield.heights_um).mean(axis=0))[order_index]) ** 2
 
 
-@pytest.mark.parametrize("name", GRATINGS)
+@pytest.mark.parametrize("name", ["sinusoidal", "lamellar", "blazed", "CD", slow("DVD"), "Blu-ray", "bumps"])
 def test_peaks_are_at_the_angles_of_the_grating_equation(name):
-    heightfield, period = GRATINGS[name]
+    make, period = GRATINGS[name]
+    heightfield = make()
     if period is None:
         period = heightfield.size_um[1]
     plan = wd.plan(heightfield, tolerance=1e-3, masking=False)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import warp as wp
-from conftest import at_angle, coherence_of, hemisphere, slow
+from conftest import at_angle, coherence_of, hemisphere, launch, slow
 
 import warpdiff as wd
 from warpdiff.kernels import light_samples
@@ -63,7 +63,7 @@ def kernel_gain(lights, views, normal, masking, device):
     none = [array([], dtype) for dtype in (wp.vec3f, wp.float64, wp.bool)]
     for i in range(count):
         inputs = [pixels, given, i, array([], wp.vec4f), reflection, 1.0, 0.0, False, False, array([], wp.bool), i, 1]
-        wp.launch(light_samples.scattering_vectors, dim=1, inputs=inputs, outputs=[*result, *none], device=device)
+        launch(light_samples.scattering_vectors, dim=1, inputs=inputs, outputs=[*result, *none], device=device)
     unit_views = views / np.linalg.norm(views, axis=1, keepdims=True)
     np.testing.assert_allclose(result[0].numpy(), -lights - unit_views, atol=1e-12)
     return result[2].numpy()

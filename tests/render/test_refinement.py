@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from conftest import relative_errors
+from conftest import launch, relative_errors
 from trimesh.visual import TextureVisuals
 
 import warpdiff as wd
@@ -365,7 +365,7 @@ def test_errors_are_estimated_from_neighbouring_pixels(size, slices, is_textured
     wanted = wp.full(hit.size, 7, dtype=wp.uint8, device="cpu")
     for begin, end in itertools.pairwise(np.linspace(0, hit.size, slices + 1).astype(int)):
         inputs = [*given, int(begin), int(end - begin)]
-        wp.launch(kernels.estimate_errors, (1, 1), inputs, [result, wanted], device="cpu")
+        launch(kernels.estimate_errors, (1, 1), inputs, [result, wanted], device="cpu")
     expected, is_wanted = estimate_by_hand(colours, uv, hit, 0.8, 0.3, base if is_textured else None)
     np.testing.assert_allclose(result.numpy().reshape(size), expected, rtol=2e-3, atol=1e-6)
     near = np.abs(expected - 0.3 * np.maximum(np.linalg.norm(colours, axis=2), 0.8)) < 1e-3

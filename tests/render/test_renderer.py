@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from conftest import slow
+from conftest import launch, slow
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
 
@@ -103,7 +103,7 @@ def test_pictures_equal_those_of_shade(tube, fingers, plans, name, count, option
         np.testing.assert_array_equal(xyz.numpy(), expected.xyz)
 
 
-@pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "four rays with footprints"])
+@pytest.mark.parametrize("name", [slow("footprints"), "footprints and two lights", "four rays with footprints"])
 def test_previews_equal_pictures_of_their_tolerances_and_the_last_picture_is_unchanged(tube, fingers, plans, name):
     of, count, options = CASES[name]
     drawn = wd.Renderer(tube, fingers, LIGHTS[:count], view(), plan=plans[of], **options)
@@ -251,7 +251,7 @@ def test_pictures_without_refinement_have_no_previews(tube, fingers, plans):
     same(drawn.image(), before)
 
 
-@pytest.mark.parametrize("name", ["footprints", "footprints and two lights", "points", slow("source")])
+@pytest.mark.parametrize("name", [slow("footprints"), "footprints and two lights", "points", slow("source")])
 def test_pictures_contain_no_remains_of_earlier_views(tube, fingers, plans, name):
     """Pictures with very different views follow each other, and each must equal a picture by a new renderer.
 
@@ -383,11 +383,11 @@ def test_the_luminance_floor_is_0_001_of_the_99th_percentile(count, octaves, rng
     flags = wp.array(illuminated, dtype=wp.bool, device="cpu")
     tallies = wp.zeros(tile_lists.GROUPS * (1 + tile_lists.BINS), dtype=wp.int32, device="cpu")
     floor = wp.empty(1, dtype=wp.float32, device="cpu")
-    wp.launch(
+    launch(
         tile_lists.luminance_histogram, dim=1, inputs=[colours, flags, 0, len(illuminated)], outputs=[tallies],
         device="cpu",
     )  # fmt: skip
-    wp.launch(tile_lists.luminance_floor, dim=1, inputs=[tallies], outputs=[floor], device="cpu")
+    launch(tile_lists.luminance_floor, dim=1, inputs=[tallies], outputs=[floor], device="cpu")
     bright = np.sort(luminance[illuminated])
     # The 99th percentile is the value that one per cent of the illuminated pixels, rounded down, exceed.
     expected = 1e-3 * bright[-1 - count // 100] if count else 0.0

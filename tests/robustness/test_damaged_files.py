@@ -16,11 +16,11 @@ HERE = Path(__file__).parent
 
 @pytest.mark.parametrize(
     ("kind", "number"),
-    # Seven of the 17 height-field files are texts or .x3p files. The tests damage such files 330 times, a soak test
+    # Seven of the 17 height-field files are texts or .x3p files. The tests damage such files 200 times, a soak test
     # 100,000 times.
-    [pytest.param("scans", count(300, 245_000), marks=pytest.mark.permanent("damaged scans", shares=40)),
-     pytest.param("meshes", count(200, 50_000), marks=pytest.mark.permanent("damaged meshes, under 4 GB", shares=20)),
-     pytest.param("gltf", count(200, 100_000), marks=pytest.mark.permanent("damaged glTF, under 4 GB", shares=20))],
+    [pytest.param("scans", count(200, 245_000), marks=pytest.mark.permanent("damaged scans", shares=40)),
+     pytest.param("meshes", count(120, 50_000), marks=pytest.mark.permanent("damaged meshes, under 4 GB", shares=20)),
+     pytest.param("gltf", count(120, 100_000), marks=pytest.mark.permanent("damaged glTF, under 4 GB", shares=20))],
 )  # fmt: skip
 def test_damaged_files_are_read_or_refused_by_their_path(kind, number, tries, tmp_path):
     seed = SEED or 24

@@ -74,7 +74,7 @@ def test_fuzzed_arguments_end_as_documented(command, tries, tmp_path, monkeypatc
         assert "Traceback" not in error
         assert code == 0 or "warpdiff" in error.splitlines()[-1]
 
-    @examples(9, 85)
+    @examples(6, 85)
     @given(st.data())
     def attempt(data):
         for _ in range(3):

@@ -136,7 +136,7 @@ def test_fuzzed_arguments_are_refused_by_name_or_computed(name, tries):
     strategies = strategies_of(name)
     one_or_two = st.lists(st.sampled_from(list(strategies)), min_size=1, max_size=2, unique=True)
 
-    @examples(*((1, 50) if name in SLOW else (4, 500)))
+    @examples(*((1, 50) if name in SLOW else (3, 500)))
     @given(st.data())
     def attempt(data):
         # Three calls per example save time, because Hypothesis needs longer for an example than most calls.

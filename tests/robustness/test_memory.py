@@ -75,16 +75,16 @@ from warpdiff.render import picture_inputs as render
 
 shade(64)
 used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
-needed = render._BYTES_PER_PIXEL * 900**2
+needed = render._BYTES_PER_PIXEL * 600**2
 limit(used + 0.95 * needed)
 try:
-    shade(900)
+    shade(600)
 except MemoryError as error:
-    assert "picture of 900 × 900 pixels" in str(error), error
+    assert "picture of 600 × 600 pixels" in str(error), error
 else:
     raise AssertionError
 limit(used + 1.15 * needed)
-shade(900)
+shade(600)
 """
 
 UNFORESEEN = """

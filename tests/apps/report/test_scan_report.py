@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from small_pictures import draw_reports_roughly
 
 import warpdiff as wd
 from warpdiff.apps.report.report_data import Request, collect
@@ -54,8 +55,7 @@ def made(tmp_path_factory):
     measured.write_text("wavelength_nm,counts\n" + "".join(f"{nm},{nm}\n" for nm in range(400, 701, 50)))
     field = grooves(np.random.default_rng(1)).levelled()
     with pytest.MonkeyPatch.context() as small:
-        small.setattr("warpdiff.apps.report.report_data._MAP_PIXELS", 24)
-        small.setattr("warpdiff.apps.report.report_figures._DPI", 30)
+        draw_reports_roughly(small)
         report = wd.report(field, folder / "new" / "a", compare=measured, title="<b>@DATE@ & co</b>", **FAST)
     return field, report
 
