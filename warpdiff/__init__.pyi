@@ -1,7 +1,9 @@
 """Public names of ``warpdiff``, each with the module that defines it. ``__init__.py`` reads its names here."""
 
+from warpdiff import adjoint as adjoint
 from warpdiff import datasets as datasets
 from warpdiff import plot as plot
+from warpdiff import profiles as profiles
 from warpdiff.apps.mitsuba.bsdf import register_mitsuba_bsdf as register_mitsuba_bsdf
 from warpdiff.apps.report.scan_report import ScanReport as ScanReport
 from warpdiff.apps.report.scan_report import report as report

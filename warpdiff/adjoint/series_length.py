@@ -1,0 +1,31 @@
+"""Numbers of terms of Jacobi-Anger and Chebyshev series for a relative truncation error."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from warpdiff.diffraction.phase_series import bessel_j
+
+# Share of the truncation error that the series of a value may have. Derivatives of the last terms are larger than the
+# terms by about their number, which is at most some hundreds.
+_MARGIN = 1e-2
+# Share of |κ| by which a range of it is widened at both ends. If doubled, nothing changes.
+_LEAST_RANGE = 1e-6
+
+
+def term_count(argument: float, truncation: float) -> int:
+    """Return the number of terms of e^{ixg}, |g| <= 1, for arguments up to |x|, so that the rest is negligible.
+
+    The terms are Chebyshev polynomials in g with Bessel functions as coefficients. Their sum beyond the returned number
+    is at most a small share of ``truncation``.
+    """
+    count = math.ceil(argument + 14.0 * math.cbrt(argument)) + 40
+    rest = np.cumsum(np.abs(bessel_j(argument, count))[::-1])[::-1]
+    return max(int(np.argmax(2.0 * rest <= max(_MARGIN * truncation, 1e-15))), 2)
+
+
+def kappa_range(low: float, high: float) -> tuple[float, float]:
+    """Return a range of |κ| [1/µm] that is slightly wider, so that it can be divided by its width."""
+    return (1.0 - _LEAST_RANGE) * low, (1.0 + _LEAST_RANGE) * high
