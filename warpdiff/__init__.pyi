@@ -30,6 +30,10 @@ from warpdiff.evaluate.reflectance import reflectance_map as reflectance_map
 from warpdiff.evaluate.reflectance import reflectance_spectra as reflectance_spectra
 from warpdiff.evaluate.reflectance import spectral_reflectance as spectral_reflectance
 from warpdiff.evaluate.reflectance_spectra import ReflectanceSpectra as ReflectanceSpectra
+from warpdiff.fitting.least_squares import Fit as Fit
+from warpdiff.fitting.least_squares import Minimum as Minimum
+from warpdiff.fitting.least_squares import fit as fit
+from warpdiff.fitting.measured_data import Measured as Measured
 from warpdiff.heightfield.field import HeightField as HeightField
 from warpdiff.heightfield.periods import Period as Period
 from warpdiff.heightfield.periods import Periods as Periods

@@ -133,6 +133,15 @@ def test_orders_equal_those_of_the_library(settings):
     np.testing.assert_allclose(value, exact, rtol=1e-11, atol=1e-14)
 
 
+@pytest.mark.parametrize("depth_um", [1e-4, 1.0, 10.0, 30.0])
+def test_series_are_long_enough_for_any_depth(depth_um):
+    """Rounding errors of Bessel functions once ended the series of deep gratings after two terms."""
+    grating = wd.gratings.sinusoidal(40.0, depth_um, samples=512)
+    value = wd.adjoint.order_efficiencies(grating, (0.3, 0.0, 1.0), [450.0, 600.0], wrt=()).value
+    exact = wd.order_efficiencies(grating, (0.3, 0.0, 1.0), [450.0, 600.0]).efficiencies
+    np.testing.assert_allclose(value, exact, rtol=1e-9, atol=1e-13)
+
+
 def test_gradients_by_heights_and_by_their_scale_agree(rng):
     """Heights that grow in proportion change the value as a growing scale does."""
     result = wd.adjoint.reflectance(FIELD, *directions(rng), wrt=("heights_um", "height_scale"))

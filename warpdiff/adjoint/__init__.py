@@ -12,7 +12,8 @@ Examples:
 """
 
 from warpdiff.adjoint.linearised import Linearised
+from warpdiff.adjoint.objective_function import objective
 from warpdiff.adjoint.order_derivatives import order_efficiencies
-from warpdiff.adjoint.spectra import reflectance, spectral_reflectance
+from warpdiff.adjoint.spectral_derivatives import reflectance, spectral_reflectance
 
-__all__ = ["Linearised", "order_efficiencies", "reflectance", "spectral_reflectance"]
+__all__ = ["Linearised", "objective", "order_efficiencies", "reflectance", "spectral_reflectance"]

@@ -67,6 +67,8 @@ class OrderModel:
             shifts = shifts[1.0 - np.sum((light[1::-1] + shifts * steps) ** 2, axis=1) > HORIZON**2]
         self._own = int(np.flatnonzero(~shifts.any(axis=1))[0])
         self._is_mirror = ~orders.any(axis=1)
+        # Derivatives that `slopes` has computed.
+        self._derivatives: Derivatives | None = None
         self.indices = -(shifts[:, None] + orders[None]).reshape(-1, 2)
         self._set_geometry(light, orders, shifts, size_um)
         self.kappas = self._kappa.value.ravel()
@@ -98,6 +100,7 @@ class OrderModel:
             powers: |H|² of all elements, shape (rows · columns,).
             slopes: Their derivatives by |κ| [µm].
         """
+        self._derivatives = None
         self._powers, self._slopes = (array.reshape(self._kappa.value.shape) for array in (powers, slopes))
         matrix = self._factor.value * self._powers
         self._weights, self._shares = np.ones_like(matrix), matrix
@@ -132,6 +135,8 @@ class OrderModel:
 
     def slopes(self) -> Derivatives:
         """Return the derivatives of the efficiencies by ``GEOMETRY`` and by the variables of the reflectance, (n,)."""
+        if self._derivatives is not None:
+            return self._derivatives
         of_matrix = self._powers * self._factor.partials + self._factor.value * self._slopes * self._kappa.partials
         mirrors = self._mirror_changes(of_matrix, self._rows.partials, self._columns.partials)
         names = reflection.IOR_VARIABLES if self._material is None else reflection.MATERIAL_VARIABLES
@@ -141,6 +146,7 @@ class OrderModel:
         result |= {name: self._mirrors * slope for name, slope in optics.items() if name != "cosine"}
         if "wavelengths_nm" in result:
             result["wavelength_um"] = result["wavelength_um"] + 1e3 * result.pop("wavelengths_nm")
+        self._derivatives = result
         return result
 
     def _mirror_changes(

@@ -11,6 +11,8 @@ from warpdiff.diffraction.phase_series import bessel_j
 # Share of the truncation error that the series of a value may have. Derivatives of the last terms are larger than the
 # terms by about their number, which is at most some hundreds.
 _MARGIN = 1e-2
+# Sum of Bessel functions that may consist of rounding errors alone.
+_ROUNDING = 4e-15
 # Share of |κ| by which a range of it is widened at both ends. If doubled, nothing changes.
 _LEAST_RANGE = 1e-6
 
@@ -23,7 +25,8 @@ def term_count(argument: float, truncation: float) -> int:
     """
     count = math.ceil(argument + 14.0 * math.cbrt(argument)) + 40
     rest = np.cumsum(np.abs(bessel_j(argument, count))[::-1])[::-1]
-    return max(int(np.argmax(2.0 * rest <= max(_MARGIN * truncation, 1e-15))), 2)
+    is_enough = 2.0 * rest <= max(_MARGIN * truncation, _ROUNDING)
+    return max(int(np.argmax(is_enough)), 2) if is_enough.any() else count
 
 
 def kappa_range(low: float, high: float) -> tuple[float, float]:
