@@ -234,6 +234,38 @@ def test_arguments_are_checked(rng):
         wd.adjoint.reflectance(FIELD, (0, 0, 1), (0.5, 0, 1), truncation=1e-13, coherence=wd.Coherence(sigma_um=500.0))
 
 
+OUTLINE = wd.profiles.Outline([0.0, 0.3, 0.6], [0.0, 0.1, 0.05], 1.3)
+# Arguments with which each variable has a derivative, unless the defaults have one.
+NEEDED = {
+    "angular_diameter_deg": {"coherence": coherence("source")}, "sigma_um": {"coherence": coherence("centred")},
+    "n": {"material": FILM}, "k": {"material": FILM}, "film_nm": {"material": FILM},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", variables.VARIABLES)
+def test_the_table_of_derivatives_is_true(name):
+    """Each function accepts the variables of its column of the table, and refuses all others."""
+    row = next(line for line in variables.table().splitlines() if f"| `{name}` |" in line)
+    marks = [cell.strip() == "yes" for cell in row.split("|")[2:5]]
+    surface = OUTLINE if name in ("vertices", "period_um") else FIELD
+    light, view = (0.0, 0.1, 1.0), (0.1, 0.0, 1.0)
+    needed = NEEDED.get(name, {})
+    optics = {key: value for key, value in needed.items() if key != "coherence"}
+    calls = [
+        lambda: wd.adjoint.order_efficiencies(surface, light, 500.0, wrt=(name,), **optics),
+        lambda: wd.adjoint.spectral_reflectance(surface, light, view, 500.0, wrt=(name,), **needed),
+        lambda: wd.adjoint.reflectance(surface, light, view, wrt=(name,), **needed),
+    ]
+    for has_derivative, call in zip(marks, calls, strict=True):
+        if has_derivative:
+            result = call()
+            (adjoint,) = result.vjp(np.ones_like(result.value)).values()
+            assert np.isfinite(adjoint).all()
+        else:
+            with pytest.raises(ValueError, match="has no derivative"):
+                call()
+
+
 def test_normalised_orders_have_derivatives_up_to_600_orders():
     large = wd.HeightField.of_known_scale(np.random.default_rng(0).normal(0.0, 0.05, (60, 60)), 0.2)
     with pytest.raises(ValueError, match="at most 600 orders"):

@@ -14,7 +14,14 @@ BLOCK = re.compile(r"(<!-- requires [^\n]*-->\n)?```python\n(.*?)```", re.DOTALL
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 HOW_TO = [path for path in sorted((DOCS / "how-to").glob("*.md")) if "```python" in path.read_text(encoding="utf-8")]
 # Pages that are generated when the documentation is built.
-BUILT = ("reference/api", "reference/options", "reference/command_line", "reference/formats", "gallery/index")
+BUILT = (
+    "reference/api",
+    "reference/derivatives",
+    "reference/options",
+    "reference/command_line",
+    "reference/formats",
+    "gallery/index",
+)
 
 
 @pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")

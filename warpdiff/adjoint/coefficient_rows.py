@@ -139,11 +139,13 @@ def _recurrence(
     return np.ascontiguousarray(result.T)
 
 
-def add_rows(places: NDArray[np.int32], rows: NDArray[np.float64], rows_out: NDArray[np.float64]) -> None:
-    """Add rows to those of ``rows_out`` at their places, where several rows may have the same place."""
+def add_rows(
+    places: NDArray[np.int32], rows: NDArray[np.float64], rows_out: NDArray[np.float64], *, are_distinct: bool = False
+) -> None:
+    """Add rows to those of ``rows_out`` at their places, of which several may be the same, unless ``are_distinct``."""
+    if are_distinct:
+        rows_out[places] += rows
+        return
     order = np.argsort(places, kind="stable")
     begins = np.flatnonzero(np.diff(places[order], prepend=-1))
-    if len(begins) == len(places):
-        rows_out[places] += rows
-    else:
-        rows_out[places[order][begins]] += np.add.reduceat(rows[order], begins, axis=0)
+    rows_out[places[order][begins]] += np.add.reduceat(rows[order], begins, axis=0)

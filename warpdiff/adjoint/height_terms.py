@@ -72,7 +72,7 @@ class HeightTerms:
         """Return the change of the coefficients for a change of the heights [µm], shape (ny, nx)."""
         terms = np.zeros_like(self.terms)
         for n, slopes in zip(range(1, len(terms)), _slopes(self._g), strict=False):
-            terms[n] = self._sites.transform(slopes * change_um / self._scale)
+            terms[n] = self._sites.transform(slopes * change_um) * (n / self._scale)
         return HeightTangent(self, terms)
 
     def adjoint(self, parts: Iterable[tuple[slice, Complex, Complex]]) -> NDArray[np.float64]:
@@ -83,7 +83,7 @@ class HeightTerms:
             terms[1::2, part] = _product(self._odd.T, -1j * (plus - minus))
         result = np.zeros_like(self._g)
         for n, slopes in zip(range(1, len(terms)), _slopes(self._g), strict=False):
-            change = self._sites.transposed(terms[n])
+            change = self._sites.transposed(n * terms[n])
             change *= slopes
             result += change
         return result / self._scale
@@ -111,16 +111,22 @@ def _product(weights: NDArray[np.float64], terms: Complex) -> Complex:
 
 
 def _polynomials(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    """Yield the Chebyshev polynomials T_0(g), T_1(g), … without end."""
-    now, after = np.ones_like(g), g
-    while True:
-        yield now
-        now, after = after, 2.0 * g * after - now
+    """Yield the Chebyshev polynomials T_0(g), T_1(g), … without end; see ``_sequence``."""
+    return _sequence(g, np.ones_like(g), g.copy())
 
 
 def _slopes(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    """Yield the derivatives n U_{n−1}(g) of T_1(g), T_2(g), … without end."""
-    n, now, after = 1, np.ones_like(g), 2.0 * g
+    """Yield U_0(g), U_1(g), … without end; n U_{n−1} is the derivative of T_n. See ``_sequence``."""
+    return _sequence(g, np.ones_like(g), 2.0 * g)
+
+
+def _sequence(
+    g: NDArray[np.float64], now: NDArray[np.float64], after: NDArray[np.float64]
+) -> Iterator[NDArray[np.float64]]:
+    """Yield the terms of the recurrence y_{n+1} = 2 g y_n − y_{n−1}; each array is overwritten two steps later."""
+    twice, buffer = 2.0 * g, np.empty_like(g)
     while True:
-        yield n * now
-        n, now, after = n + 1, after, 2.0 * g * after - now
+        yield now
+        np.multiply(twice, after, out=buffer)
+        buffer -= now
+        now, after, buffer = after, buffer, now

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.core import validation
-from warpdiff.profiles.base import Profile
+from warpdiff.profiles.profile_base import Profile
 
 if TYPE_CHECKING:
     from collections.abc import Callable

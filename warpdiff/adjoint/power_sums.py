@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from warpdiff.adjoint.coefficient_rows import CoefficientRows, Rows
     from warpdiff.adjoint.gaussian_lobes import Pairs
-    from warpdiff.adjoint.sites import Block
+    from warpdiff.adjoint.sites import Block, Sites
     from warpdiff.adjoint.surface_terms import SurfaceTerms
 
 # Columns of ``derivatives``: derivatives of ⟨|P|²⟩ by q_x, q_y, M_xx, M_xy, M_yy, κ, L_x and L_y, and ⟨|P|²⟩ itself.
@@ -60,7 +60,7 @@ class LobeSums:
     """Sums under Gaussian lobes: of powers (averaged windows and sources), or of amplitudes (centred windows)."""
 
     def __init__(
-        self, terms: SurfaceTerms, rows: CoefficientRows, block: Block, places: NDArray[np.int32],
+        self, terms: SurfaceTerms, rows: CoefficientRows, block: Block, sites: Sites,
         size_um: tuple[float, float], exponent: float, centre: tuple[float, float] = (0.0, 0.0),
         moving_um: tuple[float, float] = (0.0, 0.0),
     ) -> None:  # fmt: skip
@@ -70,20 +70,20 @@ class LobeSums:
             terms: Coefficients of the surface.
             rows: Rows to fill; their kind decides between powers and amplitudes.
             block: Orders of the coefficients.
-            places: Row of each order of the block.
+            sites: Rows of the orders of the block.
             size_um: Size of the patch (y, x) [µm].
             exponent: Coefficients with weights below e^−exponent are truncated.
             centre: Centre of the window (y, x) for amplitudes, in sizes of the patch.
             moving_um: Part of the centre [µm] that remains in place if the size of the patch changes.
         """
-        self._terms, self._rows, self._block, self._places = terms, rows, block, places
+        self._terms, self._rows, self._block, self._sites = terms, rows, block, sites
         self._size_um, self._moving_um = size_um, moving_um
         with single_threaded_blas():
             rows.fill(terms)
         s, r = block.orders()
         self._phases = np.exp(-2j * np.pi * ((s * centre[0]) % 1.0 + (r * centre[1]) % 1.0))[:, None]
         # Orders that alias onto one coefficient have phases of their own, so that amplitudes are copied to each order.
-        cells = places if rows.powers else np.arange(block.size, dtype=np.int32)
+        cells = sites.places if rows.powers else np.arange(block.size, dtype=np.int32)
         self._coefficients = rows.rows if rows.powers else self._shifted(rows.rows)
         self._lobes = GaussianLobes(rows, block, cells, size_um, exponent)
 
@@ -119,7 +119,7 @@ class LobeSums:
             blocks = _parts_of((blocks[0] + 1j * blocks[1]) * np.conj(self._phases))
         rows = self._rows.empty(zero=True)
         for block, row in zip(blocks, rows, strict=True):
-            add_rows(self._places, block, row)
+            add_rows(self._sites.places, block, row, are_distinct=self._sites.are_distinct)
         return self._terms.adjoint(self._rows.adjoint(self._terms, rows))
 
     @single_threaded_blas()
@@ -143,7 +143,7 @@ class LobeSums:
 
     def _shifted(self, rows: Rows) -> Rows:
         """Return the amplitudes of all orders of the block, with the phases of the centre of the window."""
-        return _parts_of((rows[0][self._places] + 1j * rows[1][self._places]) * self._phases)
+        return _parts_of((rows[0][self._sites.places] + 1j * rows[1][self._sites.places]) * self._phases)
 
 
 def _parts_of(values: NDArray[np.complex128]) -> Rows:

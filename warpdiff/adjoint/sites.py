@@ -43,6 +43,7 @@ class Sites:
     Attributes:
         count: Number of sites p.
         places: For each order, the number of its site, plus p if it is the opposite of the site, shape (n,).
+        are_distinct: Whether no two orders have the same place.
     """
 
     def __init__(self, shape: tuple[int, int], s: NDArray[np.int64], r: NDArray[np.int64]) -> None:
@@ -55,6 +56,7 @@ class Sites:
         flat, index = np.unique(column * ny + row, return_inverse=True)
         self.count = len(flat)
         self.places = (index + self.count * is_opposite).astype(np.int32)
+        self.are_distinct = bool(np.bincount(self.places, minlength=1).max() <= 1)
         # All columns up to the largest one are transformed along y.
         self._columns = int(column.max()) + 1
         self._flat = flat

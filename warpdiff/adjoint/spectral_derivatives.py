@@ -16,7 +16,7 @@ from warpdiff.adjoint.power_sums import LobeSums
 from warpdiff.adjoint.reflection import index_of, kinks
 from warpdiff.adjoint.series_length import kappa_range, term_count
 from warpdiff.adjoint.sites import Block, Sites
-from warpdiff.adjoint.spectral_model import PAIRS_TOGETHER, SURFACE, Illumination, SpectralModel
+from warpdiff.adjoint.spectral_model import MOST_KEPT, PAIRS_TOGETHER, SURFACE, Illumination, SpectralModel
 from warpdiff.adjoint.surfaces import Relief
 from warpdiff.adjoint.variables import available, check_variables, differentiable
 from warpdiff.core import memory, validation
@@ -42,8 +42,9 @@ if TYPE_CHECKING:
 
 Truncation = Annotated[float, Interval(ge=1e-13, le=1e-2)]
 
-# Measured memory [bytes]: per height sample, and per pair of a direction and a wavelength that is computed at once.
-_BYTES_PER_SAMPLE, _BYTES_PER_PAIR = 120.0, 900.0
+# Counted memory [bytes]: per height sample; per pair of a direction and a wavelength that is computed at once; and per
+# pair whose derivatives remain in memory.
+_BYTES_PER_SAMPLE, _BYTES_PER_PAIR, _BYTES_PER_KEPT = 120.0, 900.0, 80.0
 # Largest number of wavelengths of a colour. Limit: computing time is proportional to it.
 _MOST_WAVELENGTHS = 20_000
 # Error of quintic interpolation of a sine wave, relative to (angular frequency × step)^6. Derived: the product of the
@@ -82,6 +83,11 @@ class SpectralCall:
                 f"{count} of {len(self._lights)} pairs of directions are at the kink of the masking, where both have "
                 "the same angle from the normal: derivatives by directions are those for a light nearer to the horizon"
             )
+
+    @property
+    def _has_slopes(self) -> bool:
+        """Whether there are variables besides the surface itself."""
+        return bool(set(self._names) - set(SURFACE))
 
     def covers(self, low_nm: float, high_nm: float) -> None:
         """Raise an error if the material is not known in a range of wavelengths."""
@@ -137,7 +143,7 @@ class SpectralCall:
         model = None
         if above.any():
             model = SpectralModel(illumination, self._sums(illumination), self._relief.shape)
-            rho = model.value(with_slopes=bool(set(self._names) - set(SURFACE)))
+            rho = model.value(with_slopes=self._has_slopes)
             value[above] = rho if weights is None else rho @ project
         shapes = self.shapes(len(wavelengths_nm))
 
@@ -178,14 +184,15 @@ class SpectralCall:
         terms = term_count(2.0 * math.pi * high * relief.scale_um, self._truncation)
         # A power oscillates over κ as fast as the phase of the whole height range, an amplitude half as fast.
         count = term_count(math.pi * (high - low) * relief.scale_um * (2.0 if powers else 1.0), self._truncation)
-        self._require(block, terms, count, powers=powers)
+        pairs_kept = min(len(illumination.lights) * len(illumination.wavelengths_nm), MOST_KEPT)
+        self._require(block, terms, count, pairs_kept if self._has_slopes else 0, powers=powers)
         sites = Sites(relief.shape, *block.orders())
         rows = CoefficientRows(sites.count, (low, high), count, powers=powers)
         series = relief.terms(sites, rows.nodes, terms)
         centre, moving = self._centre()
-        return LobeSums(series, rows, block, sites.places, relief.size_um, exponent, centre, moving)
+        return LobeSums(series, rows, block, sites, relief.size_um, exponent, centre, moving)
 
-    def _require(self, block: Block, terms: int, count: int, *, powers: bool) -> None:
+    def _require(self, block: Block, terms: int, count: int, pairs_kept: int, *, powers: bool) -> None:
         """Raise ``MemoryError`` if value and derivatives require more memory than is free."""
         ny, nx = self._relief.shape
         sites = min(block.size, ny * (nx // 2 + 1))
@@ -193,7 +200,7 @@ class SpectralCall:
         needed = (
             _BYTES_PER_SAMPLE * self._relief.samples + 32.0 * terms * sites
             + 8.0 * parts * count * (2 * sites + 3 * block.size)
-            + _BYTES_PER_PAIR * PAIRS_TOGETHER + 16.0 * count * PAIRS_TOGETHER
+            + (_BYTES_PER_PAIR + 16.0 * count) * PAIRS_TOGETHER + _BYTES_PER_KEPT * pairs_kept
         )  # fmt: skip
         memory.require_memory(needed, f"a gradient by {block.shape[0]} × {block.shape[1]} coefficients", _REMEDY)
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 # Number of pairs of a direction and a wavelength that are computed together. Limit: memory, about 700 bytes per pair.
 PAIRS_TOGETHER = 1 << 18
 # Number of pairs whose derivatives remain in memory after the value has been computed. Limit: memory, 72 bytes each.
-MOST_KEPT = 1 << 21
+MOST_KEPT = 1 << 23
 # Variables of the surface itself, by which adjoint and tangent are computed in one step for all pairs.
 SURFACE = ("heights_um", "vertices")
 

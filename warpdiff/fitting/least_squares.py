@@ -15,7 +15,7 @@ from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.fitting.measured_data import Measured
 from warpdiff.plot.axes import axes_for, clean_grid
-from warpdiff.profiles.base import Profile
+from warpdiff.profiles.profile_base import Profile
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -12,9 +12,9 @@ Examples:
     Outline(4 vertices, period 2 µm, height range 0.14 µm)
 """
 
-from warpdiff.profiles.base import Profile
 from warpdiff.profiles.outline import Outline
 from warpdiff.profiles.outline_profiles import Polygon, Trapezoid
+from warpdiff.profiles.profile_base import Profile
 from warpdiff.profiles.sampled_profiles import Pixels, Samples, ScanModes
 
 __all__ = ["Outline", "Pixels", "Polygon", "Profile", "Samples", "ScanModes", "Trapezoid"]

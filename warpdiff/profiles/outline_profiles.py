@@ -8,8 +8,8 @@ import numpy as np
 
 from warpdiff.core import validation
 from warpdiff.core.wording import ArgumentValueError, ref
-from warpdiff.profiles.base import Profile
 from warpdiff.profiles.outline import Outline
+from warpdiff.profiles.profile_base import Profile
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -8,7 +8,7 @@ import numpy as np
 
 from warpdiff.core import validation
 from warpdiff.heightfield.field import HeightField, check_whole
-from warpdiff.profiles.base import Profile
+from warpdiff.profiles.profile_base import Profile
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
