@@ -122,6 +122,28 @@ def fits(count: int) -> None:
     print(f"{count} fits, {(time.process_time() - start) / count:.2f} s each, {np.mean(evaluations):.1f} evaluations")
     print(f"within two standard errors: {np.mean(within):.3f} pooled, {shares}")
     print(f"χ² per degree of freedom: {np.mean(chi2):.3f}")
+    compare_minimisers(guess, exact + sd * rng.normal(size=30), sd)
+
+
+def compare_minimisers(guess: wd.profiles.Trapezoid, values: np.ndarray, sd: np.ndarray) -> None:
+    """Print the numbers of evaluations of a fit, of least squares by differences, and of Nelder and Mead's method."""
+    from scipy.optimize import least_squares, minimize
+
+    counted, (low, high) = measured(values), guess.bounds.T
+    calls = [0]
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        calls[0] += 1
+        return (counted.predict(guess.surface(np.clip(x, low, high))).value - values) / sd
+
+    result = wd.fit(guess, counted, sd=sd, starts=1)
+    print(f"fit: {result.evaluations} evaluations, χ² = {result.chi2:.3f}")
+    by_differences = least_squares(residuals, guess.start, bounds=(low, high), x_scale=high - low)
+    print(f"least squares by differences: {calls[0]} evaluations, χ² = {2.0 * by_differences.cost:.3f}")
+    calls[0] = 0
+    limits = {"xatol": 1e-6, "fatol": 1e-6, "maxfev": 4000}
+    free = minimize(lambda x: np.sum(residuals(x) ** 2), guess.start, method="Nelder-Mead", options=limits)
+    print(f"Nelder-Mead: {calls[0]} evaluations, χ² = {free.fun:.3f}")
 
 
 class Depth(wd.profiles.ScanModes):

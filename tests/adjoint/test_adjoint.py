@@ -133,6 +133,20 @@ def test_orders_equal_those_of_the_library(settings):
     np.testing.assert_allclose(value, exact, rtol=1e-11, atol=1e-14)
 
 
+@pytest.mark.parametrize("kind", ["averaged", "source", "centred"])
+@pytest.mark.parametrize("truncation", [1e-2, 1e-4, 1e-8])
+def test_truncation_is_the_largest_relative_error(kind, truncation, rng):
+    views = hemisphere(rng, 20, 0.3)
+    arguments = (FIELD, (0.2, 0.1, 1.0), views, WAVELENGTHS)
+    settings = {"coherence": coherence(kind), "wrt": ("heights_um",)}
+    exact = wd.adjoint.spectral_reflectance(*arguments, truncation=1e-13, **settings)
+    rough = wd.adjoint.spectral_reflectance(*arguments, truncation=truncation, **settings)
+    assert np.abs(rough.value - exact.value).max() <= truncation * exact.value.max()
+    weights = rng.normal(size=exact.value.shape)
+    gradients = [result.vjp(weights)["heights_um"] for result in (rough, exact)]
+    assert np.abs(gradients[0] - gradients[1]).max() <= truncation * np.abs(gradients[1]).max()
+
+
 @pytest.mark.parametrize("depth_um", [1e-4, 1.0, 10.0, 30.0])
 def test_series_are_long_enough_for_any_depth(depth_um):
     """Rounding errors of Bessel functions once ended the series of deep gratings after two terms."""

@@ -1,6 +1,6 @@
 """Exact derivatives of order efficiencies, spectra and colours, public as ``wd.adjoint``.
 
-Each function returns a :class:`Linearised` value. Derivatives are closed formulas in float64, without finite
+Each function returns a ``Linearised`` value. Derivatives are closed formulas in float64, without finite
 differences. A variable without a derivative raises an error: no gradient is silently zero.
 
 Examples:

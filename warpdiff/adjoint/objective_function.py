@@ -29,7 +29,7 @@ def objective(
     The function is what ``scipy.optimize.minimize(function, profile.start, jac=True, bounds=profile.bounds)`` takes.
 
     Args:
-        profile: Profile from :mod:`warpdiff.profiles`.
+        profile: Profile from ``warpdiff.profiles``.
         evaluate: Function of a surface and of ``wrt`` that returns one of the linearised values of this module.
         loss: Function of the value that returns the loss and its gradient by the value.
 

@@ -73,7 +73,7 @@ class SpectralCall:
         self._names = check_variables(function, wrt, names)
         self._ior, self._masking = index_of(ior), validation.flag(masking, "masking")
         self._lights, self._views, self.is_single = validation.light_and_view(to_light, to_view)
-        self._given = {"to_light": np.asarray(to_light, float), "to_view": np.asarray(to_view, float)}
+        self._vectors = {"to_light": np.asarray(to_light, float), "to_view": np.asarray(to_view, float)}
         self._above = (self._lights[:, 2] > HORIZON) & (self._views[:, 2] > HORIZON)
         if len(self._above) and not self._above.any():
             warn_of_darkness()
@@ -98,7 +98,7 @@ class SpectralCall:
         """Return the shape of each variable of the call."""
         shapes = {
             self._relief.variable: self._relief.variable_shape, "pitch_um": (2,), "n": (wavelength_count,),
-            "k": (wavelength_count,), **{name: array.shape for name, array in self._given.items()},
+            "k": (wavelength_count,), **{name: array.shape for name, array in self._vectors.items()},
         }  # fmt: skip
         return {name: shapes.get(name, ()) for name in self._names}
 
@@ -214,21 +214,21 @@ class SpectralCall:
 
     def _to_argument(self, name: str, array: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the adjoint of a direction as the caller gave it; other adjoints remain unchanged."""
-        if name not in self._given:
+        if name not in self._vectors:
             return array
         unit = self._lights if name == "to_light" else self._views
         result = np.zeros_like(unit)
         result[self._above] = array
-        given = np.atleast_2d(self._given[name])
-        result = (result - unit * np.sum(unit * result, axis=1, keepdims=True)) / np.linalg.norm(given, axis=1)[:, None]
-        return np.asarray(result if len(given) == len(unit) else result.sum(axis=0))
+        vectors = np.atleast_2d(self._vectors[name])
+        result = (result - unit * np.sum(unit * result, axis=1, keepdims=True)) / np.linalg.norm(vectors, axis=1)[:, None]
+        return np.asarray(result if len(vectors) == len(unit) else result.sum(axis=0))
 
     def _of_argument(self, name: str, change: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the change of unit vectors above the horizon, the transpose of ``_to_argument``."""
-        if name not in self._given:
+        if name not in self._vectors:
             return change
         unit = self._lights if name == "to_light" else self._views
-        lengths = np.linalg.norm(np.atleast_2d(self._given[name]), axis=1)[:, None]
+        lengths = np.linalg.norm(np.atleast_2d(self._vectors[name]), axis=1)[:, None]
         result = np.atleast_2d(change) / lengths
         return np.asarray((result - unit * np.sum(unit * result, axis=1, keepdims=True))[self._above])
 

@@ -1,1 +1,1 @@
-"""Fits of measured orders, spectra and colours by the derivatives of :mod:`warpdiff.adjoint`."""
+"""Fits of measured orders, spectra and colours by the derivatives of ``warpdiff.adjoint``."""

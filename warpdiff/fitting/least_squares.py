@@ -184,7 +184,7 @@ def fit(
     that are equivalent to the best ones are tried, too, if the profile states them.
 
     Args:
-        profile: Profile from :mod:`warpdiff.profiles`, with start values and bounds.
+        profile: Profile from ``warpdiff.profiles``, with start values and bounds.
         measured: Measured values with their geometry and optics.
         sd: Standard deviation of the measured values, more than 0, one number or shape (n,).
         starts: Number of starts, at least 1, by default 8.

@@ -76,7 +76,7 @@ class Measured:
 
         Args:
             surface: Height field or outline.
-            wrt: Variables of the derivatives, as in :mod:`warpdiff.adjoint`.
+            wrt: Variables of the derivatives, as in ``warpdiff.adjoint``.
         """
         return self._predict(surface, wrt)
 

@@ -52,11 +52,11 @@ class Profile(ABC):
     @property
     @abstractmethod
     def wrt(self) -> tuple[str, ...]:
-        """Variables of the surface that depend on the parameters, for ``wrt`` of :mod:`warpdiff.adjoint`."""
+        """Variables of the surface that depend on the parameters, for ``wrt`` of ``warpdiff.adjoint``."""
 
     @abstractmethod
     def surface(self, x: ArrayLike) -> HeightField | Outline:
-        """Return the surface for parameters, shape (p,), for the functions of :mod:`warpdiff.adjoint`."""
+        """Return the surface for parameters, shape (p,), for the functions of ``warpdiff.adjoint``."""
 
     @abstractmethod
     def height_field(self, x: ArrayLike) -> HeightField:
