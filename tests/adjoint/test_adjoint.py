@@ -93,7 +93,7 @@ def test_sums_under_lobes_and_their_transposes(rng):
     pairs = Pairs(rng.normal(0.0, 1.5, (count, 2)), forms, rng.uniform(2.0, 4.0, count))
     block = block_of(pairs, exponent, FIELD.shape, FIELD.size_um)
     sites = Sites(FIELD.shape, *block.orders())
-    rows = CoefficientRows(sites.count, (2.0, 4.0), 12, powers=True)
+    rows = CoefficientRows(sites.count, (2.0, 4.0), 12, powers=True, together=100)
     rows.fill(HeightTerms(FIELD.heights_um, sites, rows.nodes, 20))
     lobes = GaussianLobes(rows, block, sites.places, FIELD.size_um, exponent)
     change, adjoints = rng.normal(size=rows.rows[0].shape), rng.normal(size=count)
@@ -244,6 +244,9 @@ def test_arguments_are_checked(rng):
     outline = wd.profiles.Outline([0.0, 0.5], [0.0, 0.1], 1.0)
     with pytest.raises(ValueError, match="requires samples"):
         wd.adjoint.spectral_reflectance(outline, *call[1:], wrt=(), coherence=coherence("replicas"))
+    deep = wd.gratings.sinusoidal(40.0, 60.0, samples=512)
+    with pytest.raises(ValueError, match="terms; at most 1024"):
+        wd.adjoint.spectral_reflectance(deep, (0, 0.1, 1), [(0, 0, 1), (0.9, 0, 0.1)], [300.0, 700.0], wrt=())
     with pytest.raises(ValueError, match="wavelengths; at most"):
         wd.adjoint.reflectance(FIELD, (0, 0, 1), (0.5, 0, 1), truncation=1e-13, coherence=wd.Coherence(sigma_um=500.0))
 

@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     Complex = NDArray[np.complex128]
     Rows = list[NDArray[np.float64]]
 
-# Number of sites that are computed together. Limit: memory.
-_SITES_TOGETHER = 8192
-
 
 class Amplitudes(Protocol):
     """Source of coefficients at nodes of |κ|: heights on a grid, an outline, or a change of one of them."""
@@ -36,7 +33,7 @@ class CoefficientRows:
             The first p rows belong to the p sites, the others to their opposites.
     """
 
-    def __init__(self, count: int, kappas: tuple[float, float], terms: int, *, powers: bool) -> None:
+    def __init__(self, count: int, kappas: tuple[float, float], terms: int, *, powers: bool, together: int) -> None:
         """Describe the series of 2 · ``count`` coefficients; ``fill`` computes them.
 
         Args:
@@ -44,7 +41,9 @@ class CoefficientRows:
             kappas: Least and largest |κ| [1/µm].
             terms: Number k of terms of a series.
             powers: Whether the rows are powers. Otherwise they are amplitudes.
+            together: Number of sites that are computed together, which limits the memory.
         """
+        self._together = together
         self._count, self.kappas, self.terms, self.powers = count, kappas, terms, powers
         self._to_series = chebyshev.to_series(terms)
         self.rows: Rows = []
@@ -108,8 +107,8 @@ class CoefficientRows:
         return np.asarray((2.0 * kappas - low - high) / (high - low))
 
     def _parts(self) -> Iterator[slice]:
-        for first in range(0, self._count, _SITES_TOGETHER):
-            yield slice(first, min(first + _SITES_TOGETHER, self._count))
+        for first in range(0, self._count, self._together):
+            yield slice(first, min(first + self._together, self._count))
 
     def empty(self, *, zero: bool = False) -> Rows:
         """Return new arrays for rows; with ``zero`` all elements are 0."""

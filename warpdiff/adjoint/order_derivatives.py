@@ -75,7 +75,7 @@ class _OrderCall:
         sites = Sites(relief.shape, *np.concatenate([model.indices for model in self._models.values()]).T)
         needed = _BYTES_PER_SAMPLE * relief.samples + sites.count * (32.0 * terms + 48.0 * count)
         memory.require_memory(needed, f"a gradient by {sites.count} coefficients", "take {share} of its area")
-        self._rows = CoefficientRows(sites.count, (low, high), count, powers=True)
+        self._rows = CoefficientRows(sites.count, (low, high), count, powers=True, together=relief.sites_together)
         with single_threaded_blas():
             self._terms = relief.terms(sites, self._rows.nodes, terms)
             self._rows.fill(self._terms)

@@ -23,6 +23,7 @@ from warpdiff.core import memory, validation
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.heightfield.field import HeightField
+from warpdiff.kernels import lobe_sums
 from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry
 from warpdiff.optics.coherence import Coherence
@@ -137,28 +138,27 @@ class SpectralCall:
             self._lights[above], self._views[above], wavelengths_nm, self._coherence, self._ior, self._material,
             self._masking,
         )  # fmt: skip
-        project = np.eye(len(wavelengths_nm)) if weights is None else weights
         columns = len(wavelengths_nm) if weights is None else weights.shape[1]
         value = np.zeros((len(above), columns))
         model = None
         if above.any():
             model = SpectralModel(illumination, self._sums(illumination), self._relief.shape)
             rho = model.value(with_slopes=self._has_slopes)
-            value[above] = rho if weights is None else rho @ project
+            value[above] = rho if weights is None else rho @ weights
         shapes = self.shapes(len(wavelengths_nm))
 
         def adjoint(adjoints: NDArray[np.float64]) -> Derivatives:
             if model is None:
                 return {name: np.zeros(shape) for name, shape in shapes.items()}
             rows = adjoints.reshape(value.shape)[above]
-            result = model.adjoint(rows if weights is None else rows @ project.T, self._names)
+            result = model.adjoint(rows if weights is None else rows @ weights.T, self._names)
             return {name: self._to_argument(name, array) for name, array in result.items()}
 
         def tangent(changes: Derivatives) -> NDArray[np.float64]:
             result = np.zeros_like(value)
             if model is not None:
                 rho = model.tangent({name: self._of_argument(name, array) for name, array in changes.items()})
-                result[above] = rho if weights is None else rho @ project
+                result[above] = rho if weights is None else rho @ weights
             return result.reshape(shape)
 
         shape = value.shape[1:] if self.is_single else value.shape
@@ -184,10 +184,16 @@ class SpectralCall:
         terms = term_count(2.0 * math.pi * high * relief.scale_um, self._truncation)
         # A power oscillates over κ as fast as the phase of the whole height range, an amplitude half as fast.
         count = term_count(math.pi * (high - low) * relief.scale_um * (2.0 if powers else 1.0), self._truncation)
+        if count > lobe_sums.MOST_TERMS:
+            raise ArgumentValueError(
+                f"{ref('heightfield')} has a height range of {2.0 * relief.scale_um:.3g} µm, whose series requires "
+                f"{count} terms; at most {lobe_sums.MOST_TERMS} are supported: use fewer wavelengths or directions at "
+                f"a time, or a larger {ref('truncation')}"
+            )
         pairs_kept = min(len(illumination.lights) * len(illumination.wavelengths_nm), MOST_KEPT)
         self._require(block, terms, count, pairs_kept if self._has_slopes else 0, powers=powers)
         sites = Sites(relief.shape, *block.orders())
-        rows = CoefficientRows(sites.count, (low, high), count, powers=powers)
+        rows = CoefficientRows(sites.count, (low, high), count, powers=powers, together=relief.sites_together)
         series = relief.terms(sites, rows.nodes, terms)
         centre, moving = self._centre()
         return LobeSums(series, rows, block, sites, relief.size_um, exponent, centre, moving)
@@ -220,7 +226,9 @@ class SpectralCall:
         result = np.zeros_like(unit)
         result[self._above] = array
         vectors = np.atleast_2d(self._vectors[name])
-        result = (result - unit * np.sum(unit * result, axis=1, keepdims=True)) / np.linalg.norm(vectors, axis=1)[:, None]
+        result = (result - unit * np.sum(unit * result, axis=1, keepdims=True)) / np.linalg.norm(vectors, axis=1)[
+            :, None
+        ]
         return np.asarray(result if len(vectors) == len(unit) else result.sum(axis=0))
 
     def _of_argument(self, name: str, change: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 # Number of samples that an outline counts as having along x. Limit: its coefficients of all orders are distinct, and
 # orders are at most some thousands.
 _OUTLINE_SAMPLES = 2**40
+# Number of coefficients that are computed together, of a height field or of one vertex of an outline. Limit: memory.
+_SITES_TOGETHER = 8192
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,11 @@ class Relief:
         if isinstance(self.surface, HeightField):
             return self.surface
         return _Lattice((1, 2), self.size_um, self.surface.height_range_um)
+
+    @property
+    def sites_together(self) -> int:
+        """Number of coefficients that are computed together."""
+        return max(_SITES_TOGETHER // len(self.surface.heights_um), 16) if self.is_outline else _SITES_TOGETHER
 
     @property
     def samples(self) -> int:
