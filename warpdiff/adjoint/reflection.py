@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.adjoint.jets import Jet
+from warpdiff.kernels.thresholds import TINY
 from warpdiff.optics.materials import DEFAULT_IOR
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ MATERIAL_VARIABLES = ("cosine", "n", "k", "film_nm", "wavelengths_nm")
 # Variables of Schlick's reflectance.
 IOR_VARIABLES = ("cosine", "ior")
 
-# Difference of the cosines of light and viewer below which they count as equal. Limit: rounding errors of directions.
+# Difference of the cosines of light and viewer, or of M and 1, below which they count as equal. Limit: rounding errors of directions.
 _EQUAL_COSINES = 1e-9
 
 
@@ -55,11 +56,12 @@ def geometry(
 
 
 def kinks(lights: NDArray[np.float64], views: NDArray[np.float64]) -> int:
-    """Return the number of pairs at the kink of the V-cavity's masking: equal cosines, and M < 1."""
+    """Return the number of pairs at a kink of the V-cavity's masking: equal cosines where M < 1, or M just 1."""
     overlap = 0.5 * np.sum((lights + views) ** 2, axis=1)
     total, smaller = lights[:, 2] + views[:, 2], np.minimum(lights[:, 2], views[:, 2])
-    is_equal = np.abs(lights[:, 2] - views[:, 2]) < _EQUAL_COSINES
-    return int(np.count_nonzero(is_equal & (2.0 * total * smaller < overlap)))
+    masking = 2.0 * total * smaller / np.maximum(overlap, TINY)
+    is_equal = (np.abs(lights[:, 2] - views[:, 2]) < _EQUAL_COSINES) & (masking < 1.0)
+    return int(np.count_nonzero(is_equal | (np.abs(masking - 1.0) < _EQUAL_COSINES)))
 
 
 def index_of(ior: float | None) -> float:

@@ -82,7 +82,8 @@ class SpectralCall:
         if self._masking and (count := kinks(lights, views)) and {"to_light", "to_view"} & set(self._names):
             warn(
                 f"{count} of {len(self._lights)} pairs of directions are at the kink of the masking, where both have "
-                "the same angle from the normal: derivatives by directions are those for a light nearer to the horizon"
+                "the same angle from the normal or masking begins: derivatives by directions are those for a light "
+                "nearer to the horizon, or without masking"
             )
 
     @property
