@@ -1,6 +1,7 @@
 // Sums of Fourier coefficients under Gaussian lobes in float64, their derivatives, and the transposed sum.
 //
-// A coefficient is a series of Chebyshev polynomials in x, one row of `terms` numbers; x is κ, scaled to the range −1 to
+// A coefficient is a series of Chebyshev polynomials in x, one row of `terms` numbers; x is κ, scaled to the range −1
+// to
 // 1. A pair of a direction and a wavelength has a centre q [1/µm], a positive definite matrix M [µm²], and its x. The
 // weight of the coefficient at the frequency q_rs is exp(−dᵀMd) with d = q − q_rs.
 
@@ -10,8 +11,8 @@
 
 namespace warpdiff {
 
-// Number of derivatives of a sum: by q_x, q_y, M_xx, M_xy, M_yy, x, L_x and L_y, sums of r and of s times the terms, and
-// the sum itself.
+// Number of derivatives of a sum: by q_x, q_y, M_xx, M_xy, M_yy, x, L_x and L_y, sums of r and of s times the terms,
+// and the sum itself.
 constexpr int LOBE_DERIVATIVES = 11;
 // Largest number of terms of a series. Limit: the polynomials of a pair are on the stack.
 constexpr int MOST_LOBE_TERMS = 1024;
@@ -72,8 +73,8 @@ struct Lobe {
     static WARPDIFF_INLINE int within(double position, int first, int count, int up)
     {
         const double index = (up ? wp::ceil(position) : wp::floor(position)) - (double)first;
-        return (int)(up ? wp::min(wp::max(index, 0.0), (double)count)
-                        : wp::max(wp::min(index, (double)count - 1.0), -1.0));
+        return (
+            int)(up ? wp::min(wp::max(index, 0.0), (double)count) : wp::max(wp::min(index, (double)count - 1.0), -1.0));
     }
 
     // Return the weight of the coefficient in a row and a column, with its distances from the centre; 0 beyond the
@@ -113,8 +114,7 @@ WARPDIFF_INLINE double sum_lobe(const Table& table, const Pairs& pairs, int pair
     for (int row = lobe.first_row; row <= lobe.last_row; ++row) {
         for (int column = lobe.first_column; column <= lobe.last_column; ++column) {
             const double weight = lobe.weight(table, row, column, dx, dy);
-            if (weight != 0.0)
-                sum += weight * dot_rows(coefficient_row(table, row, column), polynomials, table.terms);
+            if (weight != 0.0) sum += weight * dot_rows(coefficient_row(table, row, column), polynomials, table.terms);
         }
     }
     return sum;

@@ -21,7 +21,8 @@ MATERIAL_VARIABLES = ("cosine", "n", "k", "film_nm", "wavelengths_nm")
 # Variables of Schlick's reflectance.
 IOR_VARIABLES = ("cosine", "ior")
 
-# Difference of the cosines of light and viewer, or of M and 1, below which they count as equal. Limit: rounding errors of directions.
+# Difference of the cosines of light and viewer, or of M and 1, below which they count as equal. Limit: rounding errors
+# of directions.
 _EQUAL_COSINES = 1e-9
 
 
