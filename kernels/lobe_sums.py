@@ -12,8 +12,6 @@ OPTIONS = compile_options.options("lobe_sums.h", max_unroll=1)
 # Number of derivatives of a sum: by q_x, q_y, M_xx, M_xy, M_yy, x, L_x and L_y, the sums of r and of s times each term,
 # and the sum itself. Derived: the header ``lobe_sums.h`` writes as many.
 DERIVATIVES = 11
-# Largest number of terms of a series. Limit: the header keeps the polynomials of a pair on the stack.
-MOST_TERMS = 1024
 
 
 @wp.struct

@@ -157,6 +157,11 @@ def test_arguments_are_checked(tmp_path):
     file.write_text("light_theta_deg,efficiency\n0,1\n")
     with pytest.raises(ValueError, match="columns of one kind"):
         wd.Measured.from_csv(file)
+    with pytest.raises(FileNotFoundError, match=r"path: .* is not a file"):
+        wd.Measured.from_csv(tmp_path)
+    file.write_bytes(b"X,Y\n\xff\xfe,1\n")
+    with pytest.raises(ValueError, match="is not a CSV file"):
+        wd.Measured.from_csv(file)
     file.write_text("X,Y\nred,1\n")
-    with pytest.raises(ValueError, match="column 'X' must contain numbers"):
+    with pytest.raises(ValueError, match="column 'X' must contain finite numbers"):
         wd.Measured.from_csv(file)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.core import validation
+from warpdiff.core.wording import ArgumentTypeError, ref
 from warpdiff.profiles.profile_base import Profile
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def objective(
         Function of parameters, shape (p,), that returns the loss and its gradient, shape (p,).
 
     Raises:
-        TypeError: ``profile`` is not a profile.
+        TypeError: ``profile`` is not a profile, or another argument is not a function.
 
     Examples:
         >>> import math
@@ -56,6 +57,9 @@ def objective(
         order 0 falls from 0.18 to 0.0000
     """
     validation.instance(profile, Profile, "profile")
+    for name, value in (("evaluate", evaluate), ("loss", loss)):
+        if not callable(value):
+            raise ArgumentTypeError(f"{ref(name)} must be a function, got {type(value).__name__}")
 
     def function(x: ArrayLike) -> tuple[float, NDArray[np.float64]]:
         parameters = profile.check(x)

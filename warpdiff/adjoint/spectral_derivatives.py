@@ -23,7 +23,6 @@ from warpdiff.core import memory, validation
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.heightfield.field import HeightField
-from warpdiff.kernels import lobe_sums
 from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry
 from warpdiff.optics.coherence import Coherence
@@ -185,12 +184,6 @@ class SpectralCall:
         terms = term_count(2.0 * math.pi * high * relief.scale_um, self._truncation)
         # A power oscillates over κ as fast as the phase of the whole height range, an amplitude half as fast.
         count = term_count(math.pi * (high - low) * relief.scale_um * (2.0 if powers else 1.0), self._truncation)
-        if count > lobe_sums.MOST_TERMS:
-            raise ArgumentValueError(
-                f"{ref('heightfield')} has a height range of {2.0 * relief.scale_um:.3g} µm, whose series requires "
-                f"{count} terms; at most {lobe_sums.MOST_TERMS} are supported: use fewer wavelengths or directions at "
-                f"a time, or a larger {ref('truncation')}"
-            )
         pairs_kept = min(len(illumination.lights) * len(illumination.wavelengths_nm), MOST_KEPT)
         self._require(block, terms, count, pairs_kept if self._has_slopes else 0, powers=powers)
         sites = Sites(relief.shape, *block.orders())

@@ -105,7 +105,7 @@ def check_variables(function: str, wrt: Sequence[str], names: tuple[str, ...]) -
         TypeError: ``wrt`` is a string or not a sequence of strings.
         ValueError: A name has no derivative.
     """
-    if isinstance(wrt, str) or not all(isinstance(name, str) for name in wrt):
+    if not isinstance(wrt, (tuple, list)) or not all(isinstance(name, str) for name in wrt):
         raise ArgumentTypeError(f"{ref('wrt')} must be a tuple of names, such as ('heights_um',), got {wrt!r}")
     for name in wrt:
         if name not in names:

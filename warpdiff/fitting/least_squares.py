@@ -34,6 +34,8 @@ _SAME = 0.5
 # Relative changes of parameters and of χ² at which the minimiser ends, and its largest number of steps. Limit: starts
 # near a minimum need fewer than 30 steps.
 _CHANGE, _MOST_STEPS = 1e-9, 60
+# Largest number of starts. Limit: computing time is proportional to it.
+_MOST_STARTS = 1000
 # Difference of χ², relative to it, below which two minima are equally good. The one of the earlier start is then best.
 _TIE = 1e-6
 # Singular value of the Jacobian, relative to the largest, below which a change of parameters counts as undetermined.
@@ -187,7 +189,7 @@ def fit(
         profile: Profile from ``warpdiff.profiles``, with start values and bounds.
         measured: Measured values with their geometry and optics.
         sd: Standard deviation of the measured values, more than 0, one number or shape (n,).
-        starts: Number of starts, at least 1, by default 8.
+        starts: Number of starts, 1 to 1000, by default 8.
         seed: Seed of the random starts, by default 0.
         progress: Function that is called with the finished share, 0 to 1; True shows a progress bar.
 
@@ -235,7 +237,7 @@ def fit(
     rng = np.random.default_rng(validation.count(seed, "seed", least=0))
     low, high = profile.bounds.T
     points = [profile.start]
-    points += [rng.uniform(low, high) for _ in range(validation.count(starts, "starts") - 1)]
+    points += [rng.uniform(low, high) for _ in range(validation.count(starts, "starts", most=_MOST_STARTS) - 1)]
     problem = _Problem(profile, measured, np.broadcast_to(deviations, (count,)))
     minima: list[Minimum] = []
     for k, point in enumerate(points):

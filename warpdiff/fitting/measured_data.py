@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, get_args
 
 import numpy as np
 
@@ -14,22 +14,25 @@ from warpdiff.adjoint.spectral_derivatives import reflectance, spectral_reflecta
 from warpdiff.adjoint.surfaces import Relief
 from warpdiff.core import validation
 from warpdiff.core.angles import direction
-from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.core.wording import ArgumentValueError, ref, renaming
 from warpdiff.evaluate.orders import propagating
+from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry
+from warpdiff.optics.coherence import Coherence
+from warpdiff.optics.materials import check_covers, check_reflection
+from warpdiff.request.settings import Energy
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Callable
+    from pathlib import Path
 
     from numpy.typing import ArrayLike, NDArray
 
     from warpdiff.heightfield.field import HeightField
-    from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.materials import Material
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.profiles.outline import Outline
-    from warpdiff.request.settings import Energy
 
     Array = NDArray[np.float64]
 
@@ -78,7 +81,8 @@ class Measured:
             surface: Height field or outline.
             wrt: Variables of the derivatives, as in ``warpdiff.adjoint``.
         """
-        return self._predict(surface, wrt)
+        with renaming({"heightfield": "surface"}):
+            return self._predict(surface, wrt)
 
     @classmethod
     def orders(
@@ -99,12 +103,15 @@ class Measured:
         Raises:
             ValueError: Shapes do not match, or an argument is out of its range.
         """
-        values = validation.finite_array(efficiencies, "efficiencies", ndim=1)
+        values = _values(efficiencies, "efficiencies")
         pairs = validation.finite_array(orders, "orders", ndim=2)
         if pairs.shape != (len(values), 2) or np.any(pairs != np.rint(pairs)):
             raise ArgumentValueError(f"{ref('orders')} must be integers of shape ({len(values)}, 2), got {pairs.shape}")
         lights = _grid(validation.unit_directions(to_light, "to_light")[0], len(values), "to_light")
         wavelengths = _wavelengths(wavelengths_nm, len(values))
+        _check_optics(ior, material, wavelengths.rows, energy=energy)
+        if lights.rows[:, 2].min() <= HORIZON:
+            raise ArgumentValueError(f"{ref('to_light')} must be above the horizon (z > 0)")
 
         def predict(surface: HeightField | Outline, wrt: tuple[str, ...]) -> Linearised:
             known, _ = propagating(Relief.of(surface).lattice, lights.rows, wavelengths.rows[:, 0])
@@ -139,9 +146,10 @@ class Measured:
         Raises:
             ValueError: Shapes do not match, or an argument is out of its range.
         """
-        values = validation.finite_array(reflectances, "reflectances", ndim=1)
+        values = _values(reflectances, "reflectances")
         directions = _pairs(to_light, to_view, len(values))
         wavelengths = _wavelengths(wavelengths_nm, len(values))
+        _check_optics(ior, material, wavelengths.rows, coherence=coherence, masking=masking)
 
         def predict(surface: HeightField | Outline, wrt: tuple[str, ...]) -> Linearised:
             result = spectral_reflectance(
@@ -173,10 +181,12 @@ class Measured:
         Raises:
             ValueError: Shapes do not match, or an argument is out of its range.
         """
-        values = validation.finite_array(xyz, "xyz", ndim=2)
-        if values.shape[1] != 3:
+        values = validation.finite_array(xyz, "xyz", ndim=2, most=validation.MOST)
+        if values.shape[1] != 3 or not values.size:
             raise ArgumentValueError(f"{ref('xyz')} must have shape (n, 3), got {values.shape}")
         directions = _pairs(to_light, to_view, len(values))
+        colorimetry.check_illuminant(illuminant)
+        _check_optics(ior, material, colorimetry.VISIBLE_NM, coherence=coherence, masking=masking)
         rows, columns = np.repeat(directions.which, 3), np.tile(np.arange(3), len(values))
 
         def predict(surface: HeightField | Outline, wrt: tuple[str, ...]) -> Linearised:
@@ -248,10 +258,37 @@ class Measured:
         )
 
 
-def _columns(path: os.PathLike[str]) -> dict[str, Array]:
+def _values(values: object, name: str) -> Array:
+    """Return measured values, at least one, as an array of shape (n,)."""
+    array = validation.finite_array(values, name, ndim=1, most=validation.MOST)
+    if not array.size:
+        raise ArgumentValueError(f"{ref(name)} must have at least one value")
+    return array
+
+
+def _check_optics(
+    ior: float | None, material: Material | None, wavelengths_nm: Array, *, coherence: Coherence | None = None,
+    masking: bool = True, energy: Energy | None = None,
+) -> None:  # fmt: skip
+    """Raise an error for invalid optics, before a fit starts."""
+    check_reflection(ior, material)
+    if material is not None:
+        check_covers(material, float(wavelengths_nm.min()), float(wavelengths_nm.max()))
+    validation.instance(coherence, Coherence, "coherence", optional=True)
+    validation.flag(masking, "masking")
+    if energy is not None:
+        validation.choice(energy, "energy", get_args(Energy))
+
+
+def _columns(path: Path) -> dict[str, Array]:
     """Return the numeric columns of a CSV file by their names."""
-    with open(path, encoding="utf-8", newline="") as file:  # noqa: PTH123 (a path of any type)
-        rows = list(csv.DictReader(file))
+    if not path.is_file():
+        raise FileNotFoundError(f"path: {str(path)!r} is not a file")
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ArgumentValueError(f"{ref('path')}: {str(path)!r} is not a CSV file: {error}") from None
     known = {name for names in COLUMNS.values() for name in names}
     result = {}
     for name in rows[0] if rows else ():
@@ -259,7 +296,9 @@ def _columns(path: os.PathLike[str]) -> dict[str, Array]:
             try:
                 result[name] = np.array([float(row[name]) for row in rows])
             except (TypeError, ValueError):
-                raise ArgumentValueError(f"{ref('path')}: column {name!r} must contain numbers") from None
+                result[name] = np.array([np.nan])
+            if not np.isfinite(result[name]).all():
+                raise ArgumentValueError(f"{ref('path')}: column {name!r} must contain finite numbers in each row")
     return result
 
 
