@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ from warpdiff.core import validation
 from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.warnings import warn
-from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.core.wording import ArgumentValueError, WarpdiffWarning, ref
 from warpdiff.fitting.measured_data import Measured
 from warpdiff.plot.axes import axes_for, clean_grid
 from warpdiff.profiles.profile_base import Profile
@@ -154,6 +155,10 @@ class _Problem:
         self._last: Array | None = None
         self.evaluations = 0
 
+    def forget(self) -> None:
+        """Evaluate the next parameters in any case, so that their warnings are shown."""
+        self._last = None
+
     def residuals(self, x: Array) -> Array:
         """Return (prediction − measured)/sd, shape (n,)."""
         self._evaluate(x)
@@ -256,10 +261,13 @@ def _minimum(problem: _Problem, start: Array, bounds: Array) -> Minimum:
 
     low, high = bounds.T
     inside = np.clip(start, low + _AT_BOUND * (high - low), high - _AT_BOUND * (high - low))
-    result = least_squares(
-        problem.residuals, inside, problem.jacobian, bounds=(low, high), x_scale=high - low, xtol=_CHANGE,
-        ftol=_CHANGE, gtol=_CHANGE, max_nfev=_MOST_STEPS,
-    )  # fmt: skip
+    with warnings.catch_warnings():
+        # Warnings about parameters on the way, such as an order at the horizon, do not concern the result.
+        warnings.simplefilter("ignore", WarpdiffWarning)
+        result = least_squares(
+            problem.residuals, inside, problem.jacobian, bounds=(low, high), x_scale=high - low, xtol=_CHANGE,
+            ftol=_CHANGE, gtol=_CHANGE, max_nfev=_MOST_STEPS,
+        )  # fmt: skip
     return Minimum(np.asarray(result.x), float(2.0 * result.cost))
 
 
@@ -272,6 +280,7 @@ def _best(minima: list[Minimum]) -> Minimum:
 def _result(profile: Profile, problem: _Problem, minima: list[Minimum], report: Callable[[float], None] | None) -> Fit:
     """Return the result of a fit: the best minimum with its covariance, and the others that are as good."""
     best = _best(minima)
+    problem.forget()
     jacobian, residuals = problem.jacobian(best.values), problem.residuals(best.values)
     low, high = profile.bounds.T
     margin = _AT_BOUND * 10.0 * (high - low)
