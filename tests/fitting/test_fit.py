@@ -70,7 +70,7 @@ def test_standard_errors_cover_the_true_parameters(count, rng):
 
 @pytest.mark.parametrize("seed", [slow(seed) for seed in range(50)])
 def test_fits_with_eight_starts_list_both_duty_cycles(seed):
-    """Starts on the way may have an order at the horizon. Only warnings about the result are shown, and fail the test."""
+    """Starts may pass a period with an order at the horizon. A warning about it would fail the test."""
     result = wd.fit(profile(), noisy(np.random.default_rng([52, seed])), sd=SD, seed=seed)
     duties = sorted(minimum.values[1] for minimum in result.minima)
     assert np.isclose(duties, TRUE[1], atol=0.01).any()
