@@ -144,7 +144,7 @@ orders = wd.Measured.orders(up, 550.0, [(0, m) for m in range(-2, 3)], [0.0, 0.0
 fitted = wd.fit(trapezoid, orders, sd=1e-3, starts=1)
 called |= {
     "adjoint": wd.adjoint.order_efficiencies(heightfield, up, 550.0).value, "profiles": trapezoid, "fit": fitted,
-    "Fit": fitted, "Measured": orders, "Minimum": fitted.minima[0],
+    "Fit": fitted, "Measured": orders, "Minimum": fitted.minima[0], "Surface": wd.Surface(heightfield),
 }
 lights = {name for name in wd.__all__ if isinstance(value := getattr(wd, name), type) and issubclass(value, Light)}
 assert {"DirectionalLight", "Environment", "PointLight"} <= lights
