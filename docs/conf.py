@@ -10,7 +10,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "extensions"))
 # Public modules such as ``warpdiff.gratings`` are only attributes of the package. With these entries Sphinx can import
 # them by their public names.
-for name in ("gratings", "meshes", "datasets", "plot"):
+for name in ("adjoint", "gratings", "meshes", "datasets", "plot", "profiles"):
     if hasattr(warpdiff, name):
         sys.modules[f"warpdiff.{name}"] = getattr(warpdiff, name)
 

@@ -9,6 +9,7 @@ import fractions
 import functools
 import inspect
 import math
+import warnings
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -230,7 +231,29 @@ _TOPOGRAPHIES = [
     topography(), topography(unit="V"), topography(unit=None), topography(dim=1), topography(physical_sizes=None),
     topography(physical_sizes=(0.0, math.nan)), topography(heights=lambda: np.zeros(3)), "scan.sur",
 ]  # fmt: skip
+
+
 # Hypothesis strategies for arguments that are objects, by argument name.
+def trapezoid():
+    """Return a profile with few parameters."""
+    return wd.profiles.Trapezoid(0.1, 0.5, 0.02, 1.0)
+
+
+def measured():
+    """Return measured efficiencies of a grating."""
+    return wd.Measured.orders(
+        (0.2, 0.0, 1.0), 300.0, [(0, m) for m in (-2, -1, 0, 1, 2)], [0.001, 0.01, 0.02, 0.01, 0.001]
+    )
+
+
+@functools.cache
+def fitted():
+    """Return the result of a fit."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", wd.WarpdiffWarning)
+        return wd.fit(trapezoid(), measured(), sd=0.01, starts=1)
+
+
 OBJECTS = {
     "topography": st.sampled_from(_TOPOGRAPHIES),
     "heightfield": _one_of(_heightfields), "mesh": _one_of(malformed_meshes), "view": _one_of(_views),
@@ -251,7 +274,10 @@ OBJECTS = {
     "columns": st.dictionaries(_TEXTS, _VECTORS),
     "efficiencies": _one_of(lambda: [efficiencies(), picture()]), "labels": st.lists(_TEXTS, max_size=2),
     "source": _one_of(lambda: [picture(), picture().xyz, [500.0], np.ones((2, 3)), HEIGHTFIELD.periods(), PERIOD]),
-    "ax": _one_of(lambda: [axes()]),
+    "ax": _one_of(lambda: [axes()]), "profile": _one_of(lambda: [trapezoid()]), "surface": _one_of(_heightfields),
+    "measured": _one_of(lambda: [measured()]), **dict.fromkeys(("orders", "reflectances", "sd"), _VECTORS),
+    **dict.fromkeys(("evaluate", "loss"), st.just("bad")),
+    "wrt": st.sampled_from([("heights_um",), ("to_light", "ior"), ("duty",), ("x",), "heights_um", (), [1], (None,)]),
 }  # fmt: skip
 _SETTINGS = describe(SinglePictureSettings)
 
@@ -310,7 +336,7 @@ WAVY = wd.HeightField(0.05 * np.sin(np.arange(120.0)).reshape(1, -1) + np.zeros(
 # Classes that only the library creates are not fuzzed. Errors and warnings are excluded because they accept any text.
 MADE_BY_THE_LIBRARY = {"BakedLobes", "BakedSpectrum", "Comparison", "Image", "OrderEfficiencies", "Period"}
 MADE_BY_THE_LIBRARY |= {"Periods", "ReflectanceSpectra", "Report", "Roughness", "ScanReport", "ToleranceError"}
-MADE_BY_THE_LIBRARY |= {"WarpdiffWarning"}
+MADE_BY_THE_LIBRARY |= {"WarpdiffWarning", "Fit", "Measured", "Minimum"}
 # Methods that only the renderer calls are not fuzzed, because their arguments are already checked.
 CALLED_BY_PICTURES = {"lobes", "parts"}
 # Objects on which methods are called, by class. Methods of the classes in ``FUZZED_OWNERS`` are also called on fuzzed
@@ -321,7 +347,7 @@ OWNERS = {
     "HeightField": lambda: WAVY, "Image": picture, "Plan": plan, "Renderer": renderer, "View": lambda: VIEW,
     "BakedLobes": lobes, "Comparison": lambda: wd.compare(np.ones((2, 3, 3)), np.ones((2, 3, 3)), tolerance=0.1),
     "OrderEfficiencies": efficiencies, "Periods": lambda: wd.Periods([PERIOD]),
-    "Roughness": WAVY.roughness, "Table": lambda: wd.Table({"number": [1.0]}),
+    "Roughness": WAVY.roughness, "Fit": fitted, "Measured": measured, "Table": lambda: wd.Table({"number": [1.0]}),
     "ReflectanceSpectra": lambda: wd.ReflectanceSpectra(np.ones(1), np.eye(3)[2:], np.eye(3)[2:], np.ones((1, 1))),
     "BakedSpectrum": functools.cache(lambda: wd.bake_spectrum(HEIGHTFIELD, coherence=SHORT, size=16, tolerance=0.1)),
 }  # fmt: skip
@@ -355,9 +381,16 @@ LEGAL_OF |= {
     "order_angles": {"source": PERIOD}, "plot.colour_strip": {"source": np.ones((2, 3)), "angles_deg": [0.0, 10.0]},
     "plot.spectra": {"source": [500.0], "values": [0.5]},
 }  # fmt: skip
+LEGAL_OF |= {
+    "Measured.orders": {"orders": [(0, 1)], "efficiencies": [0.1]}, "Measured.spectra": {"reflectances": [0.1]},
+    "Measured.colours": {"xyz": [[0.1, 0.2, 0.3]]}, "Measured.from_csv": {"path": "orders.csv"},
+    "Measured.predict": {"surface": HEIGHTFIELD}, "fit": {"sd": 0.1, "starts": 1},
+    "adjoint.objective": {"evaluate": print, "loss": print},
+}  # fmt: skip
 LEGAL_BY_CALL = {"renderer": renderer, "lobes": lobes, "ax": axes, "efficiencies": efficiencies}
 # As ``LEGAL_BY_CALL``, for arguments of single functions: functions that make a legal value for each call.
 LEGAL_OF_BY_CALL = {
+    "fit": {"profile": trapezoid, "measured": measured}, "adjoint.objective": {"profile": trapezoid},
     "plot.plan": {"plan": simple_plan}, "plot.error_image": {"image": still}, "plot.reflectance_map": {"source": still},
 }  # fmt: skip
 
@@ -368,6 +401,7 @@ def write_files(folder: Path) -> None:
     np.save(folder / "integers.npy", np.arange(96, dtype=np.uint8).reshape(8, 12))
     np.save(folder / "gaps.npy", [[0.0, math.nan]])
     plan().save(folder / "plan.json")
+    efficiencies().save(folder / "orders.csv")
     sky = oiio.ImageOutput.create(str(folder / "sky.exr"))
     sky.open(str(folder / "sky.exr"), oiio.ImageSpec(4, 2, 3, "float"))
     sky.write_image(np.ones((2, 4, 3), np.float32))

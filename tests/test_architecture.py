@@ -22,7 +22,7 @@ SOURCES = {
     for path in sorted((ROOT / folder).rglob("*.py"))
 }
 # Packages that must not import Warp, neither directly nor through other packages.
-WITHOUT_WARP = ("core", "datasets", "diffraction", "heightfield", "image", "optics", "samples")
+WITHOUT_WARP = ("core", "datasets", "diffraction", "heightfield", "image", "optics", "profiles", "samples")
 # Pattern that finds attributes of Warp's objects which Warp's reference does not document.
 UNDOCUMENTED = (
     r"warp\._[a-z]|\bwp\._[a-z]|\.(hooks|module_exec|adj|params|_length_|_type_|__ctype__|ctype|native_func)\b"
@@ -139,10 +139,18 @@ called = {
     "spectral_reflectance": wd.spectral_reflectance(heightfield, up, up, 550.0, **settings),
     "turntable": wd.turntable(light, view),
 }
+trapezoid = wd.profiles.Trapezoid(0.1, 0.5, 0.02, 2.0)
+orders = wd.Measured.orders(up, 550.0, [(0, m) for m in range(-2, 3)], [0.0, 0.01, 0.02, 0.01, 0.0])
+fitted = wd.fit(trapezoid, orders, sd=1e-3, starts=1)
+called |= {
+    "adjoint": wd.adjoint.order_efficiencies(heightfield, up, 550.0).value, "profiles": trapezoid, "fit": fitted,
+    "Fit": fitted, "Measured": orders, "Minimum": fitted.minima[0], "Surface": wd.Surface(heightfield),
+}
 lights = {name for name in wd.__all__ if isinstance(value := getattr(wd, name), type) and issubclass(value, Light)}
 assert {"DirectionalLight", "Environment", "PointLight"} <= lights
 assert set(called) ^ lights == set(wd.__all__), set(called) ^ lights ^ set(wd.__all__)
 classes = "BakedLobes", "BakedSpectrum", "Comparison", "Image", "OrderEfficiencies", "Period", "Periods", "Plan"
+classes += ("Fit", "Measured", "Minimum")
 for name in (*classes, "ReflectanceSpectra", "Report", "Roughness", "ScanReport", "Table"):
     assert type(called[name]) is getattr(wd, name)
 """

@@ -6,11 +6,13 @@ Packages, from the lowest layer to the highest; a package imports only packages 
 - ``core``: validation, caches, threads, files, forks
 - ``device``: Warp devices and launches of kernels; ``optics``: coherence, materials, spectra, colorimetry
 - ``heightfield``: measured height fields; ``samples``: synthetic gratings and sample bodies
+- ``profiles``: surfaces with a few parameters
 - ``datasets``: published measurements, downloaded on demand
 - ``diffraction``: series of exp(2πiκh) and their Fourier coefficients
 - ``request``: plans and ranges of directions; ``image``: pictures and their files; ``scene``: meshes and cameras
 - ``tables``: coefficients and colours on a device; ``planner``: from a tolerance to a plan; ``lights``: light sources
 - ``evaluate``: reflectance at arrays of directions; ``baked``: tables for other renderers
+- ``adjoint``: exact derivatives of orders, spectra and colours; ``fitting``: fits of measured data
 - ``plot``: plots of height fields and results with matplotlib
 - ``render``: pictures of a mesh; ``apps``: command line, viewer, web page, report, sequences, Mitsuba
 

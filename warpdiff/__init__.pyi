@@ -1,7 +1,9 @@
 """Public names of ``warpdiff``, each with the module that defines it. ``__init__.py`` reads its names here."""
 
+from warpdiff import adjoint as adjoint
 from warpdiff import datasets as datasets
 from warpdiff import plot as plot
+from warpdiff import profiles as profiles
 from warpdiff.apps.mitsuba.bsdf import register_mitsuba_bsdf as register_mitsuba_bsdf
 from warpdiff.apps.report.scan_report import ScanReport as ScanReport
 from warpdiff.apps.report.scan_report import report as report
@@ -28,6 +30,10 @@ from warpdiff.evaluate.reflectance import reflectance_map as reflectance_map
 from warpdiff.evaluate.reflectance import reflectance_spectra as reflectance_spectra
 from warpdiff.evaluate.reflectance import spectral_reflectance as spectral_reflectance
 from warpdiff.evaluate.reflectance_spectra import ReflectanceSpectra as ReflectanceSpectra
+from warpdiff.fitting.least_squares import Fit as Fit
+from warpdiff.fitting.least_squares import Minimum as Minimum
+from warpdiff.fitting.least_squares import fit as fit
+from warpdiff.fitting.measured_data import Measured as Measured
 from warpdiff.heightfield.field import HeightField as HeightField
 from warpdiff.heightfield.periods import Period as Period
 from warpdiff.heightfield.periods import Periods as Periods

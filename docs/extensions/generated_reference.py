@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import warpdiff as wd
+from warpdiff.adjoint import variables
 from warpdiff.apps import cli
 from warpdiff.core.options import REQUIRED, describe
 from warpdiff.heightfield.readers import reader_registry
@@ -34,6 +35,7 @@ GROUPS = {
         "reflectance", "spectral_reflectance", "reflectance_spectra", "ReflectanceSpectra", "brdf", "reflectance_map",
         "order_efficiencies", "OrderEfficiencies", "order_angles", "direction",
     ],
+    "Gradients and fits": ["adjoint", "profiles", "fit", "Fit", "Minimum", "Measured"],
     "Plots, tables and reports": ["plot", "Table", "to_srgb", "report", "ScanReport"],
     "Plans and errors": ["plan", "Plan", "ToleranceError", "WarpdiffWarning"],
     "Sequences": ["sequence", "Shot", "turntable", "light_sweep", "camera_path"],
@@ -152,6 +154,11 @@ def write(app, _config) -> None:
             formats_page(),
         ),
         "lights": ("Lights", "Pages of the [public names](api.md) list all arguments.", lights_page()),
+        "derivatives": (
+            "Derivatives",
+            "Variables of the functions in `warpdiff.adjoint`, for their argument `wrt`.",
+            f"{variables.table()}\n",
+        ),
         "command_line": ("Command line", "`warpdiff COMMAND --help` prints these texts.", command_line_page()),
     }
     for name, (title, first, text) in pages.items():

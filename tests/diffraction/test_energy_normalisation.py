@@ -128,3 +128,41 @@ def test_masking_is_off_with_normalised_energy():
         wd.reflectance(heightfield, light, view, **options | {"masking": True}),
         wd.reflectance(heightfield, light, view, **options),
     )
+
+
+SHALLOW = {
+    "sine": lambda: wd.gratings.sinusoidal(2.0, 0.01),
+    "lamellar": lambda: wd.gratings.lamellar(2.5, 0.001),
+    "blazed": lambda: wd.gratings.blazed(7.3, 0.01),
+    "crossed": lambda: noise((10, 17), (0.15, 0.1)),
+}
+
+
+@pytest.mark.parametrize("name", SHALLOW)
+def test_orders_of_weak_gratings_sum_to_one_and_are_reciprocal(name):
+    """Sinkhorn's iteration alone converges slowly where single orders are weak: 200 sweeps leave an error of 1e-3."""
+    heightfield, light = SHALLOW[name](), at(35.0, 20.0)
+    orders = wd.order_efficiencies(heightfield, light, 500.0, ior=math.inf)
+    np.testing.assert_allclose(orders.efficiencies.sum(), 1.0, rtol=1e-12)
+    back = wd.order_efficiencies(heightfield, orders.to_view[0], 500.0, ior=math.inf)
+    np.testing.assert_allclose(back.efficiencies.sum(axis=(1, 2)), 1.0, rtol=1e-12)
+    for index, order in enumerate(orders.orders):
+        # Light from the direction of an order returns to the light as the same order. Coefficients of both calls have
+        # an absolute rounding error of 1e-15.
+        returned = back[tuple(order)][index, 0]
+        assert returned == pytest.approx(orders.efficiencies[0, index], rel=1e-12, abs=1e-15)
+
+
+def test_a_balance_without_a_solution_warns():
+    matrix = np.array([[1.0, 0.0], [0.0, 0.0]])
+    with pytest.warns(wd.WarpdiffWarning, match="has not converged"):
+        energy_normalisation.balanced(matrix, np.ones(2), np.ones(2))
+
+
+def test_responses_of_a_balance_solve_its_linear_equations(rng):
+    shares = rng.uniform(0.0, 1.0, (7, 7)) ** 4
+    rows, columns = rng.normal(size=(2, 7, 3))
+    columns += (rows.sum(axis=0) - columns.sum(axis=0)) / 7
+    x, y = energy_normalisation.balance_response(shares, rows, columns)
+    np.testing.assert_allclose(shares.sum(axis=1)[:, None] * x + shares @ y, rows, atol=1e-12)
+    np.testing.assert_allclose(shares.T @ x + shares.sum(axis=0)[:, None] * y, columns, atol=1e-12)

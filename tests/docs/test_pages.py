@@ -15,14 +15,8 @@ BLOCK = re.compile(r"(<!-- requires [^\n]*-->\n)?```python\n(.*?)```", re.DOTALL
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 HOW_TO = [path for path in sorted((DOCS / "how-to").glob("*.md")) if "```python" in path.read_text(encoding="utf-8")]
 # Pages that are generated when the documentation is built.
-BUILT = (
-    "reference/api",
-    "reference/options",
-    "reference/command_line",
-    "reference/formats",
-    "reference/lights",
-    "gallery/index",
-)
+_GENERATED = ("api", "derivatives", "options", "command_line", "formats", "lights")
+BUILT = [*(f"reference/{name}" for name in _GENERATED), "gallery/index"]
 
 
 @pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")

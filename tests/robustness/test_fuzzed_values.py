@@ -53,6 +53,8 @@ NUMBERS_OF = {
                                    np.array([field.rms_slope, field.mean_slope])],
     wd.Image: lambda image: [image.xyz, image.error, image.coverage],
     wd.OrderEfficiencies: lambda orders: [orders.efficiencies], wd.ReflectanceSpectra: lambda spectra: [spectra.values],
+    wd.Fit: lambda fit: [fit.values, fit.residuals], wd.Measured: lambda measured: [measured.values],
+    wd.adjoint.Linearised: lambda linearised: [linearised.value],
     wd.Table: lambda table: [column for column in table.columns.values() if column.dtype.kind == "f"],
     trimesh.Trimesh: lambda mesh: [mesh.vertices.view(np.ndarray), mesh.vertex_normals, mesh.visual.uv],
     wd.BakedLobes: lambda lobes: [lobes.functions, lobes.zeroth, lobes.coefficients],

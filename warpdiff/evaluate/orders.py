@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Protocol
 
 import numpy as np
 from annotated_types import Interval
@@ -211,7 +211,7 @@ def order_efficiencies(
         check_covers(material, float(wavelengths.min()), float(wavelengths.max()))
     if energy is None:
         energy = "normalised" if (normal == 1.0 if material is None else material.is_opaque) else "stam"
-    orders, to_view = _propagating(heightfield, lights, wavelengths)
+    orders, to_view = propagating(heightfield, lights, wavelengths)
     lives = ~np.isnan(to_view[..., 0])
     _warn_of_aliasing(heightfield, orders)
     efficiencies = np.zeros(lives.shape)
@@ -252,8 +252,27 @@ def order_efficiencies(
     return OrderEfficiencies(wavelengths, lights, orders, to_view, efficiencies, verdict)
 
 
-def _propagating(
-    heightfield: HeightField, lights: NDArray[np.float64], wavelengths: NDArray[np.float64]
+class Periodic(Protocol):
+    """What the directions of orders depend on: the size of one period, and which axes are constant."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of samples (y, x); an axis with one sample is constant."""
+        ...
+
+    @property
+    def size_um(self) -> tuple[float, float]:
+        """Size of one period (y, x) [µm]."""
+        ...
+
+    @property
+    def height_range_um(self) -> float:
+        """Difference of the largest and the smallest height [µm]."""
+        ...
+
+
+def propagating(
+    heightfield: Periodic, lights: NDArray[np.float64], wavelengths: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return the orders that propagate for at least one light and wavelength, and their directions.
 

@@ -1,0 +1,202 @@
+"""Cost of exact gradients, coverage of fits of synthetic gratings, and depths fitted to rigorous solutions.
+
+::
+
+    python -m bench.reproduce.gradients --cost path/to/scan.png
+    python -m bench.reproduce.gradients --fits 1000
+    python -m bench.reproduce.gradients --depths
+
+Costs are seconds of processor time of all threads, the least of three calls, so that other processes have little
+influence. The value alone has no variables. The gradient is by all heights, the pitch, σ and all directions. "Library"
+is the plain function on a new surface, and again on the same surface.
+
+Fits have the orders −2 to 2 of a trapezoid at three wavelengths and two angles of a perfect mirror, with noise of 1 %
+and 5e-4. One start, 10 % away in depth and 5 % in duty; a fit that ends at the duty 1 − duty counts as right.
+
+Depths are those of ``bench/suite/rigorous.json``, perfect mirrors, at 0°, 30° and 60°.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+import warnings
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import warpdiff as wd
+from bench.suite.validity import STORED
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+# Parameters of the synthetic grating: depth [µm], duty, wall, period [µm].
+TRUE = np.array([0.14, 0.42, 0.04, 2.0])
+VARIABLES = ("heights_um", "pitch_um", "sigma_um", "to_light", "to_view")
+# Angles of incidence of the rigorous solutions [degrees].
+ANGLES = (0.0, 30.0, 60.0)
+# Rigorous cases: generator, least period and largest depth in wavelengths, and largest error of the fitted depth.
+CASES = {
+    "Sine, perfect mirror": (wd.gratings.sinusoidal, 1.0, 0.3, 0.03),
+    "Square grooves, perfect mirror": (wd.gratings.lamellar, 2.0, 0.15, 0.025),
+    "Sawtooth, perfect mirror": (wd.gratings.blazed, 5.0, 0.3, 0.04),
+}
+
+
+def seconds(function: Callable, *arguments: object, **options: object) -> tuple[float, object]:
+    """Return the processor time of a call in seconds, and its result."""
+    start = time.process_time()
+    result = function(*arguments, **options)
+    return time.process_time() - start, result
+
+
+def hemisphere(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Return random unit vectors with z of at least 0.5, shape (count, 3)."""
+    z, phi = rng.uniform(0.5, 1.0, count), rng.uniform(0.0, 2.0 * np.pi, count)
+    s = np.sqrt(1.0 - z * z)
+    return np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
+
+
+def cost(path: str) -> None:
+    """Print the cost of value and gradient of the scan, relative to the value alone."""
+    scan = wd.HeightField.load(path, extent_um=65.0, height_range_um=0.375).levelled(order=2)
+    rng, wavelengths = np.random.default_rng(1), np.linspace(380.0, 780.0, 81)
+    small = wd.gratings.fingers(size_um=3.2, pitch_um=0.1)
+    wd.adjoint.spectral_reflectance(small, (0, 0.1, 1), (0.3, 0, 1), 550.0, wrt=VARIABLES).vjp([1.0])  # compiles
+    print("| call | library, new surface (again) | value | value + gradient | ratio |")
+    print("| --- | --- | --- | --- | --- |")
+    for count, truncation in ((None, 1e-13), (100, 1e-6), (10_000, 1e-6), (100_000, 1e-6)):
+        if count is None:
+            name = "orders, one wavelength"
+            arguments: tuple = ((0.2, 0.1, 1.0), 550.0)
+            plain, function = wd.order_efficiencies, wd.adjoint.order_efficiencies
+            names, options = ("heights_um", "pitch_um", "to_light", "wavelengths_nm"), {}
+        else:
+            name = f"{count} × 81"
+            arguments = hemisphere(rng, count), hemisphere(rng, count), wavelengths
+            plain, function = wd.spectral_reflectance, wd.adjoint.spectral_reflectance
+            names, options = VARIABLES, {"truncation": truncation}
+        new = wd.HeightField.of_known_scale(scan.heights_um + 1e-9 * (count or 1), scan.pitch_um)
+        first, _ = seconds(plain, new, *arguments)
+        again, _ = seconds(plain, new, *arguments)
+        values, sums = [], []
+        for _ in range(3):
+            values.append(seconds(function, scan, *arguments, wrt=(), **options)[0])
+            forward, result = seconds(function, scan, *arguments, wrt=names, **options)
+            weights = rng.normal(size=result.value.shape)
+            sums.append(forward + seconds(result.vjp, weights)[0])
+        value, both = min(values), min(sums)
+        print(
+            f"| {name}, {truncation:g} | {first:.2f} ({again:.2f}) | {value:.2f} | {both:.2f} | {both / value:.2f} |",
+            flush=True,
+        )
+
+
+def measured(values: np.ndarray | None = None) -> wd.Measured:
+    """Return the orders of the synthetic grating as measured data; without values they are 0."""
+    wavelengths, orders = (450.0, 550.0, 650.0), [(0, m) for m in (-2, -1, 0, 1, 2)]
+    lights = np.repeat(wd.direction([10.0, 40.0]), 15, axis=0)
+    values = np.zeros(30) if values is None else values
+    return wd.Measured.orders(
+        lights, np.tile(np.repeat(wavelengths, 5), 2), np.tile(orders, (6, 1)), values, ior=math.inf
+    )
+
+
+def fits(count: int) -> None:
+    """Print the share of parameters within two standard errors, and the mean χ² per degree of freedom."""
+    grating, guess = wd.profiles.Trapezoid(*TRUE), wd.profiles.Trapezoid(*(TRUE * [1.1, 0.95, 1.2, 1.0]))
+    exact, rng = measured().predict(grating.surface(TRUE)).value, np.random.default_rng(0)
+    sd = 0.01 * exact + 5e-4
+    within, chi2, evaluations = [], [], []
+    start = time.process_time()
+    for _ in range(count):
+        result = wd.fit(guess, measured(exact + sd * rng.normal(size=30)), sd=sd, starts=1)
+        off = [np.abs(result.values - other) for other in (TRUE, *grating.equivalents(TRUE))]
+        within.append(np.minimum(*off) <= 2.0 * result.standard_errors)
+        chi2.append(result.chi2 / result.degrees_of_freedom)
+        evaluations.append(result.evaluations)
+    shares = dict(zip(grating.names, np.mean(within, axis=0).round(3).tolist(), strict=True))
+    print(f"{count} fits, {(time.process_time() - start) / count:.2f} s each, {np.mean(evaluations):.1f} evaluations")
+    print(f"within two standard errors: {np.mean(within):.3f} pooled, {shares}")
+    print(f"χ² per degree of freedom: {np.mean(chi2):.3f}")
+    compare_minimisers(guess, exact + sd * rng.normal(size=30), sd)
+
+
+def compare_minimisers(guess: wd.profiles.Trapezoid, values: np.ndarray, sd: np.ndarray) -> None:
+    """Print the numbers of evaluations of a fit, of least squares by differences, and of Nelder and Mead's method."""
+    from scipy.optimize import least_squares, minimize
+
+    counted, (low, high) = measured(values), guess.bounds.T
+    calls = [0]
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        calls[0] += 1
+        return (counted.predict(guess.surface(np.clip(x, low, high))).value - values) / sd
+
+    result = wd.fit(guess, counted, sd=sd, starts=1)
+    print(f"fit: {result.evaluations} evaluations, χ² = {result.chi2:.3f}")
+    by_differences = least_squares(residuals, guess.start, bounds=(low, high), x_scale=high - low)
+    print(f"least squares by differences: {calls[0]} evaluations, χ² = {2.0 * by_differences.cost:.3f}")
+    calls[0] = 0
+    limits = {"xatol": 1e-6, "fatol": 1e-6, "maxfev": 4000}
+    free = minimize(lambda x: np.sum(residuals(x) ** 2), guess.start, method="Nelder-Mead", options=limits)
+    print(f"Nelder-Mead: {calls[0]} evaluations, χ² = {free.fun:.3f}")
+
+
+class Depth(wd.profiles.ScanModes):
+    """Scale of a height field as the only parameter."""
+
+    def __init__(self, heightfield: wd.HeightField) -> None:
+        super().__init__(heightfield)
+        self.names, self.start, self.bounds = self.names[:1], self.start[:1], np.array([[0.3, 3.0]])
+        self._modes = self._modes[:1]
+
+
+def depths() -> None:
+    """Print the largest error of depths that are fitted to rigorous solutions."""
+    stored = json.loads(STORED.read_text(encoding="utf-8"))
+    periods, all_depths = np.array(stored["periods"]), np.array(stored["depths"])
+    for case, (make, least_period, most_depth, limit) in CASES.items():
+        rows = stored["cases"][case]["first_order_and_efficiencies"]
+        errors = []
+        for i, period in enumerate(periods):
+            for j, depth in enumerate(all_depths):
+                if period < least_period or depth > most_depth:
+                    continue
+                orders, lights, values = [], [], []
+                for k, light in enumerate(wd.direction(ANGLES)):
+                    first, *efficiencies = rows[(i * len(all_depths) + j) * 3 + k]
+                    known = set(wd.order_efficiencies(make(period, depth), light, 1000.0).orders[:, 1].tolist())
+                    numbers = np.arange(first, first + len(efficiencies))
+                    orders += (numbers if set(numbers.tolist()) == known else -numbers).tolist()
+                    lights += [light] * len(efficiencies)
+                    values += efficiencies
+                pairs = np.stack([np.zeros(len(orders)), orders], axis=1)
+                data = wd.Measured.orders(lights, 1000.0, pairs, 1e-5 * np.array(values), ior=math.inf)
+                result = wd.fit(Depth(make(period, depth)), data, sd=0.01, starts=1)
+                errors.append(abs(result.values[0] - 1.0))
+        text = f"{len(errors)} gratings, median {100 * np.median(errors):.2f} %, largest {100 * max(errors):.2f} %"
+        print(f"{case}, period >= {least_period:g} λ, depth <= {most_depth:g} λ: {text}, limit {100 * limit:g} %")
+
+
+def main() -> None:
+    """Run the chosen measurement."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cost", metavar="SCAN")
+    parser.add_argument("--fits", type=int, default=0)
+    parser.add_argument("--depths", action="store_true")
+    arguments = parser.parse_args()
+    warnings.simplefilter("ignore", wd.WarpdiffWarning)
+    if arguments.cost:
+        cost(arguments.cost)
+    if arguments.fits:
+        fits(arguments.fits)
+    if arguments.depths:
+        depths()
+
+
+if __name__ == "__main__":
+    main()

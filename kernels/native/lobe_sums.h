@@ -1,0 +1,194 @@
+// Sums of Fourier coefficients under Gaussian lobes in float64, their derivatives, and the transposed sum.
+//
+// A coefficient is a series of Chebyshev polynomials in x, one row of `terms` numbers; x is κ, scaled to the range −1
+// to
+// 1. A pair of a direction and a wavelength has a centre q [1/µm], a positive definite matrix M [µm²], and its x. The
+// weight of the coefficient at the frequency q_rs is exp(−dᵀMd) with d = q − q_rs.
+
+#pragma once
+
+#include "simd.h"
+
+namespace warpdiff {
+
+// Number of derivatives of a sum: by q_x, q_y, M_xx, M_xy, M_yy, x, L_x and L_y, sums of r and of s times the terms,
+// and the sum itself.
+constexpr int LOBE_DERIVATIVES = 11;
+// Largest number of terms of a series. Limit: the polynomials of a pair are on the stack.
+constexpr int MOST_LOBE_TERMS = 1024;
+
+// Compute the Chebyshev polynomials at x.
+WARPDIFF_INLINE void chebyshev_polynomials(double x, int count, double* values)
+{
+    double now = 1.0, after = x;
+    for (int k = 0; k < count; ++k) {
+        values[k] = now;
+        const double next = 2.0 * x * after - now;
+        now = after;
+        after = next;
+    }
+}
+
+// Compute the derivatives k U_{k−1} of the Chebyshev polynomials at x.
+WARPDIFF_INLINE void chebyshev_slopes(double x, int count, double* values)
+{
+    double now = 0.0, after = 1.0;
+    for (int k = 0; k < count; ++k) {
+        values[k] = (double)k * now;
+        const double next = 2.0 * x * after - now;
+        now = after;
+        after = next;
+    }
+}
+
+// The Gaussian weights of one pair.
+struct Lobe {
+    double qx, qy, xx, xy, yy, step_x, step_y, exponent;
+    int first_row, last_row, first_column, last_column;
+
+    template <class Table, class Pairs>
+    WARPDIFF_INLINE Lobe(const Table& table, const Pairs& pairs, int pair)
+    {
+        const double* const centre = numbers<const double>(pairs.centres) + 2LL * pair;
+        const double* const form = numbers<const double>(pairs.forms) + 3LL * pair;
+        qx = centre[0], qy = centre[1], xx = form[0], xy = form[1], yy = form[2];
+        step_x = table.step_x, step_y = table.step_y, exponent = table.exponent;
+    }
+
+    // Find the rows and columns of the block that contain the coefficients under the lobe.
+    template <class Table>
+    WARPDIFF_INLINE void find_range(const Table& table)
+    {
+        // The ellipse dᵀMd = exponent extends to √(exponent · (M⁻¹)_xx) along x.
+        const double scale = exponent / (xx * yy - xy * xy);
+        const double reach_x = wp::sqrt(scale * yy) / step_x, reach_y = wp::sqrt(scale * xx) / step_y;
+        first_column = within(qx / step_x - reach_x, table.first_column, table.columns, 1);
+        last_column = within(qx / step_x + reach_x, table.first_column, table.columns, 0);
+        first_row = within(qy / step_y - reach_y, table.first_row, table.rows, 1);
+        last_row = within(qy / step_y + reach_y, table.first_row, table.rows, 0);
+    }
+
+    // Return a position in the block, rounded up or down to a coefficient, as an index from 0 to `count` − 1. A lower
+    // end beyond the block becomes `count`, and an upper end before it −1, so that the range is empty.
+    static WARPDIFF_INLINE int within(double position, int first, int count, int up)
+    {
+        const double index = (up ? wp::ceil(position) : wp::floor(position)) - (double)first;
+        return (
+            int)(up ? wp::min(wp::max(index, 0.0), (double)count) : wp::max(wp::min(index, (double)count - 1.0), -1.0));
+    }
+
+    // Return the weight of the coefficient in a row and a column, with its distances from the centre; 0 beyond the
+    // ellipse within which coefficients are summed.
+    template <class Table>
+    WARPDIFF_INLINE double weight(const Table& table, int row, int column, double& dx, double& dy) const
+    {
+        dx = qx - (double)(table.first_column + column) * step_x;
+        dy = qy - (double)(table.first_row + row) * step_y;
+        const double form = xx * dx * dx + 2.0 * xy * dx * dy + yy * dy * dy;
+        return form > exponent ? 0.0 : wp::exp(-form);
+    }
+};
+
+WARPDIFF_INLINE double dot_rows(const double* a, const double* b, int count)
+{
+    double sum = 0.0;
+    for (int k = 0; k < count; ++k) sum += a[k] * b[k];
+    return sum;
+}
+
+template <class Table>
+WARPDIFF_INLINE const double* coefficient_row(const Table& table, int row, int column)
+{
+    const int place = numbers<const int>(table.places)[(long long)row * table.columns + column];
+    return numbers<const double>(table.coefficients) + (long long)place * table.terms;
+}
+
+// Return the sum of the coefficients under the lobe of a pair.
+template <class Table, class Pairs>
+WARPDIFF_INLINE double sum_lobe(const Table& table, const Pairs& pairs, int pair)
+{
+    Lobe lobe(table, pairs, pair);
+    lobe.find_range(table);
+    double polynomials[MOST_LOBE_TERMS], sum = 0.0, dx, dy;
+    chebyshev_polynomials(numbers<const double>(pairs.places)[pair], table.terms, polynomials);
+    for (int row = lobe.first_row; row <= lobe.last_row; ++row) {
+        for (int column = lobe.first_column; column <= lobe.last_column; ++column) {
+            const double weight = lobe.weight(table, row, column, dx, dy);
+            if (weight != 0.0) sum += weight * dot_rows(coefficient_row(table, row, column), polynomials, table.terms);
+        }
+    }
+    return sum;
+}
+
+// Compute the derivatives of the sum of a pair.
+template <class Table, class Pairs, class Values>
+WARPDIFF_INLINE void differentiate_lobe(const Table& table, const Pairs& pairs, int pair, Values& derivatives_out)
+{
+    Lobe lobe(table, pairs, pair);
+    lobe.find_range(table);
+    double* const out = numbers<double>(derivatives_out) + (long long)pair * LOBE_DERIVATIVES;
+    double polynomials[MOST_LOBE_TERMS], slopes[MOST_LOBE_TERMS], sums[LOBE_DERIVATIVES] = {}, dx, dy;
+    chebyshev_polynomials(numbers<const double>(pairs.places)[pair], table.terms, polynomials);
+    chebyshev_slopes(numbers<const double>(pairs.places)[pair], table.terms, slopes);
+    for (int row = lobe.first_row; row <= lobe.last_row; ++row) {
+        const double s = (double)(table.first_row + row);
+        for (int column = lobe.first_column; column <= lobe.last_column; ++column) {
+            const double weight = lobe.weight(table, row, column, dx, dy);
+            if (weight == 0.0) continue;
+            const double* const coefficient = coefficient_row(table, row, column);
+            const double r = (double)(table.first_column + column);
+            const double value = weight * dot_rows(coefficient, polynomials, table.terms);
+            const double along_x = -2.0 * (lobe.xx * dx + lobe.xy * dy) * value;
+            const double along_y = -2.0 * (lobe.xy * dx + lobe.yy * dy) * value;
+            sums[0] += along_x;
+            sums[1] += along_y;
+            sums[2] -= dx * dx * value;
+            sums[3] -= 2.0 * dx * dy * value;
+            sums[4] -= dy * dy * value;
+            sums[5] += weight * dot_rows(coefficient, slopes, table.terms);
+            // The coefficient is at r/L_x, so that d_x grows by r/L_x² per unit of L_x.
+            sums[6] += along_x * r * lobe.step_x * lobe.step_x;
+            sums[7] += along_y * s * lobe.step_y * lobe.step_y;
+            sums[8] += r * value;
+            sums[9] += s * value;
+            sums[10] += value;
+        }
+    }
+    for (int k = 0; k < LOBE_DERIVATIVES; ++k) out[k] = sums[k];
+}
+
+// Write the polynomials of a pair for `spread_lobes`.
+template <class Table, class Pairs>
+WARPDIFF_INLINE void write_polynomials(const Table& table, const Pairs& pairs, int pair)
+{
+    double* const out = numbers<double>(pairs.polynomials) + (long long)pair * table.terms;
+    chebyshev_polynomials(numbers<const double>(pairs.places)[pair], table.terms, out);
+}
+
+// Add to the row of a coefficient what the adjoints of all pairs near it contribute: the transpose of `sum_lobe`.
+//
+// Pairs are sorted by the cell of the block that contains their centre, and `begins` has the first pair of each cell.
+// Cells that are at most `reach_y` and `reach_x` away are searched.
+template <class Table, class Pairs, class Values>
+WARPDIFF_INLINE void spread_lobes(const Table& table, const Pairs& pairs, int cell, Values& rows_out)
+{
+    const int row = cell / table.columns, column = cell - row * table.columns;
+    const int* const begins = numbers<const int>(pairs.begins);
+    const double* const adjoints = numbers<const double>(pairs.adjoints);
+    double* const out = numbers<double>(rows_out) + (long long)cell * table.terms;
+    const int first_row = wp::max(row - pairs.reach_y, 0), last_row = wp::min(row + pairs.reach_y, table.rows - 1);
+    const int first = wp::max(column - pairs.reach_x, 0);
+    const int last = wp::min(column + pairs.reach_x, table.columns - 1);
+    double dx, dy;
+    for (int other = first_row; other <= last_row; ++other) {
+        const long long cells = (long long)other * table.columns;
+        for (int pair = begins[cells + first]; pair < begins[cells + last + 1]; ++pair) {
+            const double weight = Lobe(table, pairs, pair).weight(table, row, column, dx, dy) * adjoints[pair];
+            if (weight == 0.0) continue;
+            const double* const polynomials = numbers<const double>(pairs.polynomials) + (long long)pair * table.terms;
+            for (int n = 0; n < table.terms; ++n) out[n] += weight * polynomials[n];
+        }
+    }
+}
+
+} // namespace warpdiff

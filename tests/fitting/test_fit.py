@@ -1,0 +1,168 @@
+"""Fits of synthetic data: parameters, standard errors, equivalent minima, and measured data from files."""
+
+import math
+
+import numpy as np
+import pytest
+from conftest import slow
+
+import warpdiff as wd
+
+TRUE = np.array([0.14, 0.42, 0.04, 2.0])
+ORDERS = [(0, m) for m in (-2, -1, 0, 1, 2)]
+WAVELENGTHS, ANGLES = (450.0, 550.0, 650.0), (10.0, 40.0)
+
+
+def geometry():
+    lights = np.repeat(wd.direction(ANGLES), len(WAVELENGTHS) * len(ORDERS), axis=0)
+    wavelengths = np.tile(np.repeat(WAVELENGTHS, len(ORDERS)), len(ANGLES))
+    return lights, wavelengths, np.tile(ORDERS, (len(ANGLES) * len(WAVELENGTHS), 1))
+
+
+def profile(*values):
+    return wd.profiles.Trapezoid(*(values or TRUE))
+
+
+def measured(values=None):
+    lights, wavelengths, orders = geometry()
+    values = np.zeros(len(lights)) if values is None else values
+    return wd.Measured.orders(lights, wavelengths, orders, values, ior=math.inf)
+
+
+EXACT = measured().predict(profile().surface(TRUE)).value
+SD = 0.01 * EXACT + 5e-4
+
+
+def noisy(rng):
+    return measured(EXACT + SD * rng.normal(size=len(SD)))
+
+
+def test_predictions_are_those_of_the_library():
+    grating = profile().surface(TRUE).height_field(40_000)
+    lights, wavelengths, orders = geometry()
+    for k in range(0, len(lights), 7):
+        exact = wd.order_efficiencies(grating, lights[k], wavelengths[k], ior=math.inf)[tuple(orders[k])]
+        assert EXACT[k] == pytest.approx(float(exact[0]), abs=1e-6)
+
+
+def test_jacobians_of_predictions_are_transposes(rng):
+    x = profile().start
+    value, vjp, jvp = measured().predict(profile().surface(x), profile().wrt)
+    y, dx = rng.normal(size=value.shape), rng.normal(size=4)
+    forward = y @ jvp(**profile().pushforward(x, dx))
+    assert forward == pytest.approx(profile().pullback(x, vjp(y)) @ dx, rel=1e-10)
+
+
+@pytest.mark.parametrize("count", [8, slow(200)])
+def test_standard_errors_cover_the_true_parameters(count, rng):
+    """Within two standard errors are 95.4 % of normally distributed errors. One start may end at the mirrored duty."""
+    within, chi2 = [], []
+    for _ in range(count):
+        result = wd.fit(profile(*(TRUE * [1.1, 0.95, 1.2, 1.0])), noisy(rng), sd=SD, starts=1)
+        off = np.minimum(*(np.abs(result.values - other) for other in (TRUE, profile().equivalents(TRUE)[0])))
+        within += (off <= 2.0 * result.standard_errors).tolist()
+        chi2.append(result.chi2 / result.degrees_of_freedom)
+    # Binomial limits of 99.9 % for few fits; the targets of the issue for many.
+    least, most = (0.93, 0.98) if count > 100 else (0.75, 1.0)
+    assert least <= np.mean(within) <= most
+    assert (0.95 if count > 100 else 0.6) <= np.mean(chi2) <= (1.05 if count > 100 else 1.5)
+
+
+@pytest.mark.parametrize("seed", [slow(seed) for seed in range(50)])
+def test_fits_with_eight_starts_list_both_duty_cycles(seed):
+    """Starts may pass a period with an order at the horizon. A warning about it would fail the test."""
+    result = wd.fit(profile(), noisy(np.random.default_rng([52, seed])), sd=SD, seed=seed)
+    duties = sorted(minimum.values[1] for minimum in result.minima)
+    assert np.isclose(duties, TRUE[1], atol=0.01).any()
+    assert np.isclose(duties, 1.0 - TRUE[1], atol=0.01).any()
+    assert result.minima[1].chi2 == pytest.approx(result.chi2, abs=0.1)
+
+
+def test_fits_need_few_evaluations(rng):
+    """Least squares by differences needs 35 evaluations for such data, and Nelder and Mead's method hundreds."""
+    result = wd.fit(profile(*(TRUE * [1.1, 0.95, 1.2, 1.0])), noisy(rng), sd=SD, starts=1)
+    assert result.evaluations <= 17
+    assert result.chi2 < 60.0
+
+
+def test_spectra_and_colours_are_fitted():
+    grating, coherence = wd.profiles.Trapezoid(0.1, 0.5, 0.05, 2.0), wd.Coherence(sigma_um=1.0)
+    views = wd.direction(np.repeat([5.0, 15.0, 25.0], 4))
+    make = [
+        lambda values: wd.Measured.spectra(
+            (0, 0, 1), views, np.tile([450.0, 500.0, 600.0, 650.0], 3), values, coherence=coherence
+        ),
+        lambda values: wd.Measured.colours((0, 0, 1), views[::4], values.reshape(-1, 3), coherence=coherence),
+    ]
+    for of_values, count in zip(make, (12, 9), strict=True):
+        empty = of_values(np.zeros(count))
+        exact = empty.predict(grating.surface([0.12, 0.45, 0.05, 2.02])).value
+        result = wd.fit(grating, of_values(exact), sd=1e-4, starts=2)
+        assert result.chi2 < 1e-3
+        assert result.values[0] == pytest.approx(0.12, abs=1e-3)
+        assert result.values[3] == pytest.approx(2.02, abs=1e-3)
+
+
+def test_results_have_a_report_and_a_plot(rng):
+    result = wd.fit(profile(), noisy(rng), sd=SD, starts=2)
+    assert "depth_um" in result.report()
+    assert "equivalent minimum" in result.report()
+    assert "correlation of depth_um and wall" in result.report()
+    assert result.plot().get_ylabel() == "residual [standard deviations]"
+    np.testing.assert_allclose(np.diag(result.correlations), 1.0)
+    np.testing.assert_allclose(np.sqrt(np.diag(result.covariance)), result.standard_errors)
+
+
+def test_parameters_that_the_data_do_not_determine_are_reported():
+    # The heights of a grating with one row do not depend on a tilt along y.
+    scan = wd.profiles.ScanModes(wd.gratings.sinusoidal(2.0, 0.1))
+    data = wd.Measured.orders((0.2, 0, 1), 550.0, ORDERS, np.full(5, 0.01))
+    with pytest.warns(wd.WarpdiffWarning, match="does not determine .*tilt_y_um"):
+        result = wd.fit(scan, data, sd=1e-3, starts=1)
+    assert math.isnan(result.standard_errors[1])
+    assert "not determined" in result.report()
+
+
+def test_files_of_results_are_measured_data(tmp_path):
+    grating = wd.gratings.sinusoidal(2.0, 0.1)
+    orders = wd.order_efficiencies(grating, (0.1, 0, 1), [500.0, 600.0])
+    data = wd.Measured.from_csv(orders.save(tmp_path / "orders.csv"))
+    np.testing.assert_allclose(data.predict(grating).value, data.values, rtol=1e-9, atol=1e-15)
+    spectra = wd.reflectance_spectra(grating, (0, 0, 1), [(0, 0, 1), (0.3, 0, 1)], [450.0, 600.0], method="direct")
+    data = wd.Measured.from_csv(spectra.save(tmp_path / "spectra.csv"))
+    np.testing.assert_allclose(data.predict(grating).value, data.values, rtol=1e-6)
+    table = wd.Table({
+        "light_theta_deg": [0.0], "light_phi_deg": [0.0], "view_theta_deg": [0.0], "view_phi_deg": [0.0],
+        "X": [0.4], "Y": [0.5], "Z": [0.3],
+    })  # fmt: skip
+    assert wd.Measured.from_csv(table.save(tmp_path / "colours.csv")).values.tolist() == [0.4, 0.5, 0.3]
+
+
+def test_arguments_are_checked(tmp_path):
+    data, one = measured(EXACT), wd.Measured.orders((0, 0, 1), 500.0, [(0, 1)], [0.1])
+    calls = [
+        (lambda: wd.fit(profile(), data, sd=0.0), ValueError, "sd must be more than 0"),
+        (lambda: wd.fit(profile(), data, sd=[1.0, 2.0]), ValueError, "one per measured value"),
+        (lambda: wd.fit(profile(), data, sd=1.0, starts=0), ValueError, "starts"),
+        (lambda: wd.fit(profile(), [1.0], sd=1.0), TypeError, "measured"),
+        (lambda: wd.fit(None, data, sd=1.0), TypeError, "profile"),
+        (lambda: wd.fit(profile(), one, sd=1.0), ValueError, "at least as many"),
+        (lambda: wd.Measured.orders((0, 0, 1), 500.0, [(0, 1)], [0.1, 0.2]), ValueError, "orders must be integers"),
+        (lambda: wd.Measured.orders((0, 0, 1), [500.0, 600.0], [(0, 1)], [0.1]), ValueError, "wavelengths_nm"),
+        (lambda: wd.Measured.colours((0, 0, 1), (0, 0, 1), [[0.1, 0.2]]), ValueError, r"shape \(n, 3\)"),
+    ]  # fmt: skip
+    for call, kind, message in calls:
+        with pytest.raises(kind, match=message):
+            call()
+    file = tmp_path / "data.csv"
+    file.write_text("light_theta_deg,efficiency\n0,1\n")
+    with pytest.raises(ValueError, match="columns of one kind"):
+        wd.Measured.from_csv(file)
+    with pytest.raises(FileNotFoundError, match=r"path: .* is not a file"):
+        wd.Measured.from_csv(tmp_path)
+    file.write_bytes(b"X,Y\n\xff\xfe,1\n")
+    with pytest.raises(ValueError, match="is not a CSV file"):
+        wd.Measured.from_csv(file)
+    file.write_text("X,Y\nred,1\n")
+    with pytest.raises(ValueError, match="column 'X' must contain finite numbers"):
+        wd.Measured.from_csv(file)

@@ -1,0 +1,132 @@
+"""Fourier coefficients of exp(2πiκh) on a list of frequencies, as a series in κ, with adjoint and tangent in float64.
+
+With g = (h − c)/a, the heights from the middle c of their range in units of half the range a, and x = 2πκa,
+
+    H(κ) = Σ_n b_n(x) iⁿ X_n,   X_n = ifft2(T_n(g)),   b_0 = J_0(x), b_n = 2 J_n(x)   (Jacobi-Anger).
+
+The T_n(g) are real, so that their transforms are computed for half of the plane. c and a are constants of the
+derivatives. This is exact, because the sum of the series does not depend on them. The phase e^{2πiκc} is omitted.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.diffraction.phase_series import bessel_j
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    from warpdiff.adjoint.sites import Sites
+
+    Complex = NDArray[np.complex128]
+
+# Half of the height range that a flat surface counts as having [µm], so that heights can be divided by it. If doubled,
+# nothing changes: the series has the same sum for any scale that is large enough.
+_LEAST_SCALE_UM = 1e-6
+
+
+def offset_and_scale(heights_um: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the middle of the range of heights and half of the range [µm]."""
+    low, high = float(heights_um.min()), float(heights_um.max())
+    return (low + high) / 2.0, max((high - low) / 2.0, _LEAST_SCALE_UM)
+
+
+class HeightTerms:
+    """Transforms X_n at the frequencies of ``sites``, and the matrix of the b_n at nodes of |κ|.
+
+    Attributes:
+        terms: X_n at the sites, shape (t, p).
+    """
+
+    def __init__(self, heights_um: NDArray[np.float64], sites: Sites, kappas: NDArray[np.float64], count: int) -> None:
+        """Transform the polynomials of the heights.
+
+        Args:
+            heights_um: Heights [µm], shape (ny, nx).
+            sites: Frequencies of the coefficients.
+            kappas: Nodes of |κ| [1/µm], shape (k,); κ itself is negative.
+            count: Number of terms.
+        """
+        offset, self._scale = offset_and_scale(heights_um)
+        self._g, self._sites = (heights_um - offset) / self._scale, sites
+        basis = 2.0 * bessel_j(-2.0 * math.pi * self._scale * kappas, count)
+        basis[:, 0] /= 2.0
+        # iⁿ is ±1 for even n and ±i for odd n. The signs belong to the basis, and the factor i to the sum.
+        signs = np.where(np.arange(count) // 2 % 2 == 0, 1.0, -1.0)
+        self._even, self._odd = (np.ascontiguousarray((signs * basis)[:, first::2]) for first in (0, 1))
+        self.terms = np.empty((count, sites.count), dtype=np.complex128)
+        for n, values in zip(range(count), _polynomials(self._g), strict=False):
+            self.terms[n] = sites.transform(values)
+
+    def at(self, part: slice) -> tuple[Complex, Complex]:
+        """Return H at some sites and the conjugates of H at their opposites, at all nodes, shapes (k, p) both."""
+        return self._sums(self.terms, part)
+
+    def tangent(self, change_um: NDArray[np.float64]) -> HeightTangent:
+        """Return the change of the coefficients for a change of the heights [µm], shape (ny, nx)."""
+        terms = np.zeros_like(self.terms)
+        for n, slopes in zip(range(1, len(terms)), _slopes(self._g), strict=False):
+            terms[n] = self._sites.transform(slopes * change_um) * (n / self._scale)
+        return HeightTangent(self, terms)
+
+    def adjoint(self, parts: Iterable[tuple[slice, Complex, Complex]]) -> NDArray[np.float64]:
+        """Return the adjoint of the heights [1/µm], shape (ny, nx), from those of the two values of ``at``."""
+        terms = np.empty_like(self.terms)
+        for part, plus, minus in parts:
+            terms[0::2, part] = _product(self._even.T, plus + minus)
+            terms[1::2, part] = _product(self._odd.T, -1j * (plus - minus))
+        result = np.zeros_like(self._g)
+        for n, slopes in zip(range(1, len(terms)), _slopes(self._g), strict=False):
+            change = self._sites.transposed(n * terms[n])
+            change *= slopes
+            result += change
+        return result / self._scale
+
+    def _sums(self, terms: Complex, part: slice) -> tuple[Complex, Complex]:
+        even, odd = _product(self._even, terms[0::2, part]), 1j * _product(self._odd, terms[1::2, part])
+        return even + odd, even - odd
+
+
+class HeightTangent:
+    """Change of the coefficients of ``HeightTerms`` for one change of the heights."""
+
+    def __init__(self, origin: HeightTerms, terms: Complex) -> None:
+        self._origin, self._terms = origin, terms
+
+    def at(self, part: slice) -> tuple[Complex, Complex]:
+        """Return the changes of the two values that ``HeightTerms.at`` returns."""
+        return self._origin._sums(self._terms, part)
+
+
+def _product(weights: NDArray[np.float64], terms: Complex) -> Complex:
+    """Return the product of a real and a complex matrix, as one product of real matrices."""
+    contiguous = np.ascontiguousarray(terms)
+    return np.asarray((weights @ contiguous.view(np.float64)).view(np.complex128))
+
+
+def _polynomials(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
+    """Yield the Chebyshev polynomials T_0(g), T_1(g), … without end; see ``_sequence``."""
+    return _sequence(g, np.ones_like(g), g.copy())
+
+
+def _slopes(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
+    """Yield U_0(g), U_1(g), … without end; n U_{n−1} is the derivative of T_n. See ``_sequence``."""
+    return _sequence(g, np.ones_like(g), 2.0 * g)
+
+
+def _sequence(
+    g: NDArray[np.float64], now: NDArray[np.float64], after: NDArray[np.float64]
+) -> Iterator[NDArray[np.float64]]:
+    """Yield the terms of the recurrence y_{n+1} = 2 g y_n − y_{n−1}; each array is overwritten two steps later."""
+    twice, buffer = 2.0 * g, np.empty_like(g)
+    while True:
+        yield now
+        np.multiply(twice, after, out=buffer)
+        buffer -= now
+        now, after, buffer = after, buffer, now

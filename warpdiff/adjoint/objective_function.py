@@ -1,0 +1,70 @@
+"""Loss of the parameters of a profile with its gradient, for minimisers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.core import validation
+from warpdiff.core.wording import ArgumentTypeError, ref
+from warpdiff.profiles.profile_base import Profile
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from warpdiff.adjoint.linearised import Linearised
+    from warpdiff.heightfield.field import HeightField
+    from warpdiff.profiles.outline import Outline
+
+
+def objective(
+    profile: Profile,
+    evaluate: Callable[[HeightField | Outline, tuple[str, ...]], Linearised],
+    loss: Callable[[NDArray[np.float64]], tuple[float, ArrayLike]],
+) -> Callable[[ArrayLike], tuple[float, NDArray[np.float64]]]:
+    """Return a function of the parameters of a profile: a loss and its gradient.
+
+    The function is what ``scipy.optimize.minimize(function, profile.start, jac=True, bounds=profile.bounds)`` takes.
+
+    Args:
+        profile: Profile from ``warpdiff.profiles``.
+        evaluate: Function of a surface and of ``wrt`` that returns one of the linearised values of this module.
+        loss: Function of the value that returns the loss and its gradient by the value.
+
+    Returns:
+        Function of parameters, shape (p,), that returns the loss and its gradient, shape (p,).
+
+    Raises:
+        TypeError: ``profile`` is not a profile, or another argument is not a function.
+
+    Examples:
+        >>> import math
+        >>> import numpy as np
+        >>> from scipy.optimize import minimize
+        >>> import warpdiff as wd
+        >>> profile = wd.profiles.Trapezoid(depth_um=0.1, duty=0.5, wall=0.02, period_um=2.0)
+        >>> def orders(surface, wrt):
+        ...     return wd.adjoint.order_efficiencies(surface, (0, 0, 1), 550.0, wrt=wrt, ior=math.inf)
+        >>> def power_of_order_0(value):
+        ...     is_order_0 = np.arange(value.size) == value.size // 2
+        ...     return value[0, is_order_0][0], 1.0 * is_order_0[None]
+        >>> function = wd.adjoint.objective(profile, orders, power_of_order_0)
+        >>> best = minimize(function, profile.start, jac=True, bounds=profile.bounds)
+        >>> print(f"order 0 falls from {function(profile.start)[0]:.2f} to {best.fun:.4f}")
+        order 0 falls from 0.18 to 0.0000
+    """
+    validation.instance(profile, Profile, "profile")
+    for name, value in (("evaluate", evaluate), ("loss", loss)):
+        if not callable(value):
+            raise ArgumentTypeError(f"{ref(name)} must be a function, got {type(value).__name__}")
+
+    def function(x: ArrayLike) -> tuple[float, NDArray[np.float64]]:
+        parameters = profile.check(x)
+        value, vjp, _ = evaluate(profile.surface(parameters), profile.wrt)
+        result, adjoints = loss(value)
+        return float(result), profile.pullback(parameters, vjp(np.asarray(adjoints, dtype=np.float64)))
+
+    return function

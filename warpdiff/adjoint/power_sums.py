@@ -1,0 +1,150 @@
+"""⟨|P|²⟩ of pairs of a direction and a wavelength, with derivatives, adjoint and tangent, under Gaussian lobes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from warpdiff.adjoint.coefficient_rows import add_rows
+from warpdiff.adjoint.gaussian_lobes import GaussianLobes
+from warpdiff.core.threads import single_threaded_blas
+from warpdiff.kernels import lobe_sums
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from warpdiff.adjoint.coefficient_rows import CoefficientRows, Rows
+    from warpdiff.adjoint.gaussian_lobes import Pairs
+    from warpdiff.adjoint.sites import Block, Sites
+    from warpdiff.adjoint.surface_terms import SurfaceTerms
+
+# Columns of ``derivatives``: derivatives of ⟨|P|²⟩ by q_x, q_y, M_xx, M_xy, M_yy, κ, L_x and L_y, and ⟨|P|²⟩ itself.
+Q_X, Q_Y, M_XX, M_XY, M_YY, KAPPA, L_X, L_Y, VALUE = range(9)
+
+# Column of the sum itself in the result of ``GaussianLobes.derivatives``.
+_SUM = lobe_sums.DERIVATIVES - 1
+
+
+class TangentSums(Protocol):
+    """Change of ⟨|P|²⟩ for one change of the surface."""
+
+    def __call__(self, pairs: Pairs) -> NDArray[np.float64]:
+        """Return the changes, shape (p,)."""
+        ...
+
+
+class PowerSums(Protocol):
+    """⟨|P|²⟩ of a surface under one coherence."""
+
+    def sums(self, pairs: Pairs) -> NDArray[np.float64]:
+        """Return ⟨|P|²⟩, shape (p,)."""
+        ...
+
+    def derivatives(self, pairs: Pairs) -> NDArray[np.float64]:
+        """Return ⟨|P|²⟩ and its derivatives, the columns ``Q_X`` to ``VALUE``, shape (p, 9)."""
+        ...
+
+    def adjoint(self, parts: Iterable[tuple[Pairs, NDArray[np.float64]]]) -> NDArray[np.float64]:
+        """Return the adjoint of the surface from those of the sums of all pairs, which come in parts."""
+        ...
+
+    def tangent(self, change: NDArray[np.float64]) -> TangentSums:
+        """Return a function that computes the changes of the sums for a change of the surface."""
+        ...
+
+
+class LobeSums:
+    """Sums under Gaussian lobes: of powers (averaged windows and sources), or of amplitudes (centred windows)."""
+
+    def __init__(
+        self, terms: SurfaceTerms, rows: CoefficientRows, block: Block, sites: Sites,
+        size_um: tuple[float, float], exponent: float, centre: tuple[float, float] = (0.0, 0.0),
+        moving_um: tuple[float, float] = (0.0, 0.0),
+    ) -> None:  # fmt: skip
+        """Compute the rows of the coefficients.
+
+        Args:
+            terms: Coefficients of the surface.
+            rows: Rows to fill; their kind decides between powers and amplitudes.
+            block: Orders of the coefficients.
+            sites: Rows of the orders of the block.
+            size_um: Size of the patch (y, x) [µm].
+            exponent: Coefficients with weights below e^−exponent are truncated.
+            centre: Centre of the window (y, x) for amplitudes, in sizes of the patch.
+            moving_um: Part of the centre [µm] that remains in place if the size of the patch changes.
+        """
+        self._terms, self._rows, self._block, self._sites = terms, rows, block, sites
+        self._size_um, self._moving_um = size_um, moving_um
+        with single_threaded_blas():
+            rows.fill(terms)
+        s, r = block.orders()
+        self._phases = np.exp(-2j * np.pi * ((s * centre[0]) % 1.0 + (r * centre[1]) % 1.0))[:, None]
+        # Orders that alias onto one coefficient have phases of their own, so that amplitudes are copied to each order.
+        cells = sites.places if rows.powers else np.arange(block.size, dtype=np.int32)
+        self._coefficients = rows.rows if rows.powers else self._shifted(rows.rows)
+        self._lobes = GaussianLobes(rows, block, cells, size_um, exponent)
+
+    def sums(self, pairs: Pairs) -> NDArray[np.float64]:
+        """Return ⟨|P|²⟩, shape (p,)."""
+        parts = self._parts(pairs, self._coefficients)
+        return parts[0] if self._rows.powers else parts[0] ** 2 + parts[1] ** 2
+
+    def derivatives(self, pairs: Pairs) -> NDArray[np.float64]:
+        """Return ⟨|P|²⟩ and its derivatives, the columns ``Q_X`` to ``VALUE``, shape (p, 9)."""
+        slopes = [self._lobes.derivatives(pairs, row) for row in self._coefficients]
+        if self._rows.powers:
+            return slopes[0][:, [*range(VALUE), _SUM]]
+        slope = slopes[0] + 1j * slopes[1]
+        # A centre that remains in place while the patch grows changes the phases exp(−2πi r c/L) of coefficients.
+        for column, along, axis in ((L_X, 8, 1), (L_Y, 9, 0)):
+            slope[:, column] += 2j * np.pi * self._moving_um[axis] / self._size_um[axis] ** 2 * slope[:, along]
+        amplitude = slope[:, _SUM]
+        powers = 2.0 * (np.conj(amplitude)[:, None] * slope[:, :VALUE]).real
+        return np.column_stack([powers, np.abs(amplitude) ** 2])
+
+    @single_threaded_blas()
+    def adjoint(self, parts: Iterable[tuple[Pairs, NDArray[np.float64]]]) -> NDArray[np.float64]:
+        """Return the adjoint of the surface from those of the sums of all pairs, which come in parts."""
+        blocks = [np.zeros((self._block.size, self._rows.terms)) for _ in self._rows.rows]
+        for pairs, adjoints in parts:
+            factors = [adjoints]
+            if not self._rows.powers:
+                factors = [2.0 * adjoints * part for part in self._parts(pairs, self._coefficients)]
+            for factor, block in zip(factors, blocks, strict=True):
+                self._lobes.spread(pairs, factor, block)
+        if not self._rows.powers:
+            blocks = _parts_of((blocks[0] + 1j * blocks[1]) * np.conj(self._phases))
+        rows = self._rows.empty(zero=True)
+        for block, row in zip(blocks, rows, strict=True):
+            add_rows(self._sites.places, block, row, are_distinct=self._sites.are_distinct)
+        return self._terms.adjoint(self._rows.adjoint(self._terms, rows))
+
+    @single_threaded_blas()
+    def tangent(self, change: NDArray[np.float64]) -> TangentSums:
+        """Return a function that computes the changes of the sums for a change of the surface."""
+        rows = self._rows.tangent(self._terms, self._terms.tangent(change))
+        if not self._rows.powers:
+            rows = self._shifted(rows)
+
+        def changes(pairs: Pairs) -> NDArray[np.float64]:
+            parts = self._parts(pairs, rows)
+            if self._rows.powers:
+                return parts[0]
+            real, imaginary = self._parts(pairs, self._coefficients)
+            return 2.0 * (real * parts[0] + imaginary * parts[1])
+
+        return changes
+
+    def _parts(self, pairs: Pairs, rows: Rows) -> list[NDArray[np.float64]]:
+        return [self._lobes.sums(pairs, row) for row in rows]
+
+    def _shifted(self, rows: Rows) -> Rows:
+        """Return the amplitudes of all orders of the block, with the phases of the centre of the window."""
+        return _parts_of((rows[0][self._sites.places] + 1j * rows[1][self._sites.places]) * self._phases)
+
+
+def _parts_of(values: NDArray[np.complex128]) -> Rows:
+    return [np.ascontiguousarray(values.real), np.ascontiguousarray(values.imag)]

@@ -1,0 +1,139 @@
+"""Geometry factor C·M and reflectance R of the relative reflectance, with their derivatives."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.adjoint.jets import Jet
+from warpdiff.kernels.thresholds import TINY
+from warpdiff.optics.materials import DEFAULT_IOR
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from warpdiff.optics.materials import Material
+
+# Variables of the reflectance of a material, in the order of the partial derivatives.
+MATERIAL_VARIABLES = ("cosine", "n", "k", "film_nm", "wavelengths_nm")
+# Variables of Schlick's reflectance.
+IOR_VARIABLES = ("cosine", "ior")
+
+# Difference of the cosines of light and viewer, or of M and 1, below which they count as equal. Limit: rounding errors
+# of directions.
+_EQUAL_COSINES = 1e-9
+
+
+def geometry(
+    lights: NDArray[np.float64], views: NDArray[np.float64], *, masking: bool, per_light_cosine: bool
+) -> tuple[Jet, Jet]:
+    """Return C·M without R, and cos θd, for pairs of unit vectors above the horizon; see ``reflectance_factors.gain``.
+
+    The six variables are the components of the direction to the light, and then those of the direction to the viewer.
+    Their derivatives are for vectors of any length near 1, so that they must be projected onto the sphere.
+
+    Args:
+        lights: Directions to the light, shape (n, 3).
+        views: Directions to the viewer, shape (n, 3).
+        masking: Whether to include M. Where both cosines are equal, the derivative is that for a smaller cosine of the
+            light.
+        per_light_cosine: Whether to divide by cos θi.
+    """
+    variables = Jet.variables(*lights.T, *views.T)
+    light, view = variables[:3], variables[3:]
+    half = [a + b for a, b in zip(light, view, strict=True)]
+    overlap = (half[0] * half[0] + half[1] * half[1] + half[2] * half[2]) * 0.5
+    total, cos_i, cos_r = half[2], light[2], view[2]
+    gain = overlap * overlap / (total * total * cos_r)
+    if masking:
+        smaller = cos_i.where(cos_i.value <= cos_r.value, cos_r)
+        shadowed = 2.0 * total * smaller / overlap
+        gain = (gain * shadowed).where(shadowed.value < 1.0, gain)
+    if per_light_cosine:
+        gain = gain / cos_i
+    return gain, (overlap * 0.5).power(0.5)
+
+
+def kinks(lights: NDArray[np.float64], views: NDArray[np.float64]) -> int:
+    """Return the number of pairs at a kink of the V-cavity's masking: equal cosines where M < 1, or M just 1."""
+    overlap = 0.5 * np.sum((lights + views) ** 2, axis=1)
+    total, smaller = lights[:, 2] + views[:, 2], np.minimum(lights[:, 2], views[:, 2])
+    masking = 2.0 * total * smaller / np.maximum(overlap, TINY)
+    is_equal = (np.abs(lights[:, 2] - views[:, 2]) < _EQUAL_COSINES) & (masking < 1.0)
+    return int(np.count_nonzero(is_equal | (np.abs(masking - 1.0) < _EQUAL_COSINES)))
+
+
+def index_of(ior: float | None) -> float:
+    """Return the index of refraction of a surface without a material."""
+    return DEFAULT_IOR if ior is None else float(ior)
+
+
+def schlick(cosines: NDArray[np.float64], ior: float, *, relative: bool) -> Jet:
+    """Return Schlick's reflectance, optionally divided by R(0), by the variables cosine and ``ior``."""
+    if ior == math.inf:
+        return Jet(np.ones_like(cosines), np.zeros((2, *cosines.shape)))
+    cosine, index = Jet.variables(cosines, np.full_like(cosines, ior))
+    normal = ((index - 1.0) / (index + 1.0)).power(2)
+    result = normal + (1.0 - normal) * (1.0 - cosine).power(5)
+    return result / normal if relative else result
+
+
+def fresnel(cosines: NDArray[np.float64], material: Material, wavelengths_nm: NDArray[np.float64]) -> Jet:
+    """Return the unpolarised reflectance of a material by its ``MATERIAL_VARIABLES``.
+
+    n and k are those of the material below a film. Between the wavelengths of its table, they change linearly.
+
+    Args:
+        cosines: cos θd, shape (...).
+        material: Material, with a film or without.
+        wavelengths_nm: Wavelengths [nm], in the shape of the cosines.
+    """
+    cosine, n, k, thickness, wavelength = Jet.variables(
+        np.minimum(cosines, 1.0), *_index(material, wavelengths_nm), np.full_like(cosines, material.film_nm),
+        wavelengths_nm,
+    )  # fmt: skip
+    along2 = 1.0 - cosine * cosine
+    below = n + 1j * k + _dispersion(material, wavelength)
+    media = [Jet(np.ones(cosines.shape), 0.0 * cosine.partials)]
+    if material.film is not None:
+        film_n, film_k = _index(material.film, wavelengths_nm)
+        media.append(_dispersion(material.film, wavelength) + (film_n + 1j * film_k))
+    media.append(below)
+    angles = [cosine, *((1.0 - along2 / (index * index)).power(0.5) for index in media[1:])]
+    result = Jet(np.zeros(cosines.shape), 0.0 * cosine.partials)
+    for polarisation in ("s", "p"):
+        boundaries = []
+        for first in range(len(media) - 1):
+            a, b = (first, first + 1) if polarisation == "s" else (first + 1, first)
+            one, other = media[a] * angles[first], media[b] * angles[first + 1]
+            boundaries.append((one - other) / (one + other))
+        amplitude = boundaries[0]
+        if len(boundaries) > 1:
+            # Airy's formula sums all reflections between the two boundaries of the film.
+            behind = boundaries[1] * (4j * math.pi * (thickness / wavelength) * media[1] * angles[1]).exp()
+            amplitude = (amplitude + behind) / (1.0 + amplitude * behind)
+        result = result + amplitude.abs2() * 0.5
+    return result
+
+
+def _index(material: Material, wavelengths_nm: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return n and k of a material without its film, interpolated linearly at wavelengths [nm]."""
+    n, k = (
+        np.interp(wavelengths_nm, np.asarray(material.wavelengths_nm), np.asarray(v)) for v in (material.n, material.k)
+    )
+    return np.asarray(n), np.asarray(k)
+
+
+def _dispersion(material: Material, wavelength: Jet) -> Jet:
+    """Return a jet with the value 0 and the derivatives of n + ik that follow from its dependence on the wavelength."""
+    table = np.asarray(material.wavelengths_nm)
+    index = np.asarray(material.n) + 1j * np.asarray(material.k)
+    if len(table) == 1:
+        slope = np.zeros(wavelength.value.shape, dtype=np.complex128)
+    else:
+        place = np.searchsorted(table, wavelength.value, side="right") - 1
+        inside = (place >= 0) & (place < len(table) - 1)
+        slope = np.where(inside, (np.diff(index) / np.diff(table))[np.clip(place, 0, len(table) - 2)], 0.0)
+    return Jet(np.zeros_like(slope), slope * wavelength.partials)

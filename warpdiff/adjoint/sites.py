@@ -1,0 +1,86 @@
+"""Frequencies of Fourier coefficients, reduced to half of the plane, with transforms and their transposes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Block:
+    """Rectangle of orders (s, r).
+
+    Attributes:
+        first: Lowest order along (y, x).
+        shape: Number of orders along (y, x).
+    """
+
+    first: tuple[int, int]
+    shape: tuple[int, int]
+
+    @property
+    def size(self) -> int:
+        """Number of orders of the block."""
+        return self.shape[0] * self.shape[1]
+
+    def orders(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return s and r of all orders of the block, row by row, both of shape (size,)."""
+        s, r = (np.arange(first, first + count) for first, count in zip(self.first, self.shape, strict=True))
+        return np.repeat(s, len(r)), np.tile(r, len(s))
+
+
+class Sites:
+    """Distinct coefficients of real arrays in half of the frequency plane.
+
+    A coefficient of a real array at (−s, −r) is the complex conjugate of that at (s, r), and coefficients are periodic
+    in s and r. A coefficient of any order is therefore one of the sites, or the conjugate of one.
+
+    Attributes:
+        count: Number of sites p.
+        places: For each order, the number of its site, plus p if it is the opposite of the site, shape (n,).
+        are_distinct: Whether no two orders have the same place.
+    """
+
+    def __init__(self, shape: tuple[int, int], s: NDArray[np.int64], r: NDArray[np.int64]) -> None:
+        """Find the sites of orders (s, r), shape (n,) both, for arrays of ``shape``, (ny, nx)."""
+        self._shape = ny, nx = shape
+        column = r % nx
+        is_opposite = column > nx // 2
+        row = np.where(is_opposite, -s, s) % ny
+        column = np.where(is_opposite, nx - column, column)
+        flat, index = np.unique(column * ny + row, return_inverse=True)
+        self.count = len(flat)
+        self.places = (index + self.count * is_opposite).astype(np.int32)
+        self.are_distinct = bool(np.bincount(self.places, minlength=1).max() <= 1)
+        # All columns up to the largest one are transformed along y.
+        self._columns = int(column.max()) + 1
+        self._flat = flat
+
+    @property
+    def columns(self) -> NDArray[np.int64]:
+        """Orders r of the sites, at least 0, shape (p,)."""
+        return np.asarray(self._flat // self._shape[0])
+
+    def transform(self, values: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """Return ifft2 of a real array, shape (ny, nx), at the sites, shape (p,)."""
+        half = np.ascontiguousarray(np.fft.rfft(values, axis=1)[:, : self._columns].T)
+        return np.asarray(np.conj(np.fft.fft(half, axis=1).ravel()[self._flat]) / values.size)
+
+    def transposed(self, values: NDArray[np.complex128]) -> NDArray[np.float64]:
+        """Return the transpose of ``transform``: the array a with Re Σ conj(v) transform(b) = Σ a b for any b.
+
+        Args:
+            values: v, shape (p,).
+        """
+        ny, nx = self._shape
+        half = np.zeros(self._columns * ny, dtype=np.complex128)
+        half[self._flat] = values
+        half = np.conj(np.fft.fft(half.reshape(self._columns, ny), axis=1).T)
+        # irfft counts the columns 0 and nx/2 once, and all others twice.
+        half[:, 1 : (nx + 1) // 2] *= 0.5
+        return np.asarray(np.fft.irfft(half, n=nx, axis=1) / ny)

@@ -1,0 +1,317 @@
+"""``fit``: parameters of a profile that explain measured data, with standard errors and all equivalent minima."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.core import validation
+from warpdiff.core.progress import Progress, reporter
+from warpdiff.core.threads import single_threaded_blas
+from warpdiff.core.warnings import warn
+from warpdiff.core.wording import ArgumentValueError, WarpdiffWarning, ref
+from warpdiff.fitting.measured_data import Measured
+from warpdiff.plot.axes import axes_for, clean_grid
+from warpdiff.profiles.profile_base import Profile
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from matplotlib.axes import Axes
+    from numpy.typing import ArrayLike, NDArray
+
+    Array = NDArray[np.float64]
+
+# Largest difference of χ² between the best minimum and others that are listed. Choice: a minimum that is worse by 4 is
+# excluded at two standard deviations of one parameter.
+_LISTED_CHI2 = 4.0
+# Distance of two minima, in standard errors of the parameters, below which they count as one. Limit: the accuracy of
+# the minimiser, which ends at a small fraction of a standard error.
+_SAME = 0.5
+# Relative changes of parameters and of χ² at which the minimiser ends, and its largest number of steps. Limit: starts
+# near a minimum need fewer than 30 steps.
+_CHANGE, _MOST_STEPS = 1e-9, 60
+# Largest number of starts. Limit: computing time is proportional to it.
+_MOST_STARTS = 1000
+# Difference of χ², relative to it, below which two minima are equally good. The one of the earlier start is then best.
+_TIE = 1e-6
+# Singular value of the Jacobian, relative to the largest, below which a change of parameters counts as undetermined.
+# The second number is the component of a parameter in such a change above which its standard error is NaN. Limit:
+# rounding errors.
+_LEAST_SINGULAR, _SHARE = 1e-9, 1e-3
+# Share of the range of a parameter within which it counts as being at a bound.
+_AT_BOUND = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """Parameters of one minimum of χ².
+
+    Attributes:
+        values: Parameters, shape (p,).
+        chi2: Sum of the squared residuals, each divided by its standard deviation.
+
+    Examples:
+        >>> import numpy as np
+        >>> import warpdiff as wd
+        >>> wd.Minimum(np.array([0.1]), 3.0).chi2
+        3.0
+    """
+
+    values: Array
+    chi2: float
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Result of :func:`warpdiff.fit`.
+
+    Attributes:
+        names: Names of the parameters.
+        values: Parameters of the best minimum, shape (p,).
+        standard_errors: Standard errors of the parameters, shape (p,). NaN for parameters at a bound, and for those
+            that the data do not determine.
+        covariance: Covariance matrix of the parameters, shape (p, p).
+        correlations: Correlation matrix of the parameters, shape (p, p).
+        chi2: Sum of the squared residuals, each divided by its standard deviation.
+        degrees_of_freedom: Number of measured values minus the number of parameters.
+        residuals: (prediction − measured)/sd, shape (n,).
+        minima: All minima whose χ² exceeds the best by at most 4, the best first. The data cannot distinguish them.
+        evaluations: Number of evaluated predictions with derivatives, of all starts.
+
+    Examples:
+        >>> import math
+        >>> import numpy as np
+        >>> import warpdiff as wd
+        >>> grating = wd.profiles.Trapezoid(depth_um=0.14, duty=0.42, wall=0.04, period_um=2.0)
+        >>> lights, pairs = np.repeat(wd.direction([10.0, 40.0]), 5, axis=0), [(0, m) for m in (-2, -1, 0, 1, 2)] * 2
+        >>> values = wd.Measured.orders(lights, 550.0, pairs, np.zeros(10), ior=math.inf)
+        >>> values = values.predict(grating.surface(grating.start)).value + 1e-4 * np.cos(np.arange(10.0))
+        >>> measured = wd.Measured.orders(lights, 550.0, pairs, values, ior=math.inf)
+        >>> print(wd.fit(grating, measured, sd=1e-4, starts=1).report())
+        χ² = ... for 6 degrees of freedom
+        depth_um   0.1... ± ...
+        duty       0.4... ± ...
+        wall       0.0... ± ...
+        period_um  ... ± ...
+        ...
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    standard_errors: Array
+    covariance: Array
+    correlations: Array
+    chi2: float
+    degrees_of_freedom: int
+    residuals: Array
+    minima: tuple[Minimum, ...]
+    evaluations: int
+
+    def __repr__(self) -> str:
+        shown = ", ".join(f"{name}={value:.4g}" for name, value in zip(self.names[:6], self.values[:6], strict=True))
+        return f"Fit({shown}; χ² = {self.chi2:.3g} for {self.degrees_of_freedom} degrees of freedom)"
+
+    def report(self) -> str:
+        """Return parameters, standard errors, correlations and equivalent minima as text."""
+        lines = [f"χ² = {self.chi2:.4g} for {self.degrees_of_freedom} degrees of freedom"]
+        width = max(len(name) for name in self.names)
+        for name, value, error in zip(self.names, self.values, self.standard_errors, strict=True):
+            text = "not determined" if math.isnan(error) else f"± {error:.2g}"
+            lines.append(f"{name:<{width}}  {value:.6g} {text}")
+        for i, j in zip(*np.triu_indices(len(self.names), 1), strict=True):
+            if abs(self.correlations[i, j]) >= 0.5:
+                lines.append(f"correlation of {self.names[i]} and {self.names[j]}: {self.correlations[i, j]:+.2f}")
+        for minimum in self.minima[1:]:
+            values = ", ".join(f"{name} = {value:.4g}" for name, value in zip(self.names, minimum.values, strict=True))
+            lines.append(f"equivalent minimum, χ² = {minimum.chi2:.4g}: {values}")
+        return "\n".join(lines)
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Plot the residuals in standard deviations over the number of the measured value.
+
+        Args:
+            ax: Matplotlib axes to draw into; None makes a figure.
+        """
+        axes = axes_for(ax, width=6.0, height=3.0)
+        for level in (-2.0, 0.0, 2.0):
+            axes.axhline(level, color="0.7", linewidth=0.8, zorder=0)
+        axes.plot(np.arange(len(self.residuals)), self.residuals, "o", markersize=4)
+        axes.set_xlabel("measured value")
+        axes.set_ylabel("residual [standard deviations]")
+        clean_grid(axes)
+        return axes
+
+
+class _Problem:
+    """Residuals of a fit and their Jacobian; values of the same parameters are computed once."""
+
+    def __init__(self, profile: Profile, measured: Measured, sd: Array) -> None:
+        self._profile, self._measured, self._sd = profile, measured, sd
+        self._last: Array | None = None
+        self.evaluations = 0
+
+    def forget(self) -> None:
+        """Evaluate the next parameters in any case, so that their warnings are shown."""
+        self._last = None
+
+    def residuals(self, x: Array) -> Array:
+        """Return (prediction − measured)/sd, shape (n,)."""
+        self._evaluate(x)
+        return self._residuals
+
+    def jacobian(self, x: Array) -> Array:
+        """Return the derivatives of the residuals by the parameters, shape (n, p)."""
+        self._evaluate(x)
+        columns = [
+            self._result.jvp(**self._profile.pushforward(x, direction)) / self._sd for direction in np.eye(len(x))
+        ]
+        return np.stack(columns, axis=1)
+
+    def _evaluate(self, x: Array) -> None:
+        if self._last is None or not np.array_equal(x, self._last):
+            self._result = self._measured.predict(self._profile.surface(x), self._profile.wrt)
+            self._residuals = (self._result.value - self._measured.values) / self._sd
+            self._last = x.copy()
+            self.evaluations += 1
+
+
+@single_threaded_blas()
+def fit(
+    profile: Profile, measured: Measured, *, sd: ArrayLike, starts: int = 8, seed: int = 0, progress: Progress = None
+) -> Fit:
+    """Fit the parameters of a profile to measured orders, spectra or colours.
+
+    Least squares with exact Jacobians (trust region, Branch, Coleman and Li 1999, as in SciPy) from several starts. The
+    first start is that of the profile, the others are random within its bounds. With more than one start, parameters
+    that are equivalent to the best ones are tried, too, if the profile states them.
+
+    Args:
+        profile: Profile from ``warpdiff.profiles``, with start values and bounds.
+        measured: Measured values with their geometry and optics.
+        sd: Standard deviation of the measured values, more than 0, one number or shape (n,).
+        starts: Number of starts, 1 to 1000, by default 8.
+        seed: Seed of the random starts, by default 0.
+        progress: Function that is called with the finished share, 0 to 1; True shows a progress bar.
+
+    Returns:
+        Parameters with standard errors, correlations, χ², residuals and all equivalent minima.
+
+    Warns:
+        WarpdiffWarning: A parameter is at a bound, or the data do not determine it.
+
+    Raises:
+        TypeError: An argument has a wrong type.
+        ValueError: ``sd`` is not positive or has a wrong shape, or there are fewer values than parameters.
+
+    Examples:
+        >>> import math
+        >>> import numpy as np
+        >>> import warpdiff as wd
+        >>> true = wd.profiles.Trapezoid(depth_um=0.14, duty=0.42, wall=0.04, period_um=2.0)
+        >>> light, orders = wd.direction([10.0, 40.0]), [(0, m) for m in (-2, -1, 0, 1, 2)]
+        >>> lights, pairs = np.repeat(light, 5, axis=0), np.tile(orders, (2, 1))
+        >>> made = wd.Measured.orders(lights, 550.0, pairs, np.zeros(10), ior=math.inf)
+        >>> values = made.predict(true.surface(true.start)).value
+        >>> measured = wd.Measured.orders(lights, 550.0, pairs, values, ior=math.inf)
+        >>> guess = wd.profiles.Trapezoid(depth_um=0.12, duty=0.45, wall=0.03, period_um=2.0)
+        >>> result = wd.fit(guess, measured, sd=1e-3, starts=2)
+        >>> result.values.round(3)
+        array([0.14, 0.42, 0.04, 2.  ])
+        >>> [round(float(minimum.values[1]), 2) for minimum in result.minima]
+        [0.42, 0.58]
+    """
+    validation.instance(profile, Profile, "profile")
+    validation.instance(measured, Measured, "measured")
+    count, parameters = len(measured.values), len(profile.start)
+    deviations = validation.finite_array(sd, "sd")
+    if deviations.shape not in ((), (1,), (count,)) or np.any(deviations <= 0.0):
+        raise ArgumentValueError(
+            f"{ref('sd')} must be more than 0, one number or one per measured value, ({count},), got shape "
+            f"{deviations.shape}"
+        )
+    if count < parameters:
+        raise ArgumentValueError(
+            f"{ref('measured')} must have at least as many values as there are parameters, {parameters}, got {count}"
+        )
+    report = reporter(progress, "fit")
+    rng = np.random.default_rng(validation.count(seed, "seed", least=0))
+    low, high = profile.bounds.T
+    points = [profile.start]
+    points += [rng.uniform(low, high) for _ in range(validation.count(starts, "starts", most=_MOST_STARTS) - 1)]
+    problem = _Problem(profile, measured, np.broadcast_to(deviations, (count,)))
+    minima: list[Minimum] = []
+    for k, point in enumerate(points):
+        minima.append(_minimum(problem, point, profile.bounds))
+        if report is not None:
+            report((k + 1.0) / (len(points) + 1.0))
+    best = _best(minima)
+    if len(points) > 1:
+        others = profile.equivalents(best.values)
+        minima.extend(_minimum(problem, np.clip(other, low, high), profile.bounds) for other in others)
+    return _result(profile, problem, minima, report)
+
+
+def _minimum(problem: _Problem, start: Array, bounds: Array) -> Minimum:
+    from scipy.optimize import least_squares
+
+    low, high = bounds.T
+    inside = np.clip(start, low + _AT_BOUND * (high - low), high - _AT_BOUND * (high - low))
+    with warnings.catch_warnings():
+        # Warnings about parameters on the way, such as an order at the horizon, do not concern the result.
+        warnings.simplefilter("ignore", WarpdiffWarning)
+        result = least_squares(
+            problem.residuals, inside, problem.jacobian, bounds=(low, high), x_scale=high - low, xtol=_CHANGE,
+            ftol=_CHANGE, gtol=_CHANGE, max_nfev=_MOST_STEPS,
+        )  # fmt: skip
+    return Minimum(np.asarray(result.x), float(2.0 * result.cost))
+
+
+def _best(minima: list[Minimum]) -> Minimum:
+    """Return the minimum with the least χ², that of the earliest start among equally good ones."""
+    least = min(minimum.chi2 for minimum in minima)
+    return next(minimum for minimum in minima if minimum.chi2 <= least + _TIE * (1.0 + least))
+
+
+def _result(profile: Profile, problem: _Problem, minima: list[Minimum], report: Callable[[float], None] | None) -> Fit:
+    """Return the result of a fit: the best minimum with its covariance, and the others that are as good."""
+    best = _best(minima)
+    problem.forget()
+    jacobian, residuals = problem.jacobian(best.values), problem.residuals(best.values)
+    low, high = profile.bounds.T
+    margin = _AT_BOUND * 10.0 * (high - low)
+    is_free = (best.values > low + margin) & (best.values < high - margin)
+    covariance = np.full((len(low), len(low)), np.nan)
+    # A parameter is not determined if some change of the parameters, in units of their ranges, changes no residual.
+    scaled = jacobian[:, is_free] * (high - low)[is_free]
+    _, singular, rows = np.linalg.svd(scaled, full_matrices=False)
+    is_weak = singular < _LEAST_SINGULAR * singular.max(initial=0.0)
+    undetermined = (
+        np.any(np.abs(rows[is_weak]) > _SHARE, axis=0) if is_weak.any() else np.zeros(int(is_free.sum()), bool)
+    )
+    inverse = (rows[~is_weak].T / singular[~is_weak] ** 2) @ rows[~is_weak]
+    inverse[undetermined] = inverse[:, undetermined] = np.nan
+    covariance[np.ix_(is_free, is_free)] = inverse * np.outer((high - low)[is_free], (high - low)[is_free])
+    errors = np.sqrt(np.diag(covariance))
+    without = [name for name, error in zip(profile.names, errors, strict=True) if np.isnan(error)]
+    if without:
+        warn(
+            f"{ref('measured')} does not determine {', '.join(without[:6])}, or the best value is at a bound: its "
+            "standard error is NaN; measure other angles or wavelengths, or change the bounds of the profile"
+        )
+    distinct: list[Minimum] = []
+    scale = np.where(np.isnan(errors), high - low, errors)
+    for minimum in [best, *sorted(minima, key=lambda minimum: minimum.chi2)]:
+        is_known = any(np.all(np.abs(minimum.values - other.values) <= _SAME * scale) for other in distinct)
+        if minimum.chi2 <= best.chi2 + _LISTED_CHI2 and not is_known:
+            distinct.append(minimum)
+    if report is not None:
+        report(1.0)
+    return Fit(
+        profile.names, best.values, errors, covariance, covariance / np.outer(errors, errors), best.chi2,
+        len(residuals) - len(best.values), residuals, tuple(distinct), problem.evaluations,
+    )  # fmt: skip

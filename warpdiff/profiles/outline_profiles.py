@@ -1,0 +1,171 @@
+"""Profiles that are outlines: polygons and trapezoids, whose duty cycles and walls are exact and differentiable."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.core import validation
+from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.profiles.outline import Outline
+from warpdiff.profiles.profile_base import Profile
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from warpdiff.heightfield.field import HeightField
+
+    Array = NDArray[np.float64]
+
+# Range of a period, relative to its start value. Choice: angles of orders determine a period to better than that, and
+# fits that start further away end at other minima.
+_PERIOD_RANGE = 0.95, 1.05
+# Range of heights of vertices around their start values [µm]. Limit: scalar diffraction describes no steeper surfaces.
+_HEIGHT_MARGIN_UM = 10.0
+# Upper bound of a depth, relative to its start value. Choice: random starts of a fit lie within the bounds.
+_DEPTH_RANGE = 3.0
+# Least upper bound of the width of a wall [periods], so that vertical walls can become sloped.
+_WIDEST_WALL = 0.05
+
+
+class _OutlineProfile(Profile):
+    """Profile whose vertices are a linear function of all parameters but the last one, which is the period."""
+
+    def __init__(
+        self, names: tuple[str, ...], start: list[float], bounds: list[list[float]], base: Array, modes: Array,
+        period_um: float,
+    ) -> None:  # fmt: skip
+        """Describe the vertices.
+
+        Args:
+            names: Names of the parameters except the period.
+            start: Their start values.
+            bounds: Their ranges.
+            base: Positions and heights of the vertices where these parameters are 0, shape (k, 2).
+            modes: Derivatives of positions and heights by these parameters, shape (p − 1, k, 2).
+            period_um: Start value of the period [µm].
+        """
+        self._base, self._modes = base, modes
+        period = validation.positive(period_um, "period_um")
+        limits = [*bounds, [share * period for share in _PERIOD_RANGE]]
+        super().__init__((*names, "period_um"), [*start, period], limits)
+
+    @property
+    def wrt(self) -> tuple[str, ...]:
+        """Variables of the surface that depend on the parameters."""
+        return ("vertices", "period_um")
+
+    def surface(self, x: ArrayLike) -> Outline:
+        """Return the outline for parameters, shape (p,)."""
+        values = self.check(x)
+        vertices = self._base + np.tensordot(values[:-1], self._modes, axes=1)
+        return Outline(np.clip(vertices[:, 0], 0.0, 1.0), vertices[:, 1], float(values[-1]))
+
+    def height_field(self, x: ArrayLike) -> HeightField:
+        """Return samples of the outline for parameters, shape (p,)."""
+        return self.surface(x).height_field()
+
+    def pullback(self, x: ArrayLike, adjoints: Mapping[str, Array]) -> Array:
+        """Return the adjoints of the parameters, shape (p,), from those of the vertices and the period."""
+        self.check(x)
+        return np.append(np.tensordot(self._modes, adjoints["vertices"], axes=2), adjoints["period_um"])
+
+    def pushforward(self, x: ArrayLike, dx: ArrayLike) -> dict[str, Array]:
+        """Return the changes of the vertices and the period for a change of the parameters, shape (p,)."""
+        self.check(x)
+        change = self.check(dx)
+        return {"vertices": np.tensordot(change[:-1], self._modes, axes=1), "period_um": np.asarray(change[-1])}
+
+
+class Polygon(_OutlineProfile):
+    """Vertices of a polygon as parameters: positions and heights of all vertices but the first, and the period.
+
+    The first vertex is fixed: a shift of the whole polygon changes no efficiency.
+
+    Args:
+        vertices: Start values of positions [periods] and heights [µm], shape (k, 2), in the order of the positions.
+        period_um: Start value of the period [µm]; its range is ± 5 %.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> profile = wd.profiles.Polygon([(0.0, 0.0), (0.5, 0.1)], period_um=2.0)
+        >>> profile.names
+        ('position[1]', 'height_um[1]', 'period_um')
+    """
+
+    def __init__(self, vertices: ArrayLike, period_um: float) -> None:
+        array = validation.finite_array(vertices, "vertices", ndim=2)
+        if array.shape[1] != 2:
+            raise ArgumentValueError(f"{ref('vertices')} must have shape (k, 2), got {array.shape}")
+        Outline(array[:, 0], array[:, 1], period_um)  # checks positions
+        count = len(array)
+        names = tuple(f"{name}[{k}]" for k in range(1, count) for name in ("position", "height_um"))
+        bounds = []
+        for k in range(1, count):
+            # Vertices remain in order: a position may move by less than half of the distance to its neighbours.
+            gaps = np.diff(
+                np.concatenate([array[: k + 1, 0][-2:], array[k + 1 : k + 2, 0] if k + 1 < count else [1.0]])
+            )
+            position, height = array[k]
+            bounds += [
+                [position - 0.499 * gaps[0], position + 0.499 * gaps[1]],
+                [height - _HEIGHT_MARGIN_UM, height + _HEIGHT_MARGIN_UM],
+            ]
+        base = np.zeros_like(array)
+        base[0] = array[0]
+        modes = np.zeros((2 * (count - 1), count, 2))
+        modes.reshape(count - 1, 2, count, 2)[np.arange(count - 1), :, np.arange(1, count), :] = np.eye(2)
+        super().__init__(names, array[1:].ravel().tolist(), bounds, base, modes, period_um)
+
+
+class Trapezoid(_OutlineProfile):
+    """Lamellar grating with sloped walls: depth, duty cycle, width of a wall and period as parameters.
+
+    Scalar theory cannot distinguish a duty cycle from 1 − duty, so that ``equivalents`` returns both.
+
+    Args:
+        depth_um: Start value of the depth [µm], more than 0. Its range is 0 to three times this value.
+        duty: Start value of the width of the ridge at half of its height, in periods. Its range is that in which ridge
+            and groove are wider than the widest wall.
+        wall: Start value of the width of each wall, in periods. Its range is 0 to twice this value, or to 0.05.
+        period_um: Start value of the period [µm]; its range is ± 5 %.
+
+    Raises:
+        ValueError: A start value is out of its range, or the walls are wider than the ridge or the groove.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> profile = wd.profiles.Trapezoid(depth_um=0.14, duty=0.4, wall=0.05, period_um=2.0)
+        >>> profile.surface(profile.start).positions
+        array([0.275, 0.325, 0.675, 0.725])
+        >>> print(profile.height_field(profile.start).shape)
+        (1, 1024)
+    """
+
+    def __init__(self, depth_um: float, duty: float, wall: float, period_um: float) -> None:
+        start = [
+            validation.positive(depth_um, "depth_um"), validation.number(duty, "duty"), validation.number(wall, "wall"),
+        ]  # fmt: skip
+        widest = max(2.0 * start[2], _WIDEST_WALL)
+        if not start[2] >= 0.0 or widest > min(start[1], 1.0 - start[1]):
+            raise ArgumentValueError(
+                f"{ref('wall')} must be at least 0 and at most half of ridge and groove, and {ref('duty')} within "
+                f"{_WIDEST_WALL:g} to {1.0 - _WIDEST_WALL:g}, got {start[2]:g} and {start[1]:g}"
+            )
+        base = np.array([[0.5, 0.0]] * 4)
+        modes = np.zeros((3, 4, 2))
+        modes[0, 1:3, 1] = 1.0
+        modes[1, :, 0] = [-0.5, -0.5, 0.5, 0.5]
+        modes[2, :, 0] = [-0.5, 0.5, -0.5, 0.5]
+        # The walls never meet: ridge and groove are at least as wide as the widest wall.
+        bounds = [[0.0, _DEPTH_RANGE * start[0]], [widest, 1.0 - widest], [0.0, widest]]
+        super().__init__(("depth_um", "duty", "wall"), start, bounds, base, modes, period_um)
+
+    def equivalents(self, x: Array) -> list[Array]:
+        """Return the parameters with the duty cycle 1 − duty."""
+        other = x.copy()
+        other[1] = 1.0 - x[1]
+        return [other]
