@@ -23,18 +23,24 @@ struct ShadingFrames {
 };
 
 // Compute the start point of a shadow ray (Hanika 2021, "Hacking the shadow terminator"). A point below the tangent
-// planes of the face's corners is moved up to these planes, where the smooth surface would be. Without this shift,
-// faces of a convex surface would shadow each other at grazing incidence.
+// planes of the face's corners is moved up to these planes, where the smooth surface would be. Without this, faces of a
+// convex surface would shadow each other at grazing incidence. The displacement is reduced if the normal of a corner is
+// rotated by more than 30° from the normal `across` of the face, and is zero from 45°: the flat sides of a box with
+// rounded normals would otherwise be displaced by half their length, to where nothing shadows them.
 template <int N>
-WARPDIFF_INLINE void lift_to_tangent_planes(
-    const PixelBatch<N>& pixels, int i, const float* share, const float* point, float side, bool smooth, float* origin)
+WARPDIFF_INLINE void lift_to_tangent_planes(const PixelBatch<N>& pixels, int i, const float* share, const float* point,
+    const float* across, float side, bool smooth, float* origin)
 {
+    constexpr float least = 0.70710678f, full = 0.86602540f;
     for (int c = 0; c < 3; ++c) origin[c] = smooth ? 0.0f : point[c];
     for (int which = 0; which < 3; ++which) {
-        float above = 0.0f;
-        for (int c = 0; c < 3; ++c)
+        float above = 0.0f, cosine = 0.0f;
+        for (int c = 0; c < 3; ++c) {
             above += side * pixels.normal[which][c][i] * (point[c] - pixels.position[which][c][i]);
-        const float lift = above < 0.0f ? above * side : 0.0f;
+            cosine += side * pixels.normal[which][c][i] * across[c];
+        }
+        const float part = wp::min(wp::max((cosine - least) * (1.0f / (full - least)), 0.0f), 1.0f);
+        const float lift = above < 0.0f ? above * side * part : 0.0f;
         for (int c = 0; c < 3; ++c)
             origin[c] += smooth ? share[which] * (point[c] - lift * pixels.normal[which][c][i]) : 0.0f;
     }
@@ -96,7 +102,7 @@ WARPDIFF_INLINE void find_frames(
         const float size2 = dot(blend, blend), per_size = 1.0f / wp::sqrt(size2);
         const bool blends = smooth && size2 > 1.0e-8f;
         for (int c = 0; c < 3; ++c) normal[c] = blends ? per_size * blend[c] : across[c];
-        lift_to_tangent_planes(pixels, i, share, point, side, smooth, origin);
+        lift_to_tangent_planes(pixels, i, share, point, across, side, smooth, origin);
         const float left2 = project_tangent(pixels, i, share, normal, tangent);
         frames.is_special[i] = dot(normal, view) < limits.least_cosine || !(left2 > limits.least_tangent2);
         cross(normal, tangent, bitangent);

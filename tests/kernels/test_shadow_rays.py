@@ -249,3 +249,21 @@ def test_pixels_that_face_away_from_the_light_may_contain_shadowed_cells_that_fa
     assert points.mask.sum() > 1000
     assert not points.illuminated.any()
     assert not wd.shade(snake, heightfield, light, view, refine=False, **options).illuminated.any()
+
+
+def test_a_box_with_rounded_normals_is_in_the_shadow_of_a_plate():
+    box, plate = trimesh.creation.box((2.0, 2.0, 0.2)), trimesh.creation.box((0.6, 0.6, 0.02))
+    plate.apply_translation((0.0, 0.0, 0.5))
+    mesh = trimesh.util.concatenate([box, plate])
+    assert len(mesh.vertices) == 16, "corners of different sides must share their normals"
+    view = wd.View((0.0, -4.0, 3.0), (0.0, 0.0, 0.0), fov_y_deg=30.0, width=48, height=36)
+    options = {"coherence": wd.Coherence(sigma_um=2.0), "tolerance": 0.1, "tangents": "x", "footprint": False}
+    light = wd.DirectionalLight((0.1, 0.05, 1.0))
+    surface = wd.gratings.sinusoidal(2.0, 0.05)
+    round_sides, flat_sides = (
+        wd.shade(mesh, surface, light, view, smooth=smooth, **options) for smooth in (True, False)
+    )
+    unhidden = wd.shade(mesh, surface, light, view, smooth=False, shadows=False, **options)
+    in_shadow = unhidden.illuminated & ~flat_sides.illuminated
+    assert np.count_nonzero(in_shadow) > 20
+    assert not round_sides.illuminated[in_shadow].any()
