@@ -27,6 +27,13 @@ def _data_file(name: str) -> Path:
     return path
 
 
+def public_members(kind: type) -> dict[str, object]:
+    """Return the public members of a class by name. `HeightField` inherits some from classes of its package."""
+    owners = [owner for owner in kind.__mro__ if owner is kind or owner.__module__.startswith("warpdiff.heightfield.")]
+    names = {name: value for owner in reversed(owners) for name, value in vars(owner).items()}
+    return {name: value for name, value in names.items() if not name.startswith("_")}
+
+
 @pytest.fixture(scope="session")
 def scan_path() -> Path:
     """Return the path of an atomic force microscope scan of snake skin; skip the test without that file."""

@@ -16,6 +16,7 @@ from types import SimpleNamespace
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
 import trimesh
+from conftest import public_members
 from hypothesis import strategies as st
 
 import warpdiff as wd
@@ -421,8 +422,8 @@ def public():
         if name not in MADE_BY_THE_LIBRARY:
             yield name, member, None
         if inspect.isclass(member):
-            for key, value in vars(member).items():
-                is_public = key[0] != "_" and key not in CALLED_BY_PICTURES
+            for key, value in public_members(member).items():
+                is_public = key not in CALLED_BY_PICTURES
                 if is_public and (inspect.isfunction(value) or isinstance(value, classmethod)):
                     yield f"{name}.{key}", getattr(member, key), None if isinstance(value, classmethod) else name
 

@@ -13,6 +13,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from conftest import public_members
 
 import warpdiff as wd
 
@@ -210,10 +211,12 @@ def test_public_names_exist_and_are_documented():
     for name in wd.__all__:
         public = getattr(wd, name)
         assert inspect.getdoc(public), f"warpdiff.{name} has no docstring"
-        members = vars(public).items() if inspect.isclass(public) or inspect.ismodule(public) else ()
-        for member, value in members:
+        members = public_members(public) if inspect.isclass(public) else {}
+        if inspect.ismodule(public):
+            members = {member: value for member, value in vars(public).items() if not member.startswith("_")}
+        for member, value in members.items():
             own = getattr(value, "__module__", "").startswith("warpdiff") or isinstance(value, (property, classmethod))
-            if not member.startswith("_") and callable(getattr(public, member)) and own:
+            if callable(getattr(public, member)) and own:
                 assert inspect.getdoc(value), f"warpdiff.{name}.{member} has no docstring"
 
 
