@@ -23,7 +23,7 @@ import trimesh
 
 import warpdiff as wd
 from bench import inputs
-from bench.truth import reference
+from bench.truth import pixel_reference
 from bench.truth.brute_force import intersect, pixel_rays
 from bench.truth.errors import FLOOR, colour_difference, reference_luminance
 from bench.truth.pictures import finer, scaled
@@ -153,7 +153,7 @@ def crop(
     pixel = rng.choice(np.flatnonzero(image.illuminated & (image.coverage > 0.999) & (luminance >= least * white)))
     size = {"width": width, "height": height, "fov_y_deg": FOV_DEG, "extent_y": None}
     origins, directions = (vectors[[pixel]] for vectors in pixel_rays(view.eye, view.target, view.up, **size))
-    body = reference.Body.of(prepare_surface(mesh))
+    body = pixel_reference.Body.of(prepare_surface(mesh))
     away = intersect(origins, directions, body.vertices, body.faces, 1)[0]
     target = (origins + away[:, None] * directions)[0]
     eye = target + distance * (eye - target)
