@@ -34,16 +34,16 @@ struct UvFootprint {
             const float change2 = hit.scale * (dot(hit.of_share2, step) - hit.slide2 * through);
             for (int c = 0; c < 2; ++c) {
                 const float start = uvs[2LL * corners[0] + c];
-                changes[2 * axis + c] = change1 * (uvs[2LL * corners[1] + c] - start)
-                    + change2 * (uvs[2LL * corners[2] + c] - start);
+                changes[2 * axis + c] =
+                    change1 * (uvs[2LL * corners[1] + c] - start) + change2 * (uvs[2LL * corners[2] + c] - start);
             }
         }
     }
 };
 
-// Replace the negative base colours of the hits from `begin` to `end` by those of the textures of their materials, or by
-// black without a texture.
-// `deviation` is the standard deviation of the rays' filter [pixels]; without one, textures are sampled at points.
+// Replace the negative base colours of the hits from `begin` to `end` by those of the textures of their materials, or
+// by black without a texture. `deviation` is the standard deviation of the rays' filter [pixels]; without one, textures
+// are sampled at points.
 template <class Camera, class Surface, class Textures, class Pixels>
 WARPDIFF_INLINE void look_up_base_colours(const Camera& camera, const Surface& surface, const Textures& textures,
     const Pixels& pixels, float deviation, float least_facing, int begin, int end)

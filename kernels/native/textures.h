@@ -1,5 +1,6 @@
 // Textures: look-ups in an image pyramid, filtered by the footprint of a ray. A footprint is a Gaussian over texture
-// coordinates. Two rows of probes along its long axis, on one level, approximate it (as in Feline, McCormack et al. 1999).
+// coordinates. Two rows of probes along its long axis, on one level, approximate it (as in Feline, McCormack et al.
+// 1999).
 //
 // All texels are in one array. Level 0 of a texture is its image, and each further level has half the size.
 
@@ -144,8 +145,8 @@ WARPDIFF_INLINE Rgba sample_point(const Textures& textures, int number, const Po
     const Texture<Textures> texture(textures, number);
     const TextureLevel level = texture.level(0);
     const float from_left = wrapped(uv.u, texture.wrap[0]);
-    const float from_top = texture.wrap[1] == REPEAT ? wp::floor(uv.v) + (1.0f - uv.v_again)
-                                                     : 1.0f - wrapped(uv.v, texture.wrap[1]);
+    const float from_top =
+        texture.wrap[1] == REPEAT ? wp::floor(uv.v) + (1.0f - uv.v_again) : 1.0f - wrapped(uv.v, texture.wrap[1]);
     const float x = fmaf(from_left, (float)level.width, -0.5f), y = fmaf(from_top, (float)level.height, -0.5f);
     const TexelSquare texels(level, texture.wrap, x, y);
     const float right = texels.right, left = 1.0f - right, down = texels.down, up = 1.0f - down;

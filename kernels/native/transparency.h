@@ -21,7 +21,8 @@ WARPDIFF_INLINE float alpha_at(const Surface& surface, const Textures& textures,
     }
     const int number = numbers<const int>(textures.of_base_colour)[numbers<const int>(textures.materials)[face]];
     if (number < 0) return alpha;
-    return alpha * sample_point(textures, number, PointUv(numbers<const float>(surface.uvs), corners, place)).channels[3];
+    return alpha
+        * sample_point(textures, number, PointUv(numbers<const float>(surface.uvs), corners, place)).channels[3];
 }
 
 } // namespace warpdiff
