@@ -67,7 +67,6 @@ def plain_faces(
     struct.rows = wp.array(rows, dtype=wp.int32, device=device)
     pairs = np.stack([np.append(factors.metallic, 0.0), roughness], axis=1)
     struct.metallic_roughness = wp.array(pairs, dtype=wp.vec2f, device=device)
-    struct.is_white = wp.array(np.append(factors.is_white, False), dtype=wp.bool, device=device)
     struct.emission = wp.array(emission, dtype=wp.vec3f, device=device)
     # The peak of a mirror-like highlight is π D V = 1/(4 α²) times the luminance of a white surface.
     struct.least_alpha = max(_LEAST_ALPHA, 0.5 * math.sqrt(white_luminance))

@@ -27,13 +27,11 @@ class MaterialFactors:
         metallic: Share of metal, 0 to 1, shape (k,), float32.
         roughness: Perceptual roughness, 0 to 1, shape (k,), float32; −1 for a matte material.
         emission: Emitted linear RGB, shape (k, 3), float32.
-        is_white: Whether the base colour is white because the file states none, shape (k,).
     """
 
     metallic: NDArray[np.float32]
     roughness: NDArray[np.float32]
     emission: NDArray[np.float32]
-    is_white: NDArray[np.bool_]
 
 
 def factors_of(parts: Iterable[ScenePart], names: Sequence[str]) -> MaterialFactors | None:
@@ -43,22 +41,13 @@ def factors_of(parts: Iterable[ScenePart], names: Sequence[str]) -> MaterialFact
         parts: Parts of the scene.
         names: Names of the materials, in the order of the result.
     """
-    appearances: dict[str, Appearance] = {}
-    coloured: set[str] = set()
-    for part in parts:
-        if part.appearance is None:
-            continue
-        appearances[part.appearance.name] = part.appearance
-        if part.colours is not None or _states_colour(part.appearance):
-            coloured.add(part.appearance.name)
+    appearances = {part.appearance.name: part.appearance for part in parts if part.appearance is not None}
     materials = [appearances[name] for name in names]
     if not any(_emission(material).any() or material.roughness is not None for material in materials):
         return None
     metallic, roughness = np.array([_metallic_roughness(material) for material in materials], dtype=np.float32).T
-    return MaterialFactors(
-        metallic, roughness, np.array([_emission(material) for material in materials], dtype=np.float32),
-        np.array([name not in coloured for name in names]),
-    )  # fmt: skip
+    emission = np.array([_emission(material) for material in materials], dtype=np.float32)
+    return MaterialFactors(metallic, roughness, emission)
 
 
 def warn_of_hidden_emission(factors: MaterialFactors, materials: NDArray[np.int32], names: Sequence[str]) -> None:
@@ -74,12 +63,6 @@ def warn_of_hidden_emission(factors: MaterialFactors, materials: NDArray[np.int3
     if hidden:
         listing = listed(hidden)
         warn(f"{ref('mesh')} has materials whose emission is not rendered where faces have a height field: {listing}")
-
-
-def _states_colour(appearance: Appearance) -> bool:
-    """Return whether the file states a base colour of a material, as a number or as an image that can be read."""
-    texture = appearance.base_texture
-    return appearance.base_colour is not None or (texture is not None and texture.image is not None)
 
 
 def _metallic_roughness(appearance: Appearance) -> tuple[float, float]:

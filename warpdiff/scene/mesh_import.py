@@ -42,6 +42,7 @@ from warpdiff.scene.scene_arrays import (
     joined,
     labelled_parts,
     warn_of_features,
+    with_missing_colours,
 )
 from warpdiff.scene.textures import TextureImages
 
@@ -179,6 +180,7 @@ def prepare_surface(
                 field = np.broadcast_to(field, (part.count, 3))
             roles = _FaceRoles.of([entry for entry, _ in scene], part, plain)
             _check_tangents(part, field, roles.is_plain)
+            part = with_missing_colours(part, roles.is_plain)
             surface = _build(part, field, roles, in_memory=not isinstance(mesh, (str, os.PathLike)))
         entries = [entry for entry, _ in scene]
         warn_of_features(entries)

@@ -204,10 +204,7 @@ def warn_of_features(parts: list[ScenePart]) -> None:
 
 
 def joined(parts: list[SceneArrays]) -> SceneArrays:
-    """Join the parts of a scene to one part.
-
-    Missing values become NaN; colours are −1 at vertices that use the texture.
-    """
+    """Join the parts of a scene to one part. Missing values become NaN; colours are −1 at vertices with a texture."""
     if len(parts) == 1:
         return parts[0]
     geometry_names, geometries = _joined_names([(part.geometry_names, part.geometries) for part in parts])
@@ -232,11 +229,17 @@ def joined(parts: list[SceneArrays]) -> SceneArrays:
             ]
         )
 
-    colours = gather("colours", 3)
-    if colours is not None:
-        # A part of the scene without colour and texture has no pigment, so its colour is black.
-        none = [np.full(len(part.vertices), -1.0 if part.is_textured else 0.0) for part in parts]
-        colours = np.where(np.isnan(colours), np.concatenate(none)[:, None], colours)
+    colours = None
+    textured = [part.is_textured for part in parts]
+    if any(part.colours is not None for part in parts) or (any(textured) and not all(textured)):
+        colours = np.concatenate(
+            [
+                np.full((len(part.vertices), 3), -1.0 if part.is_textured else np.nan)
+                if part.colours is None
+                else part.colours
+                for part in parts
+            ]
+        )
     alphas = None
     if any(part.alphas is not None for part in parts):
         ones = [np.ones(len(part.vertices)) if part.alphas is None else part.alphas for part in parts]
@@ -251,6 +254,23 @@ def joined(parts: list[SceneArrays]) -> SceneArrays:
         textures=tuple(textures.values()), cutoffs=tuple(cutoffs.values()),
         label=ref("mesh"),
     )  # fmt: skip
+
+
+def with_missing_colours(scene: SceneArrays, is_plain: NDArray[np.bool_]) -> SceneArrays:
+    """Return a scene with a colour at each vertex, if any vertex has a colour or a texture.
+
+    Parts without a colour then look as they do alone: plain ones are white, and those with a height field have no
+    pigment, which is black.
+
+    Args:
+        scene: Joined parts of a scene.
+        is_plain: Whether the part of each face is plain, shape (m,).
+    """
+    if scene.colours is None:
+        return scene
+    white = np.zeros((len(scene.vertices), 1))
+    white[scene.faces[is_plain]] = 1.0
+    return replace(scene, colours=np.where(np.isnan(scene.colours), white, scene.colours))
 
 
 def _joined_names(
