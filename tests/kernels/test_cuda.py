@@ -53,6 +53,7 @@ KERNELS = {
     "tile_lists": {"count_marks", "luminance_floor", "advance_batch", "running_max", "compact_level", "dilate_marks",
                    "mark_shared", "copy_batch", "luminance_histogram"},
     "colour_lookup": {"blur", "integrate", "interpolate"},
+    "lobe_sums": {"sum_lobes", "differentiate_lobes", "evaluate_polynomials", "spread_pairs"},
     "spectrum_sampling": {"add_product", "gather", "project", "project_lines", "resample"},
 }  # fmt: skip
 # Tested kernels: number of terms in a row of the coefficient table, coherence model, and whether the rows contain

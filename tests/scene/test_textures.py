@@ -13,7 +13,8 @@ from warpdiff.core import memory
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.scene.scene_parts import TextureMap
 from warpdiff.scene.texture_pyramid import pyramid, sizes
-from warpdiff.scene.textures import TextureImages, table_of
+from warpdiff.scene.texture_table import table_of
+from warpdiff.scene.textures import TextureImages
 
 
 def by_overlaps(lines, size):

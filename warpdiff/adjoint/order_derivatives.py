@@ -245,7 +245,7 @@ def order_efficiencies(
     call = _OrderCall(relief, lights, wavelengths, normalised=normalised, ior=index_of(ior), material=material)
     value = call.value()
     shape = value.shape[1:] if is_single else value.shape
-    per_nm, lengths = (len(wavelengths),), np.linalg.norm(np.atleast_2d(to_light), axis=1)[:, None]
+    per_nm, lengths = (len(wavelengths),), validation.lengths(to_light)
     shapes = dict.fromkeys(_PER_WAVELENGTH, per_nm) | {
         relief.variable: relief.variable_shape,
         "pitch_um": (2,),

@@ -219,19 +219,16 @@ class SpectralCall:
         unit = self._lights if name == "to_light" else self._views
         result = np.zeros_like(unit)
         result[self._above] = array
-        vectors = np.atleast_2d(self._vectors[name])
-        result = (result - unit * np.sum(unit * result, axis=1, keepdims=True)) / np.linalg.norm(vectors, axis=1)[
-            :, None
-        ]
-        return np.asarray(result if len(vectors) == len(unit) else result.sum(axis=0))
+        lengths = validation.lengths(self._vectors[name])
+        result = (result - unit * np.sum(unit * result, axis=1, keepdims=True)) / lengths
+        return np.asarray(result if len(lengths) == len(unit) else result.sum(axis=0))
 
     def _of_argument(self, name: str, change: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the change of unit vectors above the horizon, the transpose of ``_to_argument``."""
         if name not in self._vectors:
             return change
         unit = self._lights if name == "to_light" else self._views
-        lengths = np.linalg.norm(np.atleast_2d(self._vectors[name]), axis=1)[:, None]
-        result = np.atleast_2d(change) / lengths
+        result = np.atleast_2d(change) / validation.lengths(self._vectors[name])
         return np.asarray((result - unit * np.sum(unit * result, axis=1, keepdims=True))[self._above])
 
 

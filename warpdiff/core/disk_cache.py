@@ -147,6 +147,9 @@ def _read(path: Path, key: bytes) -> dict[str, Any] | None:
 
 def _write(path: Path, key: bytes, arrays: Mapping[str, Any]) -> None:
     """Write arrays to a file of the cache: a checksum, followed by a NumPy archive."""
+    objects = [name for name, value in arrays.items() if np.asarray(value).dtype == object]
+    if objects:
+        raise TypeError(f"arrays of Python objects cannot be read from the cache: {', '.join(objects)}")
     path.parent.mkdir(parents=True, exist_ok=True)
     # To save time, the function does not wait until the file is on the disk. If the system crashes, the file may be
     # incomplete, which the checksum detects.

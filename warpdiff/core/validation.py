@@ -16,7 +16,7 @@ from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, did_you
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
 _Choice = TypeVar("_Choice", bound=str | int)
 # Largest and smallest accepted magnitude of a number, in any unit. Powers of numbers beyond these limits overflow or
@@ -171,6 +171,13 @@ def directions(value: object, name: str) -> tuple[NDArray[np.float64], bool]:
     array /= largest
     array /= np.linalg.norm(array, axis=1, keepdims=True)
     return array, single
+
+
+def lengths(vectors: ArrayLike) -> NDArray[np.float64]:
+    """Return the lengths of vectors, shape (3,) or (n, 3), as shape (n, 1), without overflow of their squares."""
+    array = np.atleast_2d(np.asarray(vectors, dtype=np.float64))
+    largest = np.max(np.abs(array), axis=1, keepdims=True, initial=0.0)
+    return np.asarray(largest * np.linalg.norm(array / largest, axis=1, keepdims=True))
 
 
 def unit_directions(value: object, name: str) -> tuple[NDArray[np.float64], bool]:

@@ -233,6 +233,12 @@ class Measured:
             >>> wd.Measured.from_csv(path, ior=math.inf)
             Measured(orders, 7 values)
         """
+        # Options that the kind of the data does not use are checked, too.
+        validation.instance(coherence, Coherence, "coherence", optional=True)
+        validation.flag(masking, "masking")
+        colorimetry.check_illuminant(illuminant)
+        if energy is not None:
+            validation.choice(energy, "energy", get_args(Energy))
         columns = _columns(validation.path(path, "path"))
         kind = next((kind for kind, names in COLUMNS.items() if set(names) <= set(columns)), None)
         if kind is None:

@@ -11,7 +11,7 @@ import warp as wp
 from warpdiff.core import forks
 from warpdiff.core.caching import LruCache
 from warpdiff.kernels.structs import Camera, SurfaceArrays, Textures, Transparency
-from warpdiff.scene.textures import table_of
+from warpdiff.scene.texture_table import table_of
 
 if TYPE_CHECKING:
     from warpdiff.kernels.shadow_rays import ShadowGrid

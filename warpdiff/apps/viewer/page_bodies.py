@@ -40,9 +40,10 @@ def surface_of(mesh: Call | Path, tangents: TangentRule | None) -> Surface:
     if not hasattr(mesh, "make"):
         return prepare_surface(str(mesh), tangents=tangents)
 
-    # A sample body is a single mesh. The disk cache therefore does not store names of geometries and materials.
-    names = ("geometry_names", "material_names")
-    fields = {field.name: None for field in dataclasses.fields(Surface) if field.name not in names}
+    # A sample body is a single mesh of one matte, opaque material without a texture. The disk cache, which stores only
+    # arrays and numbers, therefore does not store what belongs to its names and materials.
+    left_out = ("geometry_names", "material_names", "material_factors", "textures", "alpha_cutoffs")
+    fields = {field.name: None for field in dataclasses.fields(Surface) if field.name not in left_out}
 
     def arrays() -> dict[str, Any]:
         made = dataclasses.asdict(prepare_surface(mesh.make(), tangents=tangents))

@@ -1,0 +1,78 @@
+"""Table of the textures of a scene on a device, with the pyramids of their images."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warpdiff.core.memory import MOST_ELEMENTS, require_memory
+from warpdiff.core.wording import ref
+from warpdiff.kernels.structs import Textures
+from warpdiff.scene.texture_pyramid import pyramid, sizes
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from warpdiff.scene.scene_parts import Wrap
+    from warpdiff.scene.textures import Texture
+
+# Codes of continuations, as in kernels/native/textures.h.
+_WRAPS: dict[Wrap, int] = {"repeat": 0, "clamp": 1, "mirror": 2}
+
+
+def table_of(of_base_colour: Sequence[Texture | None], materials: NDArray[np.int32], device: wp.DeviceLike) -> Textures:
+    """Return the textures of a scene on a device, with the pyramids of their images.
+
+    Args:
+        of_base_colour: Texture of each material's base colour; None without one.
+        materials: Material of each face; −1 without one.
+        device: Warp device.
+
+    Raises:
+        MemoryError: The pyramids require more memory than is free, or more than 2,147,483,647 texels.
+    """
+    images: dict[int, int] = {}
+    levels: list[tuple[int, int, int]] = []
+    arrays: list[NDArray[np.float32]] = []
+    rows: dict[Texture, tuple[int, int, int, int]] = {}
+    count = 0
+    for texture in of_base_colour:
+        if texture is None or texture in rows:
+            continue
+        height, width, _ = texture.texels.shape
+        if id(texture.texels) not in images:
+            images[id(texture.texels)] = len(levels)
+            arrays.append(texture.texels)
+            for size in sizes(height, width):
+                levels.append((count, size[1], size[0]))
+                count += size[0] * size[1]
+        along_u, along_v = (_WRAPS[wrap] for wrap in texture.wrap)
+        rows[texture] = images[id(texture.texels)], len(sizes(height, width)), along_u, along_v
+    _require_texels(count)
+    result = Textures()
+    result.texels = wp.empty(count, dtype=wp.vec4f, device=device)
+    place = 0
+    for texels in arrays:
+        for level in pyramid(texels):
+            size = level.shape[0] * level.shape[1]
+            result.texels[place : place + size].assign(level.reshape(-1, 4))
+            place += size
+    result.levels = wp.array(np.array(levels, np.int32).reshape(-1, 3), dtype=wp.int32, device=device)
+    result.table = wp.array(np.array([*rows.values()], np.int32).reshape(-1, 4), dtype=wp.int32, device=device)
+    numbers = {texture: number for number, texture in enumerate(rows)}
+    of_materials = [-1 if texture is None else numbers[texture] for texture in of_base_colour]
+    result.of_base_colour = wp.array(np.array(of_materials, np.int32), dtype=wp.int32, device=device)
+    result.materials = wp.array(materials, dtype=wp.int32, device=device)
+    return result
+
+
+def _require_texels(count: int) -> None:
+    """Raise an error unless pyramids with ``count`` texels fit into memory and can be indexed."""
+    what = f"the textures of {ref('mesh')}, {count} texels with their reductions,"
+    require_memory(
+        np.inf if count > MOST_ELEMENTS else 16.0 * count, what, "give images with {side} times the width and height"
+    )
