@@ -80,6 +80,30 @@ def test_points_are_interpolated_between_texels(wrap, rng, monkeypatch):
     np.testing.assert_allclose(colours, bilinear(texels, wrap, uv[:, 0], uv[:, 1]), atol=2e-5)
 
 
+@pytest.mark.parametrize("size", [(1, 1), (1, 6), (3, 1), (5, 7)], ids=str)
+@pytest.mark.parametrize("shift", [-1.0, -1000.25, 4096.5])
+def test_odd_images_are_continued_at_negative_and_large_coordinates(size, shift, rng, monkeypatch):
+    view = wd.View.orthographic((0.0, 0.0, 3.0), (0, 0, 0), extent_y=1.9, width=20, height=20)
+    for wrap in WRAPS:
+        surface = textured(rng.integers(0, 256, (*size, 3), dtype=np.uint8), 1.3, wrap, monkeypatch)
+        surface = dataclasses.replace(surface, uvs=surface.uvs + np.float32(shift))
+        texels = surface.textures[0].texels[..., :3].astype(np.float64)
+        for deviation in (0.0, 1e-3):
+            colours, uv = colours_of(surface, view, deviation)
+            exact = bilinear(texels, wrap, uv[:, 0], uv[:, 1])
+            # Coordinates of about 4096 are rounded to 2⁻¹² in float32.
+            np.testing.assert_allclose(colours, exact, atol=2e-5 + 4e-6 * abs(shift))
+
+
+@pytest.mark.parametrize("scale", [1e12, 3e14])
+def test_huge_footprints_have_the_mean_of_the_image(scale, rng, monkeypatch):
+    surface = textured(rng.integers(0, 256, (64, 4096, 3), dtype=np.uint8), scale, ("repeat", "repeat"), monkeypatch)
+    view = wd.View.orthographic((0.0, 0.0, 3.0), (0, 0, 0), extent_y=1.9, width=20, height=20)
+    colours, _ = colours_of(surface, view, 0.5)
+    mean = surface.textures[0].texels[..., :3].mean(axis=(0, 1), dtype=np.float64)
+    np.testing.assert_allclose(colours, np.tile(mean, (400, 1)), rtol=1e-4)
+
+
 @pytest.mark.parametrize("wrap", [("repeat", "repeat"), ("mirror", "repeat")], ids=str)
 @pytest.mark.parametrize(("scale", "eye"), [(0.4, (0, 0, 3.0)), (2.0, (0, 0, 3.0)), (3.0, (0.5, -2.0, 1.2))], ids=str)
 def test_filtered_colours_are_means_over_the_pixel_filter(wrap, scale, eye, rng, monkeypatch):

@@ -57,8 +57,8 @@ def plain_faces(
     if factors is None:
         return None
     count = len(factors.roughness)
-    # The index −1 of a face without a material selects the last row, which is matte and dark.
-    rows = np.where(is_plain & (mesh.materials >= 0), mesh.materials, count)
+    # Faces without a material have the last row, which is matte and dark.
+    rows = np.where(is_plain & (mesh.rows >= 0), mesh.rows, count)
     roughness, emission = np.append(factors.roughness, -1.0), np.append(factors.emission, [[0.0] * 3], axis=0)
     is_glossy, emits = roughness[rows] >= 0.0, bool(np.any(emission[np.unique(rows)] > 0.0))
     if not (is_glossy.any() or emits):
