@@ -298,7 +298,7 @@ def test_damaged_archives_are_refused_by_their_path(tmp_path: Path, rng: np.rand
 
 @pytest.mark.parametrize(
     ("name", "error", "message"),
-    [("a.npy", ValueError, r"path must end in \.npz, got '.*a\.npy'"),
+    [("a.npy", ValueError, r"path must end in \.npz or \.gds or \.png or \.stl, got '.*a\.npy'"),
      ("none/a.npz", FileNotFoundError, "path: the folder '.*none' does not exist"),
      (None, TypeError, "path must be a string or a path")],
 )  # fmt: skip
