@@ -149,10 +149,10 @@ def hemisphere(rng: np.random.Generator, count: int, lowest: float = 0.05) -> np
 
 
 def launch(kernel, dim, inputs=(), outputs=(), *, device="cpu") -> None:
-    """Launch a kernel, which the threads of the library compile.
+    """Compile a kernel by the threads of the library, and launch it.
 
-    Each thread that compiles first reads Warp's headers, which takes 1 to 2 s of processor time. Without this function,
-    the main thread would be one more such thread.
+    Each thread that compiles first reads Warp's headers, which takes 1 to 2 s of processor time. If the main thread
+    compiled the kernel, it would have to read the headers, too.
     """
     import warp as wp
 

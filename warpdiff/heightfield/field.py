@@ -10,20 +10,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from warpdiff.core import files, validation
+from warpdiff.core import validation
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.heightfield import cleaning, diagnostics, periods, roughness
 from warpdiff.heightfield.cleaning_methods import CleaningMethods
 from warpdiff.heightfield.height_samples import check_no_gaps
 from warpdiff.heightfield.readers import reader_registry, topography_reader
+from warpdiff.heightfield.writers import height_writers
 
 if TYPE_CHECKING:
     import os
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    import numpy as np
+    from numpy.typing import ArrayLike, NDArray
 
     from warpdiff.heightfield.readers.reader_registry import FileContent, Source
 
@@ -202,31 +202,57 @@ class HeightField(CleaningMethods):
         except (ArgumentValueError, ArgumentTypeError) as error:
             raise ArgumentValueError(f"{ref('topography')}: {error}") from None
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the height field to a NumPy ``.npz`` file, which :meth:`load` restores exactly.
+    def save(
+        self, path: str | os.PathLike[str], *, levels: int | ArrayLike | None = None, dose: ArrayLike | None = None
+    ) -> Path:
+        """Write the height field to a file whose suffix selects the format.
 
-        The file contains the arrays ``heights_um`` (NaN where a sample is missing), ``pitch_um`` (dy, dx), and
-        ``history``. An existing file is replaced only once the new one is complete.
+        - ``.npz``: the arrays ``heights_um`` (NaN where a sample is missing), ``pitch_um`` (dy, dx) and ``history``,
+          which :meth:`load` restores exactly.
+        - ``.gds``: a layout for lithography (extra ``lithography``). The layer number is that of the level, from 0 at
+          the lowest. Rectangles of each layer cover its samples; sample (j, i) covers i·dx to (i + 1)·dx along x, and
+          the same along y. A label on each layer states its height. Rectangles have four vertices and no holes.
+          Coordinates are rounded to 1 nm.
+        - ``.png``: a 16-bit grey image for grey-scale lithography; row 0 is y = 0. Samples are proportional to the
+          height, from 0 at the lowest to 65535 at the highest point, or to the dose of the depth below the highest
+          point. Texts in the file state pitch and height range.
+        - ``.stl``: a closed solid in µm. Samples are vertices, joined by triangles, and the first row and column are
+          repeated at the end. Vertical walls become slopes of one sample.
+
+        An existing file is replaced only once the new one is complete.
 
         Args:
-            path: File to write; its name ends in ``.npz``.
+            path: File to write; its name ends in ``.npz``, ``.gds``, ``.png`` or ``.stl``.
+            levels: Heights are rounded to these levels: a number of equally spaced levels from the lowest to the
+                highest point, 2 to 256, or increasing heights [µm]. None, the default, does not round; GDS layouts
+                then require a field with at most 256 different heights.
+            dose: Calibration of a resist for ``.png``: increasing depths [µm] and their doses (0 to 1, where 1 is
+                65535), shape (n, 2), linear in between. None writes heights.
 
         Returns:
             The path of the file.
 
         Raises:
-            ValueError: The name does not end in ``.npz``.
+            ValueError: The name has another suffix, an argument is out of its range or does not belong to the format,
+                or samples are missing (except in ``.npz``).
+            ImportError: gdstk is not installed: ``pip install 'warpdiff[lithography]'``.
             OSError: The folder does not exist, or the file cannot be written.
 
         Examples:
             >>> import pathlib, tempfile
-            >>> path = wd.gratings.bumps().save(pathlib.Path(tempfile.mkdtemp()) / "bumps.npz")
+            >>> folder = pathlib.Path(tempfile.mkdtemp())
+            >>> path = wd.gratings.bumps().save(folder / "bumps.npz")
             >>> wd.HeightField.load(path).shape
             (50, 25)
+            >>> path = wd.gratings.bumps().save(folder / "bumps.png", levels=16)
+            >>> wd.HeightField.load(path, pitch_um=0.1, height_range_um=0.3).shape
+            (50, 25)
         """
-        history = np.array(self._history, dtype=np.str_)
-        arrays = {"heights_um": self.heights_um, "pitch_um": self._pitch_um, "history": history}
-        return files.save_arrays(path, arrays, compressed=False)
+        target, curve = height_writers.check(path, dose)
+        if levels is not None or target.suffix.lower() != ".npz":
+            check_whole(self)
+        height_writers.write(target, self._heights_um, self._pitch_um, levels, curve, self._history)
+        return target
 
     def whole_periods(self) -> HeightField:
         """Crop the field to whole periods of its strongest wave, so that opposite edges match.
