@@ -151,6 +151,10 @@ def test_arguments_are_checked():
         (lambda: wd.Measured.orders((0, 0, 1), 500.0, [(0, 1)], [0.1, 0.2]), ValueError, "orders must be integers"),
         (lambda: wd.Measured.orders((0, 0, 1), [500.0, 600.0], [(0, 1)], [0.1]), ValueError, "wavelengths_nm"),
         (lambda: wd.Measured.colours((0, 0, 1), (0, 0, 1), [[0.1, 0.2]]), ValueError, r"shape \(n, 3\)"),
+        (lambda: wd.Measured.orders((0, 0, -1), 500.0, [(0, 1)], [0.1]), ValueError, "to_light must be above"),
+        (lambda: wd.Measured.spectra((0, 0, 1), (0, 1, -1), 500.0, [0.1]), ValueError, "to_view must be above"),
+        (lambda: data.predict(profile().surface(TRUE)).vjp(1.0), ValueError, "must have the shape of the value"),
+        (lambda: data.predict(profile().surface(TRUE)).vjp(np.ones(3)), ValueError, "must have the shape of the value"),
     ]  # fmt: skip
     for call, kind, message in calls:
         with pytest.raises(kind, match=message):

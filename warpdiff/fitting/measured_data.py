@@ -124,7 +124,7 @@ class Measured:
         wavelengths = _wavelengths(wavelengths_nm, len(values))
         _check_optics(ior, material, wavelengths.rows, energy=energy)
         if lights.rows[:, 2].min() <= HORIZON:
-            raise ArgumentValueError(f"{ref('to_light')} must be above the horizon (z > 0)")
+            raise _below_horizon("to_light", lights.rows[:, 2])
 
         def predict(surface: HeightField | Outline, wrt: tuple[str, ...]) -> Linearised:
             known, views = propagating(Relief.of(surface).lattice, lights.rows, wavelengths.rows[:, 0])
@@ -308,6 +308,14 @@ def _check_optics(
         validation.choice(energy, "energy", get_args(Energy))
 
 
+def _below_horizon(name: str, heights: Array) -> Exception:
+    """Return the error for directions whose z components are not all above the horizon."""
+    return ArgumentValueError(
+        f"{ref(name)} must be above the horizon (z > 0), got z = {heights.min():.3g} after normalisation: nothing is "
+        "measured there; remove the value"
+    )
+
+
 def _grid(rows: Array, count: int, name: str) -> _Grid:
     """Return the distinct rows of an array with one row per value, or with one row for all values."""
     if len(rows) not in (1, count):
@@ -322,6 +330,9 @@ def _wavelengths(wavelengths_nm: ArrayLike, count: int) -> _Grid:
 
 def _pairs(to_light: ArrayLike, to_view: ArrayLike, count: int) -> _Grid:
     lights, views, _ = validation.light_and_view(to_light, to_view)
+    for name, directions in (("to_light", lights), ("to_view", views)):
+        if len(directions) and directions[:, 2].min() <= HORIZON:
+            raise _below_horizon(name, directions[:, 2])
     return _grid(np.concatenate([lights, views], axis=1), count, "to_view")
 
 
@@ -329,9 +340,14 @@ def _picked(result: Linearised, places: tuple[NDArray[np.int64], ...], exists: N
     """Return elements of a linearised value as a linearised vector; elements that do not exist are 0."""
     value, vjp, jvp = result
 
-    def adjoint(adjoints: ArrayLike) -> dict[str, Array]:
+    def adjoint(adjoint_of_value: ArrayLike) -> dict[str, Array]:
+        array = validation.finite_array(adjoint_of_value, "adjoint_of_value")
+        if array.shape != exists.shape:
+            raise ArgumentValueError(
+                f"{ref('adjoint_of_value')} must have the shape of the value, {exists.shape}, got {array.shape}"
+            )
         full = np.zeros(value.shape)
-        np.add.at(full, places, np.where(exists, adjoints, 0.0))
+        np.add.at(full, places, np.where(exists, array, 0.0))
         return vjp(full)
 
     def tangent(**changes: ArrayLike) -> Array:
