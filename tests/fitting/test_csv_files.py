@@ -34,6 +34,7 @@ def german(text):
         (PLAIN.replace("wavelength_nm", "wavelength [µm]").replace("550", "0.55"), "utf-8"),
         (PLAIN.replace("efficiency", "efficiency (%)").replace("0.0625", "6.25").replace("0.25", "25"), "utf-8"),
         (PLAIN.replace("0.0625", "6.25 %").replace("0.25", "25%"), "utf-8"),
+        (f"note,{PLAIN.replace('10,', chr(34) + 'two' + chr(10) + 'lines' + chr(34) + ',10,')}", "utf-8"),
         (german(PERCENT), "utf-8"),
     ],
 )  # fmt: skip
@@ -61,6 +62,7 @@ def test_files_of_spreadsheets_are_read(tmp_path, text, encoding):
         (PLAIN.replace("m_y", "m_x"), "column 'm_x' occurs 2 times"),
         (PLAIN.replace("wavelength_nm", "wavelength"), "columns of one kind of data"),
         (PLAIN.replace("wavelength_nm", "wavelength [eV]"), "columns of one kind of data"),
+        (PLAIN.replace("wavelength_nm", "wavelength_nm [µm]"), "columns of one kind of data"),
         (b"\x89PNG\x00\x00\xff\xfe", "contains NUL characters"),
         (PLAIN.replace(",-1,", ",0.5,"), "orders must be integers"),
     ],

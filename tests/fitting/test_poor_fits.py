@@ -115,6 +115,24 @@ def test_noise_in_orders_that_do_not_propagate_gives_no_warning():
     assert "propagate" not in texts
 
 
+def test_equal_bounds_are_refused():
+    fixed = profile()
+    fixed.bounds[3] = 2.0
+    with pytest.raises(ValueError, match="got 2 to 2 for period_um"):
+        wd.fit(fixed, measured(NOISY), sd=1e-3)
+
+
+def test_all_parameters_may_be_at_bounds():
+    narrow = profile()
+    narrow.bounds = np.stack([TRUE * 1.01, TRUE * 1.02], axis=1)
+    narrow.start = TRUE * 1.015
+    result, texts = fit_with_warnings(narrow, measured(EXACT), 1e-6)
+    assert len(result.at_bounds) >= 1
+    assert np.isnan(result.standard_errors[[name in result.at_bounds for name in result.names]]).all()
+    assert "at a bound" in texts
+    assert least_squares._covariance(np.zeros((5, 0))).shape == (0, 0)
+
+
 def test_percent_gives_a_warning():
     with pytest.warns(wd.WarpdiffWarning, match="divide percent by 100"):
         measured(100.0 * NOISY)

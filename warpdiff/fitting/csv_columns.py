@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import re
 from typing import TYPE_CHECKING, NamedTuple
@@ -59,41 +60,38 @@ def read(path: Path, known: Iterable[str]) -> dict[str, NDArray[np.float64]]:
     text = decoded(path.read_bytes())
     if "\0" in text:
         raise ArgumentValueError(f"{ref('path')}: {str(path)!r} is not a CSV file, because it contains NUL characters")
-    lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if not _is_skipped(line)]
-    if not lines:
-        raise ArgumentValueError(f"{ref('path')}: {str(path)!r} is empty: it must have a line that names the columns")
     names = tuple(known)
-    separator = max(_SEPARATORS, key=lambda mark: len(_columns(_cells(lines[0][1], mark), names)))
-    heading = _cells(lines[0][1], separator)
+    try:
+        tables = {separator: _lines(text, separator) for separator in _SEPARATORS}
+    except csv.Error as error:
+        raise ArgumentValueError(f"{ref('path')}: {str(path)!r} is not a CSV file: {error}") from None
+    if not tables[","]:
+        raise ArgumentValueError(f"{ref('path')}: {str(path)!r} is empty: it must have a line that names the columns")
+    separator = max(tables, key=lambda mark: len(_columns(tables[mark][0][1], names)))
+    (_, heading), *lines = tables[separator]
     columns = _columns(heading, names)
     distinct = [column.name for column in columns]
     for name in distinct:
         if distinct.count(name) > 1:
             raise ArgumentValueError(f"{ref('path')}: column {name!r} occurs {distinct.count(name)} times: remove one")
     rows: list[list[float]] = []
-    for number, line in lines[1:]:
-        cells = _cells(line, separator)
-        if not any(cells):
-            continue
+    for line, cells in lines:
         if any(cells[len(heading) :]):
             raise ArgumentValueError(
-                f"{ref('path')}: line {number} must have {len(heading)} cells, got {len(cells)}: separate columns by "
+                f"{ref('path')}: line {line} must have {len(heading)} cells, got {len(cells)}: separate columns by "
                 "semicolons if numbers have decimal commas"
             )
-        rows.append([_number(cells, column, number, separator) for column in columns])
+        rows.append([_number(cells, column, line, separator) for column in columns])
     if columns and not rows:
         raise ArgumentValueError(f"{ref('path')}: {str(path)!r} must have at least one line of numbers")
     return {column.name: np.array([row[k] for row in rows]) for k, column in enumerate(columns)}
 
 
-def _is_skipped(line: str) -> bool:
-    """Whether a line is empty, a comment, or the separator that spreadsheets write as ``sep=;``."""
-    stripped = line.strip()
-    return not stripped or stripped.startswith("#") or re.fullmatch(r"sep=.?", stripped, re.IGNORECASE) is not None
-
-
-def _cells(line: str, separator: str) -> list[str]:
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
+def _lines(text: str, separator: str) -> list[tuple[int, list[str]]]:
+    """Return the numbers of lines and their cells, without empty lines, comments, and the ``sep=;`` of spreadsheets."""
+    reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True)
+    rows = ((reader.line_num, [cell.strip() for cell in row]) for row in reader)
+    return [(line, row) for line, row in rows if any(row) and not row[0].lower().startswith(("#", "sep="))]
 
 
 def _columns(heading: list[str], known: tuple[str, ...]) -> list[_Column]:
@@ -108,7 +106,9 @@ def _columns(heading: list[str], known: tuple[str, ...]) -> list[_Column]:
             title_name = title if len(name) == 1 else re.sub(r"[\s-]+", "_", title).lower()
             is_short = bool(own) and title_name == name.removesuffix(f"_{own}") and unit is not None
             factor = _UNITS[own].get((own if unit is None else unit).lower())
-            if factor is not None and (title_name == name or is_short):
+            # A unit in the name and another one in brackets would contradict each other.
+            is_full = title_name == name and (not own or factor == 1.0)
+            if factor is not None and (is_full or is_short):
                 columns.append(_Column(place, name, factor))
     return columns
 

@@ -239,7 +239,7 @@ def fit(
 
     Raises:
         TypeError: An argument has a wrong type.
-        ValueError: ``sd`` is not positive or has a wrong shape, or a bound of the profile is empty.
+        ValueError: ``sd`` is not positive or has a wrong shape, or bounds of the profile are equal.
 
     Examples:
         >>> import math
@@ -279,6 +279,12 @@ def fit(
     report = reporter(progress, "fit")
     rng = np.random.default_rng(validation.count(seed, "seed", least=0))
     low, high = profile.bounds.T
+    if np.any(low >= high):
+        k = int(np.argmax(low >= high))
+        raise ArgumentValueError(
+            f"{ref('profile')} must have lower bounds below the upper ones, got {low[k]:g} to {high[k]:g} for "
+            f"{profile.names[k]}: widen its bounds, or remove the parameter"
+        )
     points = [profile.start]
     points += [rng.uniform(low, high) for _ in range(validation.count(starts, "starts", most=_MOST_STARTS) - 1)]
     problem = _Problem(profile, measured, np.broadcast_to(deviations, (count,)))
