@@ -34,7 +34,6 @@ class PlainMaterials:
 
     rows: wp.array(dtype=wp.int32)  # row of each face in the arrays below
     metallic_roughness: wp.array(dtype=wp.vec2f)  # metallic and perceptual roughness; a negative roughness is matte
-    is_white: wp.array(dtype=wp.bool)  # whether the base colour is white because the file states none
     emission: wp.array(dtype=wp.vec3f)  # emitted light in linear RGB; 1 is the unit of emission
     least_alpha: wp.float32  # least α of a smooth surface, whose highlight is as bright as a mirror of the unit
 
@@ -83,8 +82,6 @@ def gloss_at(materials: PlainMaterials, pixels: Pixels, ray: wp.int32, view: wp.
     if values[1] < 0.0:
         return result
     base = pixels.base_colour[ray]
-    if materials.is_white[materials.rows[pixels.face[ray]]]:
-        base = wp.vec3f(1.0, 1.0, 1.0)
     metallic = values[0]
     alpha = wp.max(values[1] * values[1], materials.least_alpha)
     result.diffuse = (1.0 - metallic) * base

@@ -67,15 +67,15 @@ class Textures:
     texels: wp.array(dtype=wp.vec4f)  # linear RGBA of all levels of all images, row by row; row 0 is at v = 1
     levels: wp.array2d(dtype=wp.int32)  # for each level of each image: index of its first texel, width and height
     table: wp.array2d(dtype=wp.int32)  # for each texture: index and number of its levels, continuation along u and v
-    materials: wp.array(dtype=wp.int32)  # material of each face; −1 without one
-    of_base_colour: wp.array(dtype=wp.int32)  # texture of each material's base colour; −1 without one
+    rows: wp.array(dtype=wp.int32)  # row of each face in the next array; −1 without a material
+    of_base_colour: wp.array(dtype=wp.int32)  # texture of each row's base colour; −1 without one
 
 
 @wp.struct
 class Transparency:
     """Alpha of the scene by which rays pass through faces, in addition to that of textures; empty if it is opaque."""
 
-    cutoffs: wp.array(dtype=wp.float32)  # alpha below which rays pass, by material; 0: opaque; negative: blended
+    cutoffs: wp.array(dtype=wp.float32)  # alpha below which rays pass, by row; 0: opaque; negative: blended
     vertex_alphas: wp.array(dtype=wp.float32)  # alpha at the vertices; empty if it is 1 everywhere
 
 

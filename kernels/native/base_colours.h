@@ -56,8 +56,8 @@ WARPDIFF_INLINE void look_up_base_colours(const Camera& camera, const Surface& s
     for (int ray = begin; ray < end; ++ray) {
         float* const colour = numbers<float>(pixels.base_colour) + 3LL * ray;
         if (hit[ray] == 0 || !(colour[0] < 0.0f)) continue;
-        const int material = numbers<const int>(textures.materials)[face[ray]];
-        const int number = material < 0 ? -1 : numbers<const int>(textures.of_base_colour)[material];
+        const int row = numbers<const int>(textures.rows)[face[ray]];
+        const int number = row < 0 ? -1 : numbers<const int>(textures.of_base_colour)[row];
         if (number < 0) {
             colour[0] = colour[1] = colour[2] = 0.0f;
             continue;

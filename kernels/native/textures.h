@@ -20,6 +20,8 @@ constexpr int MOST_PROBES = 12;
 constexpr float PROBE_SPACING = 1.5f;
 // Range of probes along the long axis [standard deviations of the footprint]. Limit: the Gaussian beyond is omitted.
 constexpr float PROBE_RANGE = 2.0f;
+// Variance from which on a footprint covers the whole image [texels²]. Limit: squares of larger numbers exceed float32.
+constexpr float MOST_VARIANCE = 1.0e30f;
 
 struct Rgba {
     float channels[4] = {};
@@ -177,7 +179,11 @@ WARPDIFF_INLINE Rgba sample_footprint(const Textures& textures, int number, floa
     const float mean = 0.5f * (xx + yy), half = 0.5f * (xx - yy), root = wp::sqrt(half * half + xy * xy);
     const float longest = mean + root, shortest = wp::max(mean - root, 0.0f);
     Rgba result;
-    if (!(longest > 1.0e-6f)) {
+    if (!(longest < MOST_VARIANCE)) {
+        add_bilinear(texture.level(texture.count - 1), texture.wrap, u, v, 1.0f, result);
+        return result;
+    }
+    if (longest <= 1.0e-6f) {
         add_bilinear(whole, texture.wrap, u, v, 1.0f, result);
         return result;
     }

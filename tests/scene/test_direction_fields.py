@@ -346,3 +346,4 @@ def test_a_texture_without_texture_coordinates_is_named_in_a_warning():
     with pytest.warns(WarpdiffWarning, match="not rendered: texture without texture coordinates of 'paint'"):
         surface = prepare_surface(body, tangents="x")
     assert not surface.is_textured
+    np.testing.assert_array_equal(surface.plain_colour, 1.0)

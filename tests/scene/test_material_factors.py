@@ -30,7 +30,6 @@ def test_the_defaults_of_gltf_materials_are_those_of_the_specification(tmp_path)
     np.testing.assert_allclose(read.metallic, [1.0, 0.25, 0.0])
     np.testing.assert_allclose(read.roughness, [1.0, 1.0, 0.5])
     np.testing.assert_allclose(read.emission, [[0, 0, 0], [2, 0, 1], [2, 0, 1]])
-    assert read.is_white.tolist() == [False, True, True]
 
 
 def test_a_texture_of_metallic_and_roughness_counts_with_its_mean(tmp_path):
@@ -107,17 +106,6 @@ def test_materials_without_metallic_and_roughness_are_matte_beside_glossy_ones()
     np.testing.assert_allclose(together.xyz[:, 9:], alone.xyz[:, 9:], rtol=1e-5, atol=1e-9)
     assert np.all(alone.xyz[:, :7] == 0.0)
     assert np.all(together.xyz[1:-1, 1:7, 1] > 0.0)
-
-
-def test_a_material_without_a_colour_is_white_beside_coloured_ones():
-    bodies = {
-        "bare": quad(-1.1, metal("bare")),
-        "white": quad(1.1, metal("white", baseColorFactor=[255] * 4)),
-        "grating": quad(5.0, None),
-    }
-    image = wd.shade(trimesh.Scene(bodies), {"grating": WAVE, "*": None}, LIGHT, VIEW, **OPTIONS, footprint=False)
-    assert image.xyz[4, 8, 1] > 1e-5
-    np.testing.assert_allclose(image.xyz[4, 8], image.xyz[4, 15], rtol=1e-5)
 
 
 def test_emission_on_a_height_field_is_named_in_a_warning():

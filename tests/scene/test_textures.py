@@ -13,7 +13,8 @@ from warpdiff.core import memory
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.scene.scene_parts import TextureMap
 from warpdiff.scene.texture_pyramid import pyramid, sizes
-from warpdiff.scene.textures import TextureImages, table_of
+from warpdiff.scene.texture_table import table_of
+from warpdiff.scene.textures import TextureImages
 
 
 def by_overlaps(lines, size):
@@ -75,3 +76,17 @@ def test_a_texture_that_does_not_fit_into_memory_is_named(monkeypatch, rng):
     )
     with pytest.raises(MemoryError, match="the texture 'an image' of mesh, 6 × 4 pixels, requires about"):
         prepare_surface(square)
+
+
+def test_a_product_with_a_colour_and_the_reductions_must_fit_into_memory(monkeypatch, rng):
+    images, source = TextureImages(), TextureMap(image_of(rng, (256, 256)))
+    first = images.texture(source, (1.0,) * 4)
+    free = 65536 * 68.0
+    monkeypatch.setattr(memory, "available", lambda: free)
+    with pytest.raises(MemoryError, match="the texture 'an image' of mesh times a colour, 256 × 256 pixels, requires"):
+        images.texture(source, (0.5, 1.0, 1.0, 1.0))
+    table_of([first], np.zeros(1, np.int32), "cpu")
+    # The pyramid has 16 · 4/3 bytes per texel of the image, and 13.3 bytes are required while it is made.
+    free = 65536 * 33.0
+    with pytest.raises(MemoryError, match="the textures of mesh, 87381 texels with their reductions"):
+        table_of([first], np.zeros(1, np.int32), "cpu")

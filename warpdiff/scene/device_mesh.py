@@ -66,7 +66,7 @@ class SceneArrays:
         self.is_textured, self.is_opaque = surface.is_textured, surface.is_opaque
         self.textures, self.transparency = Textures(), Transparency()
         if surface.is_textured or not surface.is_opaque:
-            self.textures = table_of(surface.textures, surface.materials, device)
+            self.textures = table_of(surface.textures, surface.rows, device)
         if not surface.is_opaque:
             self.transparency.cutoffs = wp.array(surface.alpha_cutoffs, dtype=wp.float32, device=device)
             alphas = np.zeros(0, np.float32) if surface.vertex_alphas is None else surface.vertex_alphas

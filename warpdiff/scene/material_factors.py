@@ -12,74 +12,50 @@ from warpdiff.core.wording import listed, ref
 from warpdiff.scene.mesh_images import mean_values
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from warpdiff.scene.scene_parts import Appearance, ScenePart
+    from warpdiff.scene.scene_parts import Appearance
 
 
 @dataclass(frozen=True, eq=False)
 class MaterialFactors:
-    """Factors of the k materials of a mesh.
+    """Factors of the materials of a mesh, one row for each of k appearances of materials on parts.
 
     Attributes:
         metallic: Share of metal, 0 to 1, shape (k,), float32.
         roughness: Perceptual roughness, 0 to 1, shape (k,), float32; −1 for a matte material.
         emission: Emitted linear RGB, shape (k, 3), float32.
-        is_white: Whether the base colour is white because the file states none, shape (k,).
     """
 
     metallic: NDArray[np.float32]
     roughness: NDArray[np.float32]
     emission: NDArray[np.float32]
-    is_white: NDArray[np.bool_]
 
 
-def factors_of(parts: Iterable[ScenePart], names: Sequence[str]) -> MaterialFactors | None:
-    """Return the factors of the materials of a scene; None if all are matte and dark.
-
-    Args:
-        parts: Parts of the scene.
-        names: Names of the materials, in the order of the result.
-    """
-    appearances: dict[str, Appearance] = {}
-    coloured: set[str] = set()
-    for part in parts:
-        if part.appearance is None:
-            continue
-        appearances[part.appearance.name] = part.appearance
-        if part.colours is not None or _states_colour(part.appearance):
-            coloured.add(part.appearance.name)
-    materials = [appearances[name] for name in names]
+def factors_of(materials: Sequence[Appearance]) -> MaterialFactors | None:
+    """Return the factors of materials; None if all are matte and dark."""
     if not any(_emission(material).any() or material.roughness is not None for material in materials):
         return None
     metallic, roughness = np.array([_metallic_roughness(material) for material in materials], dtype=np.float32).T
-    return MaterialFactors(
-        metallic, roughness, np.array([_emission(material) for material in materials], dtype=np.float32),
-        np.array([name not in coloured for name in names]),
-    )  # fmt: skip
+    emission = np.array([_emission(material) for material in materials], dtype=np.float32)
+    return MaterialFactors(metallic, roughness, emission)
 
 
-def warn_of_hidden_emission(factors: MaterialFactors, materials: NDArray[np.int32], names: Sequence[str]) -> None:
+def warn_of_hidden_emission(factors: MaterialFactors, rows: NDArray[np.int32], names: Sequence[str]) -> None:
     """Warn of materials that emit light, but whose faces have a height field, and are therefore dark.
 
     Args:
         factors: Factors of the materials.
-        materials: Index of the material of each face that has a height field; −1 without one.
-        names: Names of the materials.
+        rows: Row of each face that has a height field; −1 without a material.
+        names: Name of the material of each row.
     """
-    used = np.unique(materials[materials >= 0])
-    hidden = [repr(names[number]) for number in used[factors.emission[used].any(axis=1)]]
+    used = np.unique(rows[rows >= 0])
+    hidden = [*dict.fromkeys(repr(names[row]) for row in used[factors.emission[used].any(axis=1)])]
     if hidden:
         listing = listed(hidden)
         warn(f"{ref('mesh')} has materials whose emission is not rendered where faces have a height field: {listing}")
-
-
-def _states_colour(appearance: Appearance) -> bool:
-    """Return whether the file states a base colour of a material, as a number or as an image that can be read."""
-    texture = appearance.base_texture
-    return appearance.base_colour is not None or (texture is not None and texture.image is not None)
 
 
 def _metallic_roughness(appearance: Appearance) -> tuple[float, float]:

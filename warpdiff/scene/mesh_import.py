@@ -42,6 +42,7 @@ from warpdiff.scene.scene_arrays import (
     joined,
     labelled_parts,
     warn_of_features,
+    with_missing_colours,
 )
 from warpdiff.scene.textures import TextureImages
 
@@ -87,10 +88,12 @@ class Surface:
         geometry_names: Names of the geometries, which all differ; "mesh 0" for a single mesh without a name.
         materials: For each face, the index of its material in ``material_names``, shape (m,), int32; −1 without one.
         material_names: Names of the materials, which all differ.
-        material_factors: Metallic, roughness and emission of the materials; None if all are matte and dark.
-        textures: Base-colour texture of each material; None without one.
-        alpha_cutoffs: Alpha below which rays pass through a face, by material; 0 for opaque materials, and negative for
-            materials that are blended with their background.
+        rows: For each face, the index of its row in the next three attributes, shape (m,), int32; −1 without a
+            material. A material has several rows if only some of its faces have texture coordinates or transparency.
+        material_factors: Metallic, roughness and emission by row; None if all are matte and dark.
+        textures: Base-colour texture of each row; None without one.
+        alpha_cutoffs: Alpha below which rays pass through a face, by row; 0 for opaque faces, and negative for faces
+            that are blended with their background.
         vertex_alphas: Alpha at the vertices, shape (n,), float32, which is 1 where a texture has the alpha; None if it
             is 1 at all vertices.
         is_convex: Whether the mesh bounds a convex body or is in a plane, so that no point on its outside is in shadow.
@@ -109,6 +112,7 @@ class Surface:
     has_base_colour: bool
     geometries: NDArray[np.int32]
     materials: NDArray[np.int32]
+    rows: NDArray[np.int32]
     is_convex: bool
     centre: NDArray[np.float64]
     radius: float
@@ -179,12 +183,14 @@ def prepare_surface(
                 field = np.broadcast_to(field, (part.count, 3))
             roles = _FaceRoles.of([entry for entry, _ in scene], part, plain)
             _check_tangents(part, field, roles.is_plain)
+            part = with_missing_colours(part, roles.is_plain)
             surface = _build(part, field, roles, in_memory=not isinstance(mesh, (str, os.PathLike)))
         entries = [entry for entry, _ in scene]
         warn_of_features(entries)
-        factors = factors_of(entries, surface.material_names)
+        factors = factors_of([own.material for own in part.appearances])
         if factors is not None:
-            warn_of_hidden_emission(factors, part.materials[~roles.is_plain], part.material_names)
+            names = [own.material.name for own in part.appearances]
+            warn_of_hidden_emission(factors, part.rows[~roles.is_plain], names)
         return replace(surface, material_factors=factors)
 
 
@@ -265,14 +271,14 @@ def _build(
     # Positions are rounded to float32 before areas are tested, because kernels use the rounded positions.
     vertices = ((world - centre[:, None]) / radius).astype(np.float32).astype(np.float64)
     geometry = FaceGeometry(vertices, faces)
-    keep, geometries, materials = geometry.has_area, part.geometries, part.materials
+    keep, geometries, materials, rows = geometry.has_area, part.geometries, part.materials, part.rows
     dropped = int(np.count_nonzero(~keep))
     if dropped == len(keep):
         raise ArgumentValueError(f"{ref('mesh')} must have a face with an area, got {dropped} without")
     if dropped:
         warn(f"{ref('mesh')}: {dropped} of {len(keep)} faces have no area and are ignored")
         used, faces = compacted(faces.compress(keep, axis=1), len(index))
-        geometries, materials, roles = geometries[keep], materials[keep], roles.kept(keep)
+        geometries, materials, rows, roles = geometries[keep], materials[keep], rows[keep], roles.kept(keep)
         index, vertices = index[used], vertices.take(used, axis=1)
         geometry = FaceGeometry(vertices, faces)
 
@@ -322,10 +328,11 @@ def _build(
         handedness=handedness.astype(np.float32), uvs=uvs.T.astype(np.float32, order="C"),
         plain_colour=plain.astype(np.float32), vertex_colours=None if colours is None else colours.astype(np.float32),
         has_base_colour=part.is_textured or part.colours is not None,
-        geometries=geometries, materials=materials,
+        geometries=geometries, materials=materials, rows=rows,
         is_convex=is_convex(vertices, faces, geometry.normals, welded), centre=centre, radius=radius,
-        geometry_names=part.geometry_names, material_names=part.material_names, textures=part.textures,
-        alpha_cutoffs=part.cutoffs,
+        geometry_names=part.geometry_names, material_names=part.material_names,
+        textures=tuple(own.texture for own in part.appearances),
+        alpha_cutoffs=tuple(own.cutoff for own in part.appearances),
         vertex_alphas=None if part.alphas is None else part.alphas[index].astype(np.float32),
     )  # fmt: skip
 

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 # Memory for a texel of an image: 16 bytes decoded, 21.3 bytes for its pyramid on the device and as much while it is
 # made, and 8 bytes while it is decoded. If doubled, scenes that would fit are refused.
 _BYTES_PER_TEXEL = 67.0
+# Memory for a texel of an image that is multiplied by a colour: 32 bytes in double precision, 16 bytes for the result,
+# and 16 bytes on the device with its reductions. If doubled, scenes that would fit are refused.
+_BYTES_PER_PRODUCT = 70.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +66,15 @@ class TextureImages:
                 if texture.wrap == source.wrap:
                     return texture
                 return self._stored(pixels, factor, Texture(texture.texels, source.wrap))
-        texels = pixels if np.all(factor == 1.0) else (pixels * factor).astype(np.float32)
+        if np.all(factor == 1.0):
+            return self._stored(pixels, factor, Texture(pixels, source.wrap))
+        height, width, _ = pixels.shape
+        require_memory(
+            _BYTES_PER_PRODUCT * height * width,
+            f"the texture {_name_of(source.image)!r} of {ref('mesh')} times a colour, {width} × {height} pixels,",
+            "give an image with {side} times the width and height",
+        )
+        texels = (pixels * factor).astype(np.float32)
         return self._stored(pixels, factor, Texture(texels, source.wrap))
 
     def _stored(self, pixels: NDArray[np.float32], factor: NDArray[np.float64], texture: Texture) -> Texture:
@@ -74,10 +85,9 @@ class TextureImages:
         for known, pixels in self._decoded:
             if known is image:
                 return pixels
-        name = image.info.get("file_path") or "an image"
         require_memory(
             _BYTES_PER_TEXEL * image.width * image.height,
-            f"the texture {name!r} of {ref('mesh')}, {image.width} × {image.height} pixels,",
+            f"the texture {_name_of(image)!r} of {ref('mesh')}, {image.width} × {image.height} pixels,",
             "give an image with {side} times the width and height",
         )
         pixels = mesh_images.linear_rgba(image)
@@ -86,3 +96,8 @@ class TextureImages:
             pixels = self._by_content.setdefault(digest, pixels)
         self._decoded.append((image, pixels))
         return pixels
+
+
+def _name_of(image: Image.Image) -> str:
+    """Return the name of an image for messages."""
+    return str(image.info.get("file_path") or "an image")
