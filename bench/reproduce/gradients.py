@@ -1,17 +1,22 @@
-"""Cost of exact gradients, coverage of fits of synthetic gratings, and depths fitted to rigorous solutions.
+"""Cost and errors of exact gradients, coverage of fits of synthetic gratings, depths fitted to rigorous solutions.
 
 ::
 
     python -m bench.reproduce.gradients --cost path/to/scan.png
+    python -m bench.reproduce.gradients --errors 200
     python -m bench.reproduce.gradients --fits 1000
+    python -m bench.reproduce.gradients --fits 50 --starts 8
     python -m bench.reproduce.gradients --depths
 
 Costs are seconds of processor time of all threads, the least of three calls, so that other processes have little
 influence. The value alone has no variables. The gradient is by all heights, the pitch, σ and all directions. "Library"
 is the plain function on a new surface, and again on the same surface.
 
+Errors are those of random surfaces, directions and optics, compared with complex steps of explicit sums that share no
+code with the library (``tests/complex_step.py``). They are relative to the largest derivative by the same variable.
+
 Fits have the orders −2 to 2 of a trapezoid at three wavelengths and two angles of a perfect mirror, with noise of 1 %
-and 5e-4. One start, 10 % away in depth and 5 % in duty; a fit that ends at the duty 1 − duty counts as right.
+and 5e-4. The first start is 10 % away in depth and 5 % in duty; a fit that ends at the duty 1 − duty counts as right.
 
 Depths are those of ``bench/suite/rigorous.json``, perfect mirrors, at 0°, 30° and 60°.
 """
@@ -19,10 +24,14 @@ Depths are those of ``bench/suite/rigorous.json``, perfect mirrors, at 0°, 30°
 from __future__ import annotations
 
 import argparse
+import collections
+import importlib
 import json
 import math
+import sys
 import time
 import warnings
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -95,6 +104,35 @@ def cost(path: str) -> None:
         )
 
 
+def errors(count: int) -> None:
+    """Print the largest relative error of derivatives by each variable, of ``count`` random calls of each kind."""
+    folder = Path(__file__).parents[2] / "tests"
+    sys.path[:0] = [str(folder), str(folder / "adjoint")]
+    tests = importlib.import_module("test_against_complex_steps")
+    largest: dict[str, float] = collections.defaultdict(float)
+    plain = tests.error_of
+
+    def recorded(kind: str) -> Callable[..., float]:
+        def error_of(*arguments: object) -> float:
+            error = float(plain(*arguments))
+            # The test has a narrower limit for heights. Its local variable names the variable.
+            name = sys._getframe(1).f_locals["name"]
+            largest[f"{kind}: {name}"] = max(largest[f"{kind}: {name}"], error)
+            return error
+
+        return error_of
+
+    for seed in range(count):
+        for kind in tests.KINDS:
+            tests.error_of = recorded(kind)
+            tests.test_spectral_derivatives(kind, seed)
+        for energy in ("stam", "normalised"):
+            tests.error_of = recorded(f"orders, {energy}")
+            tests.test_derivatives_of_orders(energy, seed)
+    for name, error in largest.items():
+        print(f"{name}: {error:.1e}")
+
+
 def measured(values: np.ndarray | None = None) -> wd.Measured:
     """Return the orders of the synthetic grating as measured data; without values they are 0."""
     wavelengths, orders = (450.0, 550.0, 650.0), [(0, m) for m in (-2, -1, 0, 1, 2)]
@@ -105,23 +143,27 @@ def measured(values: np.ndarray | None = None) -> wd.Measured:
     )
 
 
-def fits(count: int) -> None:
-    """Print the share of parameters within two standard errors, and the mean χ² per degree of freedom."""
+def fits(count: int, starts: int) -> None:
+    """Print the share of parameters within two standard errors, χ² per degree of freedom, and listed duty cycles."""
     grating, guess = wd.profiles.Trapezoid(*TRUE), wd.profiles.Trapezoid(*(TRUE * [1.1, 0.95, 1.2, 1.0]))
     exact, rng = measured().predict(grating.surface(TRUE)).value, np.random.default_rng(0)
     sd = 0.01 * exact + 5e-4
-    within, chi2, evaluations = [], [], []
+    within, chi2, evaluations, converged, both = [], [], [], [], []
     start = time.process_time()
-    for _ in range(count):
-        result = wd.fit(guess, measured(exact + sd * rng.normal(size=30)), sd=sd, starts=1)
+    for seed in range(count):
+        result = wd.fit(guess, measured(exact + sd * rng.normal(size=30)), sd=sd, starts=starts, seed=seed)
         off = [np.abs(result.values - other) for other in (TRUE, *grating.equivalents(TRUE))]
         within.append(np.minimum(*off) <= 2.0 * result.standard_errors)
         chi2.append(result.chi2 / result.degrees_of_freedom)
         evaluations.append(result.evaluations)
+        converged.append(result.minima[0].has_converged)
+        duties = np.array([minimum.values[1] for minimum in result.minima])
+        both.append(all(np.any(np.abs(duties - duty) < 0.01) for duty in (TRUE[1], 1.0 - TRUE[1])))
     shares = dict(zip(grating.names, np.mean(within, axis=0).round(3).tolist(), strict=True))
     print(f"{count} fits, {(time.process_time() - start) / count:.2f} s each, {np.mean(evaluations):.1f} evaluations")
     print(f"within two standard errors: {np.mean(within):.3f} pooled, {shares}")
-    print(f"χ² per degree of freedom: {np.mean(chi2):.3f}")
+    print(f"χ² per degree of freedom: {np.mean(chi2):.3f}; converged: {np.mean(converged):.3f}")
+    print(f"fits that list duty and 1 - duty: {np.mean(both):.3f}")
     compare_minimisers(guess, exact + sd * rng.normal(size=30), sd)
 
 
@@ -186,14 +228,18 @@ def main() -> None:
     """Run the chosen measurement."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cost", metavar="SCAN")
+    parser.add_argument("--errors", type=int, default=0)
     parser.add_argument("--fits", type=int, default=0)
+    parser.add_argument("--starts", type=int, default=1)
     parser.add_argument("--depths", action="store_true")
     arguments = parser.parse_args()
     warnings.simplefilter("ignore", wd.WarpdiffWarning)
     if arguments.cost:
         cost(arguments.cost)
     if arguments.fits:
-        fits(arguments.fits)
+        fits(arguments.fits, arguments.starts)
+    if arguments.errors:
+        errors(arguments.errors)
     if arguments.depths:
         depths()
 

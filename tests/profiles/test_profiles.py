@@ -94,3 +94,26 @@ def test_objectives_have_the_gradient_of_the_loss():
         assert gradient[k] == pytest.approx(difference, rel=1e-5, abs=1e-6 * loss)
     with pytest.raises(TypeError, match="profile"):
         wd.adjoint.objective(None, evaluate, None)
+
+
+def orders(surface, wrt):
+    return wd.adjoint.order_efficiencies(surface, (0, 0, 1), 550.0, wrt=wrt)
+
+
+@pytest.mark.parametrize(
+    ("evaluate", "loss", "message"),
+    [
+        (lambda _surface, _wrt: 3.0, None, "evaluate must return a result of wd.adjoint"),
+        (lambda surface, _wrt: orders(surface, ()), None, "vertices, period_um are missing"),
+        (None, lambda value: value.sum(), "loss must return a number and its gradient"),
+        (None, lambda value: (value, value), "loss must return a number and its gradient"),
+        (None, lambda value: (value.sum(), np.ones(3)), "must have the shape of the value"),
+    ],
+)
+def test_results_of_functions_of_an_objective_are_checked(evaluate, loss, message):
+    grating = wd.profiles.Trapezoid(0.1, 0.4, 0.05, 2.0)
+    function = wd.adjoint.objective(
+        grating, evaluate or orders, loss or (lambda value: (value.sum(), np.ones_like(value)))
+    )
+    with pytest.raises((TypeError, ValueError), match=message):
+        function(grating.start)
