@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpdiff.core.warnings import warn
-from warpdiff.core.wording import listed, ref
+from warpdiff.core.wording import ArgumentValueError, listed, ref
 from warpdiff.scene.mesh_images import mean_values
 
 if TYPE_CHECKING:
@@ -16,7 +16,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from warpdiff.scene.scene_parts import Appearance
+    from warpdiff.scene.scene_parts import Appearance, ScenePart
+
+
+# Names of factors in messages, attributes of ``Appearance``, and their largest values.
+_FACTORS = (
+    ("base colour", "base_colour", 1.0), ("base colour", "fallback_colour", 1.0), ("metallic", "metallic", 1.0),
+    ("roughness", "roughness", 1.0), ("emission", "emission", np.inf), ("alpha cut-off", "alpha_cutoff", np.inf),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +39,53 @@ class MaterialFactors:
     metallic: NDArray[np.float32]
     roughness: NDArray[np.float32]
     emission: NDArray[np.float32]
+
+
+def checked_parts(parts: Sequence[ScenePart]) -> list[ScenePart]:
+    """Return the parts of a scene with vertex colours and factors of materials that are finite and from 0 to 1.
+
+    Emission may exceed 1. One warning names all factors outside of these limits, which become the nearest limit.
+
+    Raises:
+        ValueError: A factor of a material is not finite; the message names it and its material.
+    """
+    checked: dict[Appearance, Appearance] = {}
+    outside: list[str] = []
+    result = []
+    for part in parts:
+        if part.appearance is not None and part.appearance not in checked:
+            checked[part.appearance] = _checked(part.appearance, outside)
+        colours = part.colours
+        if colours is not None and not np.all((colours >= 0.0) & (colours <= 1.0)):
+            outside.append(f"vertex colours of {part.geometry!r}")
+            colours = np.nan_to_num(colours).clip(0.0, 1.0)
+        appearance = None if part.appearance is None else checked[part.appearance]
+        result.append(replace(part, appearance=appearance, colours=colours))
+    if outside:
+        listing = listed([*dict.fromkeys(outside)], "; ", "; and {} more")
+        warn(f"{ref('mesh')} has colours or factors outside of 0 to 1, which are set to 0 or 1: {listing}")
+    return result
+
+
+def _checked(material: Appearance, outside: list[str]) -> Appearance:
+    """Return a material with factors from 0 to 1; add texts about others to a list."""
+    changes: dict[str, Any] = {}
+    for label, name, most in _FACTORS:
+        value = getattr(material, name)
+        if value is None:
+            continue
+        numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
+        shown = ", ".join(f"{number:g}" for number in numbers)
+        if not np.isfinite(numbers).all():
+            raise ArgumentValueError(
+                f"{ref('mesh')}'s material {material.name!r} must have a finite {label}, got {shown}; correct the "
+                "material"
+            )
+        limited = numbers.clip(0.0, most)
+        if not np.array_equal(limited, numbers):
+            outside.append(f"{label} {shown} of {material.name!r}")
+            changes[name] = tuple(limited.tolist()) if np.ndim(value) else float(limited[0])
+    return replace(material, **changes) if changes else material
 
 
 def factors_of(materials: Sequence[Appearance]) -> MaterialFactors | None:
@@ -65,11 +119,10 @@ def _metallic_roughness(appearance: Appearance) -> tuple[float, float]:
     texture = appearance.metallic_roughness_texture
     means = None if texture is None or texture.image is None else mean_values(texture.image)
     _, of_roughness, of_metallic = (1.0, 1.0, 1.0) if means is None else means
-    metallic, roughness = np.clip([appearance.metallic * of_metallic, appearance.roughness * of_roughness], 0.0, 1.0)
-    return float(metallic), float(roughness)
+    return appearance.metallic * of_metallic, appearance.roughness * of_roughness
 
 
 def _emission(appearance: Appearance) -> NDArray[np.float64]:
     """Return the emission of a material. Materials with an emission texture count as dark."""
     is_textured = appearance.emission_texture is not None
-    return np.zeros(3) if is_textured else np.maximum(np.array(appearance.emission), 0.0)
+    return np.zeros(3) if is_textured else np.array(appearance.emission)

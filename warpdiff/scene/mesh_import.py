@@ -18,7 +18,7 @@ from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.request.settings import TANGENT_RULES, TangentRule, check_tangents
 from warpdiff.scene.direction_fields import Body, direction_field
-from warpdiff.scene.material_factors import factors_of, warn_of_hidden_emission
+from warpdiff.scene.material_factors import checked_parts, factors_of, warn_of_hidden_emission
 from warpdiff.scene.mesh_files import UNNAMED
 from warpdiff.scene.mesh_geometry import (
     FaceGeometry,
@@ -175,7 +175,8 @@ def prepare_surface(
         return mesh
     field = _checked_field(tangents)
     with _naming_file(mesh):
-        scene = labelled_parts(mesh)
+        entries, labels = zip(*labelled_parts(mesh), strict=True)
+        scene = [*zip(checked_parts(entries), labels, strict=True)]
         with single_threaded_blas():
             images = TextureImages()
             part = joined([arrays_of(entry, label, images) for entry, label in scene])
@@ -185,8 +186,7 @@ def prepare_surface(
             _check_tangents(part, field, roles.is_plain)
             part = with_missing_colours(part, roles.is_plain)
             surface = _build(part, field, roles, in_memory=not isinstance(mesh, (str, os.PathLike)))
-        entries = [entry for entry, _ in scene]
-        warn_of_features(entries)
+        warn_of_features([entry for entry, _ in scene])
         factors = factors_of([own.material for own in part.appearances])
         if factors is not None:
             names = [own.material.name for own in part.appearances]

@@ -177,9 +177,8 @@ def _take_colours(entry: ScenePart, part: SceneArrays, images: TextureImages) ->
         colour = appearance.fallback_colour or colour if source.image is not None else colour
     alphas = np.full(len(part.vertices), 1.0 if colour is None else colour[3])
     if entry.colours is not None:
-        colours = np.nan_to_num(entry.colours, posinf=1.0, neginf=0.0).clip(0.0, None)
-        part.colours = colours[:, :3] if colour is None else colours[:, :3] * np.array(colour[:3])
-        alphas *= colours[:, 3]
+        part.colours = entry.colours[:, :3] if colour is None else entry.colours[:, :3] * np.array(colour[:3])
+        alphas *= entry.colours[:, 3]
     elif colour is not None:
         part.colours = np.tile(np.array(colour[:3]), (len(part.vertices), 1))
     if appearance is not None:

@@ -39,8 +39,10 @@ _NOT_RENDERED = {
     "KHR_materials_volume": "volume",
     _SPECULAR_GLOSSINESS: "specular colour",
 }
+# Index of refraction of dielectric materials (specification, appendix B); other indices have no effect.
+_IOR = 1.5
 # Extensions of materials that are read, or change nothing alone.
-_READ = ("KHR_materials_emissive_strength", "KHR_materials_ior", "KHR_materials_variants")
+_READ = ("KHR_materials_emissive_strength", "KHR_materials_ior")
 
 
 class Materials:
@@ -213,5 +215,8 @@ def _not_rendered(material: Element, metal: Element, *, emits: bool) -> tuple[st
         features.append("emission with a texture")
     extensions = material.element("extensions")
     names = () if extensions is None else (name for name in extensions.values if name not in _READ)
+    ior = material.extension("KHR_materials_ior")
+    if ior is not None and ior.number("ior", _IOR) != _IOR:
+        features.append("index of refraction")
     features += [_NOT_RENDERED.get(name, re.sub(r"[^\w]", "?", name)[:60]) for name in names]
     return tuple(dict.fromkeys(features))
