@@ -4,7 +4,7 @@ import warp as wp
 
 from warpdiff.kernels import compile_options, refinement_levels, thresholds
 from warpdiff.kernels.atomics import atomic_increment
-from warpdiff.kernels.subdivision import SHARED
+from warpdiff.kernels.pixel_contrast import SHARED
 
 wp.set_module_options(compile_options.options("atomics.h"))
 

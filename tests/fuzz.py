@@ -16,6 +16,7 @@ from types import SimpleNamespace
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
 import trimesh
+from conftest import public_members
 from hypothesis import strategies as st
 
 import warpdiff as wd
@@ -233,7 +234,6 @@ _TOPOGRAPHIES = [
 ]  # fmt: skip
 
 
-# Hypothesis strategies for arguments that are objects, by argument name.
 def trapezoid():
     """Return a profile with few parameters."""
     return wd.profiles.Trapezoid(0.1, 0.5, 0.02, 1.0)
@@ -254,6 +254,7 @@ def fitted():
         return wd.fit(trapezoid(), measured(), sd=0.01, starts=1)
 
 
+# Hypothesis strategies for arguments that are objects, by argument name.
 OBJECTS = {
     "topography": st.sampled_from(_TOPOGRAPHIES),
     "heightfield": _one_of(_heightfields), "mesh": _one_of(malformed_meshes), "view": _one_of(_views),
@@ -320,7 +321,8 @@ def _of_its_kind(option: Option) -> st.SearchStrategy:
     if option.kind in simple:
         return simple[option.kind]
     one = _COUNTS if option.kind.startswith("integer") else _NUMBERS
-    # Counts at their upper limit are legal but slow, so only the next larger count is tested, which is refused.
+    # Counts at their upper limit are legal but slow. Therefore only the next larger count is tested, which must be
+    # refused.
     steps = {option.gt: (0, 1), option.ge: (-1, 0), option.le: (1,) if one is _COUNTS else (0, 1)}
     limits = [bound + step for bound in steps if bound not in (None, math.inf) for step in steps[bound]]
     one = st.one_of(one, st.sampled_from(limits)) if limits else one
@@ -388,7 +390,8 @@ LEGAL_OF |= {
     "adjoint.objective": {"evaluate": print, "loss": print},
 }  # fmt: skip
 LEGAL_BY_CALL = {"renderer": renderer, "lobes": lobes, "ax": axes, "efficiencies": efficiencies}
-# As ``LEGAL_BY_CALL``, for arguments of single functions: functions that make a legal value for each call.
+# Functions that make a legal value of an argument for each call. The values are those of single functions, and override
+# ``LEGAL_BY_CALL``.
 LEGAL_OF_BY_CALL = {
     "fit": {"profile": trapezoid, "measured": measured}, "adjoint.objective": {"profile": trapezoid},
     "plot.plan": {"plan": simple_plan}, "plot.error_image": {"image": still}, "plot.reflectance_map": {"source": still},
@@ -421,8 +424,8 @@ def public():
         if name not in MADE_BY_THE_LIBRARY:
             yield name, member, None
         if inspect.isclass(member):
-            for key, value in vars(member).items():
-                is_public = key[0] != "_" and key not in CALLED_BY_PICTURES
+            for key, value in public_members(member).items():
+                is_public = key not in CALLED_BY_PICTURES
                 if is_public and (inspect.isfunction(value) or isinstance(value, classmethod)):
                     yield f"{name}.{key}", getattr(member, key), None if isinstance(value, classmethod) else name
 
@@ -431,7 +434,7 @@ PUBLIC = {name: (function, owner) for name, function, owner in public()}
 
 
 def example_of(function):
-    """Return the arguments of a class of lights in the first call of it in the example of its docstring."""
+    """Return the arguments with which the docstring of a class of lights creates its first example."""
     source = "\n".join(example.source for example in doctest.DocTestParser().get_examples(function.__doc__))
     calls = (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call))
     first = next(node for node in calls if ast.unparse(node.func) == f"wd.{function.__name__}")

@@ -133,7 +133,7 @@ called = {
     "reflectance_map": wd.reflectance_map(heightfield, up, size=4, **settings),
     "reflectance_spectra": wd.reflectance_spectra(heightfield, up, up, 550.0, **settings),
     "to_srgb": wd.to_srgb([0.1, 0.2, 0.3]),
-    "register_mitsuba_bsdf": wd.register_mitsuba_bsdf,
+    "measure_layout": wd.measure_layout, "register_mitsuba_bsdf": wd.register_mitsuba_bsdf,
     "sequence": wd.sequence(renderer, wd.turntable(light, view, count=2), folder.name + "/turn"),
     "shade": wd.shade(disc, heightfield, light, view, **settings).rgb,
     "spectral_reflectance": wd.spectral_reflectance(heightfield, up, up, 550.0, **settings),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from conftest import public_members
 from small_pictures import draw_reports_roughly
 
 import warpdiff as wd
@@ -39,9 +40,8 @@ def members(name: str) -> Iterator[tuple[str, object]]:
         value = getattr(value, part)
     yield name, value
     if isinstance(value, type):
-        for key, member in vars(value).items():
-            if not key.startswith("_"):
-                yield f"{name}.{key}", getattr(member, "__func__", member)
+        for key, member in public_members(value).items():
+            yield f"{name}.{key}", getattr(member, "__func__", member)
 
 
 def examples(name: str, value: object) -> doctest.DocTest:

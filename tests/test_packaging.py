@@ -2,7 +2,9 @@
 
 import ast
 import functools
+import hashlib
 import inspect
+import json
 import os
 import re
 import shutil
@@ -13,6 +15,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from conftest import public_members
 
 import warpdiff as wd
 
@@ -54,10 +57,16 @@ runpy.run_module("warpdiff", run_name="__main__", alter_sys=True)
 """
 
 
+# Largest size of the wheel [bytes], a target of the project: the package is code, not data.
+MOST_WHEEL_BYTES = 2 << 20
+
+
 def run(command: list[str | Path], cwd: Path) -> str:
     """Return the standard output of a command that must succeed, without network and without ``PYTHON*`` variables."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-    environment |= {"PIP_NO_INDEX": "1", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_INPUT": "1"}
+    # Archives with a stated date have the same bytes whenever they are built.
+    environment |= {"SOURCE_DATE_EPOCH": "1600000000", "PIP_NO_INDEX": "1"}
+    environment |= {"PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_INPUT": "1"}
     done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, f"{command} failed:\n{done.stdout}\n{done.stderr}"
     return done.stdout
@@ -126,6 +135,34 @@ def check_wheel(wheel: Path) -> None:
     assert f"{info}/licenses/LICENSE" in names
     scripts = zipfile.ZipFile(wheel).read(f"{info}/entry_points.txt").decode()
     assert "warpdiff = warpdiff.__main__:main" in scripts
+    assert wheel.stat().st_size <= MOST_WHEEL_BYTES
+    check_bill(json.loads(zipfile.ZipFile(wheel).read(f"{info}/sboms/warpdiff.cdx.json")), wheel)
+
+
+def check_bill(bill: dict, wheel: Path) -> None:
+    """Check that a bill of materials lists each dependency and each bundled data file, with its checksum."""
+    assert (bill["bomFormat"], bill["metadata"]["component"]["version"]) == ("CycloneDX", PROJECT["version"])
+    libraries = {entry["name"] for entry in bill["components"] if entry["type"] == "library"}
+    assert libraries == {re.split(r"[<>=~! \[]", requirement)[0] for requirement in PROJECT["dependencies"]}
+    archive = zipfile.ZipFile(wheel)
+    data = {name for name in archive.namelist() if name.startswith("warpdiff/") and name.endswith((".npy", ".json"))}
+    bundled = {entry["bom-ref"]: entry for entry in bill["components"] if entry["type"] == "data"}
+    assert bundled.keys() == data
+    for name, entry in bundled.items():
+        assert entry["hashes"][0]["content"] == hashlib.sha256(archive.read(name)).hexdigest()
+    references = {entry["bom-ref"] for entry in bill["components"]}
+    assert set(bill["dependencies"][0]["dependsOn"]) == references
+
+
+def check_reproducible(tree: Path, sdist: Path, wheel: Path, tmp_path: Path) -> None:
+    """Check that other permissions and times of the source files change neither the sdist nor the wheel."""
+    copy = tmp_path / "copy"
+    shutil.copytree(tree, copy, ignore=shutil.ignore_patterns("build", "*.egg-info"))
+    for path in copy.rglob("*.py"):
+        path.chmod(0o700)
+        os.utime(path, (1.5e9, 1.5e9))
+    assert build("sdist", copy, tmp_path / "again").read_bytes() == sdist.read_bytes()
+    assert build("wheel", copy, tmp_path / "again").read_bytes() == wheel.read_bytes()
 
 
 def test_the_sdist_and_the_wheel_built_from_it_are_complete(tree, tmp_path):
@@ -139,6 +176,7 @@ def test_the_sdist_and_the_wheel_built_from_it_are_complete(tree, tmp_path):
         assert not missing
     wheel = build("wheel", unpacked, tmp_path / "from_sdist")
     check_wheel(wheel)
+    check_reproducible(tree, sdist, wheel, tmp_path)
     # The compiler must find the kernels' header files in a folder whose name has spaces and non-ASCII letters.
     target = install(wheel, tmp_path / "Pakete für mich")
     check_installed(target, target, tmp_path / "outside", "auto")
@@ -176,7 +214,7 @@ def test_declared_dependencies_equal_the_imported_packages():
     declared = {re.split(r"[<>=~! \[]", requirement)[0] for requirement in PROJECT["dependencies"]}
     # Packages that only single commands require are optional dependencies.
     extras = PROJECT["optional-dependencies"]
-    commands = ("view", "data", "dask", "mitsuba", "plot", "scans", "gltf")
+    commands = ("view", "data", "dask", "mitsuba", "plot", "scans", "gltf", "lithography")
     optional = {re.split(r"[<>=~! \[]", each)[0] for name in commands for each in extras[name]}
     assert declared == used - optional
     assert optional <= used
@@ -210,10 +248,12 @@ def test_public_names_exist_and_are_documented():
     for name in wd.__all__:
         public = getattr(wd, name)
         assert inspect.getdoc(public), f"warpdiff.{name} has no docstring"
-        members = vars(public).items() if inspect.isclass(public) or inspect.ismodule(public) else ()
-        for member, value in members:
+        members = public_members(public) if inspect.isclass(public) else {}
+        if inspect.ismodule(public):
+            members = {member: value for member, value in vars(public).items() if not member.startswith("_")}
+        for member, value in members.items():
             own = getattr(value, "__module__", "").startswith("warpdiff") or isinstance(value, (property, classmethod))
-            if not member.startswith("_") and callable(getattr(public, member)) and own:
+            if callable(getattr(public, member)) and own:
                 assert inspect.getdoc(value), f"warpdiff.{name}.{member} has no docstring"
 
 

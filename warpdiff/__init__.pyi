@@ -38,6 +38,7 @@ from warpdiff.heightfield.field import HeightField as HeightField
 from warpdiff.heightfield.periods import Period as Period
 from warpdiff.heightfield.periods import Periods as Periods
 from warpdiff.heightfield.roughness import Roughness as Roughness
+from warpdiff.heightfield.writers.gds_layout import measure_layout as measure_layout
 from warpdiff.image.comparison import Comparison as Comparison
 from warpdiff.image.comparison import compare as compare
 from warpdiff.image.display_transform import to_srgb as to_srgb

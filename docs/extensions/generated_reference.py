@@ -41,6 +41,7 @@ GROUPS = {
     "Sequences": ["sequence", "Shot", "turntable", "light_sweep", "camera_path"],
     "Export": [
         "export_html", "bake", "BakedLobes", "bake_spectrum", "BakedSpectrum", "register_mitsuba_bsdf",
+        "measure_layout",
     ],
 }  # fmt: skip
 

@@ -137,7 +137,8 @@ def test_sequences_accept_every_kind_of_light(words, expected, monkeypatch, caps
      ["--environment", "no.exr"], ["--environment", __file__]],
 )  # fmt: skip
 def test_a_viewer_that_cannot_start_reports_the_reason(arguments, monkeypatch, capsys):
-    # The drawing thread outlives the command. Without this replacement, it would draw during later tests.
+    # The viewer's drawing thread would outlive the command and would draw during later tests. The method with which
+    # this thread prepares its work is therefore replaced by a function that does nothing.
     monkeypatch.setattr("warpdiff.apps.viewer.session.Studio._prepare", lambda _: None)
     assert cli.main(["view", "--no-browser", *arguments]) in (1, 2)
     error = capsys.readouterr().err.splitlines()[-1]

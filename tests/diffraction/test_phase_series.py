@@ -52,7 +52,10 @@ def surfaces():
 
 
 def in_float32(method, height_range_um, terms=None):
-    """Return the largest error of a series of exp(2πiκh) in float32, over κ and h, and its number of terms."""
+    """Return the largest error of a series of exp(2πiκh) that is evaluated in float32, and the number of its terms.
+
+    The error is the maximum over samples of κ and of heights h up to ``height_range_um``.
+    """
     series = EXPANSIONS[method]
     h = np.linspace(0.0, height_range_um, 2001)
     g = h / height_range_um
@@ -109,9 +112,9 @@ def test_series_of_bounded_functions_are_accurate_at_all_heights(surfaces, metho
     [("taylor-uncentred", 0.3, 1.0, 2.5), ("taylor", 0.3, 1.6, 5.0)],
 )
 def test_taylor_series_fail_above_a_height_range(surfaces, method, fair, broken, double):
-    """At a height range where Taylor series fail in float32, they are accurate in float64.
+    """At a height range where a Taylor series fails in float32, it must still be accurate in float64.
 
-    In float64 they fail at height ranges that are 2.5 to 3 times larger.
+    In float64 it must fail at a height range that is 2.5 to 3 times larger.
     """
     assert surfaces[fair].library(method) <= 1e-4
     assert surfaces[broken].library(method) > 1.0

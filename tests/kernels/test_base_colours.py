@@ -18,7 +18,7 @@ from warpdiff.scene.trimesh_parts import parts_of
 
 
 def continued(index, size, wrap):
-    """Return the index of a texel inside of the image."""
+    """Return the index of the texel that replaces an index beyond the image, by the wrap mode of the texture."""
     if wrap == "repeat":
         return index % size
     if wrap == "clamp":
@@ -46,7 +46,7 @@ def bilinear(texels, wrap, u, v):
 
 
 def textured(texels, scale, wrap, monkeypatch):
-    """Return a square whose texture coordinates range over ``scale`` images, as a surface."""
+    """Return a square as a prepared surface, whose texture coordinates range over ``scale`` copies of the image."""
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]])
     visual = TextureVisuals(uv=corners[:, :2] * scale, material=SimpleMaterial(image=Image.fromarray(texels)))
     (part,) = parts_of(trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False))
@@ -107,9 +107,10 @@ def test_huge_footprints_have_the_mean_of_the_image(scale, rng, monkeypatch):
 @pytest.mark.parametrize("wrap", [("repeat", "repeat"), ("mirror", "repeat")], ids=str)
 @pytest.mark.parametrize(("scale", "eye"), [(0.4, (0, 0, 3.0)), (2.0, (0, 0, 3.0)), (3.0, (0.5, -2.0, 1.2))], ids=str)
 def test_filtered_colours_are_means_over_the_pixel_filter(wrap, scale, eye, rng, monkeypatch):
-    """The reference are sums over 81 × 81 points of the pixel filter, on the same plane.
+    """Filtered base colours must equal means of the texture over the pixel filter.
 
-    Clamped textures are not compared: outside of the image, a level has the colour of its wider texels.
+    The means are computed from 81 × 81 points of the filter. Clamped textures are not tested: outside of the image, a
+    coarse mip level has the colours of its texels, which are wider than those of the image.
     """
     surface = textured(rng.integers(0, 256, (64, 48, 3), dtype=np.uint8), scale, wrap, monkeypatch)
     view = wd.View.orthographic(eye, (0, 0, 0), extent_y=0.3, width=16, height=16)
@@ -130,6 +131,7 @@ def test_filtered_colours_are_means_over_the_pixel_filter(wrap, scale, eye, rng,
     size = np.linalg.norm(exact, axis=1)
     error = np.linalg.norm(colours - exact, axis=1) / size
     points = np.linalg.norm(colours_of(surface, view, 0.0)[0] - exact, axis=1) / size
-    # The texture is white noise, whose texels differ by their whole range.
+    # The allowed error is large because the texture is white noise: the values of neighbouring texels differ by up to
+    # their whole range.
     assert np.sqrt(np.mean(error**2)) < 0.15
     assert np.sqrt(np.mean(error**2)) < 0.5 * np.sqrt(np.mean(points**2))

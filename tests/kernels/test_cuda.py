@@ -17,6 +17,7 @@ from warpdiff.kernels import (
     coefficient_sum,
     colour_lookup,
     light_samples,
+    pixel_contrast,
     primary_hits,
     shadow_rays,
     spectrum_sampling,
@@ -47,8 +48,8 @@ KERNELS = {
     "disc_samples": {"draw_disc"},
     "light_choice": {"choose_lights"},
     "sky_samples": {"mirror_deflections", "sample_sky"},
-    "subdivision": {"accumulate", "select_levels",
-                    "raise_levels", "resolve_pixels", "estimate_errors", "splat_cells"},
+    "pixel_contrast": {"estimate_errors"},
+    "subdivision": {"accumulate", "select_levels", "raise_levels", "resolve_pixels", "splat_cells"},
     "coefficient_sum": {"integrate", "sample"},
     "tile_lists": {"count_marks", "luminance_floor", "advance_batch", "running_max", "compact_level", "dilate_marks",
                    "mark_shared", "copy_batch", "luminance_histogram"},
@@ -110,7 +111,17 @@ def test_every_kernel_module_is_listed_in_this_file():
 @pytest.mark.parametrize("arch", ARCHITECTURES)
 @pytest.mark.parametrize(
     "module",
-    [bvh, primary_hits, light_samples, subdivision, shadow_rays, tile_lists, base_colours, transparency],
+    [base_colours, bvh, light_samples, pixel_contrast, primary_hits, shadow_rays, subdivision, tile_lists, transparency],
+        bvh,
+        primary_hits,
+        light_samples,
+        pixel_contrast,
+        subdivision,
+        shadow_rays,
+        tile_lists,
+        base_colours,
+        transparency,
+    ],
     ids=lambda item: item.__name__,
 )
 def test_modules_compile(module, arch, tmp_path):

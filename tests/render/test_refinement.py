@@ -15,8 +15,7 @@ import warpdiff as wd
 from bench.truth.pictures import finer
 from warpdiff import meshes
 from warpdiff.image.report import Report
-from warpdiff.kernels import refinement_levels
-from warpdiff.kernels import subdivision as kernels
+from warpdiff.kernels import pixel_contrast, refinement_levels
 from warpdiff.render import pixel_filter, threaded_tiles
 from warpdiff.render.shade import warn_unconverged
 
@@ -365,7 +364,7 @@ def test_errors_are_estimated_from_neighbouring_pixels(size, slices, is_textured
     wanted = wp.full(hit.size, 7, dtype=wp.uint8, device="cpu")
     for begin, end in itertools.pairwise(np.linspace(0, hit.size, slices + 1).astype(int)):
         inputs = [*given, int(begin), int(end - begin)]
-        launch(kernels.estimate_errors, (1, 1), inputs, [result, wanted], device="cpu")
+        launch(pixel_contrast.estimate_errors, (1, 1), inputs, [result, wanted], device="cpu")
     expected, is_wanted = estimate_by_hand(colours, uv, hit, 0.8, 0.3, base if is_textured else None)
     np.testing.assert_allclose(result.numpy().reshape(size), expected, rtol=2e-3, atol=1e-6)
     near = np.abs(expected - 0.3 * np.maximum(np.linalg.norm(colours, axis=2), 0.8)) < 1e-3

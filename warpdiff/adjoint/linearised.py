@@ -23,8 +23,8 @@ class Linearised(NamedTuple):
     Attributes:
         value: The value of the function, float64.
         vjp: Vector-Jacobian product: a function of the adjoint of the value, in the shape of the value. It returns the
-            adjoint of each variable of ``wrt``, by its name. With the gradient of a loss by the value as argument, the
-            result is the gradient of the loss.
+            adjoint of each variable by its name, in the order of ``wrt``. With the gradient of a loss by the value as
+            argument, the result is the gradient of the loss.
         jvp: Jacobian-vector product: a function of changes of variables, such as ``jvp(sigma_um=0.1)``. It returns the
             change of the value to first order.
 
@@ -65,7 +65,8 @@ def linearised(
             raise ArgumentValueError(
                 f"{ref('adjoint_of_value')} must have the shape of the value, {value.shape}, got {array.shape}"
             )
-        return {name: result.reshape(shapes[name]) for name, result in adjoint(array).items()}
+        adjoints = adjoint(array)
+        return {name: adjoints[name].reshape(shape) for name, shape in shapes.items()}
 
     def jvp(**changes: ArrayLike) -> NDArray[np.float64]:
         checked = {}

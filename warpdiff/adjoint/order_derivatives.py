@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING, Annotated
 
@@ -42,6 +43,8 @@ _TRUNCATION = 1e-13
 # Cosine of an order's direction below which it counts as being at the horizon, 0.06° from it. Limit: efficiencies grow
 # as 1/cos θ, and their derivatives as 1/cos³ θ.
 _AT_HORIZON = 1e-3
+# Variables that move orders across the horizon.
+_MOVING = ("pitch_um", "period_um", "to_light", "wavelengths_nm")
 # Variables with one element per wavelength.
 _PER_WAVELENGTH = ("wavelengths_nm", "n", "k")
 # Counted memory [bytes]: per height sample, and per element of a matrix.
@@ -62,14 +65,13 @@ class _OrderCall:
         self._check_count(normalised=normalised)
         self._models = {
             (light, column): OrderModel(
-                lights[light], orders[self._lives[light, column]], 1e-3 * wavelengths[column], relief.size_um,
+                lights[light], orders[self._lives[light, column]], float(wavelengths[column]), relief.size_um,
                 (relief.shape[0] == 1, relief.shape[1] == 1), normalised=normalised, ior=ior, material=material,
             )
             for light in range(len(lights)) for column in range(len(wavelengths))
         }  # fmt: skip
-        self._warn_of_kinks()
         kappas = np.concatenate([model.kappas for model in self._models.values()])
-        low, high = kappa_range(float(kappas.min()), float(kappas.max()))
+        low, high = kappa_range(float(kappas.min()), float(kappas.max()), relief.scale_um)
         terms = term_count(2.0 * math.pi * high * relief.scale_um, _TRUNCATION)
         count = term_count(2.0 * math.pi * (high - low) * relief.scale_um, _TRUNCATION)
         sites = Sites(relief.shape, *np.concatenate([model.indices for model in self._models.values()]).T)
@@ -173,12 +175,23 @@ class _OrderCall:
             "take {share} of the wavelengths and directions at a time",
         )  # fmt: skip
 
-    def _warn_of_kinks(self) -> None:
-        count = sum(model.least_cosine < _AT_HORIZON for model in self._models.values())
+    def warn_of_kinks(self) -> None:
+        """Warn of sets of orders of which one propagates along the horizon, or is just below it."""
+        lattice, count = self._relief.lattice, 0
+        for light, wavelength_um in itertools.product(self._lights, 1e-3 * self._wavelengths):
+            tangents2 = np.zeros((1, 1))
+            for axis, (length, samples) in enumerate(zip(lattice.size_um, lattice.shape, strict=True)):
+                component = light[1 - axis]
+                first, last = ((component + end) * length / wavelength_um for end in (-1.0, 1.0))
+                orders = np.arange(math.floor(first), math.ceil(last) + 1) if samples > 1 else np.zeros(1)
+                tangents2 = tangents2 + ((orders * wavelength_um / length - component) ** 2).reshape(
+                    (-1, 1) if axis == 0 else (1, -1)
+                )
+            count += bool(np.any(np.abs(1.0 - tangents2) < _AT_HORIZON**2))
         if count:
             warn(
                 f"{count} of {len(self._models)} sets of orders have an order at the horizon, where efficiencies have "
-                "a kink: derivatives are those of the orders that propagate"
+                f"a kink: derivatives by {', '.join(_MOVING)} are those of the orders that propagate"
             )
 
 
@@ -208,8 +221,8 @@ def order_efficiencies(
         :func:`warpdiff.order_efficiencies`, in the same sequence.
 
     Warns:
-        WarpdiffWarning: An order is at the horizon, a wavelength is at a kink of the index of refraction, or the energy
-            balance has not converged.
+        WarpdiffWarning: An order is at the horizon and ``wrt`` has variables that move it, a wavelength is at a kink of
+            the index of refraction, or the energy balance has not converged.
 
     Raises:
         ValueError: An argument is out of its range, a variable has no derivative, or normalised orders are too many.
@@ -239,10 +252,12 @@ def order_efficiencies(
     )  # fmt: skip
     if energy is None:
         energy = "normalised" if (normal == 1.0 if material is None else material.is_opaque) else "stam"
-    if material is not None and "wavelengths_nm" in names:
-        _warn_of_table(material, wavelengths)
     normalised = energy in ("normalised", "normalized")
     call = _OrderCall(relief, lights, wavelengths, normalised=normalised, ior=index_of(ior), material=material)
+    if set(names) & set(_MOVING):
+        call.warn_of_kinks()
+    if material is not None and "wavelengths_nm" in names:
+        _warn_of_table(material, wavelengths)
     value = call.value()
     shape = value.shape[1:] if is_single else value.shape
     per_nm, lengths = (len(wavelengths),), validation.lengths(to_light)
@@ -268,8 +283,9 @@ def order_efficiencies(
 
 def _warn_of_table(material: Material, wavelengths_nm: NDArray[np.float64]) -> None:
     """Warn of wavelengths at which the index of refraction, linear between table entries, has a kink."""
-    tables = [np.asarray(part.wavelengths_nm) for part in (material, material.film) if part is not None]
-    count = sum(np.isin(wavelengths_nm, table).sum() for table in tables if len(table) > 1)
+    # The index has no kink at the ends of a table, beyond which it is not known.
+    tables = [np.asarray(part.wavelengths_nm)[1:-1] for part in (material, material.film) if part is not None]
+    count = int(np.isin(wavelengths_nm, np.concatenate(tables)).sum())
     if count:
         warn(
             f"{count} of {len(wavelengths_nm)} wavelengths are entries of the table of {ref('material')}, where its "

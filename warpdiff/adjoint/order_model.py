@@ -37,7 +37,7 @@ class OrderModel:
     """
 
     def __init__(
-        self, light: NDArray[np.float64], orders: NDArray[np.int64], wavelength_um: float,
+        self, light: NDArray[np.float64], orders: NDArray[np.int64], wavelength_nm: float,
         size_um: tuple[float, float], is_constant: tuple[bool, bool], *, normalised: bool, ior: float,
         material: Material | None,
     ) -> None:  # fmt: skip
@@ -46,17 +46,17 @@ class OrderModel:
         Args:
             light: Unit vector to the light, shape (3,).
             orders: Pairs (m_y, m_x) of the orders that propagate, shape (n, 2).
-            wavelength_um: Wavelength [µm].
+            wavelength_nm: Wavelength [nm].
             size_um: Size (y, x) of one period [µm].
             is_constant: Whether the surface is constant along (y, x).
             normalised: Whether the energy is normalised.
             ior: Index of refraction, if there is no material.
             material: Material, or None.
         """
-        self._normalised, self._ior, self._material, self._wavelength_um = normalised, ior, material, wavelength_um
+        self._normalised, self._ior, self._material, self._wavelength_nm = normalised, ior, material, wavelength_nm
         shifts = np.zeros((1, 2), dtype=np.int64)
         if normalised:
-            steps = wavelength_um / np.array(size_um)
+            steps = 1e-3 * wavelength_nm / np.array(size_um)
             ranges = [
                 np.zeros(1, dtype=np.int64)
                 if constant
@@ -78,7 +78,7 @@ class OrderModel:
         size_um: tuple[float, float],
     ) -> None:  # fmt: skip
         """Compute the geometry factors, |κ| and the prescribed sums, with derivatives by ``GEOMETRY``."""
-        values = (light[0], light[1], size_um[1], size_um[0], self._wavelength_um, 1.0)
+        values = (light[0], light[1], size_um[1], size_um[0], 1e-3 * self._wavelength_nm, 1.0)
         x, y, length_x, length_y, wavelength, scale = Jet.variables(*(np.full((1, 1), value) for value in values))
         per_x, per_y = wavelength / length_x, wavelength / length_y
         entering = x + per_x * shifts[:, 1:].astype(float), y + per_y * shifts[:, :1].astype(float)
@@ -86,7 +86,6 @@ class OrderModel:
         cos_i, cos_r = ((1.0 - a * a - b * b).power(0.5) for a, b in (entering, leaving))
         overlap = 1.0 + entering[0] * leaving[0] + entering[1] * leaving[1] + cos_i * cos_r
         w = cos_i + cos_r
-        self.least_cosine = float(cos_r.value.min())
         self._factor = overlap * overlap / (cos_i * cos_r * w * w)
         self._kappa = w / wavelength * scale
         self._cosine = Jet(overlap.value[self._own], overlap.partials[:, self._own]) * 0.5
@@ -172,7 +171,7 @@ class OrderModel:
         cosines = np.minimum(self._cosine.value, 1.0)
         if self._material is None:
             return reflection.schlick(cosines, self._ior, relative=False)
-        return reflection.fresnel(cosines, self._material, np.full_like(cosines, 1e3 * self._wavelength_um))
+        return reflection.fresnel(cosines, self._material, np.full_like(cosines, self._wavelength_nm))
 
 
 def _rise(cosine: Jet) -> Jet:

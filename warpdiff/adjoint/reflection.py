@@ -133,7 +133,8 @@ def _dispersion(material: Material, wavelength: Jet) -> Jet:
     if len(table) == 1:
         slope = np.zeros(wavelength.value.shape, dtype=np.complex128)
     else:
-        place = np.searchsorted(table, wavelength.value, side="right") - 1
-        inside = (place >= 0) & (place < len(table) - 1)
-        slope = np.where(inside, (np.diff(index) / np.diff(table))[np.clip(place, 0, len(table) - 2)], 0.0)
+        # The material is not known beyond the last entry, where the derivative is that towards shorter wavelengths.
+        place = np.clip(np.searchsorted(table, wavelength.value, side="right") - 1, 0, len(table) - 2)
+        inside = (wavelength.value >= table[0]) & (wavelength.value <= table[-1])
+        slope = np.where(inside, (np.diff(index) / np.diff(table))[place], 0.0)
     return Jet(np.zeros_like(slope), slope * wavelength.partials)

@@ -16,8 +16,12 @@ _MARGIN = 1e-2
 _MOST_ARGUMENT = 800.0
 # Sum of Bessel functions that may consist of rounding errors alone.
 _ROUNDING = 4e-15
-# Share of |κ| by which a range of it is widened at both ends. If doubled, nothing changes.
-_LEAST_RANGE = 1e-6
+# Least width of a range of |κ|, relative to |κ|, and least change of the phase of half of the height range over the
+# width [radians]. Limit: rounding errors of a series become errors of its derivative in proportion to 1/width. If
+# doubled, series need one more term.
+_LEAST_RANGE, _LEAST_PHASE = 0.1, 1.0
+# Share of the width by which a range is widened, so that rounding errors place no |κ| outside of it.
+_MARGIN_OF_RANGE = 1e-6
 
 
 def term_count(argument: float, truncation: float) -> int:
@@ -40,6 +44,14 @@ def term_count(argument: float, truncation: float) -> int:
     return max(int(np.argmax(is_enough)), 2) if is_enough.any() else count
 
 
-def kappa_range(low: float, high: float) -> tuple[float, float]:
-    """Return a range of |κ| [1/µm] that is slightly wider, so that it can be divided by its width."""
-    return (1.0 - _LEAST_RANGE) * low, (1.0 + _LEAST_RANGE) * high
+def kappa_range(low: float, high: float, scale_um: float) -> tuple[float, float]:
+    """Return a range of |κ| [1/µm] that contains another, and is wide enough for derivatives of a series by κ.
+
+    Args:
+        low: Least |κ| [1/µm], more than 0.
+        high: Largest |κ| [1/µm].
+        scale_um: Half of the height range [µm].
+    """
+    least = min(_LEAST_RANGE * high, _LEAST_PHASE / (2.0 * math.pi * scale_um))
+    middle, half = (low + high) / 2.0, (1.0 + _MARGIN_OF_RANGE) * max(high - low, least) / 2.0
+    return middle - half, middle + half

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from annotated_types import Interval
 
+from warpdiff.adjoint import colour_sampling
 from warpdiff.adjoint.coefficient_rows import CoefficientRows
 from warpdiff.adjoint.gaussian_lobes import block_of, exponent_of
 from warpdiff.adjoint.linearised import linearised
@@ -42,17 +43,9 @@ if TYPE_CHECKING:
 
 Truncation = Annotated[float, Interval(ge=1e-13, le=1e-2)]
 
-# Counted memory [bytes]: per height sample; per pair of a direction and a wavelength that is computed at once; and per
-# pair whose derivatives remain in memory.
-_BYTES_PER_SAMPLE, _BYTES_PER_PAIR, _BYTES_PER_KEPT = 120.0, 900.0, 80.0
-# Largest number of wavelengths of a colour. Limit: computing time is proportional to it.
-_MOST_WAVELENGTHS = 20_000
-# Error of quintic interpolation of a sine wave, relative to (angular frequency × step)^6. Derived: the product of the
-# distances from six nodes, at the middle, over 6!.
-_QUINTIC = (0.5 * 1.5 * 2.5) ** 2 / 720.0
-# Angular frequency that stands for a Gaussian, times its standard deviation. Derived: the sixth derivative of a
-# Gaussian is at most 15 times its value.
-_OF_GAUSSIAN = 15.0 ** (1.0 / 6.0)
+# Counted memory [bytes]: per height sample; per pair of a direction and a wavelength that is computed at once; per pair
+# whose derivatives remain in memory; and per pair for values, adjoints, and tangents.
+_BYTES_PER_SAMPLE, _BYTES_PER_PAIR, _BYTES_PER_KEPT, _BYTES_PER_VALUE = 120.0, 900.0, 80.0, 40.0
 _REMEDY = "take a larger truncation, {share} of the area of heightfield, or smaller angles"
 
 
@@ -73,7 +66,8 @@ class SpectralCall:
         self._names = check_variables(function, wrt, names)
         self._ior, self._masking = index_of(ior), validation.flag(masking, "masking")
         self._lights, self._views, self.is_single = validation.light_and_view(to_light, to_view)
-        self._vectors = {"to_light": np.asarray(to_light, float), "to_view": np.asarray(to_view, float)}
+        # Copies, so that the derivatives remain unchanged if the caller changes the arrays.
+        self._vectors = {"to_light": np.array(to_light, float), "to_view": np.array(to_view, float)}
         self._above = (self._lights[:, 2] > HORIZON) & (self._views[:, 2] > HORIZON)
         if len(self._above) and not self._above.any():
             warn_of_darkness()
@@ -103,33 +97,12 @@ class SpectralCall:
         }  # fmt: skip
         return {name: shapes.get(name, ()) for name in self._names}
 
-    def wavelength_count(self) -> int:
-        """Return the number of wavelengths by which colours meet the truncation error.
-
-        They are equally spaced in 1/λ, or in ln λ for a source. ρ is interpolated between them by quintic polynomials.
-        """
-        half = self._lights[self._above] + self._views[self._above]
-        along = float(np.max(np.hypot(half[:, 0], half[:, 1]), initial=0.0))
-        high, low = 1e3 / colorimetry.LAMBDA_MIN_NM, 1e3 / colorimetry.LAMBDA_MAX_NM
-        phase = 2.0 * math.pi * float(np.max(half[:, 2], initial=0.0)) * 2.0 * self._relief.scale_um
-        if self._coherence.kind == "source":
-            span, rate = math.log(high / low), high * phase + _OF_GAUSSIAN * along / self._coherence.spread
-        elif self._coherence.periods is not None:
-            reach = math.hypot(*np.multiply(self._coherence.periods, self._relief.size_um))
-            span, rate = high - low, phase + 2.0 * math.pi * along * reach
-        else:
-            # The weight of a power at the distance d from q is a Gaussian of the standard deviation 1/(√8 πσ).
-            sharpness = math.sqrt(8.0) * math.pi * (self._coherence.sigma_um or 0.0)
-            span, rate = high - low, phase + _OF_GAUSSIAN * along * sharpness
-        step = (self._truncation / _QUINTIC) ** (1.0 / 6.0) / max(rate, 1e-9)
-        # Six nodes are the least for quintic polynomials. The colour matching functions themselves are exact.
-        count = max(math.ceil(span / step) + 1, 12)
-        if count > _MOST_WAVELENGTHS:
-            raise ArgumentValueError(
-                f"{ref('truncation')} must be larger than {self._truncation:g}, which requires {count} wavelengths; at "
-                f"most {_MOST_WAVELENGTHS} are supported: increase it, or use spectral_reflectance"
-            )
-        return int(count)
+    def sampling(self, illuminant: str | Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the wavelengths [nm] of colours that meet the truncation error, (m,), and their weights, (m, 3)."""
+        return colour_sampling.sampling(
+            self._lights[self._above], self._views[self._above], self._relief.scale_um, self._relief.size_um,
+            self._coherence, self._material, illuminant, self._truncation,
+        )  # fmt: skip
 
     def evaluate(self, wavelengths_nm: NDArray[np.float64], weights: NDArray[np.float64] | None = None) -> Linearised:
         """Return ρ at wavelengths, shape (n, m), or ρ times ``weights`` (m, 3), with derivatives."""
@@ -139,6 +112,7 @@ class SpectralCall:
             self._masking,
         )  # fmt: skip
         columns = len(wavelengths_nm) if weights is None else weights.shape[1]
+        self._require_values(len(illumination.lights), len(wavelengths_nm))
         value = np.zeros((len(above), columns))
         model = None
         if above.any():
@@ -179,28 +153,38 @@ class SpectralCall:
             block = _joined(block, block_of(pairs, exponent, relief.shape, relief.size_um))
             kappas = min(kappas[0], float(pairs.kappas.min())), max(kappas[1], float(pairs.kappas.max()))
         assert block is not None  # noqa: S101 (there is a part if any direction is above the horizon)
-        low, high = kappa_range(*kappas)
+        low, high = kappa_range(*kappas, relief.scale_um)
         powers = self._coherence.adds_powers
         terms = term_count(2.0 * math.pi * high * relief.scale_um, self._truncation)
         # A power oscillates over κ as fast as the phase of the whole height range, an amplitude half as fast.
         count = term_count(math.pi * (high - low) * relief.scale_um * (2.0 if powers else 1.0), self._truncation)
-        pairs_kept = min(len(illumination.lights) * len(illumination.wavelengths_nm), MOST_KEPT)
-        self._require(block, terms, count, pairs_kept if self._has_slopes else 0, powers=powers)
+        self._require(illumination, block, terms, count, powers=powers)
         sites = Sites(relief.shape, *block.orders())
         rows = CoefficientRows(sites.count, (low, high), count, powers=powers, together=relief.sites_together)
         series = relief.terms(sites, rows.nodes, terms)
         centre, moving = self._centre()
         return LobeSums(series, rows, block, sites, relief.size_um, exponent, centre, moving)
 
-    def _require(self, block: Block, terms: int, count: int, pairs_kept: int, *, powers: bool) -> None:
+    def _require_values(self, directions: int, wavelengths: int) -> None:
+        """Raise ``MemoryError`` if the values of all pairs, and the periods of a patch, do not fit into memory."""
+        needed = _BYTES_PER_VALUE * directions * wavelengths + _BYTES_PER_SAMPLE * self._relief.samples
+        what = f"a gradient at {directions} directions and {wavelengths} wavelengths"
+        memory.require_memory(needed, what, "take {share} of the directions or of the area of heightfield")
+
+    def _require(self, illumination: Illumination, block: Block, terms: int, count: int, *, powers: bool) -> None:
         """Raise ``MemoryError`` if value and derivatives require more memory than is free."""
+        wavelengths = len(illumination.wavelengths_nm)
+        pairs = len(illumination.lights) * wavelengths
+        pairs_kept = min(pairs, MOST_KEPT) if self._has_slopes else 0
+        pairs_together = min(pairs, max(PAIRS_TOGETHER, wavelengths))
         ny, nx = self._relief.shape
         sites = min(block.size, ny * (nx // 2 + 1))
         parts = 1 if powers else 3
         needed = (
             _BYTES_PER_SAMPLE * self._relief.samples + 32.0 * terms * sites
             + 8.0 * parts * count * (2 * sites + 3 * block.size)
-            + (_BYTES_PER_PAIR + 16.0 * count) * PAIRS_TOGETHER + _BYTES_PER_KEPT * pairs_kept
+            + (_BYTES_PER_PAIR + 16.0 * count) * pairs_together + _BYTES_PER_KEPT * pairs_kept
+            + _BYTES_PER_VALUE * pairs
         )  # fmt: skip
         memory.require_memory(needed, f"a gradient by {block.shape[0]} × {block.shape[1]} coefficients", _REMEDY)
 
@@ -268,7 +252,8 @@ def spectral_reflectance(
         ior: Index of refraction; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given.
         material: Material of the surface instead of ``ior``.
         masking: Whether V-cavity masking and shadowing is included, by default True.
-        truncation: Relative size of the truncated terms of series and sums, 1e-13 to 1e-2, by default 1e-8.
+        truncation: Largest error of ρ by truncated series and sums, 1e-13 to 1e-2, by default 1e-8. It is relative to ρ
+            of a flat mirror whose mirror direction is that of the pair. Darker directions have larger relative errors.
 
     Returns:
         ρ, shape (n, m), or (m,) for single directions, with its derivatives.
@@ -327,7 +312,9 @@ def reflectance(
         ior: Index of refraction; ``math.inf`` is a perfect mirror; None is 1.5 unless a material is given.
         material: Material of the surface instead of ``ior``.
         masking: Whether V-cavity masking and shadowing is included, by default True.
-        truncation: Relative size of the truncated terms of series and sums, 1e-13 to 1e-2, by default 1e-4.
+        truncation: Largest error of XYZ by truncated series and sums, 1e-13 to 1e-2, by default 1e-4. It is relative to
+            XYZ of a flat mirror whose mirror direction is that of the pair. Darker directions have larger relative
+            errors.
 
     Returns:
         CIE XYZ, shape (n, 3), or (3,) for single directions, with its derivatives.
@@ -354,6 +341,4 @@ def reflectance(
         masking=masking, truncation=truncation,
     )  # fmt: skip
     call.covers(float(colorimetry.LAMBDA_MIN_NM), float(colorimetry.LAMBDA_MAX_NM))
-    is_source = (coherence or Coherence()).kind == "source"
-    wavenumbers, weights = colorimetry.uniform_quadrature(call.wavelength_count(), illuminant, geometric=is_source)
-    return call.evaluate(1e3 / wavenumbers, weights)
+    return call.evaluate(*call.sampling(illuminant))

@@ -9,7 +9,8 @@ from annotated_types import Ge, Gt
 
 from warpdiff.core import validation
 from warpdiff.core.wording import ArgumentValueError, ref
-from warpdiff.heightfield.field import Axis, HeightField  # noqa: TC001 (the decorator checks its instances)
+from warpdiff.heightfield.cleaning_methods import Axis  # noqa: TC001 (the decorator checks its instances)
+from warpdiff.heightfield.field import HeightField  # noqa: TC001 (the decorator checks its instances)
 from warpdiff.heightfield.spectral_lines import WindowedSpectrum
 from warpdiff.plot.axes import (
     LINE_COLOURS,

@@ -374,7 +374,7 @@ class Plan:
             raise ArgumentValueError(f"{ref('path')} must end in .json, got {str(path)!r}")
         files.check_folder(target.parent, "path")
         with files.atomic_write(target) as temporary:
-            temporary.write_text(self.to_json(), encoding="utf-8")
+            temporary.write_text(self.to_json(), encoding="utf-8", newline="\n")
         return target
 
     @classmethod

@@ -192,8 +192,8 @@ def _write(target: Path, page: str, numbers: JsonObject, tables: dict[str, Table
     paths = [target / "report.json"]
     with files.atomic_write(paths[0]) as temporary:
         text = json.dumps(numbers, ensure_ascii=False, indent=1, allow_nan=False)
-        temporary.write_text(text + "\n", encoding="utf-8")
+        temporary.write_text(text + "\n", encoding="utf-8", newline="\n")
     paths += [table.save(target / f"{name}.csv") for name, table in tables.items()]
     with files.atomic_write(target / "report.html", suffix=".html") as temporary:
-        temporary.write_text(page, encoding="utf-8")
+        temporary.write_text(page, encoding="utf-8", newline="\n")
     return target / "report.html", *paths

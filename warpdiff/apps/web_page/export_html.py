@@ -142,7 +142,7 @@ def export_html(
         }  # fmt: skip
         page = _filled(header, arrays, title)
         with files.atomic_write(target, suffix=".html") as temporary:
-            temporary.write_text(page, encoding="utf-8")
+            temporary.write_text(page, encoding="utf-8", newline="\n")
     return target
 
 

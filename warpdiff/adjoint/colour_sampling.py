@@ -1,0 +1,127 @@
+"""Wavelengths of colours that meet a truncation error.
+
+ρ is interpolated between the wavelengths by quintic polynomials in 1/λ. Their error follows from the fastest change of
+ρ. The index of a material is linear between the entries of its table, so that its reflectance has kinks, which
+polynomials do not follow. The number of wavelengths is therefore doubled until the colour of the flat material is exact
+enough.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.adjoint import reflection
+from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.optics import colorimetry
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from warpdiff.optics.coherence import Coherence
+    from warpdiff.optics.materials import Material
+    from warpdiff.optics.spectra import Spectrum
+
+# Least and largest number of wavelengths of a colour. Limits: quintic polynomials need six nodes, and computing time is
+# proportional to the number.
+_LEAST_WAVELENGTHS, _MOST_WAVELENGTHS = 12, 20_000
+# Error of quintic interpolation of a sine wave, relative to (angular frequency × step)^6. Derived: the product of the
+# distances from six nodes, at the middle, over 6!.
+_QUINTIC = (0.5 * 1.5 * 2.5) ** 2 / 720.0
+# Angular frequency that stands for a Gaussian, times its standard deviation. Derived: the sixth derivative of a
+# Gaussian is at most 15 times its value.
+_OF_GAUSSIAN = 15.0 ** (1.0 / 6.0)
+# Share of the truncation error that the colour of the flat material may have. Choice: the factor 2 covers cosines
+# between those that are tried.
+_SHARE_OF_MATERIAL = 0.5
+# Number of Gauss points between two kinks of the integrand, at most 1 nm apart. Derived: rounding errors for films of
+# up to 1 µm.
+_GAUSS_POINTS = 4
+
+
+def sampling(
+    lights: NDArray[np.float64], views: NDArray[np.float64], scale_um: float, size_um: tuple[float, float],
+    coherence: Coherence, material: Material | None, illuminant: str | Spectrum, truncation: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
+    """Return wavelengths [nm], shape (m,), and the weights by which their ρ are summed to XYZ, shape (m, 3).
+
+    The wavelengths are equally spaced in 1/λ, or in ln λ for a source.
+
+    Args:
+        lights: Unit vectors to the light, shape (n, 3).
+        views: Unit vectors to the viewer, shape (n, 3).
+        scale_um: Half of the height range [µm].
+        size_um: Size of the surface (y, x) [µm].
+        coherence: Coherence.
+        material: Material, or None.
+        illuminant: Illuminant.
+        truncation: Largest error of XYZ, relative to XYZ of the flat material.
+
+    Raises:
+        ValueError: The truncation error requires too many wavelengths.
+    """
+    half = lights + views
+    count, geometric = _count_of_surface(half, scale_um, size_um, coherence, truncation), coherence.kind == "source"
+    exact, cosines = np.zeros((0, 3)), np.zeros(0)
+    if material is not None and len(half):
+        lengths = np.linalg.norm(half, axis=1) / 2.0
+        cosines = np.unique(np.minimum(np.quantile(lengths, [0.0, 0.5, 1.0]), 1.0))
+        exact = _exact_colours(cosines, material, illuminant)
+    while count <= _MOST_WAVELENGTHS:
+        wavenumbers, weights = colorimetry.uniform_quadrature(count, illuminant, geometric=geometric, signed=True)
+        wavelengths = colorimetry.NM_PER_UM / wavenumbers
+        if material is None or not len(half):
+            return wavelengths, weights
+        off = np.abs(_reflectances(cosines, material, wavelengths) @ weights - exact).max(axis=1)
+        if np.all(off <= _SHARE_OF_MATERIAL * truncation * exact.max(axis=1)):
+            return wavelengths, weights
+        count *= 2
+    raise ArgumentValueError(
+        f"{ref('truncation')} must be larger than {truncation:g}, which requires {count} wavelengths; at most "
+        f"{_MOST_WAVELENGTHS} are supported: increase it, or use spectral_reflectance"
+    )
+
+
+def _count_of_surface(
+    half: NDArray[np.float64], scale_um: float, size_um: tuple[float, float], coherence: Coherence, truncation: float
+) -> int:
+    """Return the number of wavelengths for a material whose index does not depend on the wavelength."""
+    along = float(np.max(np.hypot(half[:, 0], half[:, 1]), initial=0.0))
+    high, low = 1e3 / colorimetry.LAMBDA_MIN_NM, 1e3 / colorimetry.LAMBDA_MAX_NM
+    phase = 2.0 * math.pi * float(np.max(half[:, 2], initial=0.0)) * 2.0 * scale_um
+    if coherence.kind == "source":
+        span, rate = math.log(high / low), high * phase + _OF_GAUSSIAN * along / coherence.spread
+    elif coherence.periods is not None:
+        reach = math.hypot(*np.multiply(coherence.periods, size_um))
+        span, rate = high - low, phase + 2.0 * math.pi * along * reach
+    else:
+        # The weight of a power at the distance d from q is a Gaussian of the standard deviation 1/(√8 πσ).
+        sharpness = math.sqrt(8.0) * math.pi * (coherence.sigma_um or 0.0)
+        span, rate = high - low, phase + _OF_GAUSSIAN * along * sharpness
+    step = (truncation / _QUINTIC) ** (1.0 / 6.0) / max(rate, 1e-9)
+    return int(max(math.ceil(span / step) + 1, _LEAST_WAVELENGTHS))
+
+
+def _exact_colours(cosines: NDArray[np.float64], material: Material, illuminant: str | Spectrum) -> NDArray[np.float64]:
+    """Return XYZ of a flat material at cosines of θd, shape (n, 3), by Gauss points between all kinks."""
+    grid, products = colorimetry.VISIBLE_NM, colorimetry.colour_products(illuminant)
+    entries = [np.asarray(part.wavelengths_nm) for part in (material, material.film) if part is not None]
+    cuts = np.unique(np.clip(np.concatenate([grid, *entries]), grid[0], grid[-1]))
+    gauss, measure = np.polynomial.legendre.leggauss(_GAUSS_POINTS)
+    points = (cuts[:-1, None] + np.diff(cuts)[:, None] * (gauss + 1.0) / 2.0).ravel()
+    # Each end of the range has half a nanometre beyond it, as in `colorimetry.quadrature_weights`.
+    points = np.concatenate([points, grid[[0, -1]]])
+    measures = np.concatenate([(np.diff(cuts)[:, None] * measure / 2.0).ravel(), [0.5, 0.5]])
+    masses = measures[:, None] * np.stack([np.interp(points, grid, column) for column in products.T], axis=1)
+    masses *= products.sum(axis=0) / masses.sum(axis=0)
+    return np.asarray(_reflectances(cosines, material, points) @ masses)
+
+
+def _reflectances(
+    cosines: NDArray[np.float64], material: Material, wavelengths_nm: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the reflectance of a material at cosines of θd and wavelengths, shape (n, m)."""
+    angles, wavelengths = np.meshgrid(cosines, wavelengths_nm, indexing="ij")
+    return reflection.fresnel(angles, material, wavelengths).value
