@@ -34,15 +34,14 @@ def test_the_defaults_of_gltf_materials_are_those_of_the_specification(tmp_path)
     np.testing.assert_allclose(read.emission, [[0, 0, 0], [2, 0, 1], [2, 0, 1]])
 
 
-def test_a_texture_of_metallic_and_roughness_counts_with_its_mean(tmp_path):
+def test_textures_without_their_coordinates_are_named_and_roughness_counts_with_its_mean(tmp_path):
     file = square_file(material=0)
     file.material(texture={}, name="body")
-    metal = {"metallicFactor": 0.5, "roughnessFactor": 1.0, "metallicRoughnessTexture": {"index": 0}}
+    elsewhere = {"index": 0, "texCoord": 3}
+    metal = {"metallicFactor": 0.5, "roughnessFactor": 1.0, "metallicRoughnessTexture": elsewhere}
     file.tree["materials"][0] |= {
-        "pbrMetallicRoughness": metal,
-        "emissiveFactor": [1, 1, 1],
-        "emissiveTexture": {"index": 0},
-    }
+        "pbrMetallicRoughness": metal, "emissiveFactor": [1, 1, 1], "emissiveTexture": elsewhere,
+    }  # fmt: skip
     path = file.write(tmp_path / "a.gltf")
     names = "metallic-roughness texture except for its mean, emission with a texture of 'body'"
     with pytest.warns(WarpdiffWarning, match=names):
@@ -50,6 +49,35 @@ def test_a_texture_of_metallic_and_roughness_counts_with_its_mean(tmp_path):
     (image,) = (part.appearance.metallic_roughness_texture.image for part in load(path))
     _, green, blue = np.asarray(image.convert("RGB"), dtype=float).reshape(-1, 3).mean(axis=0) / 255.0
     np.testing.assert_allclose([read.metallic[0], read.roughness[0]], [0.5 * blue, green], rtol=1e-6)
+    assert not read.emission.any()
+    # A second part with the same material has the texture coordinates, and therefore factors of its own.
+    attributes = {"POSITION": SQUARE + 2, "NORMAL": UP, "TEXCOORD_0": SQUARE_UVS, "TEXCOORD_3": SQUARE_UVS}
+    file.primitive(attributes, material=0)
+    with pytest.warns(WarpdiffWarning, match=names):
+        surface = prepare_surface(file.write(tmp_path / "b.gltf"), plain={"*": True})
+    read = surface.material_factors
+    np.testing.assert_array_equal(surface.rows, [0, 0, 1, 1])
+    np.testing.assert_allclose([read.metallic[1], read.roughness[1]], [0.5, 1.0])
+    np.testing.assert_array_equal(read.emission, [[0, 0, 0], [1, 1, 1]])
+    assert [texture is None for texture in surface.maps.metallic_roughness] == [True, False]
+
+
+def test_textures_that_cannot_be_read_are_named(tmp_path):
+    file = square_file(material=0)
+    file.material(texture={}, name="body")
+    file.tree["images"].append({"uri": "missing.png"})
+    file.tree["textures"].append({"source": 1})
+    metal = {"metallicFactor": 0.5, "roughnessFactor": 0.25, "metallicRoughnessTexture": {"index": 1}}
+    file.tree["materials"][0] |= {
+        "pbrMetallicRoughness": metal, "emissiveFactor": [1, 1, 1], "emissiveTexture": {"index": 1},
+    }  # fmt: skip
+    with pytest.warns(WarpdiffWarning) as caught:
+        read = factors(file.write(tmp_path / "a.gltf"))
+    messages = [str(warning.message) for warning in caught]
+    assert len(messages) == 2
+    assert "refers to 'missing.png', which is ignored" in messages[0]
+    assert messages[1].endswith("not rendered: metallic-roughness texture, emission with a texture of 'body'")
+    assert (read.metallic[0], read.roughness[0]) == (0.5, 0.25)
     assert not read.emission.any()
 
 

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from warpdiff.scene.material_maps import NotSampled
+    from warpdiff.scene.scene_arrays import PartAppearance
     from warpdiff.scene.scene_parts import Appearance, ScenePart
 
 
@@ -88,12 +90,22 @@ def _checked(material: Appearance, outside: list[str]) -> Appearance:
     return replace(material, **changes) if changes else material
 
 
-def factors_of(materials: Sequence[Appearance]) -> MaterialFactors | None:
-    """Return the factors of materials; None if all are matte and dark."""
-    if not any(_emission(material).any() or material.roughness is not None for material in materials):
+def factors_of(appearances: Sequence[PartAppearance], not_sampled: NotSampled) -> MaterialFactors | None:
+    """Return the factors of materials; None if all are matte and dark.
+
+    Args:
+        appearances: Appearance of each row.
+        not_sampled: Rows whose textures cannot be sampled.
+    """
+    emission = np.array([own.material.emission for own in appearances], dtype=np.float32).reshape(-1, 3)
+    emission[not_sampled.emission] = 0.0
+    if not emission.any() and all(own.material.roughness is None for own in appearances):
         return None
-    metallic, roughness = np.array([_metallic_roughness(material) for material in materials], dtype=np.float32).T
-    emission = np.array([_emission(material) for material in materials], dtype=np.float32)
+    pairs = [
+        _metallic_roughness(own.material, by_mean=bool(missing) and not own.has_map_uvs[0])
+        for own, missing in zip(appearances, not_sampled.metallic_roughness, strict=True)
+    ]
+    metallic, roughness = np.array(pairs, dtype=np.float32).T
     return MaterialFactors(metallic, roughness, emission)
 
 
@@ -112,17 +124,14 @@ def warn_of_hidden_emission(factors: MaterialFactors, rows: NDArray[np.int32], n
         warn(f"{ref('mesh')} has materials whose emission is not rendered where faces have a height field: {listing}")
 
 
-def _metallic_roughness(appearance: Appearance) -> tuple[float, float]:
-    """Return metallic and roughness of a material, with the mean of its texture; the roughness is −1 if it is matte."""
-    if appearance.roughness is None:
+def _metallic_roughness(material: Appearance, *, by_mean: bool) -> tuple[float, float]:
+    """Return metallic and roughness of a material; the roughness is −1 if it is matte.
+
+    ``by_mean`` states whether they are multiplied by the mean of their texture.
+    """
+    if material.roughness is None:
         return 0.0, -1.0
-    texture = appearance.metallic_roughness_texture
+    texture = material.metallic_roughness_texture if by_mean else None
     means = None if texture is None or texture.image is None else mean_values(texture.image)
     _, of_roughness, of_metallic = (1.0, 1.0, 1.0) if means is None else means
-    return appearance.metallic * of_metallic, appearance.roughness * of_roughness
-
-
-def _emission(appearance: Appearance) -> NDArray[np.float64]:
-    """Return the emission of a material. Materials with an emission texture count as dark."""
-    is_textured = appearance.emission_texture is not None
-    return np.zeros(3) if is_textured else np.array(appearance.emission)
+    return material.metallic * of_metallic, material.roughness * of_roughness

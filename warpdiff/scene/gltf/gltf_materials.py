@@ -99,8 +99,7 @@ class Materials:
             emission=cast("tuple[float, float, float]", tuple(emission.tolist())),
             emission_texture=self._texture(material, "emissiveTexture"),
             alpha_mode=cast("AlphaMode", alpha_mode.lower()), alpha_cutoff=material.number("alphaCutoff", 0.5),
-            is_double_sided=material.flag("doubleSided", default=False),
-            not_rendered=_not_rendered(material, metal, emits=bool(emission.any())),
+            is_double_sided=material.flag("doubleSided", default=False), not_rendered=_not_rendered(material),
         )  # fmt: skip
 
     def normal_uv_set(self, index: int) -> int:
@@ -196,23 +195,13 @@ def _wrap(sampler: Element, name: str) -> Wrap:
     return _WRAPS[kind]
 
 
-def _not_rendered(material: Element, metal: Element, *, emits: bool) -> tuple[str, ...]:
-    """Return the features of a material that have no effect on pictures.
-
-    Args:
-        material: The material.
-        metal: Its metallic-roughness model.
-        emits: Whether its emission is not zero.
-    """
+def _not_rendered(material: Element) -> tuple[str, ...]:
+    """Return the features of a material that have no effect on pictures."""
     features = []
     if "normalTexture" in material:
         features.append("normal map")
     if "occlusionTexture" in material:
         features.append("occlusion")
-    if "metallicRoughnessTexture" in metal:
-        features.append("metallic-roughness texture except for its mean")
-    if emits and "emissiveTexture" in material:
-        features.append("emission with a texture")
     extensions = material.element("extensions")
     names = () if extensions is None else (name for name in extensions.values if name not in _READ)
     ior = material.extension("KHR_materials_ior")
