@@ -14,6 +14,10 @@ CONTRAST_BASE = wp.constant(wp.float32(refinement_levels.CONTRAST_BASE))
 CONTRAST_PER_UNEVENNESS = wp.constant(wp.float32(refinement_levels.CONTRAST_PER_UNEVENNESS))
 CONTRAST_PER_CHANGE = wp.constant(wp.float32(refinement_levels.CONTRAST_PER_CHANGE))
 CONTRAST_OF_TEXTURE = wp.constant(wp.float32(refinement_levels.CONTRAST_OF_TEXTURE))
+# Least roughness by which differences of roughness are divided. Choice: smoother surfaces look alike in a picture.
+LEAST_ROUGHNESS = wp.constant(wp.float32(0.05))
+# Largest relative change of colour by textures. Limit: its square times that of a colour is finite in float32.
+MOST_CHANGE = wp.constant(wp.float32(1.0e6))
 TINY = wp.constant(wp.float32(1.0e-30))
 ASLANT = wp.constant(wp.float32(refinement_levels.FILTER_SHARES[0] / refinement_levels.FILTER_SHARES[1]))
 
@@ -70,10 +74,33 @@ def base_colour_change(
     return wp.sqrt(change2 / wp.max(wp.length_sq(own), TINY))
 
 
+@wp.func
+def map_change(
+    metallic_roughness: wp.array(dtype=wp.vec2f), emission: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32),
+    row: wp.int32, column: wp.int32, width: wp.int32, height: wp.int32,
+) -> wp.float32:  # fmt: skip
+    """Return the largest relative change of colour that differences of the textures of plain surfaces may cause.
+
+    The peak of a highlight is proportional to roughness⁻⁴, and its change is four times that of the roughness.
+    """
+    own = metallic_roughness[row * width + column]
+    emitted = emission[row * width + column]
+    change = wp.float32(0.0)
+    for y in range(wp.max(row - 1, 0), wp.min(row + 2, height)):
+        for x in range(wp.max(column - 1, 0), wp.min(column + 2, width)):
+            if hit[y * width + x] != 0:
+                other = metallic_roughness[y * width + x]
+                of_roughness = 4.0 * wp.abs(other[1] - own[1]) / wp.max(own[1], LEAST_ROUGHNESS)
+                of_emission = wp.length(emission[y * width + x] - emitted) / wp.max(wp.length(emitted), TINY)
+                change = wp.max(change, of_roughness + wp.abs(other[0] - own[0]) + of_emission)
+    return change
+
+
 @wp.kernel
 def estimate_errors(
     colours: wp.array(dtype=wp.vec3f), scattering_vectors: wp.array(dtype=wp.vec3d), hit: wp.array(dtype=wp.int32),
-    base_colours: wp.array(dtype=wp.vec3f), width: wp.int32, floor: wp.array(dtype=wp.float32), bound: wp.float32,
+    base_colours: wp.array(dtype=wp.vec3f), metallic_roughness: wp.array(dtype=wp.vec2f),
+    emission: wp.array(dtype=wp.vec3f), width: wp.int32, floor: wp.array(dtype=wp.float32), bound: wp.float32,
     all_pixels: wp.bool, subdivides_silhouettes: wp.bool, first: wp.int32, run: wp.int32,
     errors_out: wp.array(dtype=wp.float32), marks_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
@@ -87,6 +114,8 @@ def estimate_errors(
         scattering_vectors: Scattering vectors of the pixels, (u, v, w).
         hit: Whether the pixels hit the mesh.
         base_colours: Base colours of the pixels, linear RGB; empty without textures.
+        metallic_roughness: Metallic and roughness of textures at the pixels; empty without such textures.
+        emission: Emission of textures at the pixels, linear RGB; empty without such textures.
         width: Number of pixels per row.
         floor: Lower limit of ‖XYZ‖ in the denominator of relative errors.
         bound: Relative error above which pixels are subdivided. With a negative bound, all pixels that hit the mesh are
@@ -135,8 +164,13 @@ def estimate_errors(
         if met == 9:
             weight = contrast_weight(scattering_vectors, pixel, width)
         error = weight * wp.sqrt(contrast2)
-        if base_colours.shape[0] > 0 and met > 1:
-            change = base_colour_change(base_colours, hit, row, column, width, height)
+        if hit[pixel] != 0 and met > 1 and (base_colours.shape[0] > 0 or emission.shape[0] > 0):
+            change = wp.float32(0.0)
+            if base_colours.shape[0] > 0:
+                change = base_colour_change(base_colours, hit, row, column, width, height)
+            if emission.shape[0] > 0:
+                of_maps = map_change(metallic_roughness, emission, hit, row, column, width, height)
+                change = wp.min(change + of_maps, MOST_CHANGE)
             error = wp.max(error, CONTRAST_OF_TEXTURE * wp.sqrt(wp.min(contrast2, change * change * wp.length_sq(own))))
         errors_out[pixel] = wp.where(hit[pixel] != 0, error, 0.0)
         is_silhouette = met < around and subdivides_silhouettes

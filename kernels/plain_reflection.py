@@ -54,7 +54,11 @@ class Gloss:
 @wp.func
 def metallic_roughness_at(materials: PlainMaterials, pixels: Pixels, ray: wp.int32) -> wp.vec2f:
     """Return metallic and perceptual roughness at the hit of a ray; the roughness is negative if it is matte."""
-    return materials.metallic_roughness[materials.rows[pixels.face[ray]]]
+    result = materials.metallic_roughness[materials.rows[pixels.face[ray]]]
+    # The negative roughness of a matte material is no number that a texture multiplies.
+    if result[1] >= 0.0 and pixels.metallic_roughness.shape[0] > 0:
+        result = wp.cw_mul(result, pixels.metallic_roughness[ray])
+    return result
 
 
 @wp.func
@@ -222,6 +226,8 @@ def add_emission(
         cosine = wp.float64(wp.dot(pixels.normal[i], pixels.to_view[i]))
         scattering_vectors_out[i] = wp.vec3d(wp.float64(0.0), wp.float64(0.0), -wp.float64(2.0) * cosine)
         emission = materials.emission[materials.rows[pixels.face[i]]]
+        if pixels.emission.shape[0] > 0:
+            emission = wp.cw_mul(emission, pixels.emission[i])
         if emission[0] + emission[1] + emission[2] > 0.0:
             xyz_out[i] = xyz_out[i] + weight * brightness[0] * wp.vec3f(rgb_to_xyz * wp.vec3d(emission))
             if illuminated_out.shape[0] > 0 and brightness[0] > 0.0:

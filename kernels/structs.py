@@ -69,6 +69,10 @@ class Textures:
     table: wp.array2d(dtype=wp.int32)  # for each texture: index and number of its levels, continuation along u and v
     rows: wp.array(dtype=wp.int32)  # row of each face in the next array; −1 without a material
     of_base_colour: wp.array(dtype=wp.int32)  # texture of each row's base colour; −1 without one
+    of_metallic_roughness: wp.array(dtype=wp.int32)  # that of its metallic (blue) and roughness (green); or empty
+    of_emission: wp.array(dtype=wp.int32)  # that of its emission; or empty
+    metallic_roughness_uvs: wp.array(dtype=wp.vec2f)  # coordinates of these textures at the vertices; or empty
+    emission_uvs: wp.array(dtype=wp.vec2f)  # coordinates of the textures of emission; or empty
 
 
 @wp.struct
@@ -96,3 +100,5 @@ class Pixels:
     to_view: wp.array(dtype=wp.vec3f)  # unit vector ωr to the viewer
     shadow_origin: wp.array(dtype=wp.vec3f)  # origin of shadow rays
     base_colour: wp.array(dtype=wp.vec3f)  # base colour, linear RGB; empty without a pigment
+    metallic_roughness: wp.array(dtype=wp.vec2f)  # factors of metallic and roughness by textures; empty without any
+    emission: wp.array(dtype=wp.vec3f)  # factors of emission by textures, linear RGB; empty without any

@@ -18,6 +18,7 @@ from warpdiff.kernels import (
     colour_lookup,
     light_samples,
     pixel_contrast,
+    plain_textures,
     primary_hits,
     shadow_rays,
     spectrum_sampling,
@@ -44,6 +45,7 @@ KERNELS = {
     "light_samples": {"balance_energy", "pixel_footprints", "scattering_vectors", "select_finish",
                       "add_light_rotation", "add_light_extent", "add_source_extent"},
     "plain_reflection": {"add_plain_reflection", "add_emission"},
+    "plain_textures": {"sample_plain_textures"},
     "plain_samples": {"sample_plain_sky", "draw_plain_disc", "choose_plain_lights"},
     "disc_samples": {"draw_disc"},
     "light_choice": {"choose_lights"},
@@ -112,7 +114,7 @@ def test_every_kernel_module_is_listed_in_this_file():
 @pytest.mark.parametrize(
     "module",
     [
-        bvh, primary_hits, light_samples, pixel_contrast, subdivision, shadow_rays, tile_lists, base_colours,
+        bvh, primary_hits, light_samples, pixel_contrast, plain_textures, subdivision, shadow_rays, tile_lists, base_colours,
         transparency,
     ],
     ids=lambda item: item.__name__,

@@ -18,7 +18,8 @@ from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.request.settings import TANGENT_RULES, TangentRule, check_tangents
 from warpdiff.scene.direction_fields import Body, direction_field
-from warpdiff.scene.material_factors import factors_of, warn_of_hidden_emission
+from warpdiff.scene.material_factors import checked_parts, factors_of, warn_of_hidden_emission
+from warpdiff.scene.material_maps import NotSampled, maps_of
 from warpdiff.scene.mesh_files import UNNAMED
 from warpdiff.scene.mesh_geometry import (
     FaceGeometry,
@@ -54,7 +55,7 @@ if TYPE_CHECKING:
 
     from warpdiff.scene.material_factors import MaterialFactors
     from warpdiff.scene.scene_parts import ScenePart
-    from warpdiff.scene.textures import Texture
+    from warpdiff.scene.textures import MaterialMaps, Texture
 
 # Remedy in messages about a mesh without directions.
 _HOW_TO_GET_TANGENTS = (
@@ -88,7 +89,7 @@ class Surface:
         geometry_names: Names of the geometries, which all differ; "mesh 0" for a single mesh without a name.
         materials: For each face, the index of its material in ``material_names``, shape (m,), int32; −1 without one.
         material_names: Names of the materials, which all differ.
-        rows: For each face, the index of its row in the next three attributes, shape (m,), int32; −1 without a
+        rows: For each face, the index of its row in the next four attributes, shape (m,), int32; −1 without a
             material. A material has several rows if only some of its faces have texture coordinates or transparency.
         material_factors: Metallic, roughness and emission by row; None if all are matte and dark.
         textures: Base-colour texture of each row; None without one.
@@ -96,6 +97,7 @@ class Surface:
             that are blended with their background.
         vertex_alphas: Alpha at the vertices, shape (n,), float32, which is 1 where a texture has the alpha; None if it
             is 1 at all vertices.
+        maps: Textures of metallic, roughness and emission of plain faces; None without any.
         is_convex: Whether the mesh bounds a convex body or is in a plane, so that no point on its outside is in shadow.
         centre: Origin of ``vertices``, world frame, shape (3,), float64.
         radius: Unit of ``vertices``, in mesh units.
@@ -122,11 +124,17 @@ class Surface:
     textures: tuple[Texture | None, ...] = ()
     alpha_cutoffs: tuple[float, ...] = ()
     vertex_alphas: NDArray[np.float32] | None = None
+    maps: MaterialMaps | None = None
 
     @property
     def is_textured(self) -> bool:
         """Whether any base colour is that of a texture."""
         return any(texture is not None for texture in self.textures)
+
+    @property
+    def has_maps(self) -> bool:
+        """Whether textures have metallic, roughness or emission of any plain face."""
+        return self.maps is not None
 
     @property
     def is_opaque(self) -> bool:
@@ -175,7 +183,8 @@ def prepare_surface(
         return mesh
     field = _checked_field(tangents)
     with _naming_file(mesh):
-        scene = labelled_parts(mesh)
+        entries, labels = zip(*labelled_parts(mesh), strict=True)
+        scene = [*zip(checked_parts(entries), labels, strict=True)]
         with single_threaded_blas():
             images = TextureImages()
             part = joined([arrays_of(entry, label, images) for entry, label in scene])
@@ -184,10 +193,11 @@ def prepare_surface(
             roles = _FaceRoles.of([entry for entry, _ in scene], part, plain)
             _check_tangents(part, field, roles.is_plain)
             part = with_missing_colours(part, roles.is_plain)
+            part = replace(part, maps=maps_of(scene, part, roles.is_plain, images))
             surface = _build(part, field, roles, in_memory=not isinstance(mesh, (str, os.PathLike)))
-        entries = [entry for entry, _ in scene]
-        warn_of_features(entries)
-        factors = factors_of([own.material for own in part.appearances])
+        not_sampled = NotSampled.of(part, roles.is_plain, part.maps)
+        warn_of_features([entry for entry, _ in scene], not_sampled.features(part.appearances))
+        factors = factors_of(part.appearances, not_sampled)
         if factors is not None:
             names = [own.material.name for own in part.appearances]
             warn_of_hidden_emission(factors, part.rows[~roles.is_plain], names)
@@ -318,6 +328,7 @@ def _build(
         has_poles=isinstance(tangents, str),
     )  # fmt: skip
 
+    single_uvs = uvs.T.astype(np.float32, order="C")
     colours = None if part.colours is None else part.colours[index]
     plain = np.full(3, -1.0 if part.is_textured else 0.0)
     if colours is not None and np.all(colours == colours[0]) and not part.is_textured:
@@ -325,7 +336,7 @@ def _build(
     return Surface(
         vertices=vertices.T.astype(np.float32, order="C"), faces=faces.T.astype(np.int32, order="C"),
         normals=normals.T.astype(np.float32, order="C"), tangents=field.T.astype(np.float32, order="C"),
-        handedness=handedness.astype(np.float32), uvs=uvs.T.astype(np.float32, order="C"),
+        handedness=handedness.astype(np.float32), uvs=single_uvs,
         plain_colour=plain.astype(np.float32), vertex_colours=None if colours is None else colours.astype(np.float32),
         has_base_colour=part.is_textured or part.colours is not None,
         geometries=geometries, materials=materials, rows=rows,
@@ -334,6 +345,7 @@ def _build(
         textures=tuple(own.texture for own in part.appearances),
         alpha_cutoffs=tuple(own.cutoff for own in part.appearances),
         vertex_alphas=None if part.alphas is None else part.alphas[index].astype(np.float32),
+        maps=None if part.maps is None else part.maps.at(index, single_uvs),
     )  # fmt: skip
 
 

@@ -15,12 +15,12 @@ from warpdiff.scene import mesh_files, trimesh_parts
 from warpdiff.scene.mesh_geometry import unit
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable
+    from collections.abc import Hashable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from warpdiff.scene.scene_parts import Appearance, ScenePart
-    from warpdiff.scene.textures import Texture, TextureImages
+    from warpdiff.scene.scene_parts import Appearance, ScenePart, TextureMap
+    from warpdiff.scene.textures import MaterialMaps, Texture, TextureImages
 
 _Name = TypeVar("_Name", bound="Hashable")
 # First words of the label by which messages name a geometry of a scene; the name of the geometry follows.
@@ -36,16 +36,19 @@ class PartAppearance:
         texture: Base-colour texture; None without one, or on a part without its texture coordinates.
         cutoff: Alpha below which rays pass through faces. It is 0 for opaque faces, and negative for faces that are
             blended with their background.
+        has_map_uvs: Whether the part has the texture coordinates of the texture of metallic and roughness, and those of
+            the texture of emission, if these have an image.
     """
 
     material: Appearance
-    texture: Texture | None = None
-    cutoff: float = 0.0
+    texture: Texture | None
+    cutoff: float
+    has_map_uvs: tuple[bool, bool]
 
     @property
     def key(self) -> tuple[object, ...]:
         """Key that is equal for equal appearances; materials of a scene have different names."""
-        return self.material.name, self.texture, self.cutoff
+        return self.material.name, self.texture, self.cutoff, self.has_map_uvs
 
 
 @dataclass
@@ -73,6 +76,7 @@ class SceneArrays:
     rows: NDArray[np.int32]
     appearances: tuple[PartAppearance, ...]
     label: str
+    maps: MaterialMaps | None = None
 
     @property
     def is_textured(self) -> bool:
@@ -102,14 +106,16 @@ def arrays_of(entry: ScenePart, label: str, images: TextureImages | None) -> Sce
     placed = replace(entry, normals=normals, tangents=tangents).placed()
     if not np.isfinite(placed.vertices).all():
         raise ArgumentValueError(f"{label} must be placed at finite coordinates, got a transform with huge numbers")
+    base_texture = None if placed.appearance is None else placed.appearance.base_texture
+    uvs = uvs_at(placed, base_texture, label)
     part = SceneArrays(
         vertices=placed.vertices, faces=placed.faces, source=placed.source, count=placed.source_count,
-        normals=placed.normals, tangents=placed.tangents, uvs=_base_uvs(placed, label), colours=None, alphas=None,
+        normals=placed.normals, tangents=placed.tangents, uvs=uvs, colours=None, alphas=None,
         geometries=np.zeros(len(placed.faces), np.int32), geometry_names=(placed.geometry or mesh_files.UNNAMED,),
         materials=np.full(len(placed.faces), -1 if placed.appearance is None else 0, np.int32),
         material_names=() if placed.appearance is None else (placed.appearance.name,),
         rows=np.full(len(placed.faces), -1 if placed.appearance is None else 0, np.int32),
-        appearances=() if placed.appearance is None else (PartAppearance(placed.appearance),), label=label,
+        appearances=() if placed.appearance is None else (_of_part(placed, placed.appearance, None, 0.0),), label=label,
     )  # fmt: skip
     if images is not None:
         _take_colours(placed, part, images)
@@ -144,9 +150,23 @@ def _sound(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(result)
 
 
-def _base_uvs(part: ScenePart, label: str) -> NDArray[np.float64] | None:
-    """Return the coordinates at which the base-colour texture is sampled, shape (n, 2), or None without any."""
-    texture = None if part.appearance is None else part.appearance.base_texture
+def _of_part(part: ScenePart, material: Appearance, texture: Texture | None, cutoff: float) -> PartAppearance:
+    """Return the appearance of a material on a part."""
+    of_roughness, of_emission = (
+        source is not None and source.image is not None and source.uv_set in part.uvs
+        for source in (material.metallic_roughness_texture, material.emission_texture)
+    )
+    return PartAppearance(material, texture, cutoff, (of_roughness, of_emission))
+
+
+def uvs_at(part: ScenePart, texture: TextureMap | None, label: str) -> NDArray[np.float64] | None:
+    """Return the coordinates at which a texture is sampled, shape (n, 2), or None without any.
+
+    Args:
+        part: Part of a scene.
+        texture: The texture; None has the first texture coordinates, without a transform.
+        label: Label of the part for messages.
+    """
     uvs = part.uvs.get(0 if texture is None else texture.uv_set)
     if uvs is None:
         return None
@@ -172,19 +192,18 @@ def _take_colours(entry: ScenePart, part: SceneArrays, images: TextureImages) ->
             texture = images.texture(source, (1.0,) * 4 if colour is None else colour)
             if texture is not None:
                 cutoff = _cutoff(appearance, float(texture.texels[..., 3].min()))
-                part.appearances = (PartAppearance(appearance, texture, cutoff),)
+                part.appearances = (_of_part(entry, appearance, texture, cutoff),)
                 return
         colour = appearance.fallback_colour or colour if source.image is not None else colour
     alphas = np.full(len(part.vertices), 1.0 if colour is None else colour[3])
     if entry.colours is not None:
-        colours = np.nan_to_num(entry.colours, posinf=1.0, neginf=0.0).clip(0.0, None)
-        part.colours = colours[:, :3] if colour is None else colours[:, :3] * np.array(colour[:3])
-        alphas *= colours[:, 3]
+        part.colours = entry.colours[:, :3] if colour is None else entry.colours[:, :3] * np.array(colour[:3])
+        alphas *= entry.colours[:, 3]
     elif colour is not None:
         part.colours = np.tile(np.array(colour[:3]), (len(part.vertices), 1))
     if appearance is not None:
         cutoff = _cutoff(appearance, float(alphas.min()))
-        part.appearances = (PartAppearance(appearance, None, cutoff),)
+        part.appearances = (_of_part(entry, appearance, None, cutoff),)
         part.alphas = alphas if cutoff else None
 
 
@@ -197,13 +216,18 @@ def _cutoff(appearance: Appearance, least: float) -> float:
     return appearance.alpha_cutoff if least < appearance.alpha_cutoff else 0.0
 
 
-def warn_of_features(parts: list[ScenePart]) -> None:
-    """Warn once of the features of the scene's materials that have no effect on pictures."""
+def warn_of_features(parts: list[ScenePart], not_sampled: Mapping[str, Sequence[str]]) -> None:
+    """Warn once of the features of the scene's materials that have no effect on pictures.
+
+    Args:
+        parts: Parts of the scene.
+        not_sampled: Texts about textures that cannot be sampled, by the names of materials.
+    """
     features: dict[str, dict[str, None]] = {}
     for part in parts:
         if part.appearance is None:
             continue
-        names = dict.fromkeys(part.appearance.not_rendered)
+        names = dict.fromkeys([*part.appearance.not_rendered, *not_sampled.get(part.appearance.name, ())])
         texture = part.appearance.base_texture
         if texture is not None and texture.image is not None:
             if texture.uv_set not in part.uvs:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.scene.scene_parts import Wrap
-    from warpdiff.scene.textures import Texture
+    from warpdiff.scene.textures import MaterialMaps, Texture
 
 # Size of a texel, and memory for the reductions of an image while they are made, per texel of the image [bytes].
 # Derived: four float32; a third of it for all reductions, and half of it for the first one before it is halved again.
@@ -27,13 +28,17 @@ _BYTES_PER_TEXEL, _BYTES_OF_REDUCTIONS = 16.0, 16.0 / 3.0 + 8.0
 _WRAPS: dict[Wrap, int] = {"repeat": 0, "clamp": 1, "mirror": 2}
 
 
-def table_of(of_base_colour: Sequence[Texture | None], rows: NDArray[np.int32], device: wp.DeviceLike) -> Textures:
+def table_of(
+    of_base_colour: Sequence[Texture | None], rows: NDArray[np.int32], device: wp.DeviceLike,
+    maps: MaterialMaps | None = None,
+) -> Textures:  # fmt: skip
     """Return the textures of a scene on a device, with the pyramids of their images.
 
     Args:
         of_base_colour: Texture of each row's base colour; None without one.
         rows: Row of each face; −1 without a material.
         device: Warp device.
+        maps: Textures of metallic, roughness and emission; None without any. Their coordinates are not in the result.
 
     Raises:
         MemoryError: The pyramids require more memory than is free, or more than 2,147,483,647 texels.
@@ -43,7 +48,8 @@ def table_of(of_base_colour: Sequence[Texture | None], rows: NDArray[np.int32], 
     arrays: list[NDArray[np.float32]] = []
     entries: dict[Texture, tuple[int, int, int, int]] = {}
     count = 0
-    for texture in of_base_colour:
+    by_use = [of_base_colour] if maps is None else [of_base_colour, maps.metallic_roughness, maps.emission]
+    for texture in itertools.chain(*by_use):
         if texture is None or texture in entries:
             continue
         height, width, _ = texture.texels.shape
@@ -67,8 +73,9 @@ def table_of(of_base_colour: Sequence[Texture | None], rows: NDArray[np.int32], 
     result.levels = wp.array(np.array(levels, np.int32).reshape(-1, 3), dtype=wp.int32, device=device)
     result.table = wp.array(np.array([*entries.values()], np.int32).reshape(-1, 4), dtype=wp.int32, device=device)
     numbers = {texture: number for number, texture in enumerate(entries)}
-    of_rows = [-1 if texture is None else numbers[texture] for texture in of_base_colour]
-    result.of_base_colour = wp.array(np.array(of_rows, np.int32), dtype=wp.int32, device=device)
+    for name, textures in zip(("of_base_colour", "of_metallic_roughness", "of_emission"), by_use, strict=False):
+        of_rows = [-1 if texture is None else numbers[texture] for texture in textures]
+        setattr(result, name, wp.array(np.array(of_rows, np.int32), dtype=wp.int32, device=device))
     result.rows = wp.array(rows, dtype=wp.int32, device=device)
     return result
 

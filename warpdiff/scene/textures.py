@@ -41,23 +41,65 @@ class Texture:
     wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
 
 
+@dataclass(frozen=True, eq=False)
+class MaterialMaps:
+    """Textures of metallic, roughness and emission of a mesh, by row of its materials.
+
+    Attributes:
+        metallic_roughness: Texture with roughness in green and metallic in blue, linear; None where a row has none.
+        emission: Texture of emission; None where a row has none.
+        metallic_roughness_uvs: Texture coordinates of the first ones, shape (n, 2); NaN at vertices without them. None
+            if they are those of the base colour.
+        emission_uvs: Texture coordinates of the textures of emission.
+    """
+
+    metallic_roughness: tuple[Texture | None, ...]
+    emission: tuple[Texture | None, ...]
+    metallic_roughness_uvs: NDArray[np.floating] | None
+    emission_uvs: NDArray[np.floating] | None
+
+    def at(self, index: NDArray[np.int64], uvs: NDArray[np.float32]) -> MaterialMaps:
+        """Return the maps of a mesh with other vertices.
+
+        Args:
+            index: Index of each new vertex among the present ones.
+            uvs: Texture coordinates of the base colour at the new vertices, shape (n, 2).
+        """
+
+        def moved(values: NDArray[np.floating] | None) -> NDArray[np.float32] | None:
+            if values is None:
+                return None
+            own = values[index].astype(np.float32)
+            own = np.where(np.isnan(own), uvs, own)
+            return None if np.array_equal(own, uvs) else own
+
+        return MaterialMaps(
+            self.metallic_roughness, self.emission, moved(self.metallic_roughness_uvs), moved(self.emission_uvs)
+        )
+
+
 class TextureImages:
     """Decoded images of a scene. Equal images times equal colours are stored once."""
 
     def __init__(self) -> None:
-        self._decoded: list[tuple[Image.Image, NDArray[np.float32] | None]] = []
+        self._decoded: list[tuple[Image.Image, bool, NDArray[np.float32] | None]] = []
         self._by_content: dict[bytes, NDArray[np.float32]] = {}
         self._textures: list[tuple[NDArray[np.float32], NDArray[np.float64], Texture]] = []
 
-    def texture(self, source: TextureMap, colour: Sequence[float]) -> Texture | None:
+    def texture(self, source: TextureMap, colour: Sequence[float], *, is_data: bool = False) -> Texture | None:
         """Return an image times a linear RGBA, or None with a warning if the image is damaged.
+
+        Args:
+            source: The image and its addressing.
+            colour: Linear RGBA.
+            is_data: Whether the numbers of the image are linear, not encoded in sRGB.
 
         Raises:
             MemoryError: The image requires more memory than is free.
         """
         if source.image is None:
             return None
-        pixels = self._pixels(source.image)
+        pixels = self._pixels(source.image, is_data=is_data)
         if pixels is None:
             return None
         factor = np.array(colour, dtype=np.float64)
@@ -81,20 +123,20 @@ class TextureImages:
         self._textures.append((pixels, factor, texture))
         return texture
 
-    def _pixels(self, image: Image.Image) -> NDArray[np.float32] | None:
-        for known, pixels in self._decoded:
-            if known is image:
+    def _pixels(self, image: Image.Image, *, is_data: bool) -> NDArray[np.float32] | None:
+        for known, as_data, pixels in self._decoded:
+            if known is image and as_data == is_data:
                 return pixels
         require_memory(
             _BYTES_PER_TEXEL * image.width * image.height,
             f"the texture {_name_of(image)!r} of {ref('mesh')}, {image.width} × {image.height} pixels,",
             "give an image with {side} times the width and height",
         )
-        pixels = mesh_images.linear_rgba(image)
+        pixels = mesh_images.linear_rgba(image, is_data=is_data)
         if pixels is not None:
             digest = hashlib.blake2b(str(pixels.shape).encode() + pixels.tobytes()).digest()
             pixels = self._by_content.setdefault(digest, pixels)
-        self._decoded.append((image, pixels))
+        self._decoded.append((image, is_data, pixels))
         return pixels
 
 
