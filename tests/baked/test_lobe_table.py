@@ -67,7 +67,9 @@ def test_an_illuminant_is_part_of_the_colours_and_of_the_file(fingers, tmp_path)
 
 
 def test_a_material_is_part_of_the_colours_and_of_the_file(tmp_path):
-    """Baked colours of gold must equal the float64 reference, which computes reflectances from characteristic matrices.
+    """Baked colours of gold must equal the float64 reference.
+
+    The reference computes reflectances from characteristic matrices, and shares no code with the library.
     """
     gold = wd.Material.metal("Au")
     small = wd.gratings.fingers(size_um=6.4, seed=4)

@@ -211,8 +211,7 @@ def test_terms_fill_whole_registers_up_to_the_size_of_the_basis(start):
 
 @pytest.mark.parametrize(("of_amplitudes", "automatic"), [(0.4, True), (0.6, True), (0.4, False)])
 def test_a_series_of_amplitudes_replaces_powers_that_cancel(start, of_amplitudes, automatic):
-    """A series of amplitudes must replace a basis of powers only if the error of the series is less than half as large.
-    """
+    """A series of amplitudes must replace a basis of powers only if its error is less than half as large."""
     trial = SimpleNamespace(integrates=False, reference=dataclasses.replace(start, method="jacobi-anger", terms=40))
     trial.order_rate = trial.w = np.ones(1)
     trial.training_error = lambda plan: of_amplitudes if plan.method == "jacobi-anger" else 1.0

@@ -107,7 +107,8 @@ def test_the_reference_luminance_is_a_percentile_or_the_median_of_the_light():
     weights = np.ones(1005)
     assert trial.reference_luminance(luminance, weights) == 1000.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 1.0
-    # Of 1,005 directions, 20 are bright, which is 2 %. The 99th percentile is therefore their luminance.
+    # The call has 1,005 directions, of which 20 are bright, which is 2 %. The 99th percentile of the luminance is
+    # therefore the luminance of these bright directions.
     luminance[-20:] = 50.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 50.0
     # If each bright direction has a quarter of its weight, the bright directions have 0.5 % of the total weight. The

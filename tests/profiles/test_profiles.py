@@ -1,5 +1,4 @@
-"""Profiles: the surfaces that their parameters define, and derivatives compared with complex steps and with transposes.
-"""
+"""Profiles: the surfaces that their parameters define, and derivatives compared with complex steps and transposes."""
 
 import numpy as np
 import pytest

@@ -58,7 +58,9 @@ def test_rows_of_mip_levels_are_stored_one_after_another(coherence):
 
 @pytest.mark.parametrize("coherence", [wd.Coherence(sigma_um=3.25), wd.Coherence("source", angular_diameter_deg=2.0)])
 def test_two_computations_of_the_zeroth_order_agree(coherence):
-    """The zeroth order of a colour table must equal that of baked lobes, which is computed from a histogram of heights.
+    """The zeroth order of a colour table must equal that of baked lobes.
+
+    Baking computes the zeroth order in another way, from a histogram of heights.
     """
     surface = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=3)
     plan = wd.plan(surface, coherence=coherence, method="low-rank", tolerance=1e-2, strict=False)
