@@ -264,9 +264,9 @@ def sample_sky(
         index = sample_index(tiles, width, across, i, sample, samples)
         point = light_point(index)
         within = filter_point(index)
-        # Draw a point of the pixel filter (Box and Muller), and rotate the normal so that (u, v) changes as the
-        # footprint states. If the normal rotates by an angle, (u, v) of light from the mirror direction changes by 2
-        # cos θ times the angle.
+        # Draw a point of the pixel filter (Box and Muller). Then rotate the normal until (u, v) has changed as much as
+        # between the centre of the footprint and this point. If the normal rotates by an angle, (u, v) of light from
+        # the mirror direction changes by 2 cos θ times the angle.
         size = wp.sqrt(-2.0 * wp.log(1.0 - within[0]))
         angle = wp.static(2.0 * math.pi) * within[1]
         right = size * wp.cos(angle)

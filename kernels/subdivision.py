@@ -6,8 +6,8 @@ from warpdiff.kernels import compile_options, refinement_levels
 
 wp.set_module_options(compile_options.options("cell_splats.h"))
 
-# Marks of pixels. ``ACTIVE`` pixels are subdivided into cells. ``SHARED`` pixels use the cells of neighbouring pixels.
-# A pixel with the mark 0 keeps the colour of its one ray.
+# Marks of pixels. A pixel marked ``ACTIVE`` is subdivided into cells. A pixel marked ``SHARED`` is not subdivided, but
+# is a weighted sum over the cells of neighbouring pixels. A pixel with the mark 0 keeps the colour of its single ray.
 ACTIVE = wp.constant(wp.uint8(1))
 SHARED = wp.constant(wp.uint8(2))
 # Bits that describe the cells of a tile (a subdivided pixel), as in kernels/native/cell_splats.h. LIT is set if at
@@ -139,8 +139,8 @@ def estimate_errors(
                         met += 1
                         if line * side == 0 and line != side:
                             beside += 1
-                        # Diagonal neighbours are included: the weight of a diagonal neighbour in the pixel filter is
-                        # small, but the neighbour may be far brighter.
+                        # Diagonal neighbours are included with a smaller weight: their weight in the pixel filter is
+                        # small, but they may be far brighter than the pixel.
                         share = wp.where(line * side == 0, 1.0, ASLANT)
                         contrast2 = wp.max(contrast2, share * share * wp.length_sq(colours[other] - own))
         if beside == 0:
@@ -325,8 +325,8 @@ def select_levels(
                 quadrant_at(sums, levels_out, y, x + 1, width, height),
             )  # fmt: skip
         # The variable ``second`` is half the root mean square of the second differences of colour at the four
-        # quadrants. The change from the colour by one ray may be small by chance; the change is therefore limited to
-        # the range from half of ``second`` to ``second``.
+        # quadrants. The difference from the colour by one ray may be small by chance. It is therefore limited to the
+        # range from half of ``second`` to ``second``.
         second = 0.5 * wp.sqrt(0.25 * square)
         change = wp.clamp(changes_out[rank], 0.5 * second, second)
         need = wp.float32(0.0)
@@ -347,8 +347,8 @@ def select_levels(
             change = change * EDGE_FACTOR
         changes_out[rank] = change
         # To select a level, errors are assumed to be proportional to n⁻², where n is the number of cells along an axis.
-        # For reported errors, n^−ERROR_ORDER is assumed, which is more cautious. The level is rounded to a whole
-        # number.
+        # For reported errors, a proportionality to n^−ERROR_ORDER is assumed, which predicts larger errors. The level
+        # is rounded to a whole number.
         cells = 2.0 * wp.sqrt(CAUTION * need * change / tolerance)
         level = wp.clamp(wp.int32(wp.floor(wp.log2(wp.max(cells, 1.0)) + 0.5)), base, most)
         if (lighting & MISSED) != wp.uint8(0) and (lighting & (LIT | UNLIT)) != wp.uint8(0):

@@ -9,7 +9,8 @@
 
 namespace warpdiff {
 
-// Buffer of `length` rows of the spectrum along one azimuth, one row per ring. Colours are computed from these rows.
+// Buffer for the rows of the spectrum along one azimuth, from which colours are computed. It has `length` rows, one per
+// ring.
 template <int TERMS>
 struct AzimuthRows {
     typedef typename Row<TERMS>::Vector Vector;
