@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
 
 
-# Size that is assumed for an axis with a single sample [µm]. Neighbouring diffraction orders have a distance of λ
-# divided by the size in (u, v). With a size far below a wavelength, order 0 is the only order near any direction.
+# Size that is assumed for an axis with a single sample [µm]. In (u, v), the distance between neighbouring diffraction
+# orders is λ divided by the size. With a size far below a wavelength, order 0 is the only order near any direction.
 _CONSTANT_AXIS_UM = 0.01
 
 
@@ -164,8 +164,8 @@ def series_coefficients(
         result[:, :, n] = (1j**n) * np.where(r[None, :] >= 0, half.conj(), half) * phase
 
     with ThreadPoolExecutor(max_workers=max(1, threads)) as pool:
-        # The number of polynomials that are computed at a time is the number that the threads can transform at a time,
-        # because a polynomial is an array as large as the heights.
+        # A polynomial is an array as large as the heights. To save memory, only as many polynomials are computed at a
+        # time as the threads can transform at a time.
         for first in range(0, terms, max(1, threads)):
             batch = [(n, next(polynomials)) for n in range(first, min(terms, first + max(1, threads)))]
             list(pool.map(lambda task: transform(*task), batch))

@@ -23,14 +23,17 @@ _DEGREE = 12
 
 
 def _shape(taps: int) -> float:
-    """Return the shape parameter β of the Kaiser-Bessel kernel for an oversampling of 2 (Beatty et al. 2005, eq. 5)."""
+    """Return the shape parameter β of the Kaiser-Bessel kernel that covers ``taps`` frequencies.
+
+    The formula is for an oversampling of 2 (Beatty et al. 2005, eq. 5).
+    """
     return math.pi * math.sqrt((taps / 2.0 * 1.5) ** 2 - 0.8)
 
 
 def kernel(distance: NDArray[np.float64], taps: int) -> NDArray[np.float64]:
     """Return the Kaiser-Bessel kernel at distances in steps of the frequency grid: 1 at 0, and 0 beyond ``taps``/2.
 
-    It covers ``taps`` frequencies of the grid.
+    The kernel covers ``taps`` frequencies of the grid.
     """
     inside = 1.0 - (2.0 * distance / taps) ** 2
     values = np.i0(_shape(taps) * np.sqrt(np.maximum(inside, 0.0))) / np.i0(_shape(taps))

@@ -64,8 +64,8 @@ def gain(
     cos_i, cos_r = to_light[:, 2], to_view[:, 2]
     above = (cos_i > HORIZON) & (cos_r > HORIZON)
     half = to_light + to_view
-    # 1 + ωi·ωr is computed as |ωi + ωr|²/2, because the direct formula would subtract nearly equal numbers. The sum is
-    # 0 only for opposite directions, one of which is below the horizon.
+    # 1 + ωi·ωr is computed as |ωi + ωr|²/2, because the direct formula would subtract nearly equal numbers. The result
+    # is 0 only if ωi and ωr are opposite directions. One of them is then below the horizon.
     overlap = np.sum(half * half, axis=1) / 2.0
     safe = np.where(above, overlap, 1.0)
     cos_d = np.sqrt(safe / 2.0)
