@@ -19,7 +19,7 @@ from warpdiff.tables.polar_grid import PolarGrid, azimuth_counts
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Largest |(u, v)| of a scattering vector, that of light and view in the same direction along the surface.
+# Largest |(u, v)| of a scattering vector. It occurs if light and view have the same direction along the surface.
 _LARGEST = 2.0
 # Radius |(u, v)| of the innermost ring, as a share of the standard deviation of a lobe (the peak of a diffraction
 # order). Within this radius, colours are constant.

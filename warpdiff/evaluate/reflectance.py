@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     from warpdiff.request.keywords import BrdfKeywords, EvaluationKeywords, PlannedKeywords, SpectralKeywords
     from warpdiff.request.plan import Plan
 
-# The direct method halves the step between wavelengths until the change of XYZ, relative to XYZ, is at most this share
-# of the tolerance.
+# The direct method halves the step between wavelengths until XYZ has converged: the change of XYZ, relative to XYZ, is
+# at most this share of the tolerance.
 _DIRECT_SETTLED = 0.05
 # Maximum number of wavelengths of the direct method. The value is limited by computing time, which is proportional to
 # it; one direction with so many wavelengths requires several seconds.
