@@ -6,6 +6,10 @@ patch, the amplitude at q is interpolated between coefficients instead, and the 
 interference factor of the periods. A coefficient is the scalar product of two vectors: its row in a table, and the
 values of the basis functions at κ = w/λ. All coefficients share the same basis functions. Their values are interpolated
 from a second table, so that the kernels serve any series.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal. θd is half of the angle between the directions to the
+light and to the viewer, so that cos θd = |(u, v, w)|/2.
 """
 
 import functools

@@ -13,6 +13,9 @@ A pixel covers a range of (u, v). As powers add, the mean colour of the pixel fo
 in angle and in ratio of radii is the same at all wavelengths. Mip levels of the table are blurred in angle, and have
 fewer azimuths. A look-up blurs in ratio by adding more rings. The spectral lines of an endless surface under a light
 source are blurred by the source in the same way.
+
+κ is w/λ. θd is half of the angle between the directions to the light and to the viewer, so that cos θd = |(u, v, w)|/2.
+s is the standard deviation of the directions to a light source.
 """
 
 import functools

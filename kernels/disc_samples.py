@@ -1,6 +1,9 @@
 """Disc samples: random directions to a disc light.
 
 Each sample represents a small Gaussian of directions. All samples of a ray together cover the disc of the light.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer. θi is the angle of ωi from the normal.
 """
 
 import math

@@ -1,4 +1,7 @@
-"""Light samples: scattering vectors, gains and footprints at hits under one light."""
+"""Light samples: scattering vectors, gains and footprints at hits under one light.
+
+ωi and ωr are the unit vectors to the light and to the viewer, in the frame of the surface.
+"""
 
 import warp as wp
 

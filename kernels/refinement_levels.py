@@ -1,6 +1,9 @@
 """Refinement levels: subpixel cells, the pixel filter, and the error model of refinement.
 
 The module does not import Warp, so that Python code can use these numbers without loading Warp.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
 """
 
 import math

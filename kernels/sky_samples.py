@@ -3,6 +3,9 @@
 The first kind of sample draws (u, v) from a table of the surface's colours. The second kind draws a direction from
 blocks of the sky, with a probability proportional to their brightness. The weight of a sample is one over the sum of
 its densities in the two kinds (balance heuristic, Veach 1997).
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer. θi is the angle of ωi from the normal.
 """
 
 import math

@@ -2,6 +2,9 @@
 
 Positions are in units in which the mesh fills the unit sphere around the origin. Relative rounding errors in float32
 then depend neither on the size of the mesh nor on its distance from the origin of the world.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer. n is the shading normal.
 """
 
 import warp as wp

@@ -1,4 +1,8 @@
-"""Adaptive subdivision: kernels that estimate errors, add subpixel cells to pixels, and select levels of tiles."""
+"""Adaptive subdivision: kernels that estimate errors, add subpixel cells to pixels, and select levels of tiles.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
+"""
 
 import warp as wp
 

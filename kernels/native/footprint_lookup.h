@@ -6,6 +6,9 @@
 // The colour at a ring is a weighted sum over azimuths. It uses the widest mip level whose blur does not exceed the
 // blur of the footprint. The CPU processes batches of pixels stage by stage, with arrays between the stages, so that
 // compilers vectorise the loops. A GPU thread processes one pixel, part and segment at a time.
+//
+// (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+// light and to the viewer.
 
 #pragma once
 

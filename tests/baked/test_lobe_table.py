@@ -1,4 +1,8 @@
-"""Baked lobes and spectra, compared with closed forms, the float64 reference and the original height fields."""
+"""Baked lobes and spectra, compared with closed forms, the float64 reference and the original height fields.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer. σ is the standard deviation of the coherence window.
+"""
 
 import dataclasses
 import math

@@ -1,4 +1,8 @@
-"""Upper-bound plans, which calls with few directions use, meet the tolerance. Each tested call once exceeded it."""
+"""Upper-bound plans, which calls with few directions use, meet the tolerance. Each tested call once exceeded it.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal, and κ is w/λ.
+"""
 
 import math
 import warnings

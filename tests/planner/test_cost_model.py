@@ -1,4 +1,7 @@
-"""Cost model: how its estimates scale with the numbers of a plan."""
+"""Cost model: how its estimates scale with the numbers of a plan.
+
+q is a spatial frequency, and σ the standard deviation of the coherence window.
+"""
 
 import dataclasses
 import math

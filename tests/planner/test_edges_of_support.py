@@ -1,4 +1,8 @@
-"""Plans near the limits of support: the largest neighbourhood, and the Nyquist limit of the pitch."""
+"""Plans near the limits of support: the largest neighbourhood, and the Nyquist limit of the pitch.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
+"""
 
 from types import SimpleNamespace
 

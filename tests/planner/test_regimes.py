@@ -1,4 +1,8 @@
-"""Automatic plans where fixed methods or settings fail: results meet the tolerance or are refused with a reason."""
+"""Automatic plans where fixed methods or settings fail: results meet the tolerance or are refused with a reason.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal, and κ is w/λ. H_m is the Fourier coefficient of order m.
+"""
 
 import math
 

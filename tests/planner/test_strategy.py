@@ -1,4 +1,8 @@
-"""Strategy: direction ranges of a call, and the choice between bounds, search and table."""
+"""Strategy: direction ranges of a call, and the choice between bounds, search and table.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal.
+"""
 
 import dataclasses
 import math

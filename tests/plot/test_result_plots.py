@@ -1,4 +1,8 @@
-"""Plots of results (orders, spectra, colours, errors, plans): drawn values equal closed forms and the results."""
+"""Plots of results (orders, spectra, colours, errors, plans): drawn values equal closed forms and the results.
+
+κ is w/λ, the normal component w of the scattering vector divided by the wavelength. H is the Fourier coefficient of an
+order.
+"""
 
 import dataclasses
 import math

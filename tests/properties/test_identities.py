@@ -1,4 +1,8 @@
-"""Identities of every height field: reciprocity, symmetry, invariance, energy and direction of reflection."""
+"""Identities of every height field: reciprocity, symmetry, invariance, energy and direction of reflection.
+
+κ is w/λ, the normal component w of the scattering vector divided by the wavelength. C is the geometry factor, and M the
+masking and shadowing by the relief.
+"""
 
 import math
 

@@ -1,4 +1,8 @@
-"""Plans: their numbers for a tolerance, their text, their effect on results, and cached coefficient tables."""
+"""Plans: their numbers for a tolerance, their text, their effect on results, and cached coefficient tables.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
+"""
 
 import dataclasses
 import gc

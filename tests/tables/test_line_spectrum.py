@@ -1,4 +1,8 @@
-"""Tables for sources, whose lines are blurred during look-ups: comparison with reference, closed forms and sampling."""
+"""Tables for sources, whose lines are blurred during look-ups: comparison with reference, closed forms and sampling.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
+"""
 
 import dataclasses
 

@@ -1,4 +1,8 @@
-"""``bake``: computes the smallest table of a height field's colours that meets a colour difference."""
+"""``bake``: computes the smallest table of a height field's colours that meets a colour difference.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""``BakedLobes``: table of a height field's colours in all directions, and its file; the height field is not needed."""
+"""``BakedLobes``: table of a height field's colours in all directions, and its file; the height field is not needed.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal, and κ is w/λ. K is the number of functions of w in a
+table.
+"""
 
 from __future__ import annotations
 

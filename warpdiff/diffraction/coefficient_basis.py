@@ -11,6 +11,9 @@ requires:
   powers add, and amplitudes otherwise. On an interval of length L, functions of bandwidth B have about B·L dimensions.
   Polynomials need π/2 times as many terms, and a series about κ = 0 several times as many. Coefficients of real
   surfaces span even fewer dimensions.
+
+H_rs is the Fourier coefficient of exp(2πiκh) at the frequency (r/Lx, s/Ly), where h are the heights and Lx and Ly the
+sides of the period.
 """
 
 from __future__ import annotations

@@ -4,6 +4,9 @@ The sum has no expansion in κ = w/λ, no FFT and no table. At every wavelength 
 samples h, and its Fourier coefficients are explicit sums over these samples. The result includes every coefficient
 whose frequency is within eight standard deviations of the direction's frequency (u, v)/λ. For a finite number of
 periods, there is no such neighbourhood: the spectrum is computed at the direction itself.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal.
 """
 
 from __future__ import annotations

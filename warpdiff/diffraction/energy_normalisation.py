@@ -11,6 +11,9 @@ K grows without bound where an order leaves along the horizon. For directions ne
 therefore not 1. It is given by the function `rise`, which falls to 0 at the horizon, so that efficiencies are
 continuous where an order begins or ceases to propagate. The remaining power of such a direction goes to its mirror
 direction: at grazing incidence every surface becomes a mirror.
+
+ωi and ωr are the unit vectors to the light and along an order, with the angles θi and θr from the normal. (u, v, w) is
+−ωi − ωr, and κ is w/λ. H_q is the Fourier coefficient of exp(2πiκh) at the frequency q, where h are the heights.
 """
 
 from __future__ import annotations

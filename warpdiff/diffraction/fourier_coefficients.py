@@ -9,6 +9,9 @@ Here N is the number of samples, and g = (h − c)/a are the heights after an of
 polynomials p_n(g) and the functions b_n(x) belong to the series: gⁿ and xⁿ/n! to the Taylor series, Chebyshev
 polynomials and Bessel functions to the Jacobi-Anger series. The first factor is a phase that is common to all
 coefficients and does not change a power.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer. w is its component along the normal.
 """
 
 from __future__ import annotations

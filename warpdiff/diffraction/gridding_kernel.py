@@ -4,6 +4,8 @@ The spectrum of a patch is a smooth function of frequency, because the patch has
 exp(2πiκh) at the heights h are divided by the Fourier transform of the kernel. Then the spectrum is computed at twice
 as many frequencies as the patch has samples. At any other frequency, the spectrum is a weighted sum over a few of these
 frequencies (non-uniform FFT; Fessler and Sutton 2003, Barnett et al. 2019).
+
+κ is w/λ, the normal component w of the scattering vector divided by the wavelength.
 """
 
 from __future__ import annotations

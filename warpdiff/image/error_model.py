@@ -2,6 +2,8 @@
 
 The constants were fitted such that the estimates bound 95 % of the errors of pictures, relative to pictures with many
 rays per pixel: see docs/decisions/error_estimates.md.
+
+Y* is the reference luminance of a picture, about the luminance of its brightest pixels.
 """
 
 from __future__ import annotations

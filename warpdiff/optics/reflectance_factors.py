@@ -1,6 +1,11 @@
 """Factors of the reflectance that depend on directions, material and coherence, but not on the height field.
 
 Directions are unit vectors in the local frame, away from the surface: x along the tangent, z along the normal.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal. |P|² is the power that the surface diffracts into a
+direction, relative to a flat mirror in its mirror direction. ρ is the reflectance relative to a flat mirror, and C is
+the geometry factor between ⟨|P|²⟩ and ρ without masking.
 """
 
 from __future__ import annotations

@@ -7,6 +7,9 @@ have a number of subdivisions per wavelength. The search makes one coordinate af
 budget permits. The budget grows from coordinate to coordinate; the part of the budget that one coordinate does not use
 remains for the coordinates after it. Errors are measured on the training set against a reference. The validation set
 then checks the result. If the result fails, the coordinate with the largest effect is refined.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Errors and warnings of the planner, with remedies, for calls that it cannot plan or that may be inaccurate."""
+"""Errors and warnings of the planner, with remedies, for calls that it cannot plan or that may be inaccurate.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,9 @@
 """Trial of plans: errors on a training set and on a validation set, against a reference plan.
 
 A search may try any number of plans on the training set. The validation set judges only the result of the search.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal.
 """
 
 from __future__ import annotations

@@ -6,6 +6,9 @@ Edge cases are near the mirror direction, near strong diffraction orders, at the
 the ends of the ranges of the call, such as grazing directions. A coarse plan estimates the luminance of the candidates.
 The training set and the validation set are drawn from the candidates; bright candidates are drawn with a higher
 probability. The weight of a drawn direction is proportional to the number of the call's directions that it represents.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Range of the directions of a call, and a sample of these directions on which the planner tries plans."""
+"""Range of the directions of a call, and a sample of these directions on which the planner tries plans.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Tables of the Fourier coefficients of a height field on a device, in the layout that kernels read, with a cache."""
+"""Tables of the Fourier coefficients of a height field on a device, in the layout that kernels read, with a cache.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal, and κ is w/λ.
+"""
 
 from __future__ import annotations
 

@@ -3,6 +3,8 @@
 A colour curve is a product as a function of the wavelength. Its factors are the spectrum of an illuminant, a CIE
 colour-matching function and the reflectance of a material. w is the component of the scattering vector along the
 normal.
+
+θd is half of the angle between the directions to the light and to the viewer, so that cos θd = |(u, v, w)|/2.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Colour tables: XYZ under an illuminant over polar coordinates of (u, v). Construction and cache of the tables."""
+"""Colour tables: XYZ under an illuminant over polar coordinates of (u, v). Construction and cache of the tables.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Layout of a colour table: grids of the spectrum and of the mip levels, blurs of the grids, and order of rows."""
+"""Layout of a colour table: grids of the spectrum and of the mip levels, blurs of the grids, and order of rows.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
+"""
 
 from __future__ import annotations
 

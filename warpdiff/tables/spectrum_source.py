@@ -1,4 +1,8 @@
-"""Power spectra from which colour tables are computed: a sampled spectrum, or a sum of spectral lines."""
+"""Power spectra from which colour tables are computed: a sampled spectrum, or a sum of spectral lines.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal, and κ is w/λ.
+"""
 
 from __future__ import annotations
 
