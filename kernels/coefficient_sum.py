@@ -6,6 +6,10 @@ patch, the amplitude at q is interpolated between coefficients instead, and the 
 interference factor of the periods. A coefficient is the scalar product of two vectors: its row in a table, and the
 values of the basis functions at κ = w/λ. All coefficients share the same basis functions. Their values are interpolated
 from a second table, so that the kernels serve any series.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal. θd is half of the angle between the directions to the
+light and to the viewer, so that cos θd = |(u, v, w)|/2.
 """
 
 import functools
@@ -19,11 +23,11 @@ from warpdiff.kernels.indices import cyclic
 OPTIONS = compile_options.options()
 FORMS = ("averaged", "centred", "source", "replicas")
 # Number of Fourier coefficients along an axis from which the amplitude at a frequency is interpolated. The value is
-# limited by time, which is proportional to it.
+# limited by computing time, which is proportional to the square of this number.
 TAPS = 8
-# The interference factor of N periods, [sin(πNt) / (N sin(πt))]², is 0/0 at its maximum, t = 0. t is the distance from
-# the nearest Fourier coefficient of the patch, in spacings of the coefficients. For |N t| below this number, a parabola
-# replaces the factor. The number was derived from the error of the parabola, which is of fourth order in N t.
+# The interference factor of N periods, [sin(πNt) / (N sin(πt))]², is 0/0 at its maximum, t = 0. Here t is the distance
+# from the nearest Fourier coefficient of the patch, in spacings of the coefficients. If |N t| is below this number, a
+# parabola replaces the factor. The number was derived from the error of the parabola, which is of fourth order in N t.
 NEAR_RESONANCE = wp.constant(wp.float32(1e-2))
 
 
@@ -83,9 +87,12 @@ class Window:
 
 @wp.func
 def interference_factor(position: wp.float64, periods: wp.float64) -> wp.float32:
-    """Return [sin(πNt)/(N sin(πt))]² for N periods; t is the frequency in spacings of the patch's coefficients."""
-    # Whole turns are removed from t and N t in float64 before the sines are computed: N t may exceed 1,000, and float32
-    # is too coarse for such numbers.
+    """Return the interference factor [sin(πNt)/(N sin(πt))]² of N periods, where ``position`` is t.
+
+    t is the frequency of a direction in spacings of the patch's Fourier coefficients.
+    """
+    # N t may exceed 1,000. Float32 is too coarse for such numbers. Whole turns are therefore removed from t and N t in
+    # float64 before the sines are computed.
     t = position - wp.rint(position)
     turns = t * periods
     small = wp.float32(turns)
@@ -182,9 +189,9 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
     @wp.func
     def gaussian_sum(table: Table, window: Window, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
         """Return the power ⟨|P|²⟩ at one wavelength, the weighted sum of coefficients; ``wavenumber`` is 1/λ [1/µm]."""
-        # The position q, in spacings of coefficients, may be hundreds of coefficients from the zeroth order, but the
-        # Gaussian weights extend over a few coefficients only. Therefore the integer part of q is removed in float64,
-        # and the weights are computed in float32.
+        # The frequency q may be hundreds of coefficients away from the zeroth order, but the Gaussian weights extend
+        # over a few coefficients only. Therefore the integer part of the position of q is removed in float64, and the
+        # weights are computed in float32.
         qy = scattering_vector[1] * wavenumber * table.length_y
         qx = scattering_vector[0] * wavenumber * table.length_x
         iy = wp.int32(wp.rint(qy))

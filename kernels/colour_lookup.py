@@ -13,6 +13,9 @@ A pixel covers a range of (u, v). As powers add, the mean colour of the pixel fo
 in angle and in ratio of radii is the same at all wavelengths. Mip levels of the table are blurred in angle, and have
 fewer azimuths. A look-up blurs in ratio by adding more rings. The spectral lines of an endless surface under a light
 source are blurred by the source in the same way.
+
+κ is w/λ. θd is half of the angle between the directions to the light and to the viewer, so that cos θd = |(u, v, w)|/2.
+s is the standard deviation of the directions to a light source.
 """
 
 import functools
@@ -35,12 +38,12 @@ HALF_TAPS = 7
 # Largest number of directions that a CPU thread looks up in one call. The value is limited by the stack, which has
 # arrays of this size.
 BATCH = 256
-# Number of directions by which memory accesses run ahead: while a direction is looked up, the rows of the direction
-# with this distance are fetched from memory. The value was chosen freely, because other numbers change only the time.
+# While a direction is looked up, the table rows of the direction with an index larger by this number are fetched from
+# memory. The value was chosen freely, because other numbers change only the computing time.
 _AHEAD = 3
-# Number of samples on each side of an azimuth that the filter from values to spline coefficients uses. The weights of
-# the filter are √2 · (−0.17)ⁿ at a distance of n samples. The value was chosen so that truncated weights are at most
-# 6e-6.
+# Number of azimuth samples on each side from which the filter computes the spline coefficient of an azimuth sample. A
+# sample at a distance of n has the weight √2 · (−0.17)ⁿ. The value was chosen so that the weights of samples farther
+# away, which are omitted, are at most 6e-6.
 FILTER_REACH = 6
 _FILTER = wp.types.vector(length=FILTER_REACH + 1, dtype=wp.float32)(
     *quadratic_spline.prefilter(FILTER_REACH)[FILTER_REACH:]
@@ -144,8 +147,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         spread2: wp.float32  # for a source: variance s² of (u, v) across the source's direction
         inner_radius2: wp.float32  # for a source: directions below this |(u, v)|² are not served
 
-    # Kernels of this module have a second thread index, which is always 0, because Warp then compiles one variant of a
-    # kernel instead of two: see ``light_samples``.
+    # Kernels of this module have a second thread index, which is always 0. Warp then compiles one variant of a kernel
+    # instead of two, as explained in ``light_samples``.
     @wp.kernel(module="unique", module_options=_FILTER_OPTIONS)
     def interpolate(
         values: wp.array(dtype=row_t), table: Colours, level: wp.int32, octave: wp.int32, first: wp.int32,
@@ -180,7 +183,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Compute the values of a mip level at its azimuths: a Gaussian blur of a finer level.
 
-        The spline between azimuths is itself a blur, with a variance of a quarter of the squared distance of azimuths.
+        The spline that look-ups use between azimuths is itself a blur. Its variance is a quarter of the squared
+        distance between azimuths.
         """
         thread, _ = wp.tid()
         rings = table.rings_per_octave
@@ -199,8 +203,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
                 total += gaussian(wp.float32(nearest + j) - place, variance)
             for ring in range(rings):
                 values_out[azimuth * rings + ring] = row_t()
-            # Several azimuths are added in one pass over the rings, because a pass reads and writes the sums of all
-            # rings.
+            # A pass over the rings reads and writes the sums of all rings. Several azimuths are therefore added in one
+            # pass, which saves memory accesses.
             starts = starts_t()
             weights = weights_t()
             for begin in range(-half_taps, half_taps + 1, wp.static(_TAPS)):

@@ -1,4 +1,7 @@
-"""Light samples: scattering vectors, gains and footprints at hits under one light."""
+"""Light samples: scattering vectors, gains and footprints at hits under one light.
+
+ωi and ωr are the unit vectors to the light and to the viewer, in the frame of the surface.
+"""
 
 import warp as wp
 
@@ -8,9 +11,9 @@ from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
 wp.set_module_options(compile_options.options("light_samples.h", "footprints.h"))
 
-# Warp compiles every kernel with one thread index twice; the second variant, for contiguous arrays, is hardly faster.
-# Kernels with two thread indices have one variant. Therefore the kernels here have a second index, which is always 0.
-# This saves a third of the compilation time.
+# Warp compiles every kernel with one thread index twice. The second variant, for contiguous arrays, is hardly faster. A
+# kernel with two thread indices is compiled only once. Therefore the kernels here have a second index, which is always
+# 0. This saves a third of the compilation time.
 
 
 @wp.struct
@@ -222,8 +225,8 @@ def add_light_rotation(
         for axis in range(2):
             step = steps[axis] * wp.vec3f(camera.axes[1 + axis])
             moved = scale * (step - (wp.dot(step, plane) / facing) * view)
-            # The surface point shifts by ``moved`` within the footprint. The direction to the light then changes by
-            # −``rotated``, and (u, v) by +``rotated``.
+            # Within the footprint, the surface point shifts by ``moved``. The unit vector to the light then changes by
+            # −``rotated``. Because (u, v) contains this vector with a negative sign, (u, v) changes by +``rotated``.
             rotated = per_distance * (moved - wp.dot(towards, moved) * towards)
             footprint[2 * axis] = footprint[2 * axis] + wp.dot(pixels.tangent[i], rotated)
             footprint[2 * axis + 1] = footprint[2 * axis + 1] + wp.dot(pixels.bitangent[i], rotated)
@@ -310,7 +313,8 @@ def add_source_extent(
         towards = per_distance * away
         covariance = covariance_of(footprints_out[i])
         for axis in range(2):
-            # A change of position changes the direction by its perpendicular part over the distance.
+            # If the position of the light changes, the direction to it changes by the perpendicular part of the
+            # displacement, divided by the distance of the light.
             deviation = lights.deviations[light_index, axis]
             across = per_distance * (deviation - wp.dot(towards, deviation) * towards)
             x = wp.dot(across, pixels.tangent[i])

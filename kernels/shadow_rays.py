@@ -14,14 +14,15 @@ from warpdiff.kernels.structs import Pixels
 
 wp.set_module_options(compile_options.options("shadow_rays.h", "atomics.h"))
 
-# Most kernels of this module have a second thread index, which is always 0, because Warp then compiles one variant of a
-# kernel instead of two: see ``light_samples``.
+# Most kernels of this module have a second thread index, which is always 0. Warp then compiles one variant of a kernel
+# instead of two, as explained in ``light_samples``.
 
 # Number of steps per radius of the mesh to which positions are rounded. The value is limited by float32, which
 # represents all whole numbers up to 2^24.
 STEPS = wp.constant(wp.float64(16777216.0))
-# A shadow ray is traced if the cosine between the normal and the direction to the light exceeds this number, which is
-# slightly negative. The number was derived from the rounding error of cosines, which is smaller than its magnitude.
+# A shadow ray is traced if the cosine between the normal and the direction to the light exceeds this number. It is
+# slightly negative, so that no ray is omitted because of rounding: the rounding error of cosines is smaller than its
+# magnitude, from which it was derived.
 FACING_AWAY = wp.constant(wp.float32(-1.0e-5))
 
 

@@ -3,6 +3,9 @@
 The first kind of sample draws (u, v) from a table of the surface's colours. The second kind draws a direction from
 blocks of the sky, with a probability proportional to their brightness. The weight of a sample is one over the sum of
 its densities in the two kinds (balance heuristic, Veach 1997).
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer. θi is the angle of ωi from the normal.
 """
 
 import math
@@ -264,9 +267,9 @@ def sample_sky(
         index = sample_index(tiles, width, across, i, sample, samples)
         point = light_point(index)
         within = filter_point(index)
-        # Draw a point of the pixel filter (Box and Muller), and rotate the normal so that (u, v) changes as the
-        # footprint states. If the normal rotates by an angle, (u, v) of light from the mirror direction changes by 2
-        # cos θ times the angle.
+        # Draw a point of the pixel filter (Box and Muller). Then rotate the normal until (u, v) has changed as much as
+        # between the centre of the footprint and this point. If the normal rotates by an angle, (u, v) of light from
+        # the mirror direction changes by 2 cos θ times the angle.
         size = wp.sqrt(-2.0 * wp.log(1.0 - within[0]))
         angle = wp.static(2.0 * math.pi) * within[1]
         right = size * wp.cos(angle)

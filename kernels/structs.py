@@ -2,14 +2,17 @@
 
 Positions are in units in which the mesh fills the unit sphere around the origin. Relative rounding errors in float32
 then depend neither on the size of the mesh nor on its distance from the origin of the world.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer. n is the shading normal.
 """
 
 import warp as wp
 
-# A footprint: the changes of (u, v) over one standard deviation of the pixel filter, first along rows and then along
-# columns.
+# A footprint of a pixel: the change of (u, v) over one standard deviation of the pixel filter along picture rows,
+# followed by the change along columns.
 Footprint = wp.types.vector(length=4, dtype=wp.float32)
-# Value of the field ``hit`` for a pixel whose shading frame is computed separately, by a slower method.
+# This value of the field ``hit`` marks a pixel whose shading frame is computed separately, by a slower method.
 SPECIAL = wp.constant(2)
 
 
@@ -77,7 +80,10 @@ class Textures:
 
 @wp.struct
 class Transparency:
-    """Alpha of the scene by which rays pass through faces, in addition to that of textures; empty if it is opaque."""
+    """Transparency of a scene: the alpha by which rays pass through faces, apart from the alpha of textures.
+
+    The arrays are empty if the scene is opaque.
+    """
 
     cutoffs: wp.array(dtype=wp.float32)  # alpha below which rays pass, by row; 0: opaque; negative: blended
     vertex_alphas: wp.array(dtype=wp.float32)  # alpha at the vertices; empty if it is 1 everywhere

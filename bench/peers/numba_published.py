@@ -11,6 +11,9 @@ and these powers are computed once per direction. The positions of the square bl
 each block are computed for all wavelengths at once. The other weights of a block follow by recurrence. For a centred
 window, coefficients are weighted and summed before multiplication by the basis. Coefficients are prefetched four
 wavelengths before their use. Without prefetching, half of the time would be spent on waiting for memory.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
 """
 
 from __future__ import annotations

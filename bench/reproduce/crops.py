@@ -6,6 +6,8 @@ reference with 64 × 64 points shows whether the first reference has converged. 
 ‖XYZ‖, or to a floor f if that is larger. The floor is that of the whole picture. Errors are evaluated on interior
 pixels, whose points all hit the body and are illuminated. Such pixels may contain edges between parts of a body, and
 may lie at the border of the crop. Use a seed that was not used to develop the code.
+
+Y* is the reference luminance of the whole picture, about the luminance of its brightest pixels.
 """
 
 from __future__ import annotations

@@ -8,9 +8,10 @@
     python -m bench.reproduce.gradients --fits 50 --starts 8
     python -m bench.reproduce.gradients --depths
 
-Costs are seconds of processor time of all threads, the least of three calls, so that other processes have little
-influence. The value alone has no variables. The gradient is by all heights, the pitch, σ and all directions. "Library"
-is the plain function on a new surface, and again on the same surface.
+``--cost`` measures the processor time of all threads [s]. Each time is the least of three calls, so that other
+processes have little influence. The column "value" is a call without variables. The gradient is by all heights, the
+pitch, σ and all directions. The column "library" has the time of the function without derivatives for a new surface,
+and in parentheses the time of a second call for the same surface.
 
 Errors are those of random surfaces, directions and optics, compared with complex steps of explicit sums that share no
 code with the library (``tests/complex_step.py``). They are relative to the largest derivative by the same variable.
@@ -18,7 +19,7 @@ code with the library (``tests/complex_step.py``). They are relative to the larg
 Fits have the orders −2 to 2 of a trapezoid at three wavelengths and two angles of a perfect mirror, with noise of 1 %
 and 5e-4. The first start is 10 % away in depth and 5 % in duty; a fit that ends at the duty 1 − duty counts as right.
 
-Depths are those of ``bench/suite/rigorous.json``, perfect mirrors, at 0°, 30° and 60°.
+``--depths`` fits the depths of the perfect mirrors in ``bench/suite/rigorous.json``, at 0°, 30° and 60°.
 """
 
 from __future__ import annotations
@@ -45,9 +46,10 @@ if TYPE_CHECKING:
 # Parameters of the synthetic grating: depth [µm], duty, wall, period [µm].
 TRUE = np.array([0.14, 0.42, 0.04, 2.0])
 VARIABLES = ("heights_um", "pitch_um", "sigma_um", "to_light", "to_view")
-# Angles of incidence of the rigorous solutions [degrees].
+# Angles of incidence for which rigorous solutions are stored [degrees].
 ANGLES = (0.0, 30.0, 60.0)
-# Rigorous cases: generator, least period and largest depth in wavelengths, and largest error of the fitted depth.
+# Gratings with rigorous solutions, by title. Each entry has the function that makes the height field, the least period
+# and the largest depth [wavelengths], and the largest accepted relative error of the fitted depth.
 CASES = {
     "Sine, perfect mirror": (wd.gratings.sinusoidal, 1.0, 0.3, 0.03),
     "Square grooves, perfect mirror": (wd.gratings.lamellar, 2.0, 0.15, 0.025),
@@ -70,7 +72,7 @@ def hemisphere(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def cost(path: str) -> None:
-    """Print the cost of value and gradient of the scan, relative to the value alone."""
+    """Print the processor time of reflectances and their gradients, relative to the time of the reflectances alone."""
     scan = wd.HeightField.load(path, extent_um=65.0, height_range_um=0.375).levelled(order=2)
     rng, wavelengths = np.random.default_rng(1), np.linspace(380.0, 780.0, 81)
     small = wd.gratings.fingers(size_um=3.2, pitch_um=0.1)
@@ -134,7 +136,7 @@ def errors(count: int) -> None:
 
 
 def measured(values: np.ndarray | None = None) -> wd.Measured:
-    """Return the orders of the synthetic grating as measured data; without values they are 0."""
+    """Return measured data with the orders of the synthetic grating. Their values are 0 if no values are given."""
     wavelengths, orders = (450.0, 550.0, 650.0), [(0, m) for m in (-2, -1, 0, 1, 2)]
     lights = np.repeat(wd.direction([10.0, 40.0]), 15, axis=0)
     values = np.zeros(30) if values is None else values
@@ -168,7 +170,10 @@ def fits(count: int, starts: int) -> None:
 
 
 def compare_minimisers(guess: wd.profiles.Trapezoid, values: np.ndarray, sd: np.ndarray) -> None:
-    """Print the numbers of evaluations of a fit, of least squares by differences, and of Nelder and Mead's method."""
+    """Print how often three methods evaluate the model for the same fit.
+
+    The methods are the fit of the library, least squares with finite differences, and the method of Nelder and Mead.
+    """
     from scipy.optimize import least_squares, minimize
 
     counted, (low, high) = measured(values), guess.bounds.T
@@ -189,7 +194,7 @@ def compare_minimisers(guess: wd.profiles.Trapezoid, values: np.ndarray, sd: np.
 
 
 class Depth(wd.profiles.ScanModes):
-    """Scale of a height field as the only parameter."""
+    """Surface whose only parameter is a factor of all heights of a height field."""
 
     def __init__(self, heightfield: wd.HeightField) -> None:
         super().__init__(heightfield)

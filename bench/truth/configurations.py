@@ -3,6 +3,9 @@
 Combinations of coherence and tolerance occur in a fixed cycle: ``len(STRATA)`` consecutive indices contain each
 combination once. All other parameters are random. Calls are lists of directions (few and many, shuffled and sorted),
 grids of directions in row order, reflectance maps, and frames of a mesh. ``bench.truth.judge`` evaluates their errors.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
 """
 
 from __future__ import annotations

@@ -3,6 +3,10 @@
 The methods are series expansions in float32 and float64, sums over wavelengths at fixed steps, and sums over fixed
 numbers of neighbouring Fourier coefficients. The coefficients are computed by ``fourier_coefficients`` and
 ``phase_series`` of ``warpdiff.diffraction``. The sums over coefficients are computed here, in NumPy.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal, and κ is w/λ. |P|² is the power that the surface diffracts
+into a direction, relative to a flat mirror in its mirror direction.
 """
 
 from __future__ import annotations

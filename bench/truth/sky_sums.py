@@ -8,6 +8,9 @@ direction (multiple importance sampling with the balance heuristic). Shadow rays
 mesh that is built here. An element dω of solid angle with the radiance L adds 4πσ²/λ² · ρ L dω to a colour. Here ρ is
 the reflectance and σ the standard deviation of the coherence window. The spectrum of L is derived from the RGB of the
 sky under D65 (Mallett and Yuksel 2019).
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
 """
 
 from __future__ import annotations

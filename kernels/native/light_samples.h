@@ -1,5 +1,9 @@
 // Scattering vectors, directions to the light and gains of pixels. Sums of coverage and illumination over several
 // samples are updated, too.
+//
+// (u, v, w) is the scattering vector −ωi − ωr in the shading frame, where ωi and ωr are the unit vectors to the light
+// and to the viewer. |P|² is the power that the surface diffracts into a direction, relative to a flat mirror in its
+// mirror direction. ρ is the reflectance relative to a flat mirror.
 
 #pragma once
 

@@ -1,4 +1,8 @@
-"""Baked lobes and spectra, compared with closed forms, the float64 reference and the original height fields."""
+"""Baked lobes and spectra, compared with closed forms, the float64 reference and the original height fields.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer. σ is the standard deviation of the coherence window.
+"""
 
 import dataclasses
 import math
@@ -67,7 +71,10 @@ def test_an_illuminant_is_part_of_the_colours_and_of_the_file(fingers, tmp_path)
 
 
 def test_a_material_is_part_of_the_colours_and_of_the_file(tmp_path):
-    """Baked colours of gold must equal the float64 reference, which has reflectances by characteristic matrices."""
+    """Baked colours of gold must equal the float64 reference.
+
+    The reference computes reflectances from characteristic matrices, and shares no code with the library.
+    """
     gold = wd.Material.metal("Au")
     small = wd.gratings.fingers(size_um=6.4, seed=4)
     baked = wd.bake(small, coherence=WIDE, material=gold, delta_e=3.0)

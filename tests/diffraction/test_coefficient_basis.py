@@ -1,4 +1,8 @@
-"""Bases of Fourier coefficients, compared with transforms of exp(2πiκh), and their truncation errors."""
+"""Bases of Fourier coefficients, compared with transforms of exp(2πiκh), and their truncation errors.
+
+κ is w/λ, the normal component w of the scattering vector divided by the wavelength. H are the Fourier coefficients of
+exp(2πiκh) over one period of the heights h.
+"""
 
 import dataclasses
 import math

@@ -1,4 +1,7 @@
-"""Phase series in float32: height ranges at which each one fails, and the messages that report it."""
+"""Phase series in float32: height ranges at which each one fails, and the messages that report it.
+
+κ is w/λ, the normal component w of the scattering vector divided by the wavelength.
+"""
 
 import itertools
 

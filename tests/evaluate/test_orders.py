@@ -1,4 +1,7 @@
-"""Order efficiencies: closed forms, an explicit sum, the absolute BRDF, energy, reciprocity and invalid arguments."""
+"""Order efficiencies: closed forms, an explicit sum, the absolute BRDF, energy, reciprocity and invalid arguments.
+
+κ is w/λ, the normal component w of the scattering vector divided by the wavelength.
+"""
 
 import math
 

@@ -114,8 +114,8 @@ def test_every_kernel_module_is_listed_in_this_file():
 @pytest.mark.parametrize(
     "module",
     [
-        bvh, primary_hits, light_samples, pixel_contrast, plain_textures, subdivision, shadow_rays, tile_lists, base_colours,
-        transparency,
+        bvh, primary_hits, light_samples, pixel_contrast, plain_textures, subdivision, shadow_rays, tile_lists,
+        base_colours, transparency,
     ],
     ids=lambda item: item.__name__,
 )  # fmt: skip

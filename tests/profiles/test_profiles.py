@@ -1,4 +1,4 @@
-"""Profiles: surfaces of parameters, and derivatives by complex steps and transposes."""
+"""Profiles: the surfaces that their parameters define, and derivatives compared with complex steps and transposes."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def test_trapezoids_have_their_duty_and_walls_exactly():
     profile = wd.profiles.Trapezoid(0.2, 0.3, 0.04, 2.5)
     outline = profile.surface([0.2, 0.3, 0.04, 2.5])
     np.testing.assert_allclose(np.diff(outline.positions), [0.04, 0.26, 0.04], atol=1e-15)
-    # Half of the height is at the middle of a wall, and the mean height is duty times depth.
+    # The middle of a wall has half of the height, so that the mean height must be duty times depth.
     assert outline.height_field(20_000).heights_um.mean() == pytest.approx(0.3 * 0.2, rel=1e-4)
 
 
@@ -90,7 +90,7 @@ def test_objectives_have_the_gradient_of_the_loss():
     loss, gradient = function(profile.start)
     for k, step in enumerate(1e-6 * np.eye(len(gradient))):
         difference = (function(profile.start + step)[0] - function(profile.start - step)[0]) / 2e-6
-        # Limit of a central difference in float64.
+        # The tolerance is the accuracy of a central difference in float64.
         assert gradient[k] == pytest.approx(difference, rel=1e-5, abs=1e-6 * loss)
     with pytest.raises(TypeError, match="profile"):
         wd.adjoint.objective(None, evaluate, None)

@@ -28,7 +28,8 @@ def rough() -> wd.HeightField:
 
 
 def test_a_plan_covers_the_range_of_its_directions(rough, rng):
-    # Plans for the direct sum have the same ranges as other plans, and are made quickly, because they need no search.
+    # The ranges of a plan do not depend on its method. Plans for the direct sum are tested, because they need no search
+    # and are made quickly.
     whole = wd.plan(rough, method="direct")
     assert (whole.max_uv, whole.max_w, whole.lambda_min_nm) == (2.0, 2.0, 380.0)
 
@@ -72,8 +73,8 @@ def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
     tolerances = (0.5, 0.1, 1e-2, 1e-3, 1e-4)
     for plans in (
         [wd.plan(rough, at_angle(20.0), at_angle(35.0), tolerance=t, coherence=coherence) for t in tolerances],
-        # With many directions and large tolerances, "auto" would use tables, which have other numbers than sampled
-        # plans.
+        # With many directions and large tolerances, the method "auto" would use tables. The numbers of tables cannot be
+        # compared with those of plans that sample wavelengths.
         [wd.plan(rough, tolerance=t, coherence=coherence, method="low-rank") for t in tolerances],
     ):
         for name in ("terms", "wavelengths", "multiply_adds"):
@@ -98,9 +99,10 @@ def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
     ids=lambda each: each.kind,
 )  # fmt: skip
 def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
-    """A search finds a plan that meets the tolerance, also on directions that the search has not tried.
+    """The plan of a search must cost less than an upper-bound plan, and must meet the tolerance.
 
-    The error that the plan predicts is at most ten times the measured error.
+    It must also meet the tolerance on directions that the search has not tried. The error that the plan predicts must
+    be at most ten times the measured error.
     """
     lights, views = hemisphere(rng, 40_000), hemisphere(rng, 40_000)
     few = wd.plan(rough, lights[:8], views[:8], coherence=coherence, method="low-rank")
@@ -109,8 +111,8 @@ def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
     assert not few.is_measured
     samples = dataclasses.replace(few, max_uv=plan.max_uv, max_order_rate=plan.max_order_rate)
     assert plan.multiply_adds < samples.multiply_adds
-    # The reference for replicated periods requires 0.1 s per direction. Fewer directions are therefore compared with it
-    # than for other kinds of coherence.
+    # For replicated periods, the reference requires 0.1 s per direction. Fewer directions are therefore tested than for
+    # other kinds of coherence.
     apart = 650 if coherence.kind == "replicas" else 240
     for part in (slice(0, 39_000 // apart), slice(1000, 40_000, apart)):
         exact = reference.reference_reflectance(rough, lights[part], views[part], coherence, tolerance=1e-3)
@@ -134,7 +136,7 @@ def test_the_plan_does_not_depend_on_threads(rough, kind):
 def test_a_plan_reads_as_a_table(rough):
     plan = wd.plan(rough, at_angle(20.0), tolerance=3e-3, coherence=wd.Coherence(sigma_um=3.0), method="low-rank")
     text = str(plan)
-    # The first line of a plan's text says whether results can be trusted.
+    # The first line of a plan's text must say whether results can be trusted.
     assert text.splitlines()[0] == (
         f"The plan meets its tolerance of 0.003: predicted error {plan.error:.1e}, measured on {plan.validation_size} "
         "validation directions."
@@ -267,7 +269,7 @@ def test_plans_are_compared_by_value_and_cannot_be_changed(rough):
 
 
 def test_one_row_is_constant_along_y():
-    """Whatever its pitch along y, a field of one row has no orders outside of the plane y = 0, and no aliasing."""
+    """A field of one row must have no orders outside of the plane y = 0 and no aliasing, whatever its pitch along y."""
     row = wd.gratings.sinusoidal(16.0, 0.1, samples=512)
     coarse = wd.HeightField(row.heights_um, (0.5, row.pitch_um[1]))
     views = np.array([[0.0, 0.8, 0.6], [0.1, 0.0, 1.0], [0.05, 0.0001, 1.0]])
@@ -278,7 +280,10 @@ def test_one_row_is_constant_along_y():
 
 
 def test_results_of_an_explicit_plan_do_not_depend_on_other_directions(rough, rng):
-    """A fitted basis depends on the range of its plan, not on the other directions of a call."""
+    """Results of an explicit plan must not depend on the other directions of the call.
+
+    They do not, because a fitted basis depends only on the range of its plan.
+    """
     lights, views = hemisphere(rng, 60), hemisphere(rng, 60)
     plan = wd.plan(rough, lights, views)
     together = wd.reflectance(rough, lights, views, plan=plan)
@@ -288,14 +293,15 @@ def test_results_of_an_explicit_plan_do_not_depend_on_other_directions(rough, rn
 
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-2, 1e-3])
 def test_directions_use_only_as_many_wavelengths_as_they_require(rough, rng, tolerance):
-    """Directions of small |(u, v)| use fewer wavelengths, without a loss of accuracy."""
+    """Directions with small |(u, v)| must use fewer wavelengths, and still meet the tolerance."""
     lights = hemisphere(rng, 200)
     views = lights * [-1.0, -1.0, 1.0] + rng.normal(scale=0.3, size=(200, 3)) * rng.uniform(size=(200, 1))
     views[:, 2] = np.abs(views[:, 2])
     views /= np.linalg.norm(views, axis=1, keepdims=True)
     total = lights + views
     ends = [np.argmax(np.hypot(total[:, 0], total[:, 1])), np.argmin(total[:, 2]), np.argmax(total[:, 2])]
-    # For a call with few directions no search is made, and its plan consists of upper bounds.
+    # The plan is made for only three directions. It therefore consists of upper bounds, because a search is not worth
+    # its time.
     plan = wd.plan(rough, lights[ends], views[ends], tolerance=tolerance)
     assert not plan.is_measured
     assert plan.adaptive
@@ -313,9 +319,9 @@ def test_directions_use_only_as_many_wavelengths_as_they_require(rough, rng, tol
 
 
 def test_pixels_of_a_map_can_be_means(rough):
-    """A pixel of a map can be the mean over a grid of directions.
+    """A pixel of a map with ``samples_per_pixel`` must be the mean over a grid of directions.
 
-    Its coverage is the share of these directions within the unit disc.
+    Its coverage must be the share of these directions within the unit disc.
     """
     light = [0.2, 0.1, 1.0]
     fine = wd.reflectance_map(rough, light, size=36, tolerance=3e-2)
