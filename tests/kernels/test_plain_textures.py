@@ -33,7 +33,7 @@ def surface_of(roughness, emission, scale, wraps, monkeypatch):
     faces, uv = np.array([[0, 1, 2], [0, 2, 3]]), CORNERS[:, :2] * scale
     parts = [
         ScenePart("a", glossy, CORNERS, faces, np.arange(4), 4, uvs={0: CORNERS[:, :2], 1: uv}),
-        ScenePart("b", None, [*CORNERS, 2.0, 0.0, 0.0], faces, np.arange(4), 4, uvs={0: CORNERS[:, :2]}),
+        ScenePart("b", None, CORNERS + np.array([2.0, 0.0, 0.0]), faces, np.arange(4), 4, uvs={0: CORNERS[:, :2]}),
     ]
     monkeypatch.setattr(
         "warpdiff.scene.mesh_import.labelled_parts", lambda _: [(part, part.geometry) for part in parts]
