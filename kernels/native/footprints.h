@@ -11,7 +11,7 @@ namespace warpdiff {
 
 struct FootprintLimits {
     float least_cosine; // least cosine between a shading normal and the view direction
-    float least_facing; // least cosine between the view direction and a face; smaller ones are replaced by it
+    float least_facing; // least cosine between the view direction and a face's normal; smaller ones are replaced by it
 };
 
 // Displacements of a camera ray in the picture plane by one standard deviation of the pixel filter, to the right and
