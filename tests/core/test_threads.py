@@ -117,7 +117,7 @@ def test_loops_work_if_threads_cannot_be_started(threads, monkeypatch):
 
 @pytest.mark.permanent("varied calls and thread counts: memory and threads remain constant")
 def test_threads_do_not_accumulate(tries):
-    """The number of idle threads is limited, whatever numbers of threads were requested."""
+    """The number of idle threads must not exceed the number of cores, whatever numbers of threads were requested."""
     before = threading.active_count()
     tries.number = 39
     for threads in range(1, 40):
@@ -201,7 +201,7 @@ def taken_by_others(work):
 @pytest.mark.filterwarnings("ignore:orders up to")
 @pytest.mark.parametrize("what", [slow("direct sums"), slow("orders"), "colours", "meshes"])
 def test_large_matrices_are_processed_by_one_thread(what, rng):
-    """Work on large arrays uses only the calling thread, because linear algebra is limited to one thread.
+    """Work on large arrays must use only the calling thread, because linear algebra is limited to one thread.
 
     If threads of the linear-algebra library were active during a fork, parent or child could wait forever.
     """
