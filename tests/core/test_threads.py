@@ -102,7 +102,7 @@ def test_an_error_in_the_progress_function_ends_the_loop(threads):
 
 @pytest.mark.parametrize("threads", [2, 31])
 def test_loops_work_if_threads_cannot_be_started(threads, monkeypatch):
-    """Starting a thread can fail, for example if the address space has no room for another stack."""
+    """A parallel loop must process all items even if no thread can be started, for example for lack of memory."""
 
     def fail(_):
         raise RuntimeError("can't start new thread")
