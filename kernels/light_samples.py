@@ -23,8 +23,9 @@ class Lights:
     The fields are arrays, so that a recorded graph can be replayed with other lights.
     """
 
-    places: wp.array(dtype=wp.vec4d)  # homogeneous coordinates: the direction to a light and 0, or its position and 1
-    strengths: wp.array(dtype=wp.float64)  # power at a distance of 1
+    # Homogeneous coordinates of each light: the direction to a distant light and 0, or the position of a light and 1.
+    places: wp.array(dtype=wp.vec4d)
+    strengths: wp.array(dtype=wp.float64)  # power of each light; for a light at a position, at a distance of 1
     deviations: wp.array2d(
         dtype=wp.vec3f
     )  # two perpendicular vectors, as long as the standard deviations of directions [rad], or of a light's positions
@@ -43,14 +44,14 @@ class Reflection:
     surfaces: wp.array(dtype=wp.int32)  # surface of each finish
     normal_reflectances: wp.array(
         dtype=wp.float64
-    )  # R(0) of Schlick's approximation by finish; 1 if the integral over λ already includes R
+    )  # R(0) of Schlick's approximation, by finish; 1 if the integral over λ already includes R
     units: wp.array(dtype=wp.float64)  # factor from the colours of each finish to the unit of the picture
-    pigments: wp.array(dtype=wp.float64)  # strength of the pigment over R(0) by finish; empty if there is no pigment
+    pigments: wp.array(dtype=wp.float64)  # strength of the pigment divided by R(0), by finish; empty without pigment
     per_light_cosine: wp.array(
         dtype=wp.bool
     )  # by finish: whether gains are divided by the light's cosine, for coherence of kind "source"
     masking: wp.bool
-    transmittances: wp.array2d(dtype=wp.vec3f)  # 1 − R in linear RGB, by finish and by the angle's cosine from 0 to 1
+    transmittances: wp.array2d(dtype=wp.vec3f)  # 1 − R in linear RGB, by finish and cosine of the angle from the normal
     # Factors a of the energy normalisation by surface, tabulated by the angle from the normal and the azimuth. If the
     # array is empty, the energy of Stam's model is not normalised.
     energy: wp.array3d(dtype=wp.float32)

@@ -43,10 +43,10 @@ __all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
 
 # Number of floats per cache line, and per AVX-512 register.
 LANES = 16
-# Smallest exponent whose exponential is a normal float32. The number is derived: ln(1.2e-38) = −87.3.
+# Smallest exponent whose exponential is a normal float32. The number was derived from ln(1.2e-38) = −87.3.
 LEAST_EXPONENT = -87.0
-# Number of directions that one thread computes in succession with the same temporary memory. The value was chosen: with
-# larger numbers, threads finish at different times.
+# Number of directions that one thread computes in succession with the same temporary memory. The value was chosen
+# because with larger numbers, threads finish at different times.
 SLICE = 16
 # Number of wavelengths between the prefetch of Fourier coefficients and their use. The value was chosen for the latency
 # of the memory.

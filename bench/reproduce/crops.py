@@ -171,7 +171,7 @@ def truth(area: Crop, tolerance: float) -> Truth:
 
 
 def filtered(area: Crop, tolerance: float, points: int) -> Truth:
-    """Return means over ``points`` × ``points`` points per pixel of a small picture, weighted by the pixel filter."""
+    """Return pixels of a small picture: means over ``points``² points per pixel, weighted by the pixel filter."""
     view = finer(area.view, points, MARGIN)
     image = wd.shade(
         area.mesh, area.heightfield, area.light, view, tolerance=max(OF_POINTS * tolerance, 1e-5), footprint=False,

@@ -28,8 +28,8 @@ SERIES = ("taylor-uncentred", "taylor", "jacobi-anger")
 METHODS = (*SERIES, "power", "low-rank")
 # Number of terms of the Taylor series in the publication (Single 2014), n = 0 … 36.
 PUBLISHED_TERMS = 37
-# Exponent at which the Gaussian of a coherence window is truncated. The value is derived: exp(−36) = 2e-16 is the
-# rounding error of float64.
+# Exponent at which the Gaussian of a coherence window is truncated. The value was derived from the rounding error
+# of float64, because exp(−36) is 2e-16.
 DEPTH = 36.0
 # Luminance, relative to that of a mirror, below which the library treats a direction as dark.
 DARK = 1e-10

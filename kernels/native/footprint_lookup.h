@@ -54,10 +54,14 @@ template <int N>
 struct Footprints {
     Batch<N> u, v, w;
     Batch<N> light_x, light_y, light_z;        // direction to the light source, in the surface's frame
-    Batch<N> row_u, row_v, column_u, column_v; // changes of (u, v) by one standard deviation of the filter
-    Batch<N> xx, xy, yy, source2;              // covariance of (u, v); for a source, √ of its determinant
-    Batch<N> angle2, ratio2, both;             // covariance of the angle and of ln |(u, v)|
-    Batch<N> along_u, along_v, parts;          // change of (u, v) with one standard deviation of the angle
+    Batch<N> row_u, row_v, column_u, column_v; // changes of (u, v) by one standard deviation of the pixel filter
+    // `xx`, `xy` and `yy` are the covariance of (u, v). `source2` is the square root of the determinant of the
+    // covariance that a light source causes. `angle2` and `ratio2` are the variances of the polar angle and of ln |(u,
+    // v)|, and `both` is their covariance. (`along_u`, `along_v`) is the change of (u, v) by one standard deviation of
+    // the polar angle. `parts` is the number of parts into which a footprint is divided.
+    Batch<N> xx, xy, yy, source2;
+    Batch<N> angle2, ratio2, both;
+    Batch<N> along_u, along_v, parts;
     AtW<N> at_w;
 };
 
@@ -68,7 +72,9 @@ struct Parts {
     int count;
     Batch<N, int> pixel;
     Batch<N> share, u, v, angle2, ratio2, both;
-    Batch<N> turns, place, deviation, skew; // angle and ring of the centre; deviation and skew [rings]
+    // `turns` and `place` are the polar angle [turns] and the index of the ring at the centre of a part. `deviation`
+    // and `skew` are the standard deviation and the skewness of a part across the rings.
+    Batch<N> turns, place, deviation, skew;
     Batch<N> turn_per_ring, aside2, half_ratio2, spacing;
     Batch<N, int> apart, step, taps, begin, end, first_weight;
 };
@@ -201,9 +207,10 @@ struct NextPart {
     int pixel, part;
 };
 
-// Fill a batch with the next parts of footprints: the (u, v), the covariance, and the share of the pixel's colour of
-// each part. Pixels with wide footprints get no parts: their colours are computed and added by this function. The
-// function also adds the zeroth order for all pixels.
+// Divide footprints into parts, until all footprints are divided or the batch of parts is full. Store the (u, v) and
+// the covariance of each part, and the fraction that it contributes to the colour of its pixel. Pixels with wide
+// footprints get no parts: their colours are computed and added by this function. The function also adds the zeroth
+// order for all pixels.
 template <bool SOURCE, int MOST_PARTS, int WIDTH, int N, class Table, class UnservedGain>
 WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const float* gains,
     const Footprints<N>& pixels, int begin, int count, NextPart& next, Parts<N>& parts, UnservedGain& unserved_gain,
@@ -265,8 +272,8 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
     }
 }
 
-// Compute the positions of parts of footprints in the table, and the blurs of each part across rings and across
-// azimuths.
+// Compute the position of each part of a footprint in the table, and its standard deviations: one across the rings of
+// the table, the other across the azimuths.
 template <int N, class Table>
 WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
 {
@@ -354,7 +361,8 @@ struct NextRing {
     int part, ring;
 };
 
-// Fill a batch with the next segments. A segment has consecutive rings of a part of a footprint, within one octave.
+// Divide parts of footprints into segments, until all parts are divided or the batch of segments is full. A segment has
+// consecutive rings of a part of a footprint, within one octave.
 template <int N, class Table>
 WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, NextRing& next, Segments<N>& segments)
 {

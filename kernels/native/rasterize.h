@@ -50,7 +50,7 @@ struct Raster {
     // Distance from the eye to the sphere around the mesh, which is subtracted from stored distances. If the eye is far
     // away, float32 could not distinguish the distances of different faces without this subtraction.
     double before;
-    const double* offsets; // offset of each pixel's ray from the pixel centre; null: no offsets
+    const double* offsets; // offset of each pixel's ray from the pixel centre; null if rays are at the centres
     // Pixels that are subdivided into cells. `marks` has one bit per pixel of the picture, in words of 64 bits. `ranks`
     // has the number of each subdivided pixel among all subdivided ones. `aside` and `below` are the offsets of the
     // cells from the pixel centre [pixels].
@@ -58,7 +58,8 @@ struct Raster {
     const int* ranks;
     int cells;
     float aside[MOST_CELLS], below[MOST_CELLS];
-    double max_cell_offset, max_offset; // largest offset of a cell, and of any ray, along an axis [pixels]
+    // Largest distance of a cell, and of any ray, from the pixel centre along x or y [pixels].
+    double max_cell_offset, max_offset;
     unsigned long long* nearest;
 
     template <class Camera, class Sampling, class Cells, class Nearest>

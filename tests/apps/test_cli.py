@@ -94,7 +94,7 @@ def test_a_sequence_is_written_and_resumed(tmp_path, capsys):
      (["--light-to", 0, 1, 1], lambda lights, view: wd.light_sweep(lights, view, (0, 1, 1), count=4))],
 )  # fmt: skip
 def test_sequences_accept_every_kind_of_light(words, expected, monkeypatch, capsys):
-    """The shots of a command-line sequence equal those of the library's functions."""
+    """The shots of a sequence from the command line must equal those that the library's functions return."""
     drawn = []
     monkeypatch.setattr(wd, "Renderer", lambda *_, **__: argparse.Namespace(plan="plan"))
     monkeypatch.setattr(wd, "sequence", lambda _, shots, *__, **___: drawn.extend(shots) or [])

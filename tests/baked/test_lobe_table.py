@@ -249,11 +249,11 @@ def test_quantisation_errors_are_at_most_half_a_step():
 
 
 def test_a_polar_grid_interpolates_lobes_of_its_design_width():
-    """Interpolation on a polar grid must reproduce lobes of the width for which the grid is made, up to 0.02 of their
-    peak.
+    """Interpolation on a polar grid must reproduce lobes of the width for which the grid is made.
 
-    Along the radius, the width of the test lobes is a tenth of |(u, v)|. Lobes in colour tables are at least this wide
-    along the radius, because they contain a range of wavelengths.
+    The error may be at most 0.02 of the peak of a lobe. Along the radius, the width of the test lobes is a tenth of
+    |(u, v)|. Lobes in colour tables are at least this wide along the radius, because they contain a range of
+    wavelengths.
     """
     width = 0.02
     grid = interpolation.grid_for(width, 16, 1.0)

@@ -195,10 +195,11 @@ def mirror_power(sigma_um, theta_deg, ior):
 
 @pytest.mark.parametrize("period_um", [slow(0.7), 1.0, slow(2.0)])
 def test_the_excess_energy_of_a_shallow_sine_follows_its_formula(period_um):
-    """Scalar theory violates the conservation of energy for a mirror with a shallow sine profile of amplitude a.
+    """The total power that a mirror with a shallow sine profile reflects must follow a formula of scalar theory.
 
-    The reflected power is 1 + (2πa/λ)² (1 − c)²/(2c) times the incident power, where c is the cosine of the first
-    order. The excess is about a millionth. Measuring it requires float64, a shallow profile and narrow lobes.
+    Scalar theory violates the conservation of energy. For a profile of amplitude a, the reflected power is
+    1 + (2πa/λ)² (1 − c)²/(2c) times the incident power, where c is the cosine of the first order. The excess is about a
+    millionth. Measuring it requires float64, a shallow profile and narrow lobes.
     """
     wavelength = 0.55
     amplitude = 0.001 * wavelength

@@ -77,7 +77,7 @@ def combined_errors(parts: ErrorParts, plan_error: float) -> NDArray[np.float64]
 
 
 def texture_error(tolerance: float) -> float:
-    """Return the relative error of the filter of textures in a picture with a tolerance."""
+    """Return the relative error that the filter of textures causes in a picture with the given tolerance."""
     return min(_FILTER_OF_TEXTURES, _MOST_OF_TOLERANCE * tolerance)
 
 

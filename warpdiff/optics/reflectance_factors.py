@@ -153,7 +153,7 @@ def brdf_scale(
     With ρ = C ⟨|P|²⟩, or C/cos θi ⟨|P|²⟩ for a source, the BRDF is R(θd) (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩
     times a factor. Here θd is half of the angle between ωi and ωr. For Gaussian windows, the factor is 4πσ²/λ². For N1
     × N2 periods of a patch of area A, it is A N1 N2/λ². For a source of the spread s, the factor is 1/(2πs² cos θi),
-    because the source is foreshortened in (u, v).
+    because the source is foreshortened in (u, v). Ω is the result of :func:`light_solid_angle`.
 
     Args:
         cos_light: cos θi > 0, shape (n,).
