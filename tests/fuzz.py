@@ -277,7 +277,7 @@ OBJECTS = {
     "source": _one_of(lambda: [picture(), picture().xyz, [500.0], np.ones((2, 3)), HEIGHTFIELD.periods(), PERIOD]),
     "ax": _one_of(lambda: [axes()]), "profile": _one_of(lambda: [trapezoid()]), "surface": _one_of(_heightfields),
     "measured": _one_of(lambda: [measured()]), **dict.fromkeys(("orders", "reflectances", "sd"), _VECTORS),
-    **dict.fromkeys(("evaluate", "loss"), st.just("bad")),
+    **dict.fromkeys(("evaluate", "loss"), st.just("bad")), "levels": st.one_of(_COUNTS, _VECTORS), "dose": _VECTORS,
     "wrt": st.sampled_from([("heights_um",), ("to_light", "ior"), ("duty",), ("x",), "heights_um", (), [1], (None,)]),
 }  # fmt: skip
 _SETTINGS = describe(SinglePictureSettings)
