@@ -76,7 +76,7 @@ def base_colour_change(
 
 @wp.func
 def map_change(
-    metallic_roughness: wp.array(dtype=wp.vec2f), emission: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32),
+    metallic_roughness: wp.array(dtype=wp.vec4f), emission: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32),
     row: wp.int32, column: wp.int32, width: wp.int32, height: wp.int32,
 ) -> wp.float32:  # fmt: skip
     """Return the largest relative change of colour that differences of the textures of plain surfaces may cause.
@@ -99,7 +99,7 @@ def map_change(
 @wp.kernel
 def estimate_errors(
     colours: wp.array(dtype=wp.vec3f), scattering_vectors: wp.array(dtype=wp.vec3d), hit: wp.array(dtype=wp.int32),
-    base_colours: wp.array(dtype=wp.vec3f), metallic_roughness: wp.array(dtype=wp.vec2f),
+    base_colours: wp.array(dtype=wp.vec3f), metallic_roughness: wp.array(dtype=wp.vec4f),
     emission: wp.array(dtype=wp.vec3f), width: wp.int32, floor: wp.array(dtype=wp.float32), bound: wp.float32,
     all_pixels: wp.bool, subdivides_silhouettes: wp.bool, first: wp.int32, run: wp.int32,
     errors_out: wp.array(dtype=wp.float32), marks_out: wp.array(dtype=wp.uint8),

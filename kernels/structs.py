@@ -117,5 +117,7 @@ class Pixels:
     to_view: wp.array(dtype=wp.vec3f)  # unit vector ωr to the viewer
     shadow_origin: wp.array(dtype=wp.vec3f)  # origin of shadow rays
     base_colour: wp.array(dtype=wp.vec3f)  # base colour, linear RGB; empty if there is no pigment
-    metallic_roughness: wp.array(dtype=wp.vec2f)  # factors of metallic and roughness by textures; empty without any
+    # Factors of metallic and roughness by textures, the standard deviation of roughness within the footprint, and the
+    # change of metallic over this deviation; empty without textures.
+    metallic_roughness: wp.array(dtype=wp.vec4f)
     emission: wp.array(dtype=wp.vec3f)  # factors of emission by textures, linear RGB; empty without any

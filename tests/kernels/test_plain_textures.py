@@ -73,12 +73,13 @@ def test_points_are_interpolated_between_texels_of_both_textures(wraps, rng, mon
     surface = surface_of(roughness, emission, 2.3, wraps, monkeypatch)
     view = wd.View.orthographic((1.0, 0.0, 3.0), (1.0, 0, 0), extent_y=1.9, width=60, height=40)
     gloss, emitted, part, uvs = values_of(surface, view, 0.0)
-    np.testing.assert_array_equal(gloss[part == 1], 1.0)
+    np.testing.assert_array_equal(gloss[part == 1], [[1.0, 1.0, 0.0, 0.0]] * np.sum(part == 1))
     np.testing.assert_array_equal(emitted[part == 1], 1.0)
     inside = part == 0
     assert 500 < inside.sum() < 2000
     expected = bilinear(roughness / 255.0, wraps[0], *uvs[0][inside].T)
-    np.testing.assert_allclose(gloss[inside], expected[:, [2, 1]], atol=2e-5)
+    np.testing.assert_allclose(gloss[inside, :2], expected[:, [2, 1]], atol=2e-5)
+    np.testing.assert_array_equal(gloss[inside, 2:], 0.0)
     expected = bilinear(decode(emission), wraps[1], *uvs[1][inside].T)
     np.testing.assert_allclose(emitted[inside], expected, atol=2e-5)
     # The coordinates at the corners follow from the formula of the transform.
@@ -101,7 +102,7 @@ def test_filtered_values_are_means_over_the_pixel_filter(scale, eye, rng, monkey
     x, y = np.meshgrid(*2 * [np.linspace(-3.5, 3.5, 61)])
     weights = np.exp(-0.5 * (x * x + y * y))[..., None]
     for uv, texels, value, point in (
-        (uvs[0], roughness[..., [2, 1]] / 255.0, gloss, points[0]), (uvs[1], decode(emission), emitted, points[1]),
+        (uvs[0], roughness[..., [2, 1]] / 255.0, gloss[:, :2], points[0][:, :2]), (uvs[1], decode(emission), emitted, points[1]),
     ):  # fmt: skip
         right, down = (uv[1] - uv[0]) * deviation, (uv[12] - uv[0]) * deviation
         exact = np.array(

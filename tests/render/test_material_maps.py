@@ -115,7 +115,7 @@ def test_height_fields_with_the_material_of_a_plain_part_stay_without_its_textur
     np.testing.assert_array_equal(images[0].xyz, images[1].xyz)
 
 
-@pytest.mark.parametrize("size", [16])
+@pytest.mark.parametrize("size", [16, 64, 1024])
 def test_pictures_with_a_checker_of_roughness_meet_the_tolerance(size):
     light, body = wd.DirectionalLight((0.1, 0.2, 1.0)), scene(mapped(checker(90, 250, size)), 0.3)
     view = wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=1.8, width=24, height=24)
@@ -127,6 +127,51 @@ def test_pictures_with_a_checker_of_roughness_meet_the_tolerance(size):
     error = np.linalg.norm(means - exact, axis=-1) / np.maximum(np.linalg.norm(exact, axis=-1), floor)
     assert error.max() <= 0.1
     assert np.all(image.error[image.illuminated] > 0.0)
+
+
+LIGHTS = {
+    "directional": wd.DirectionalLight((0.1, 0.1, 1.0)),
+    "disc": wd.DirectionalLight((0.1, 0.1, 1.0), angular_diameter_deg=20.0),
+}
+
+
+def far_view(pixels):
+    return wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=1.8, width=pixels, height=pixels)
+
+
+def blocks():
+    """Return a texture of blocks of 32 × 32 texels with two roughnesses and two metallics."""
+    return checker(90, 250, 16).repeat(32, axis=0).repeat(32, axis=1)
+
+
+@pytest.mark.parametrize("name", LIGHTS)
+def test_far_textures_reflect_the_mean_light_of_their_roughnesses(name):
+    options = OPTIONS | {"shadows": False, "refine": False}
+    plain = [
+        PBRMaterial(
+            name="plain", baseColorFactor=[255, 204, 102, 255], metallicFactor=0.9 * metallic / 255,
+            roughnessFactor=0.8 * roughness / 255,
+        )
+        for roughness, metallic in ((90, 128), (250, 255))
+    ]  # fmt: skip
+    far, smooth, rough = (
+        wd.shade(scene(own, 0.05), SURFACES, LIGHTS[name], far_view(6), **options).xyz.mean(axis=(0, 1))
+        for own in (mapped(blocks()), *plain)
+    )
+    assert smooth[1] > 1.5 * rough[1]
+    np.testing.assert_allclose(far, 0.5 * (smooth + rough), rtol=0.03)
+
+
+def test_far_textures_reflect_the_mean_light_of_a_sky():
+    """Cells within which the roughness varies are compared with cells that resolve the texels."""
+    texels, sky = checker(90, 250, 64).repeat(8, axis=0).repeat(8, axis=1), wd.Environment.clear_sky((0.0, 0.05, 1.0))
+    options = OPTIONS | {"shadows": False, "refine": False}
+    few, many = (
+        wd.shade(scene(mapped(texels), 0.05), SURFACES, sky, far_view(8), **options, samples_per_pixel=samples)
+        for samples in (4, 4096)
+    )
+    # The mean roughness instead of two roughnesses is wrong by 6 %.
+    np.testing.assert_allclose(few.xyz.mean(axis=(0, 1)), many.xyz.mean(axis=(0, 1)), rtol=0.045)
 
 
 def test_a_renderer_draws_the_textures_of_shade():

@@ -368,7 +368,7 @@ def test_errors_are_estimated_from_neighbouring_pixels(size, slices, textures, r
     uv += rng.choice([0.0, 1e-4, 1e-3], (*size, 1), p=[0.9, 0.07, 0.03])
     scattering_vectors = np.concatenate([uv, np.zeros((*size, 1))], axis=-1)
     base = rng.uniform(0.1, 1.0, (*size, 3)).astype(np.float32)
-    gloss = rng.choice([0.5, 0.51, 0.02], (*size, 2), p=[0.8, 0.15, 0.05]).astype(np.float32)
+    gloss = rng.choice([0.5, 0.51, 0.02], (*size, 4), p=[0.8, 0.15, 0.05]).astype(np.float32)
     emission = rng.choice([0.5, 0.52], (*size, 3)).astype(np.float32)
     maps = (gloss[..., 0], gloss[..., 1], emission)
     given = [
@@ -376,7 +376,7 @@ def test_errors_are_estimated_from_neighbouring_pixels(size, slices, textures, r
         wp.array(scattering_vectors.reshape(-1, 3), dtype=wp.vec3d, device="cpu"),
         wp.array(hit.ravel(), dtype=wp.int32, device="cpu"),
         wp.array(base.reshape(-1, 3) if is_textured else np.zeros((0, 3)), dtype=wp.vec3f, device="cpu"),
-        wp.array(gloss.reshape(-1, 2) if has_maps else np.zeros((0, 2)), dtype=wp.vec2f, device="cpu"),
+        wp.array(gloss.reshape(-1, 4) if has_maps else np.zeros((0, 4)), dtype=wp.vec4f, device="cpu"),
         wp.array(emission.reshape(-1, 3) if has_maps else np.zeros((0, 3)), dtype=wp.vec3f, device="cpu"),
         size[1], wp.array([0.8], dtype=wp.float32, device="cpu"),
         0.3, False, True,

@@ -43,7 +43,7 @@ class GBuffer:
         for name in _VECTORS:
             setattr(pixels, name, empty(wp.vec3f))
         pixels.base_colour = empty(wp.vec3f, rays * coloured)
-        pixels.metallic_roughness = empty(wp.vec2f, rays * has_maps)
+        pixels.metallic_roughness = empty(wp.vec4f, rays * has_maps)
         pixels.emission = empty(wp.vec3f, rays * has_maps)
         return cls(pixels)
 

@@ -45,7 +45,7 @@ def maps_of(
             source if row in used and has_uvs and effect else None
             for source, has_uvs, effect in zip(sources, own.has_map_uvs, has_effect, strict=True)
         )
-        roughness.append(None if of_roughness is None else images.texture(of_roughness, _WHITE, is_data=True))
+        roughness.append(None if of_roughness is None else images.texture(of_roughness, _WHITE, is_roughness=True))
         emission.append(None if of_emission is None else images.texture(of_emission, _WHITE))
     if not any(roughness) and not any(emission):
         return None

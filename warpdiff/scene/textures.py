@@ -11,6 +11,7 @@ import numpy as np
 from warpdiff.core.memory import require_memory
 from warpdiff.core.wording import ref
 from warpdiff.scene import mesh_images
+from warpdiff.scene.texture_pyramid import mean_products
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -86,20 +87,22 @@ class TextureImages:
         self._by_content: dict[bytes, NDArray[np.float32]] = {}
         self._textures: list[tuple[NDArray[np.float32], NDArray[np.float64], Texture]] = []
 
-    def texture(self, source: TextureMap, colour: Sequence[float], *, is_data: bool = False) -> Texture | None:
+    def texture(self, source: TextureMap, colour: Sequence[float], *, is_roughness: bool = False) -> Texture | None:
         """Return an image times a linear RGBA, or None with a warning if the image is damaged.
 
         Args:
             source: The image and its addressing.
             colour: Linear RGBA.
-            is_data: Whether the numbers of the image are linear, not encoded in sRGB.
+            is_roughness: Whether the image has roughness in green and metallic in blue, which are linear. The texture
+                then has means over each texel in red and alpha: of the squared roughness, and of roughness times
+                metallic.
 
         Raises:
             MemoryError: The image requires more memory than is free.
         """
         if source.image is None:
             return None
-        pixels = self._pixels(source.image, is_data=is_data)
+        pixels = self._pixels(source.image, is_roughness=is_roughness)
         if pixels is None:
             return None
         factor = np.array(colour, dtype=np.float64)
@@ -123,20 +126,23 @@ class TextureImages:
         self._textures.append((pixels, factor, texture))
         return texture
 
-    def _pixels(self, image: Image.Image, *, is_data: bool) -> NDArray[np.float32] | None:
-        for known, as_data, pixels in self._decoded:
-            if known is image and as_data == is_data:
+    def _pixels(self, image: Image.Image, *, is_roughness: bool) -> NDArray[np.float32] | None:
+        for known, as_roughness, pixels in self._decoded:
+            if known is image and as_roughness == is_roughness:
                 return pixels
         require_memory(
             _BYTES_PER_TEXEL * image.width * image.height,
             f"the texture {_name_of(image)!r} of {ref('mesh')}, {image.width} × {image.height} pixels,",
             "give an image with {side} times the width and height",
         )
-        pixels = mesh_images.linear_rgba(image, is_data=is_data)
+        pixels = mesh_images.linear_rgba(image, is_data=is_roughness)
         if pixels is not None:
+            if is_roughness:
+                pixels[..., 0] = mean_products(pixels[..., 1], pixels[..., 1])
+                pixels[..., 3] = mean_products(pixels[..., 1], pixels[..., 2])
             digest = hashlib.blake2b(str(pixels.shape).encode() + pixels.tobytes()).digest()
             pixels = self._by_content.setdefault(digest, pixels)
-        self._decoded.append((image, is_data, pixels))
+        self._decoded.append((image, is_roughness, pixels))
         return pixels
 
 
