@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
+# Least power of orders by which deviations are divided. Limit: the least float64 that has a reciprocal.
+_LEAST_POWER = 1e-300
 # Number of samples per standard deviation of rounded edges, at least.
 _PER_EDGE = 2.0
 
@@ -128,8 +130,8 @@ class Design:
 
         Returns:
             A row for the design and per change: the change, its amount, the largest ΔE2000 of a colour at the
-            exposure of the design, and the largest deviation of an order: relative to the mean of equal orders, or
-            the difference of efficiencies. NaN where there is no such target.
+            exposure of the design if there are colours, and the largest deviation of an order if there are orders:
+            relative to the mean of equal orders, or the difference of efficiencies.
 
         Raises:
             ValueError: A number is out of its range, or a direction leaves the upper hemisphere.
@@ -139,7 +141,7 @@ class Design:
             >>> pixels = wd.profiles.Pixels(0.5, np.zeros((1, 16)))
             >>> target = wd.Target.orders({(0, 1): 0.3, (0, -1): 0.3}, (0, 0, 1), 632.8, ior=math.inf)
             >>> print(wd.design(pixels, target, starts=1).robustness(edge_widths_um=[0.05], tilts_deg=[1.0]))
-            change  amount  delta_e  order_error
+            change  amount  order_error
               none       0  ...
              depth    0.95  ...
              depth    1.05  ...
@@ -160,8 +162,9 @@ class Design:
             for name, amount, changed, angle in changes:
                 errors = _errors(self.targets, achieved_values(changed, self.targets, angle), self.exposure)
                 rows.append((name, amount, *errors))
-        columns = ("change", "amount", "delta_e", "order_error")
-        return Table(dict(zip(columns, map(np.array, zip(*rows, strict=True)), strict=True)))
+        kinds = {"delta_e": "colour" in (t.kind for t in self.targets), "order_error": len(self.shares) > 0}
+        columns = dict(zip(("change", "amount", *kinds), map(np.array, zip(*rows, strict=True)), strict=True))
+        return Table({name: column for name, column in columns.items() if kinds.get(name, True)})
 
 
 def make_design(
@@ -222,7 +225,7 @@ def fitted_exposure(targets: Sequence[Target], values: list[Array], first: float
 
 def uniformity_error(efficiencies: Array) -> float:
     """Return (largest − least)/(largest + least)."""
-    return float(np.ptp(efficiencies) / (efficiencies.max() + efficiencies.min()))
+    return float(np.ptp(efficiencies) / max(float(efficiencies.max() + efficiencies.min()), _LEAST_POWER))
 
 
 def _errors(targets: Sequence[Target], values: list[Array], exposure: float) -> tuple[float, float]:
@@ -246,7 +249,8 @@ def _table(targets: Sequence[Target], values: list[Array], exposure: float) -> T
             continue
         names = [f"order {y}, {x}" for y, x in target.pairs]
         is_equal = target.kind == "equal"
-        errors = value / value.mean() - 1.0 if is_equal else value - target.requested
+        # A flat surface has no power in the orders of a target, and their deviation is −1.
+        errors = value / max(float(value.mean()), _LEAST_POWER) - 1.0 if is_equal else value - target.requested
         requested = np.full(len(value), value.mean()) if is_equal else target.requested
         rows += list(zip([k] * len(names), names, requested.tolist(), value.tolist(), errors.tolist(), strict=True))
     columns = ("target", "quantity", "requested", "achieved", "error")
