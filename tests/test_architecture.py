@@ -163,7 +163,10 @@ called = {
 trapezoid = wd.profiles.Trapezoid(0.1, 0.5, 0.02, 2.0)
 orders = wd.Measured.orders(up, 550.0, [(0, m) for m in range(-2, 3)], [0.0, 0.01, 0.02, 0.01, 0.0])
 fitted = wd.fit(trapezoid, orders, sd=1e-3, starts=1)
+target = wd.Target.equal([(0, -1), (0, 1)], up, 550.0)
+designed = wd.design(wd.profiles.Pixels(0.5, np.zeros((1, 4))), target, starts=1)
 called |= {
+    "Design": designed, "Target": target, "design": designed,
     "adjoint": wd.adjoint.order_efficiencies(heightfield, up, 550.0).value, "profiles": trapezoid, "fit": fitted,
     "Fit": fitted, "Measured": orders, "Minimum": fitted.minima[0], "Surface": wd.Surface(heightfield),
 }
@@ -171,7 +174,7 @@ lights = {name for name in wd.__all__ if isinstance(value := getattr(wd, name), 
 assert {"DirectionalLight", "Environment", "PointLight"} <= lights
 assert set(called) ^ lights == set(wd.__all__), set(called) ^ lights ^ set(wd.__all__)
 classes = "BakedLobes", "BakedSpectrum", "Comparison", "Image", "OrderEfficiencies", "Period", "Periods", "Plan"
-classes += ("Fit", "Measured", "Minimum")
+classes += ("Design", "Fit", "Measured", "Minimum", "Target")
 for name in (*classes, "ReflectanceSpectra", "Report", "Roughness", "ScanReport", "Table"):
     assert type(called[name]) is getattr(wd, name)
 """

@@ -102,7 +102,8 @@ def test_filtered_values_are_means_over_the_pixel_filter(scale, eye, rng, monkey
     x, y = np.meshgrid(*2 * [np.linspace(-3.5, 3.5, 61)])
     weights = np.exp(-0.5 * (x * x + y * y))[..., None]
     for uv, texels, value, point in (
-        (uvs[0], roughness[..., [2, 1]] / 255.0, gloss[:, :2], points[0][:, :2]), (uvs[1], decode(emission), emitted, points[1]),
+        (uvs[0], roughness[..., [2, 1]] / 255.0, gloss[:, :2], points[0][:, :2]),
+        (uvs[1], decode(emission), emitted, points[1]),
     ):  # fmt: skip
         right, down = (uv[1] - uv[0]) * deviation, (uv[12] - uv[0]) * deviation
         exact = np.array(
