@@ -58,8 +58,8 @@ class Gloss:
 def metallic_roughness_at(materials: PlainMaterials, pixels: Pixels, ray: wp.int32, deviations: wp.float32) -> wp.vec2f:
     """Return metallic and perceptual roughness at the hit of a ray; a negative roughness is matte.
 
-    The roughness is the mean of the texture over the footprint plus a number of standard deviations. Metallic follows by
-    its covariance with roughness.
+    The roughness is the mean of the texture over the footprint plus a number of standard deviations. Metallic follows
+    from its covariance with roughness.
     """
     result = materials.metallic_roughness[materials.rows[pixels.face[ray]]]
     # The negative roughness of a matte material is no number that a texture multiplies.

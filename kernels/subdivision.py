@@ -189,8 +189,8 @@ def select_levels(
                 quadrant_at(sums, levels_out, y, x + 1, width, height),
             )  # fmt: skip
         # The variable ``second`` is half the root mean square of the second differences of colour at the four
-        # quadrants. The change from the colour by one ray may be small by chance; the change is therefore limited to
-        # the range from half of ``second`` to ``second``.
+        # quadrants. The difference from the colour by one ray may be small by chance. It is therefore limited to the
+        # range from half of ``second`` to ``second``.
         second = 0.5 * wp.sqrt(0.25 * square)
         change = wp.clamp(changes_out[rank], 0.5 * second, second)
         need = wp.float32(0.0)
@@ -211,8 +211,8 @@ def select_levels(
             change = change * EDGE_FACTOR
         changes_out[rank] = change
         # To select a level, errors are assumed to be proportional to n⁻², where n is the number of cells along an axis.
-        # For reported errors, n^−ERROR_ORDER is assumed, which is more cautious. The level is rounded to a whole
-        # number.
+        # For reported errors, a proportionality to n^−ERROR_ORDER is assumed, which predicts larger errors. The level
+        # is rounded to a whole number.
         cells = 2.0 * wp.sqrt(CAUTION * need * change / tolerance)
         level = wp.clamp(wp.int32(wp.floor(wp.log2(wp.max(cells, 1.0)) + 0.5)), base, most)
         if (lighting & MISSED) != wp.uint8(0) and (lighting & (LIT | UNLIT)) != wp.uint8(0):

@@ -3,6 +3,8 @@
 A real parameter p becomes p + i·STEP, and the derivative is the imaginary part of the result over STEP, exact up to
 rounding. Complex quantities of the physics are pairs of numbers (real part, imaginary part), because the imaginary unit
 belongs to the step.
+
+κ is w/λ, the normal component w of the scattering vector divided by the wavelength.
 """
 
 import numpy as np

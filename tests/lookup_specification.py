@@ -2,6 +2,9 @@
 
 The native look-ups in ``native/point_lookup.h`` and ``native/footprint_lookup.h`` compute the same results for several
 pixels at once, with series instead of logarithms, exponentials and arc tangents.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer. w is its component along the normal.
 """
 
 import functools

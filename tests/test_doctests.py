@@ -60,7 +60,7 @@ def test_public_name_has_an_example(name):
 
 @pytest.mark.parametrize("name", public_names())
 def test_examples_run(name, tmp_path, monkeypatch):
-    """Run the examples of a name and of its methods in a temporary folder, and compare the printed output."""
+    """The examples of a name and of its methods must print the stated output. They run in a temporary folder."""
     monkeypatch.chdir(tmp_path)
     draw_reports_roughly(monkeypatch)
     runner = doctest.DocTestRunner(optionflags=OPTIONS, verbose=False)

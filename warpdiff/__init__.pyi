@@ -44,6 +44,9 @@ from warpdiff.image.comparison import compare as compare
 from warpdiff.image.display_transform import to_srgb as to_srgb
 from warpdiff.image.image import Image as Image
 from warpdiff.image.report import Report as Report
+from warpdiff.inverse_design.design_result import Design as Design
+from warpdiff.inverse_design.design_search import design as design
+from warpdiff.inverse_design.targets import Target as Target
 from warpdiff.lights.directional import DirectionalLight as DirectionalLight
 from warpdiff.lights.environment import Environment as Environment
 from warpdiff.lights.point import PointLight as PointLight

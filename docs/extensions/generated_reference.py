@@ -36,6 +36,7 @@ GROUPS = {
         "order_efficiencies", "OrderEfficiencies", "order_angles", "direction",
     ],
     "Gradients and fits": ["adjoint", "profiles", "fit", "Fit", "Minimum", "Measured"],
+    "Design": ["design", "Target", "Design"],
     "Plots, tables and reports": ["plot", "Table", "to_srgb", "report", "ScanReport"],
     "Plans and errors": ["plan", "Plan", "ToleranceError", "WarpdiffWarning"],
     "Sequences": ["sequence", "Shot", "turntable", "light_sweep", "camera_path"],

@@ -73,7 +73,7 @@ def test_truncation_is_the_largest_error_of_dark_directions_relative_to_a_mirror
         assert np.abs(value - exact).max() <= max(truncation, 1e-14) * mirror
 
 
-@pytest.mark.parametrize(("depth_um", "error"), [(1.0, 1e-10), (1e-3, 1e-10), (1e-5, 1e-7)])
+@pytest.mark.parametrize(("depth_um", "error"), [(1.0, 1e-12), (1e-3, 1e-10), (1e-5, 1e-7)])
 def test_single_pairs_have_exact_derivatives_by_the_scale_of_heights(depth_um, error):
     """All pairs have the same κ, so that the range of the series has no width of its own."""
     field = noise((5, 9), (0.21, 0.17))
@@ -87,7 +87,7 @@ def test_single_pairs_have_exact_derivatives_by_the_scale_of_heights(depth_um, e
     exact = complex_step.derivative(
         lambda q: complex_step.spectral_reflectance(q, "averaged", 550.0, masking=True), p, "height_scale"
     )
-    assert result.vjp([1.0])["height_scale"] == pytest.approx(exact, rel=error)
+    assert result.vjp([1.0])["height_scale"] == pytest.approx(exact, rel=error, abs=0.0)
 
 
 def test_the_last_entry_of_a_table_has_the_derivative_towards_shorter_wavelengths():

@@ -1,4 +1,8 @@
-"""Baked lobes and spectra, compared with closed forms, the float64 reference and the original height fields."""
+"""Baked lobes and spectra, compared with closed forms, the float64 reference and the original height fields.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer. σ is the standard deviation of the coherence window.
+"""
 
 import dataclasses
 import math
@@ -67,7 +71,9 @@ def test_an_illuminant_is_part_of_the_colours_and_of_the_file(fingers, tmp_path)
 
 
 def test_a_material_is_part_of_the_colours_and_of_the_file(tmp_path):
-    """Baked colours of gold must equal the float64 reference, which computes reflectances from characteristic matrices.
+    """Baked colours of gold must equal the float64 reference.
+
+    The reference computes reflectances from characteristic matrices, and shares no code with the library.
     """
     gold = wd.Material.metal("Au")
     small = wd.gratings.fingers(size_um=6.4, seed=4)
@@ -243,11 +249,11 @@ def test_quantisation_errors_are_at_most_half_a_step():
 
 
 def test_a_polar_grid_interpolates_lobes_of_its_design_width():
-    """Interpolation on a polar grid must reproduce lobes of the width for which the grid is made, up to 0.02 of their
-    peak.
+    """Interpolation on a polar grid must reproduce lobes of the width for which the grid is made.
 
-    Along the radius, the width of the test lobes is a tenth of |(u, v)|. Lobes in colour tables are at least this wide
-    along the radius, because they contain a range of wavelengths.
+    The error may be at most 0.02 of the peak of a lobe. Along the radius, the width of the test lobes is a tenth of
+    |(u, v)|. Lobes in colour tables are at least this wide along the radius, because they contain a range of
+    wavelengths.
     """
     width = 0.02
     grid = interpolation.grid_for(width, 16, 1.0)

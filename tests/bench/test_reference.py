@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import coherence_of, hemisphere
 
-from bench.truth import reference
+from bench.truth import coherent_sums, reference
 from warpdiff import gratings
 from warpdiff.diffraction import direct_sum
 from warpdiff.heightfield.field import HeightField
@@ -149,7 +149,7 @@ def test_a_smaller_tolerance_changes_results_only_within_the_larger_one(kind, rn
     rough_one = reference.reference_reflectance(heightfield, lights, views, coherence, tolerance=1e-2)
     fine = reference.reference_reflectance(heightfield, lights, views, coherence, tolerance=1e-8)
     moved = np.linalg.norm(rough_one - fine, axis=1)
-    assert np.all(moved <= 1e-2 / 20.0 * np.maximum(np.linalg.norm(fine, axis=1), reference.LEAST))
+    assert np.all(moved <= 1e-2 / 20.0 * np.maximum(np.linalg.norm(fine, axis=1), coherent_sums.LEAST))
 
 
 def test_a_coherence_by_name_equals_a_coherence_object(rng):

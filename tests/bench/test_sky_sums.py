@@ -1,4 +1,7 @@
-"""Sums over directions (``bench.truth.sky_sums``), the reference for skies and disc lights, equal closed forms."""
+"""The reference for skies and disc lights, sums over directions (``bench.truth.sky_sums``), must equal closed forms.
+
+σ is the standard deviation of the coherence window.
+"""
 
 import math
 

@@ -1,4 +1,8 @@
-"""Bases of Fourier coefficients, compared with transforms of exp(2πiκh), and their truncation errors."""
+"""Bases of Fourier coefficients, compared with transforms of exp(2πiκh), and their truncation errors.
+
+κ is w/λ, the normal component w of the scattering vector divided by the wavelength. H are the Fourier coefficients of
+exp(2πiκh) over one period of the heights h.
+"""
 
 import dataclasses
 import math
@@ -153,7 +157,7 @@ def test_the_basis_does_not_depend_on_the_neighbourhood():
 @pytest.mark.parametrize("taps", [4, 6, 8])
 @pytest.mark.parametrize("samples", [2, 9, 64])
 def test_interpolation_between_orders_equals_the_explicit_sum(taps, samples, rng):
-    """Fourier coefficients at multiples of half an order, interpolated, equal the explicit sum at any frequency."""
+    """Fourier coefficients that are interpolated from multiples of half an order must equal the explicit sum."""
     values = np.exp(2j * np.pi * rng.uniform(size=samples))
     place = (np.arange(samples) - samples // 2) / (2 * samples)
     tapered = np.zeros(2 * samples, dtype=complex)

@@ -1,4 +1,7 @@
-"""The direct sum equals an explicit average over window positions, and kernels equal the direct sum."""
+"""The direct sum equals an explicit average over window positions, and kernels equal the direct sum.
+
+(u, v, w) is the scattering vector. Its component w is along the normal.
+"""
 
 import functools
 

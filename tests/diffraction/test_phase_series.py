@@ -1,4 +1,7 @@
-"""Phase series in float32: height ranges at which each one fails, and the messages that report it."""
+"""Phase series in float32: height ranges at which each one fails, and the messages that report it.
+
+κ is w/λ, the normal component w of the scattering vector divided by the wavelength.
+"""
 
 import itertools
 
@@ -81,9 +84,10 @@ def test_jacobi_anger_is_stable_in_float32(height_range_um):
 
 
 def test_taylor_series_of_high_surfaces_fail_in_float32():
-    """At a height range of 1 µm, no number of terms makes Taylor series accurate in float32.
+    """At a height range of 1 µm, no number of terms may make Taylor series accurate in float32.
 
-    The least error of the uncentred series exceeds 1, and that of the centred series 0.01.
+    The least error over all tested numbers of terms must exceed 1 for the uncentred series, and 0.01 for the centred
+    series. These errors are the reason for the use of another series.
     """
     assert in_float32("taylor-uncentred", 0.15)[0] < 1e-5
     assert min(in_float32("taylor-uncentred", 1.0, terms)[0] for terms in (25, 37, 60, 90, 128)) > 1.0

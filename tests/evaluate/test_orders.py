@@ -1,4 +1,7 @@
-"""Order efficiencies: closed forms, an explicit sum, the absolute BRDF, energy, reciprocity and invalid arguments."""
+"""Order efficiencies: closed forms, an explicit sum, the absolute BRDF, energy, reciprocity and invalid arguments.
+
+κ is w/λ, the normal component w of the scattering vector divided by the wavelength.
+"""
 
 import math
 
@@ -58,7 +61,7 @@ def test_coefficients_of_a_tall_surface_equal_a_separate_transform_at_each_kappa
 @pytest.mark.parametrize("name", PROFILES)
 @pytest.mark.parametrize("angle", [0.0, 30.0, -60.0])
 def test_order_efficiencies_equal_closed_forms(name, angle):
-    """The expected efficiency of an order is its geometry factor times its power.
+    """The efficiency of an order must equal its geometry factor times its power, both computed in closed form.
 
     The grating equation gives the direction of the order and κ, from which the geometry factor follows. The profile's
     Fourier transform at κ gives the power.
@@ -87,7 +90,10 @@ def test_order_efficiencies_equal_closed_forms(name, angle):
 
 
 def test_a_blazed_grating_reflects_into_the_mirror_direction_of_its_facets():
-    """Facets that rise with x are tilted towards −x by α, so they reflect normally incident light to the angle −2α."""
+    """The strongest order of a blazed grating must be in the mirror direction of its facets.
+
+    Facets that rise with x are tilted towards −x by α, so that they reflect normally incident light to the angle −2α.
+    """
     wavelength = 0.5
     heightfield = wd.gratings.blazed(4.0, 2.0 * wavelength / 2.0, samples=2000)
     result = wd.order_efficiencies(heightfield, (0, 0, 1), 1e3 * wavelength, ior=math.inf, energy="stam")

@@ -114,19 +114,11 @@ def test_every_kernel_module_is_listed_in_this_file():
 @pytest.mark.parametrize(
     "module",
     [
-        base_colours,
-        bvh,
-        light_samples,
-        pixel_contrast,
-        plain_textures,
-        primary_hits,
-        shadow_rays,
-        subdivision,
-        tile_lists,
-        transparency,
+        bvh, primary_hits, light_samples, pixel_contrast, plain_textures, subdivision, shadow_rays, tile_lists,
+        base_colours, transparency,
     ],
     ids=lambda item: item.__name__,
-)
+)  # fmt: skip
 def test_modules_compile(module, arch, tmp_path):
     assert entry_points(compile_to_ptx(module, tmp_path, arch)) == KERNELS[module.__name__.rpartition(".")[2]]
 

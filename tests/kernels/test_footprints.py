@@ -1,4 +1,8 @@
-"""Footprints: mean colours over the pixel filter from one look-up, compared with pictures of many rays per pixel."""
+"""Footprints: mean colours over the pixel filter from one look-up, compared with pictures of many rays per pixel.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
+"""
 
 import dataclasses
 

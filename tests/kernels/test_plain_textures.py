@@ -33,7 +33,7 @@ def surface_of(roughness, emission, scale, wraps, monkeypatch):
     faces, uv = np.array([[0, 1, 2], [0, 2, 3]]), CORNERS[:, :2] * scale
     parts = [
         ScenePart("a", glossy, CORNERS, faces, np.arange(4), 4, uvs={0: CORNERS[:, :2], 1: uv}),
-        ScenePart("b", None, CORNERS + [2.0, 0.0, 0.0], faces, np.arange(4), 4, uvs={0: CORNERS[:, :2]}),
+        ScenePart("b", None, CORNERS + np.array([2.0, 0.0, 0.0]), faces, np.arange(4), 4, uvs={0: CORNERS[:, :2]}),
     ]
     monkeypatch.setattr(
         "warpdiff.scene.mesh_import.labelled_parts", lambda _: [(part, part.geometry) for part in parts]
@@ -102,7 +102,8 @@ def test_filtered_values_are_means_over_the_pixel_filter(scale, eye, rng, monkey
     x, y = np.meshgrid(*2 * [np.linspace(-3.5, 3.5, 61)])
     weights = np.exp(-0.5 * (x * x + y * y))[..., None]
     for uv, texels, value, point in (
-        (uvs[0], roughness[..., [2, 1]] / 255.0, gloss[:, :2], points[0][:, :2]), (uvs[1], decode(emission), emitted, points[1]),
+        (uvs[0], roughness[..., [2, 1]] / 255.0, gloss[:, :2], points[0][:, :2]),
+        (uvs[1], decode(emission), emitted, points[1]),
     ):  # fmt: skip
         right, down = (uv[1] - uv[0]) * deviation, (uv[12] - uv[0]) * deviation
         exact = np.array(

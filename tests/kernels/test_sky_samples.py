@@ -1,4 +1,8 @@
-"""Samples of a sky: stratification, probability densities, gains, and interpolation between the cells of the sky."""
+"""Samples of a sky: stratification, probability densities, gains, and interpolation between the cells of the sky.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
+"""
 
 import math
 

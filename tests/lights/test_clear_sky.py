@@ -13,7 +13,9 @@ LUMINANCE = colorimetry.RGB_TO_XYZ[1]
 
 
 def traditional(along, to_sun):
-    """Return luminances of the CIE clear sky of 1973. Type 12 of the CIE general sky differs from it only by rounding.
+    """Return luminances of the CIE clear sky of 1973.
+
+    Type 12 of the CIE general sky differs from this sky only by rounding.
     """
     angle = np.arccos(np.clip(along @ to_sun, -1.0, 1.0))
     return (0.91 + 10.0 * np.exp(-3.0 * angle) + 0.45 * np.cos(angle) ** 2) * (1.0 - np.exp(-0.32 / along[..., 1]))

@@ -236,7 +236,8 @@ def test_the_reflected_rim_of_a_disc_light_is_sharp(diameter, fov_y_deg, square)
 
 
 def test_the_luminance_of_a_mirror_under_a_disc_light_follows_its_formula(square):
-    """In the mirror direction of the centre of a disc light, Y must be the share of the light within the window's lobe.
+    """Y in the mirror direction of the centre of a disc light must be the share of the light within
+    the window's lobe.
     """
     flat = wd.HeightField(np.zeros((32, 32)), 0.09)
     view = wd.View.orthographic((0, 0, 4), (0, 0, 0), extent_y=1.0, width=8, height=6)

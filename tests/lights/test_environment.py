@@ -1,4 +1,9 @@
-"""Environments: mirrors and gratings under them, pigment and shadows, and skies as backgrounds of pictures."""
+"""Environments: mirrors and gratings under them, pigment and shadows, and skies as backgrounds of pictures.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer. ρ is the reflectance relative to a flat mirror, and σ the standard deviation of the coherence
+window.
+"""
 
 import copy
 import dataclasses

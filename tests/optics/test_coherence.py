@@ -1,4 +1,10 @@
-"""Coherence: direct sums over periods and sources equal explicit sums, and solid angles of all coherence models."""
+"""Coherence: direct sums over periods and sources equal explicit sums, and solid angles of all coherence models.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal, and κ is w/λ. q is (u, v)/λ. |P|² is the power that the
+surface diffracts into a direction, relative to a flat mirror in its mirror direction. ρ is the reflectance relative to
+a flat mirror, and C the geometry factor between |P|² and ρ.
+"""
 
 import math
 

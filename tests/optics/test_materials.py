@@ -50,7 +50,9 @@ def test_a_quarter_wave_film_with_the_square_root_of_the_index_reflects_nothing(
 
 
 def test_metals_have_their_colours():
-    """Gold (Johnson and Christy) must reflect red and absorb blue. Aluminium (McPeak) must reflect 91 to 92 % of green.
+    """Metals must have their known colours.
+
+    Gold (Johnson and Christy) reflects red and absorbs blue. Aluminium (McPeak) reflects 91 to 92 % of green.
     """
     assert GOLD.reflectance([450.0, 650.0], 0.0).tolist() == pytest.approx([0.408, 0.955], abs=0.01)
     assert wd.Material.metal("Al").reflectance(550.0, 0.0) == pytest.approx(0.916, abs=2e-3)

@@ -91,6 +91,7 @@ def mtl(folder, lines):
     ("lines", "expected"),
     [
         ("Kd 0.5 0.5 0.5\nKs 1 1 1\nNs 200\nd 1\nTr 0\n", None),
+        ("Tr 1\n", None),
         ("Pm 1\nPr 0.25\n", (1.0, 0.25, (0, 0, 0))),
         ("Kd 1 0 0\nPr 0.5\nKe 1 2 3\n", (0.0, 0.5, (1, 2, 3))),
         ("Ke 0 1 0\n", (0.0, -1.0, (0, 1, 0))),

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff.adjoint.linearised import Linearised
 from warpdiff.core import validation
-from warpdiff.core.wording import ArgumentTypeError, ref
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.profiles.profile_base import Profile
 
 if TYPE_CHECKING:
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from warpdiff.adjoint.linearised import Linearised
     from warpdiff.heightfield.field import HeightField
     from warpdiff.profiles.outline import Outline
 
@@ -38,7 +38,8 @@ def objective(
         Function of parameters, shape (p,), that returns the loss and its gradient, shape (p,).
 
     Raises:
-        TypeError: ``profile`` is not a profile, or another argument is not a function.
+        TypeError: ``profile`` is not a profile, or another argument is not a function. The returned function raises it
+            for results of a wrong type, and ValueError for results without the derivatives of ``wrt``.
 
     Examples:
         >>> import math
@@ -63,8 +64,24 @@ def objective(
 
     def function(x: ArrayLike) -> tuple[float, NDArray[np.float64]]:
         parameters = profile.check(x)
-        value, vjp, _ = evaluate(profile.surface(parameters), profile.wrt)
-        result, adjoints = loss(value)
-        return float(result), profile.pullback(parameters, vjp(np.asarray(adjoints, dtype=np.float64)))
+        result = evaluate(profile.surface(parameters), profile.wrt)
+        if not isinstance(result, Linearised):
+            raise ArgumentTypeError(
+                f"{ref('evaluate')} must return a result of wd.adjoint, such as wd.adjoint.reflectance(surface, …, "
+                f"wrt=wrt), got {type(result).__name__}"
+            )
+        pair = loss(result.value)
+        if not isinstance(pair, (tuple, list)) or len(pair) != 2 or np.ndim(pair[0]) != 0:
+            raise ArgumentTypeError(
+                f"{ref('loss')} must return a number and its gradient by the value, got {type(pair).__name__}"
+                + (f" of {len(pair)} elements" if isinstance(pair, (tuple, list)) else "")
+            )
+        adjoints = result.vjp(pair[1])
+        if missing := [name for name in profile.wrt if name not in adjoints]:
+            raise ArgumentValueError(
+                f"{ref('evaluate')} must return derivatives by {', '.join(profile.wrt)}, {', '.join(missing)} are "
+                "missing: pass its argument wrt to the function of wd.adjoint"
+            )
+        return float(pair[0]), profile.pullback(parameters, adjoints)
 
     return function

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, get_args
 
@@ -14,8 +13,10 @@ from warpdiff.adjoint.spectral_derivatives import reflectance, spectral_reflecta
 from warpdiff.adjoint.surfaces import Relief
 from warpdiff.core import validation
 from warpdiff.core.angles import direction
+from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref, renaming
 from warpdiff.evaluate.orders import propagating
+from warpdiff.fitting import csv_columns
 from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry
 from warpdiff.optics.coherence import Coherence
@@ -25,7 +26,6 @@ from warpdiff.request.settings import Energy
 if TYPE_CHECKING:
     import os
     from collections.abc import Callable
-    from pathlib import Path
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -43,6 +43,10 @@ COLUMNS = {
     "spectra": (*_LIGHT, *_VIEW, "wavelength_nm", "relative_reflectance"),
     "colours": (*_LIGHT, *_VIEW, "X", "Y", "Z"),
 }
+
+
+# Efficiency above which values look like percent. Limit: an order reflects at most the incident power, plus noise.
+_LARGEST_EFFICIENCY = 1.5
 
 
 class _Grid(NamedTuple):
@@ -95,15 +99,24 @@ class Measured:
             to_light: Directions to the light, shape (3,) or (n, 3).
             wavelengths_nm: Wavelength of each efficiency [nm], one number or shape (n,).
             orders: Pairs (m_y, m_x), shape (n, 2).
-            efficiencies: Reflected power relative to the incident power, shape (n,).
+            efficiencies: Reflected power relative to the incident power, shape (n,). The prediction of an order that
+                does not propagate is 0.
             ior: Index of refraction; None is 1.5 unless a material is given.
             material: Material of the surface.
             energy: ``"stam"`` or ``"normalised"``, as for :func:`warpdiff.order_efficiencies`.
+
+        Warns:
+            WarpdiffWarning: Efficiencies look like percent.
 
         Raises:
             ValueError: Shapes do not match, or an argument is out of its range.
         """
         values = _values(efficiencies, "efficiencies")
+        if values.max() > _LARGEST_EFFICIENCY:
+            warn(
+                f"{ref('efficiencies')} must be at most about 1, got {values.max():g}: divide percent by 100, and "
+                "powers by the incident power"
+            )
         pairs = validation.finite_array(orders, "orders", ndim=2)
         if pairs.shape != (len(values), 2) or np.any(pairs != np.rint(pairs)):
             raise ArgumentValueError(f"{ref('orders')} must be integers of shape ({len(values)}, 2), got {pairs.shape}")
@@ -111,17 +124,19 @@ class Measured:
         wavelengths = _wavelengths(wavelengths_nm, len(values))
         _check_optics(ior, material, wavelengths.rows, energy=energy)
         if lights.rows[:, 2].min() <= HORIZON:
-            raise ArgumentValueError(f"{ref('to_light')} must be above the horizon (z > 0)")
+            raise _below_horizon("to_light", lights.rows[:, 2])
 
         def predict(surface: HeightField | Outline, wrt: tuple[str, ...]) -> Linearised:
-            known, _ = propagating(Relief.of(surface).lattice, lights.rows, wavelengths.rows[:, 0])
+            known, views = propagating(Relief.of(surface).lattice, lights.rows, wavelengths.rows[:, 0])
             matches = np.all(known == pairs[:, None], axis=2)
+            column = np.argmax(matches, axis=1)
+            lives = matches.any(axis=1)
+            if len(known):
+                lives &= ~np.isnan(views[lights.which, wavelengths.which, column, 0])
             result = order_efficiencies(
                 surface, lights.rows, wavelengths.rows[:, 0], wrt=wrt, ior=ior, material=material, energy=energy
             )
-            # An order that is evanescent everywhere has no power.
-            places = (lights.which, wavelengths.which, np.argmax(matches, axis=1))
-            return _picked(result, places, matches.any(axis=1))
+            return _picked(result, (lights.which, wavelengths.which, column), lives)
 
         return cls("orders", values, predict)
 
@@ -207,6 +222,9 @@ class Measured:
 
         The columns decide the kind of the data. They are those of the tables that
         :class:`warpdiff.OrderEfficiencies` and :class:`warpdiff.ReflectanceSpectra` save; others are ignored.
+        Separators are commas, semicolons or tabs. With the last two, numbers may have decimal commas. Names may have
+        units in brackets, such as ``wavelength [µm]`` or ``efficiency (%)``, and cells may have percent signs. Empty
+        lines and comments (#) are skipped.
 
         - orders: ``light_theta_deg``, ``light_phi_deg``, ``wavelength_nm``, ``m_y``, ``m_x``, ``efficiency``
         - spectra: ``light_theta_deg``, ``light_phi_deg``, ``view_theta_deg``, ``view_phi_deg``, ``wavelength_nm``,
@@ -224,10 +242,11 @@ class Measured:
 
         Raises:
             FileNotFoundError: The file does not exist.
-            ValueError: Columns are missing, or a cell is not a number.
+            ValueError: Columns are missing, a cell is empty or not a number, or a line has too many cells.
 
         Examples:
             >>> import math
+            >>> import warpdiff as wd
             >>> grating = wd.gratings.sinusoidal(2.0, 0.1)
             >>> path = wd.order_efficiencies(grating, (0, 0, 1), 550.0).save("orders.csv")
             >>> wd.Measured.from_csv(path, ior=math.inf)
@@ -239,13 +258,16 @@ class Measured:
         colorimetry.check_illuminant(illuminant)
         if energy is not None:
             validation.choice(energy, "energy", get_args(Energy))
-        columns = _columns(validation.path(path, "path"))
-        kind = next((kind for kind, names in COLUMNS.items() if set(names) <= set(columns)), None)
-        if kind is None:
-            wanted_columns = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in COLUMNS.items())
+        names = dict.fromkeys(name for columns in COLUMNS.values() for name in columns)
+        columns = csv_columns.read(validation.path(path, "path"), names)
+        kinds = [kind for kind, required in COLUMNS.items() if set(required) <= set(columns)]
+        if len(kinds) != 1:
+            rule = "; ".join(f"{kind}: {', '.join(required)}" for kind, required in COLUMNS.items())
             raise ArgumentValueError(
-                f"{ref('path')} must have the columns of one kind of data ({wanted_columns}), got {', '.join(columns)}"
+                f"{ref('path')} must have the columns of one kind of data ({rule}), got "
+                f"{', '.join(columns) or 'none of them'}"
             )
+        (kind,) = kinds
         light = direction(columns[_LIGHT[0]], columns[_LIGHT[1]])
         if kind == "orders":
             pairs = np.stack([columns["m_y"], columns["m_x"]], axis=1)
@@ -286,26 +308,12 @@ def _check_optics(
         validation.choice(energy, "energy", get_args(Energy))
 
 
-def _columns(path: Path) -> dict[str, Array]:
-    """Return the numeric columns of a CSV file by their names."""
-    if not path.is_file():
-        raise FileNotFoundError(f"path: {str(path)!r} is not a file")
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.DictReader(file))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ArgumentValueError(f"{ref('path')}: {str(path)!r} is not a CSV file: {error}") from None
-    known = {name for names in COLUMNS.values() for name in names}
-    result = {}
-    for name in rows[0] if rows else ():
-        if name in known:
-            try:
-                result[name] = np.array([float(row[name]) for row in rows])
-            except (TypeError, ValueError):
-                result[name] = np.array([np.nan])
-            if not np.isfinite(result[name]).all():
-                raise ArgumentValueError(f"{ref('path')}: column {name!r} must contain finite numbers in each row")
-    return result
+def _below_horizon(name: str, heights: Array) -> Exception:
+    """Return the error for directions whose z components are not all above the horizon."""
+    return ArgumentValueError(
+        f"{ref(name)} must be above the horizon (z > 0), got z = {heights.min():.3g} after normalisation: nothing is "
+        "measured there; remove the value"
+    )
 
 
 def _grid(rows: Array, count: int, name: str) -> _Grid:
@@ -322,6 +330,9 @@ def _wavelengths(wavelengths_nm: ArrayLike, count: int) -> _Grid:
 
 def _pairs(to_light: ArrayLike, to_view: ArrayLike, count: int) -> _Grid:
     lights, views, _ = validation.light_and_view(to_light, to_view)
+    for name, directions in (("to_light", lights), ("to_view", views)):
+        if len(directions) and directions[:, 2].min() <= HORIZON:
+            raise _below_horizon(name, directions[:, 2])
     return _grid(np.concatenate([lights, views], axis=1), count, "to_view")
 
 
@@ -329,9 +340,14 @@ def _picked(result: Linearised, places: tuple[NDArray[np.int64], ...], exists: N
     """Return elements of a linearised value as a linearised vector; elements that do not exist are 0."""
     value, vjp, jvp = result
 
-    def adjoint(adjoints: ArrayLike) -> dict[str, Array]:
+    def adjoint(adjoint_of_value: ArrayLike) -> dict[str, Array]:
+        array = validation.finite_array(adjoint_of_value, "adjoint_of_value")
+        if array.shape != exists.shape:
+            raise ArgumentValueError(
+                f"{ref('adjoint_of_value')} must have the shape of the value, {exists.shape}, got {array.shape}"
+            )
         full = np.zeros(value.shape)
-        np.add.at(full, places, np.where(exists, adjoints, 0.0))
+        np.add.at(full, places, np.where(exists, array, 0.0))
         return vjp(full)
 
     def tangent(**changes: ArrayLike) -> Array:

@@ -10,8 +10,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from warpdiff.core import validation
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.heightfield import cleaning, diagnostics, periods, roughness
@@ -24,7 +22,8 @@ if TYPE_CHECKING:
     import os
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    import numpy as np
+    from numpy.typing import ArrayLike, NDArray
 
     from warpdiff.heightfield.readers.reader_registry import FileContent, Source
 

@@ -33,8 +33,8 @@ LAMBDA_MIN_NM = 380
 LAMBDA_MAX_NM = 780
 VISIBLE_NM = np.arange(LAMBDA_MIN_NM, LAMBDA_MAX_NM + 1, dtype=np.float64)
 VISIBLE_NM.setflags(write=False)
-# Shortest and longest wavelength that functions accept [nm]. The range includes ultraviolet and infrared, and excludes
-# values in µm that were given by mistake.
+# The reflectance ρ is interpolated by a quintic polynomial, which passes through this number of wavelengths. For a
+# colour error of 1e-4, cubic polynomials would require up to twice as many wavelengths.
 SHORTEST_NM, LONGEST_NM = 100.0, 10_000.0
 
 PRECOMPUTED = {"D65": Path(__file__).with_name("d65.npy")}
@@ -46,8 +46,8 @@ _STENCIL = 6
 # of the negative weights is at most `_NEGLIGIBLE` times the sum of all weights, which is the size of rounding errors.
 _MOST_ROUNDS, _NEGLIGIBLE = 64, 1e-12
 
-# A step between tabulated wavelengths counts as at least 1 nm if it is shorter by at most this [nm]. Wavelengths in a
-# file are rounded, so that their steps are not exact.
+# If a step between tabulated wavelengths is shorter than 1 nm by at most this number [nm], it counts as 1 nm.
+# Wavelengths in files are rounded, so that their steps are not exact.
 _STEP_ROUNDING = 1e-6
 
 # Matrix from XYZ to linear sRGB (IEC 61966-2-1).
@@ -206,8 +206,8 @@ def _shape() -> Any:
 def _products(source: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return S·(x̄, ȳ, z̄) divided by the sum of S·ȳ, for a spectrum S with steps of 1 nm."""
     observer = _observer()
-    # Negative values are replaced by 0: the interpolation of colour-science to 1 nm gives values of −1e-24 at the ends
-    # of the colour-matching functions.
+    # Negative values are replaced by 0. They occur because colour-science interpolates the colour-matching functions to
+    # 1 nm, which gives −1e-24 at their ends.
     products = np.maximum(np.asarray(observer * source[:, None], dtype=np.float64), 0.0)
     return np.asarray(products / products[:, 1].sum())
 
@@ -238,8 +238,8 @@ def quadrature_weights(
         raise ArgumentValueError(f"{ref('wavelengths_nm')} must be strictly increasing")
     products = colour_products(illuminant)
     grid = VISIBLE_NM
-    # The integral is computed between consecutive cuts, which are all whole nanometres and all wavelengths of the
-    # samples. The integrand has kinks only at the cuts, so that three Gauss points per interval between two cuts
+    # The integral is computed over intervals between consecutive cuts. The cuts are all whole nanometres and all
+    # wavelengths of the samples. The integrand has kinks only at the cuts, so that three Gauss points per interval
     # suffice.
     cuts = np.union1d(grid, nodes[(nodes > grid[0]) & (nodes < grid[-1])])
     left, length = cuts[:-1, None], np.diff(cuts)[:, None]
@@ -276,7 +276,7 @@ def _interpolation_weights(
 
 
 def _without_negative(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Replace negative weights by 0, after half of a negative weight has been added to either neighbouring weight.
+    """Add half of each negative weight to either neighbouring weight, and replace the negative weight by 0.
 
     The addition is repeated, because it can make neighbouring weights negative. Weighted sums over a smooth ρ hardly
     change.

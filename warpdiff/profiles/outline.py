@@ -90,6 +90,7 @@ class Outline:
             samples: Number of samples per period, at least 2, by default 1024. Walls are accurate to half a sample.
 
         Examples:
+            >>> import warpdiff as wd
             >>> wd.profiles.Outline([0.0, 0.5], [0.0, 0.1], period_um=2.0).height_field(4).heights_um
             array([[0.  , 0.05, 0.1 , 0.05]])
         """

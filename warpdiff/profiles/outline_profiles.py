@@ -27,6 +27,8 @@ _PERIOD_RANGE = 0.95, 1.05
 _HEIGHT_MARGIN_UM = 10.0
 # Upper bound of a depth, relative to its start value. Choice: random starts of a fit lie within the bounds.
 _DEPTH_RANGE = 3.0
+# Largest distance by which rounding errors may move a vertex beyond its neighbour or the period [periods].
+_ROUNDING = 1e-9
 # Least upper bound of the width of a wall [periods], so that vertical walls can become sloped.
 _WIDEST_WALL = 0.05
 
@@ -62,7 +64,15 @@ class _OutlineProfile(Profile):
         """Return the outline for parameters, shape (p,)."""
         values = self.check(x)
         vertices = self._base + np.tensordot(values[:-1], self._modes, axes=1)
-        return Outline(np.clip(vertices[:, 0], 0.0, 1.0), vertices[:, 1], float(values[-1]))
+        positions = np.clip(vertices[:, 0], 0.0, 1.0)
+        positions = np.maximum.accumulate(positions)
+        if np.max(np.abs(positions - vertices[:, 0])) > _ROUNDING:
+            shown = ", ".join(f"{name} = {value:.4g}" for name, value in zip(self.names[:6], values[:6], strict=True))
+            raise ArgumentValueError(
+                f"{ref('x')} must give vertices in increasing order within one period, got {shown}: keep within "
+                f"{ref('bounds')} of the profile"
+            )
+        return Outline(positions, vertices[:, 1], float(values[-1]))
 
     def height_field(self, x: ArrayLike) -> HeightField:
         """Return samples of the outline for parameters, shape (p,)."""
@@ -89,6 +99,9 @@ class Polygon(_OutlineProfile):
         vertices: Start values of positions [periods] and heights [µm], shape (k, 2), in the order of the positions.
         period_um: Start value of the period [µm]; its range is ± 5 %.
 
+    Raises:
+        ValueError: Positions are outside of 0 to 1 or decrease, or three of them are equal.
+
     Examples:
         >>> import warpdiff as wd
         >>> profile = wd.profiles.Polygon([(0.0, 0.0), (0.5, 0.1)], period_um=2.0)
@@ -109,6 +122,11 @@ class Polygon(_OutlineProfile):
             gaps = np.diff(
                 np.concatenate([array[: k + 1, 0][-2:], array[k + 1 : k + 2, 0] if k + 1 < count else [1.0]])
             )
+            if not gaps.any():
+                raise ArgumentValueError(
+                    f"{ref('vertices')} must not have three equal positions, got {array[k, 0]:g} of vertex {k} and of "
+                    "both of its neighbours: remove it"
+                )
             position, height = array[k]
             bounds += [
                 [position - 0.499 * gaps[0], position + 0.499 * gaps[1]],
@@ -153,7 +171,7 @@ class Trapezoid(_OutlineProfile):
         if not start[2] >= 0.0 or widest > min(start[1], 1.0 - start[1]):
             raise ArgumentValueError(
                 f"{ref('wall')} must be at least 0 and at most half of ridge and groove, and {ref('duty')} within "
-                f"{_WIDEST_WALL:g} to {1.0 - _WIDEST_WALL:g}, got {start[2]:g} and {start[1]:g}"
+                f"{_WIDEST_WALL:g} to {1.0 - _WIDEST_WALL:g}, got {start[2]:g} and {start[1]:g}: take a narrower wall"
             )
         base = np.array([[0.5, 0.0]] * 4)
         modes = np.zeros((3, 4, 2))

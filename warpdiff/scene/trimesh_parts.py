@@ -234,7 +234,9 @@ class _MtlFactors(NamedTuple):
                     f"{', '.join(f'{value:g}' for value in values)}; correct the .mtl file"
                 )
             numbers[key] = values
-        if numbers.get("d", (1.0,))[0] < 1.0 or numbers.get("tr", (0.0,))[0] > 0.0:
+        # By the specification, a material with Tr 1 is invisible. Files with Tr 1 come from programs that write the
+        # opacity instead, so that the material is opaque.
+        if numbers.get("d", (1.0,))[0] < 1.0 or 0.0 < numbers.get("tr", (0.0,))[0] < 1.0:
             features.append("transparency")
         colour = numbers.get("kd")
         if colour is not None and all(0.0 <= value <= 1.0 for value in colour):
