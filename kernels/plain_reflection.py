@@ -56,7 +56,7 @@ class Gloss:
 
 @wp.func
 def metallic_roughness_at(materials: PlainMaterials, pixels: Pixels, ray: wp.int32, deviations: wp.float32) -> wp.vec2f:
-    """Return metallic and perceptual roughness at the hit of a ray; the roughness is negative if it is matte.
+    """Return metallic and perceptual roughness at the hit of a ray; a negative roughness is matte.
 
     The roughness is the mean of the texture over the footprint plus a number of standard deviations. Metallic follows
     from its covariance with roughness.
