@@ -2,7 +2,7 @@
 Textures of roughness and emission
 ==================================
 
-A brass ball with a texture of roughness (green) and metallic (blue), and a lamp with a texture of emission.
+A brass ball with a texture of roughness (green) and metallic (blue), and a ball with a texture of emission.
 """
 
 import numpy as np
@@ -31,7 +31,7 @@ brass = {"baseColorFactor": [255, 190, 90, 255], "metallicFactor": 1.0, "metalli
 glow = {"baseColorFactor": [20, 20, 20, 255], "emissiveFactor": [1.0, 0.45, 0.1], "emissiveTexture": stripes}
 disc = wd.meshes.disc()
 disc.apply_translation((0.0, 0.9, -0.9))
-bodies = {"brass": ball((-0.9, 0.3, 0.6), 0.6, **brass), "lamp": ball((1.0, 0.0, 0.6), 0.3, **glow)}
+bodies = {"brass": ball((-0.9, 0.3, 0.6), 0.6, **brass), "glow": ball((1.0, 0.0, 0.6), 0.3, **glow)}
 track = wd.Surface(wd.gratings.disc("CD", tracks=4, length_um=12.5), material=wd.Material.metal("Al"), pigment=0.0)
 lights = [wd.DirectionalLight((-0.2, 0.7, 1.0), angular_diameter_deg=8), wd.DirectionalLight((0.9, 0.6, 0.5))]
 view = wd.View((0.0, 1.2, 5.2), (0.0, 0.5, 0.0), fov_y_deg=30, width=360, height=220)

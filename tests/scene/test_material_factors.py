@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from gltf_files import SQUARE, SQUARE_UVS, UP, square_file
+from PIL import Image
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
@@ -231,6 +232,13 @@ def test_materials_without_metallic_and_roughness_are_matte_beside_glossy_ones()
     np.testing.assert_allclose(together.xyz[:, 9:], alone.xyz[:, 9:], rtol=1e-5, atol=1e-9)
     assert np.all(alone.xyz[:, :7] == 0.0)
     assert np.all(together.xyz[1:-1, 1:7, 1] > 0.0)
+
+
+def test_textures_of_trimesh_without_effect_are_named():
+    image = Image.new("RGB", (2, 2))
+    own = PBRMaterial(name="bumpy", normalTexture=image, occlusionTexture=image)
+    with pytest.warns(WarpdiffWarning, match="not rendered: normal map, occlusion of 'bumpy'"):
+        prepare_surface(quad(0.0, own))
 
 
 def test_emission_on_a_height_field_is_named_in_a_warning():

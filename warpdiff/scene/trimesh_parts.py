@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from warpdiff.scene.scene_parts import AlphaMode
 
 _WHITE = (1.0, 1.0, 1.0, 1.0)
+# Textures of materials of trimesh that have no effect on pictures, by their attributes.
+_PBR_MAPS = {"normalTexture": "normal map", "occlusionTexture": "occlusion"}
 # Features of materials in .mtl files that have no effect on pictures, by their keys.
 _MTL_MAPS = {
     "map_d": "texture of transparency", "map_pm": "texture of metallic", "map_pr": "texture of roughness",
@@ -137,6 +139,7 @@ def _appearance(material: Any, name: str) -> Appearance:
             emission_texture=_map(material.emissiveTexture),
             alpha_mode=_ALPHA_MODES.get(str(material.alphaMode).upper(), "opaque"),
             alpha_cutoff=0.5 if material.alphaCutoff is None else float(material.alphaCutoff),
+            not_rendered=tuple(label for key, label in _PBR_MAPS.items() if getattr(material, key) is not None),
         )  # fmt: skip
     read = _MtlFactors.of(getattr(material, "kwargs", None) or {}, name)
     factors: dict[str, Any] = {
