@@ -14,11 +14,12 @@ from warpdiff.heightfield.height_samples import HeightSamples, check_no_gaps
 
 Axis = Literal["y", "x"]
 
-# Largest memory that is required while gaps are filled, as measured [bytes per missing sample]. If doubled, fields are
-# refused that would fit into memory.
+# Measured peak memory while gaps are filled [bytes per missing sample]. If doubled, fields are refused that would fit
+# into memory.
 _BYTES_PER_GAP = 700.0
-# Root mean square change of the heights by `HeightField.periodic`, relative to their standard deviation, above which
-# that method warns. Patches with many features have a smaller change.
+# Root mean square change of the heights by `HeightField.periodic`, relative to the standard deviation of the heights,
+# above which this method warns. In patches with many features, the change is smaller. If doubled, large changes of the
+# surface happen without a warning.
 _MOST_CHANGE = 0.4
 
 

@@ -45,9 +45,10 @@ class HeightField(CleaningMethods):
         pitch_um: Distance of the samples [µm], one number or a pair (dy, dx).
 
     Warns:
-        WarpdiffWarning: Heights contain a code for missing data, such as −9999. Or no diffracting surface has the scale
-            of the field, which suggests a wrong unit: a pitch or a height range below 0.1 nm, a pitch above 2 µm, a
-            size below half a wavelength, or a mean slope above 10. The message names the probable unit and its factor.
+        WarpdiffWarning: Heights contain a code for missing data, such as −9999. The warning also follows if no
+            diffracting surface has the scale of the field, which suggests a wrong unit: a pitch or a height range below
+            0.1 nm, a pitch above 2 µm, a size below half a wavelength, or a mean slope above 10. The message names the
+            probable unit and its factor.
 
     Raises:
         TypeError: An argument is not numeric.
@@ -319,8 +320,9 @@ class HeightField(CleaningMethods):
 
         - Sa and Sq are the mean magnitude and the root mean square of the heights.
         - Sdq is the root mean square gradient, from differences of neighbouring samples.
-        - Sdr is the area of the surface minus the area of its projection, relative to the latter. Triangles connect the
-          samples. Four neighbouring samples form two triangles in two ways, and Sdr uses the mean area of both ways.
+        - Sdr is the area of the surface minus the area of its projection, relative to the area of the projection.
+          Triangles connect the samples. Four neighbouring samples form two triangles in two ways, and Sdr uses the mean
+          area of both ways.
         - Sal is the shortest lag at which the autocorrelation is 0.2 of its value at lag 0.
         - Str is Sal divided by the longest lag, over all directions, at which the autocorrelation falls to this value.
 
