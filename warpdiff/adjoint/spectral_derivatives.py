@@ -8,17 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from annotated_types import Interval
 
-from warpdiff.adjoint.coefficient_rows import CoefficientRows
+from warpdiff.adjoint.coefficient_series import CoefficientSeries, SeriesSize
 from warpdiff.adjoint.gaussian_lobes import block_of, exponent_of
 from warpdiff.adjoint.linearised import linearised
 from warpdiff.adjoint.period_sums import PeriodSums
 from warpdiff.adjoint.power_sums import LobeSums
 from warpdiff.adjoint.reflection import index_of, kinks
-from warpdiff.adjoint.series_length import kappa_range, term_count
-from warpdiff.adjoint.sites import Block, Sites
 from warpdiff.adjoint.spectral_model import MOST_KEPT, PAIRS_TOGETHER, SURFACE, Illumination, SpectralModel
 from warpdiff.adjoint.surfaces import Relief
 from warpdiff.adjoint.variables import available, check_variables, differentiable
+from warpdiff.adjoint.wavelength_sums import OF_GAUSSIAN, counts_of
 from warpdiff.core import memory, validation
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
@@ -36,6 +35,7 @@ if TYPE_CHECKING:
 
     from warpdiff.adjoint.linearised import Derivatives, Linearised
     from warpdiff.adjoint.power_sums import PowerSums
+    from warpdiff.adjoint.sites import Block
     from warpdiff.optics.materials import Material
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.profiles.outline import Outline
@@ -45,14 +45,6 @@ Truncation = Annotated[float, Interval(ge=1e-13, le=1e-2)]
 # Counted memory [bytes]: per height sample; per pair of a direction and a wavelength that is computed at once; and per
 # pair whose derivatives remain in memory.
 _BYTES_PER_SAMPLE, _BYTES_PER_PAIR, _BYTES_PER_KEPT = 120.0, 900.0, 80.0
-# Largest number of wavelengths of a colour. Limit: computing time is proportional to it.
-_MOST_WAVELENGTHS = 20_000
-# Error of quintic interpolation of a sine wave, relative to (angular frequency × step)^6. Derived: the product of the
-# distances from six nodes, at the middle, over 6!.
-_QUINTIC = (0.5 * 1.5 * 2.5) ** 2 / 720.0
-# Angular frequency that stands for a Gaussian, times its standard deviation. Derived: the sixth derivative of a
-# Gaussian is at most 15 times its value.
-_OF_GAUSSIAN = 15.0 ** (1.0 / 6.0)
 _REMEDY = "take a larger truncation, {share} of the area of heightfield, or smaller angles"
 
 
@@ -113,23 +105,16 @@ class SpectralCall:
         high, low = 1e3 / colorimetry.LAMBDA_MIN_NM, 1e3 / colorimetry.LAMBDA_MAX_NM
         phase = 2.0 * math.pi * float(np.max(half[:, 2], initial=0.0)) * 2.0 * self._relief.scale_um
         if self._coherence.kind == "source":
-            span, rate = math.log(high / low), high * phase + _OF_GAUSSIAN * along / self._coherence.spread
+            span, rate = math.log(high / low), high * phase + OF_GAUSSIAN * along / self._coherence.spread
         elif self._coherence.periods is not None:
             reach = math.hypot(*np.multiply(self._coherence.periods, self._relief.size_um))
             span, rate = high - low, phase + 2.0 * math.pi * along * reach
         else:
             # The weight of a power at the distance d from q is a Gaussian of the standard deviation 1/(√8 πσ).
             sharpness = math.sqrt(8.0) * math.pi * (self._coherence.sigma_um or 0.0)
-            span, rate = high - low, phase + _OF_GAUSSIAN * along * sharpness
-        step = (self._truncation / _QUINTIC) ** (1.0 / 6.0) / max(rate, 1e-9)
-        # Six nodes are the least for quintic polynomials. The colour matching functions themselves are exact.
-        count = max(math.ceil(span / step) + 1, 12)
-        if count > _MOST_WAVELENGTHS:
-            raise ArgumentValueError(
-                f"{ref('truncation')} must be larger than {self._truncation:g}, which requires {count} wavelengths; at "
-                f"most {_MOST_WAVELENGTHS} are supported: increase it, or use spectral_reflectance"
-            )
-        return int(count)
+            span, rate = high - low, phase + OF_GAUSSIAN * along * sharpness
+        remedy = "increase it, or use spectral_reflectance"
+        return int(counts_of(np.array([rate]), span, self._truncation, remedy)[0])
 
     def evaluate(self, wavelengths_nm: NDArray[np.float64], weights: NDArray[np.float64] | None = None) -> Linearised:
         """Return ρ at wavelengths, shape (n, m), or ρ times ``weights`` (m, 3), with derivatives."""
@@ -176,21 +161,17 @@ class SpectralCall:
         exponent, kappas, block = exponent_of(self._truncation), (math.inf, 0.0), None
         for part in illumination.parts():
             pairs = illumination.pairs(part)
-            block = _joined(block, block_of(pairs, exponent, relief.shape, relief.size_um))
+            own = block_of(pairs, exponent, relief.shape, relief.size_um)
+            block = own if block is None else block.joined(own)
             kappas = min(kappas[0], float(pairs.kappas.min())), max(kappas[1], float(pairs.kappas.max()))
         assert block is not None  # noqa: S101 (there is a part if any direction is above the horizon)
-        low, high = kappa_range(*kappas)
         powers = self._coherence.adds_powers
-        terms = term_count(2.0 * math.pi * high * relief.scale_um, self._truncation)
-        # A power oscillates over κ as fast as the phase of the whole height range, an amplitude half as fast.
-        count = term_count(math.pi * (high - low) * relief.scale_um * (2.0 if powers else 1.0), self._truncation)
+        size = SeriesSize.of(relief, kappas, self._truncation, powers=powers)
         pairs_kept = min(len(illumination.lights) * len(illumination.wavelengths_nm), MOST_KEPT)
-        self._require(block, terms, count, pairs_kept if self._has_slopes else 0, powers=powers)
-        sites = Sites(relief.shape, *block.orders())
-        rows = CoefficientRows(sites.count, (low, high), count, powers=powers, together=relief.sites_together)
-        series = relief.terms(sites, rows.nodes, terms)
+        self._require(block, size.terms, size.count, pairs_kept if self._has_slopes else 0, powers=powers)
+        series = CoefficientSeries(relief, block, size, powers=powers)
         centre, moving = self._centre()
-        return LobeSums(series, rows, block, sites, relief.size_um, exponent, centre, moving)
+        return LobeSums(series.terms, series.rows, block, series.sites, relief.size_um, exponent, centre, moving)
 
     def _require(self, block: Block, terms: int, count: int, pairs_kept: int, *, powers: bool) -> None:
         """Raise ``MemoryError`` if value and derivatives require more memory than is free."""
@@ -230,15 +211,6 @@ class SpectralCall:
         unit = self._lights if name == "to_light" else self._views
         result = np.atleast_2d(change) / validation.lengths(self._vectors[name])
         return np.asarray((result - unit * np.sum(unit * result, axis=1, keepdims=True))[self._above])
-
-
-def _joined(block: Block | None, other: Block) -> Block:
-    """Return the smallest block that contains both."""
-    if block is None:
-        return other
-    first = np.minimum(block.first, other.first)
-    beyond = np.maximum(np.add(block.first, block.shape), np.add(other.first, other.shape))
-    return Block((int(first[0]), int(first[1])), (int(beyond[0] - first[0]), int(beyond[1] - first[1])))
 
 
 @differentiable
