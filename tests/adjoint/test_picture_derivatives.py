@@ -204,6 +204,23 @@ def test_sums_over_rings_and_their_transpose(shape, rng):
         assert excluded < 0 or not rows[excluded].any()
 
 
+def test_unused_azimuths_are_not_needed(rng):
+    """Directions of a small range of azimuths have the same colours if all azimuths are sampled."""
+    turns = np.concatenate([rng.uniform(0.1, 0.12, 20), np.linspace(0.0, 1.0, 400, endpoint=False)])
+    vectors = np.column_stack([np.cos(2.0 * np.pi * turns), np.sin(2.0 * np.pi * turns), np.full(420, -1.5)])
+    lit = LitPixels(np.arange(420), vectors, np.zeros((420, 3)), np.ones(420), None, IlluminatedMaterial("D65"))
+    relief, falloff, exponent = Relief.of(noise((60, 61))), 200.0, 12.0
+    colours = []
+    for group in (lit.among(np.arange(20)), lit):
+        grid = RingGrid([group], RingSizes(24, 1.3), falloff)
+        block = grid.block(exponent, relief.shape, relief.size_um)
+        size = SeriesSize.of(relief, (1.0, 5.0), 1e-4, powers=True)
+        series = CoefficientSeries(relief, block, size, powers=True)
+        (xyz,) = PolarGridSums(grid, series.lobes(exponent), [group], -1).sums(series.powers())
+        colours.append(xyz[:20])
+    np.testing.assert_allclose(*colours, rtol=1e-6)
+
+
 @pytest.mark.parametrize("rings", [24, 40])
 def test_splines_of_colour_curves_integrate_smooth_spectra(rings):
     """A spectrum that oscillates over the wavelength has the colour of the sum over the wavelengths."""
@@ -239,6 +256,27 @@ def test_finer_grids_are_used_until_the_tolerance_is_met(points):
         assert used == [24, 32, 48, 96]
     exact, ratio = reflected(points, FIELD)
     assert np.linalg.norm(value - ratio * exact.value) <= 1e-6 * np.linalg.norm(value)
+
+
+def test_deep_surfaces_have_grids(points):
+    """A grid meets the default tolerance for heights of several wavelengths, without sums over wavelengths."""
+    deep = wd.HeightField.of_known_scale(20.0 * FIELD.heights_um[:9, :10], FIELD.pitch_um)
+    with mock.patch.object(picture_model.PictureModel, "_by_wavelengths", side_effect=AssertionError):
+        value = wd.adjoint.pixels(points, deep, LIGHT, wrt=()).value
+    with mock.patch.object(picture_model, "_SIZES", ()):
+        exact = wd.adjoint.pixels(points, deep, LIGHT, wrt=()).value
+    assert np.linalg.norm(value - exact) <= 1e-2 * np.linalg.norm(exact)
+
+
+def test_derivatives_by_the_index_of_refraction(square):
+    """At oblique angles, the reflectance depends on the index of refraction."""
+    view, light = wd.View((0.0, -3.0, 1.0), (0.0, 0.0, 0.0), width=8, height=6), wd.DirectionalLight((0.3, 3.0, 1.0))
+    results = [
+        wd.adjoint.pixels(renderer_of(square, view, light, ior=ior, tolerance=0.1), FIELD, light, wrt=("ior",))
+        for ior in (1.398, 1.4, 1.402)
+    ]
+    difference = (results[2].value - results[0].value) / 0.004
+    np.testing.assert_allclose(results[1].jvp(ior=1.0), difference, rtol=1e-3)
 
 
 def test_pixels_in_the_mirror_direction(square, rng):
