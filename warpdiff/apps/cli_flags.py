@@ -14,7 +14,7 @@ from warpdiff.request.settings import EvaluationSettings, PictureSettings, Singl
 if TYPE_CHECKING:
     from warpdiff.apps.cli_options import Flags
 
-# Help texts of the height field and of the mesh.
+# Help texts of the arguments that name a height field, and of those that name a mesh, in all commands.
 _HEIGHT_FIELD_HELP = (
     "file of heights (an image of 8 or 16 bit grey or float, .npy, .npz, text, .x3p or a file of an instrument), or a "
     f"synthetic height field: one of {', '.join(cli_inputs.GRATINGS)}, with parameters of warpdiff.gratings, for "

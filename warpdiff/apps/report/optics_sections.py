@@ -18,17 +18,17 @@ if TYPE_CHECKING:
 # Largest number of orders that the page lists for each wavelength, the strongest ones. It was chosen so that the table
 # fits on a page; the CSV file has all orders.
 _MOST_ORDERS = 15
-# Note at an efficiency that is smaller than its error.
+# Text in the table of orders for an efficiency that is smaller than its error.
 _NOT_DISTINGUISHABLE = "not distinguishable from zero"
-# The direction of a diffraction order counts as in the plane of the light and the normal if the end of its unit vector
-# is at most this far from the plane. The number is the sine of 0.06°.
+# The table of orders lists signed angles only if all orders are in the plane of the light and the normal. The number is
+# the largest distance of the end of an order's unit vector from this plane. It is the sine of an angle of 0.06°.
 _IN_PLANE = 1e-3
-# Explanation of the grades.
+# Explanation of the three grades of reliability of scalar diffraction, as HTML text.
 _GRADES = (
     "Reliable: use colours, and efficiencies that exceed their error. Qualitative: use the positions of colours, and "
     "not their brightness. Invalid: use nothing but the angles of orders."
 )
-# Sentences that explain why scalar diffraction has an error, by the reason in the verdict.
+# Sentences that explain why scalar diffraction has an error, by the reason that the verdict states.
 _CAUSES = {
     "energy": (
         " Scalar diffraction does not conserve energy: the efficiencies of all orders sum to more or less than the "
@@ -131,7 +131,7 @@ def _is_plane(data: ReportData, table: Table) -> bool:
 
 
 def _order_rows(table: Table, *, is_plane: bool) -> tuple[list[list[str]], int]:
-    """Return the lines of the table for the strongest orders of each wavelength, and the number of the other orders."""
+    """Return the rows of the strongest orders of each wavelength, and the number of orders without a row."""
     columns = table.columns
     is_period = "order" in columns
     has_periods = is_period and len(np.unique(columns["period_um"])) > 1

@@ -66,7 +66,7 @@ def page_of(data: ReportData, numbers: JsonObject, figures: list[Figure], names:
         "BODY": f'<section class="summary">\n{facts_table(_summary(data, numbers))}</section>\n{_warnings(data)}{body}',
     }  # fmt: skip
     # All placeholders of the template are replaced in one pass. A text of the user that looks like a placeholder is
-    # therefore kept.
+    # therefore not replaced.
     template = folder.joinpath("report.html").read_text(encoding="utf-8")
     return re.sub("@([A-Z]+)@", lambda match: filling[match[1]], template)
 

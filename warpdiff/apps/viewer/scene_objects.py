@@ -19,9 +19,11 @@ if TYPE_CHECKING:
     from warpdiff.apps.viewer.page_calls import Scene
     from warpdiff.scene.mesh_import import Surface
 
-# Maximum memory of all cached renderers, and approximate memory of a renderer per pixel [bytes].
+# Largest memory of all cached renderers [bytes], and approximate memory of one renderer per pixel [bytes]. If the first
+# number is doubled, the viewer requires more memory; if the second is doubled, fewer renderers are cached.
 _MOST_BYTES, _BYTES_PER_PIXEL = 1.5e9, 300
-# Options of an environment light that do not change its radiance maps.
+# Names of the options of an environment light that do not change its radiance maps. Lights that differ only in these
+# options share the maps.
 _SKY_SETTINGS = ("rotation_deg", "scale", "directions")
 
 
@@ -103,7 +105,7 @@ class SceneObjects:
 
         def plan() -> dict[str, Any]:
             made.append(wd.Renderer(surface, heightfield, lights, view, tolerance=scene.tolerance, **options))
-            # The viewer shows one height field, so that the renderer has one plan.
+            # The viewer shows one height field, so that the renderer has a single plan and not one plan per part.
             return {"plan": cast("wd.Plan", made[0].plan).to_json()}
 
         # The viewer computes one plan for pictures with and without shadows, because shadows do not change a plan.

@@ -44,8 +44,8 @@ if TYPE_CHECKING:
 
 # Tolerances of the intermediate pictures that are drawn before the picture with the requested tolerance.
 TOLERANCES = (0.1, 0.03)
-# If a page is idle for this time while a mouse button is still down, its picture is refined [s]. The time is limited
-# because users notice a delay of twice this time.
+# Time for which a page must be idle while a mouse button is still down, before its picture is refined [s]. The time is
+# limited because users notice a delay of twice this time.
 _REST_S = 0.15
 # Largest number of pictures that are sent to a page before it has shown the first of them. The number is limited
 # because twice the number doubles the delay on a slow connection.
@@ -59,8 +59,8 @@ _SCALES = (1.0, 0.75, 0.5, 0.375)
 # Number of pixels to which a preview may be reduced to meet the time limit `_MOVING_S` of a movement.
 _LEAST_PIXELS = 320 * 240
 # The median time of the last `_TIMED` previews predicts the time of the next preview. The size of previews increases
-# only if the predicted time is below the share `_HEADROOM` of the time limit. Without this margin, the size would
-# change back and forth.
+# only if the predicted time is less than `_HEADROOM` times the time limit. Without this margin, the size would change
+# back and forth.
 _TIMED, _HEADROOM = 5, 0.8
 # Width and height of the reflectance map [pixels]. The size is limited because twice the width and height require four
 # times the time.
@@ -181,7 +181,7 @@ class Studio:
         return encoding.saved(image, suffix, display)
 
     def acknowledge(self, session: Session) -> None:
-        """Count one more picture that a page reports as shown, of those that were sent to it."""
+        """Record that a page has shown one more of the pictures that were sent to it."""
         with self._changed:
             session.in_flight = max(session.in_flight - 1, 0)
             self._changed.notify()
