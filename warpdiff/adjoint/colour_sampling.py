@@ -58,9 +58,9 @@ def sampling(
         views: Unit vectors to the viewer, shape (n, 3).
         scale_um: Half of the height range [µm].
         size_um: Size of the surface (y, x) [µm].
-            coherence: Coherence of the light.
-            material: Material of the surface, or None.
-            illuminant: Illuminant of the colours.
+        coherence: Coherence of the light.
+        material: Material of the surface, or None.
+        illuminant: Illuminant of the colours.
         truncation: Largest error of XYZ, relative to XYZ of the flat material.
 
     Raises:

@@ -99,7 +99,7 @@ def check_variables(function: str, wrt: Sequence[str], names: tuple[str, ...]) -
 
     Args:
         function: Name of the function, for messages.
-            wrt: Names of the variables that the caller requests.
+        wrt: Names of the variables that the caller requests.
         names: Names of the variables that have a derivative.
 
     Raises:

@@ -71,6 +71,7 @@ class Minimum:
         chi2: Sum of the squared residuals, each divided by its standard deviation.
         has_converged: Whether the minimiser ended because neither parameters nor χ² changed. Otherwise it reached its
             largest number of steps, and a smaller χ² may exist near these parameters.
+
     Examples:
         >>> import numpy as np
         >>> import warpdiff as wd
