@@ -1,4 +1,4 @@
-"""Loss of the parameters of a profile with its gradient, for minimisers."""
+"""Function ``objective``: loss as a function of the parameters of a profile, with its gradient, for minimisers."""
 
 from __future__ import annotations
 
@@ -25,21 +25,24 @@ def objective(
     evaluate: Callable[[HeightField | Outline, tuple[str, ...]], Linearised],
     loss: Callable[[NDArray[np.float64]], tuple[float, ArrayLike]],
 ) -> Callable[[ArrayLike], tuple[float, NDArray[np.float64]]]:
-    """Return a function of the parameters of a profile: a loss and its gradient.
+    """Return a function that computes a loss and its gradient from the parameters of a profile.
 
-    The function is what ``scipy.optimize.minimize(function, profile.start, jac=True, bounds=profile.bounds)`` takes.
+    Pass the function to a minimiser: ``scipy.optimize.minimize(function, profile.start, jac=True,
+    bounds=profile.bounds)``.
 
     Args:
         profile: Profile from ``warpdiff.profiles``.
-        evaluate: Function of a surface and of ``wrt`` that returns one of the linearised values of this module.
-        loss: Function of the value that returns the loss and its gradient by the value.
+        evaluate: Function of a surface and of ``wrt``, the names of variables. It returns a ``Linearised`` value, such
+            as the result of ``wd.adjoint.order_efficiencies``.
+        loss: Function of this value that returns the loss, and the gradient of the loss with respect to the value.
 
     Returns:
-        Function of parameters, shape (p,), that returns the loss and its gradient, shape (p,).
+        Function of p parameters, shape (p,). It returns the loss and the gradient with respect to the parameters, (p,).
 
     Raises:
-        TypeError: ``profile`` is not a profile, or another argument is not a function. The returned function raises it
-            for results of a wrong type, and ValueError for results without the derivatives of ``wrt``.
+        TypeError: ``profile`` is not a profile, or another argument is not a function. The returned function raises
+            this error if ``evaluate`` or ``loss`` returns a wrong type. It raises ``ValueError`` if the result of
+            ``evaluate`` has no derivatives with respect to ``wrt``.
 
     Examples:
         >>> import math

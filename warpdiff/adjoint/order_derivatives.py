@@ -1,4 +1,9 @@
-"""Order efficiencies with exact derivatives."""
+"""Order efficiencies with exact derivatives, and the warnings about points where they have none.
+
+κ = w/λ, where w is the normal component of the scattering vector and λ the wavelength. θ is the angle of an order from
+the normal. The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity. A kink is a
+point at which a function is continuous and its derivative is not.
+"""
 
 from __future__ import annotations
 
@@ -38,27 +43,27 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
     from warpdiff.profiles.outline import Outline
 
-# Truncation error of the series of order efficiencies: rounding error of float64.
+# Truncation error of the series from which order efficiencies are computed. It equals the rounding errors of float64.
 _TRUNCATION = 1e-13
-# Cosine of an order's direction below which it counts as being at the horizon, 0.06° from it. Limit: efficiencies grow
-# as 1/cos θ, and their derivatives as 1/cos³ θ.
+# Cosine of the angle of an order below which the order counts as being at the horizon; it is then within 0.06° of the
+# horizon. The value is limited because efficiencies are proportional to 1/cos θ, and their derivatives to 1/cos³ θ.
 _AT_HORIZON = 1e-3
-# Variables that move orders across the horizon.
+# Names of the variables whose change moves orders across the horizon.
 _MOVING = ("pitch_um", "period_um", "to_light", "wavelengths_nm")
-# Variables with one element per wavelength.
+# Names of the variables that have one element per wavelength.
 _PER_WAVELENGTH = ("wavelengths_nm", "n", "k")
-# Counted memory [bytes]: per height sample, and per element of a matrix.
+# Memory of a call [bytes]: per height sample, and per element of the matrices of efficiencies.
 _BYTES_PER_SAMPLE, _BYTES_PER_ELEMENT = 120.0, 250.0
 
 
 class _OrderCall:
-    """All lights and wavelengths of one call."""
+    """Orders and Fourier coefficients for all lights and wavelengths of one call of ``order_efficiencies``."""
 
     def __init__(
         self, relief: Relief, lights: NDArray[np.float64], wavelengths: NDArray[np.float64], *, normalised: bool,
         ior: float, material: Material | None,
     ) -> None:  # fmt: skip
-        """Find the orders and compute their coefficients."""
+        """Find the orders that propagate, and compute their Fourier coefficients."""
         orders, views = propagating(relief.lattice, lights, wavelengths)
         self._lives = ~np.isnan(views[..., 0])
         self._relief, self._lights, self._wavelengths = relief, lights, wavelengths
@@ -85,7 +90,7 @@ class _OrderCall:
         self._places = dict(zip(self._models, np.split(sites.places, ends), strict=True))
 
     def value(self) -> NDArray[np.float64]:
-        """Return the efficiencies, shape (lights, wavelengths, orders); 0 where an order is evanescent."""
+        """Return the efficiencies, shape (lights, wavelengths, orders). They are 0 where an order is evanescent."""
         result = np.zeros(self._lives.shape)
         for place, model in self._models.items():
             rows = self._rows.rows[0][self._places[place]]
@@ -96,7 +101,10 @@ class _OrderCall:
 
     @single_threaded_blas()
     def adjoint(self, adjoints: NDArray[np.float64], names: tuple[str, ...]) -> Derivatives:
-        """Return the adjoints of variables from those of the efficiencies; those of directions have shape (k, 3)."""
+        """Return the adjoints of the variables ``names`` from the adjoints of the efficiencies.
+
+        The adjoint of the k directions to the light has the shape (k, 3).
+        """
         result = {name: np.zeros(self._shape(name)) for name in names}
         rows = self._rows.empty(zero=True)
         is_surface = self._relief.variable in names
@@ -113,7 +121,7 @@ class _OrderCall:
 
     @single_threaded_blas()
     def tangent(self, changes: Derivatives) -> NDArray[np.float64]:
-        """Return the change of the efficiencies for changes of variables."""
+        """Return the changes of the efficiencies for changes of variables, by the names of the variables."""
         result = np.zeros(self._lives.shape)
         names = tuple(changes)
         rows = None
@@ -130,7 +138,7 @@ class _OrderCall:
         return result
 
     def _shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape in which a variable is stored: directions have an axis of the lights, and numbers one."""
+        """Return the shape of the array of a variable: (lights, 3) for directions, and (1,) for a single number."""
         shapes = {
             "to_light": (len(self._lights), 3), "pitch_um": (2,), self._relief.variable: self._relief.variable_shape,
         }  # fmt: skip
@@ -139,7 +147,11 @@ class _OrderCall:
     def _slopes(
         self, place: tuple[int, int], names: tuple[str, ...]
     ) -> Iterator[tuple[str, slice | int, NDArray[np.float64]]]:
-        """Yield variables with the indices of their elements and the derivatives of one set of orders, (p, n)."""
+        """Yield the derivatives of the n efficiencies of one light and wavelength with respect to each variable.
+
+        ``place`` has the indices of the light and of the wavelength. Each result is the name of a variable, the indices
+        of its p elements on which these efficiencies depend, and the derivatives, shape (p, n).
+        """
         others = [name for name in names if name != self._relief.variable]
         if not others:
             return
@@ -161,7 +173,7 @@ class _OrderCall:
                 yield name, index, slopes[name][None]
 
     def _check_count(self, *, normalised: bool) -> None:
-        """Raise an error for too many normalised orders, or if the matrices require more memory than is free."""
+        """Raise an error if normalised orders are too many, or if the matrices require more memory than is free."""
         most = int(self._lives.sum(axis=-1).max())
         if normalised and most > energy_normalisation.MOST_EXACT:
             raise ArgumentValueError(
@@ -176,7 +188,7 @@ class _OrderCall:
         )  # fmt: skip
 
     def warn_of_kinks(self) -> None:
-        """Warn of sets of orders of which one propagates along the horizon, or is just below it."""
+        """Warn if an order at some light and wavelength is at the horizon, or just below it, where derivatives jump."""
         lattice, count = self._relief.lattice, 0
         for light, wavelength_um in itertools.product(self._lights, 1e-3 * self._wavelengths):
             tangents2 = np.zeros((1, 1))
@@ -203,10 +215,10 @@ def order_efficiencies(
 ) -> Linearised:  # fmt: skip
     """Return the efficiencies of :func:`warpdiff.order_efficiencies` with exact derivatives, in float64.
 
-    Derivatives of normalised efficiencies follow from the equations of the energy balance (implicit differentiation).
+    Derivatives of normalised efficiencies follow from the equations of the energy balance by implicit differentiation.
 
     Args:
-        heightfield: One period of the surface: a height field, or an outline, whose coefficients are exact.
+        heightfield: One period of the surface: a height field, or an outline, whose Fourier coefficients are exact.
         to_light: Directions to the light in the local frame, above the horizon, shape (3,) or (k, 3).
         wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
         wrt: Names of the variables of the derivatives: ``"heights_um"`` and ``"pitch_um"`` of a height field,
@@ -282,8 +294,8 @@ def order_efficiencies(
 
 
 def _warn_of_table(material: Material, wavelengths_nm: NDArray[np.float64]) -> None:
-    """Warn of wavelengths at which the index of refraction, linear between table entries, has a kink."""
-    # The index has no kink at the ends of a table, beyond which it is not known.
+    """Warn of wavelengths at table entries of the index of refraction, where the interpolated index has a kink."""
+    # The first and the last entry of a table are no kinks, because the index is not known beyond them.
     tables = [np.asarray(part.wavelengths_nm)[1:-1] for part in (material, material.film) if part is not None]
     count = int(np.isin(wavelengths_nm, np.concatenate(tables)).sum())
     if count:

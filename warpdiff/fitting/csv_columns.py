@@ -19,21 +19,21 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Separators of cells. The one with which most headings are known is that of the file.
+# Separators of cells that are tried. The separator with which most headings have a known name is used.
 _SEPARATORS = ",;\t"
-# Factors of units in brackets, such as "wavelength [µm]", to the unit at the end of the name of a column. Names without
-# a unit are ratios.
+# Factors that convert a unit in brackets, such as "wavelength [µm]", to the unit at the end of a column's name. The
+# column "wavelength_nm", for example, has the unit "nm". Columns without a unit in their name are ratios.
 _UNITS = {
     "nm": {"nm": 1.0, "µm": 1e3, "μm": 1e3, "um": 1e3},
     "deg": {"deg": 1.0, "°": 1.0, "degree": 1.0, "degrees": 1.0, "rad": math.degrees(1.0)},
     "": {"": 1.0, "1": 1.0, "-": 1.0, "%": 1e-2},
 }
-# A heading with a unit in brackets.
+# Matches a heading with a unit in brackets, such as "wavelength [µm]".
 _HEADING = re.compile(r"(?P<name>.*?)\s*[\[(]\s*(?P<unit>[^\])]*?)\s*[\])]")
 
 
 class _Column(NamedTuple):
-    """Column of the file: its place, the name that it has here, and the factor of its unit."""
+    """Column of the file: its index, its name in this package, and the factor that converts its unit."""
 
     place: int
     name: str
@@ -44,8 +44,8 @@ def read(path: Path, known: Iterable[str]) -> dict[str, NDArray[np.float64]]:
     """Return the known columns of a CSV file by their names; other columns are ignored.
 
     The first line that is neither empty nor a comment (#) names the columns. Cells are separated by commas, semicolons
-    or tabs. With semicolons and tabs, numbers may have decimal commas. A name may have its unit in brackets. Ratios may
-    be in percent, with the sign in the heading or in the cells.
+    or tabs. If semicolons or tabs separate the cells, numbers may have decimal commas. A name may have its unit in
+    brackets. Ratios may be in percent, with the percent sign in the heading or in the cells.
 
     Args:
         path: Path of the file.
@@ -88,25 +88,25 @@ def read(path: Path, known: Iterable[str]) -> dict[str, NDArray[np.float64]]:
 
 
 def _lines(text: str, separator: str) -> list[tuple[int, list[str]]]:
-    """Return the numbers of lines and their cells, without empty lines, comments, and the ``sep=;`` of spreadsheets."""
+    """Return the number and the cells of each line, without empty lines, comments, and the line ``sep=;`` of Excel."""
     reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True)
     rows = ((reader.line_num, [cell.strip() for cell in row]) for row in reader)
     return [(line, row) for line, row in rows if any(row) and not row[0].lower().startswith(("#", "sep="))]
 
 
 def _columns(heading: list[str], known: tuple[str, ...]) -> list[_Column]:
-    """Return the columns of which the heading is one of the known names."""
+    """Return the columns whose headings are known names."""
     columns = []
     for place, cell in enumerate(heading):
         match = _HEADING.fullmatch(cell)
         title, unit = (match["name"], match["unit"]) if match else (cell, None)
         for name in known:
             own = next((end for end in _UNITS if end and name.endswith(f"_{end}")), "")
-            # X, Y and Z are colours, while x, y and z are positions.
+            # The case of single letters matters: X, Y and Z are colours, while x, y and z are positions.
             title_name = title if len(name) == 1 else re.sub(r"[\s-]+", "_", title).lower()
             is_short = bool(own) and title_name == name.removesuffix(f"_{own}") and unit is not None
             factor = _UNITS[own].get((own if unit is None else unit).lower())
-            # A unit in the name and another one in brackets would contradict each other.
+            # If the name ends in a unit, a different unit in brackets contradicts it, and the heading is not accepted.
             is_full = title_name == name and (not own or factor == 1.0)
             if factor is not None and (is_full or is_short):
                 columns.append(_Column(place, name, factor))
@@ -121,7 +121,8 @@ def _number(cells: list[str], column: _Column, line: int, separator: str) -> flo
         raise ArgumentValueError(f"{place} must be a finite number, got an empty cell: fill it, or remove the line")
     text, factor = cell, column.factor
     if cell.endswith("%") and not any(column.name.endswith(f"_{unit}") for unit in _UNITS if unit):
-        # A sign in the heading and one in the cell mean the same.
+        # Percent signs in the heading and in the cell mean the same percentage, so that the factor is not applied
+        # twice.
         text, factor = cell[:-1].strip(), 1e-2
     if separator != "," and "." not in text:
         text = text.replace(",", ".")

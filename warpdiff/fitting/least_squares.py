@@ -1,4 +1,7 @@
-"""``fit``: parameters of a profile that explain measured data, with standard errors and all equivalent minima."""
+"""``fit``: parameters of a profile that explain measured data, with standard errors and all equivalent minima.
+
+χ² is the sum of the squared residuals (prediction − measured)/sd, where sd is the standard deviation of a value.
+"""
 
 from __future__ import annotations
 
@@ -26,44 +29,48 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Largest difference of χ² between the best minimum and others that are listed. Choice: a minimum that is worse by 4 is
-# excluded at two standard deviations of one parameter.
+# Largest difference between the χ² of a listed minimum and the χ² of the best one. The value was chosen because a
+# minimum that is worse by 4 is excluded at two standard deviations of one parameter.
 _LISTED_CHI2 = 4.0
-# Distance of two minima, in standard errors of the parameters, below which they count as one. Limit: the accuracy of
-# the minimiser, which ends at a small fraction of a standard error.
+# Distance of two minima, in standard errors of the parameters, below which they count as one minimum. The value is
+# limited by the accuracy of the minimiser, which ends at a small fraction of a standard error.
 _SAME = 0.5
-# Relative changes of parameters and of χ² at which the minimiser ends, and its largest number of steps. Limit: starts
-# near a minimum need fewer than 30 steps.
+# Relative changes of parameters and of χ² at which the minimiser ends, and its largest number of steps. The number of
+# steps was chosen because a start near a minimum needs fewer than 30 steps.
 _CHANGE, _MOST_STEPS = 1e-9, 60
-# Gradient of χ², relative to χ² of the start and per range of a parameter, that counts as 0. Limit: rounding errors.
+# Gradient of χ² that counts as 0, relative to χ² of the start and for parameters in units of their ranges. The value is
+# limited by rounding errors of float64.
 _ROUNDING = 2.3e-16
-# Largest number of starts. Limit: computing time is proportional to it.
+# Largest number of starts. The value is limited by the computing time, which is proportional to it.
 _MOST_STARTS = 1000
-# Difference of χ², relative to it, below which two minima are equally good. The one of the earlier start is then best.
+# Relative difference of two χ² below which both minima count as equally good. The minimum of the earlier start is then
+# the best.
 _TIE = 1e-6
-# Singular value of the Jacobian, relative to the largest, below which a change of parameters counts as undetermined.
-# The second number is the component of a parameter in such a change above which its standard error is NaN. Limit:
-# rounding errors.
+# The data do not determine a change of the parameters that hardly changes the residuals. The first number is the
+# largest singular value of the Jacobian for such a change, relative to the largest singular value. If a parameter's
+# component of such a change exceeds the second number, its standard error is NaN. Both numbers are limited by rounding
+# errors.
 _LEAST_SINGULAR, _SHARE = 1e-9, 1e-3
-# Measured power in orders that do not propagate, in standard deviations, of which a fit warns. Choice: noise exceeds it
-# once in 16,000 values.
+# Measured power in an order that does not propagate, in standard deviations, above which a fit warns. The value was
+# chosen because noise exceeds it only once in 16,000 values.
 _SIGNIFICANT = 4.0
-# χ² per degree of freedom above which a report states that the model does not explain the data. Choice: for ten degrees
-# of freedom, noise alone exceeds it once in a thousand fits.
+# χ² per degree of freedom above which a report states that the model does not explain the data. The value was chosen
+# because noise alone exceeds it once in a thousand fits, for ten degrees of freedom.
 _BAD_CHI2 = 3.0
-# Share of the range of a parameter within which it counts as being at a bound.
+# Distance of a parameter from a bound, relative to the range of the parameter, within which it counts as being at this
+# bound. The range is the difference of both bounds.
 _AT_BOUND = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """Parameters of one minimum of χ².
+    """Parameters of one minimum of χ² (the sum of squared residuals in standard deviations).
 
     Attributes:
         values: Parameters, shape (p,).
         chi2: Sum of the squared residuals, each divided by its standard deviation.
         has_converged: Whether the minimiser ended because neither parameters nor χ² changed. Otherwise it reached its
-            largest number of steps, and χ² is not the least near these parameters.
+            largest number of steps, and a smaller χ² may exist near these parameters.
 
     Examples:
         >>> import numpy as np
@@ -91,9 +98,10 @@ class Fit:
         correlations: Correlation matrix of the parameters, shape (p, p).
         chi2: Sum of the squared residuals, each divided by its standard deviation.
         degrees_of_freedom: Number of measured values minus the number of parameters, at least 0.
-        residuals: (prediction − measured)/sd, shape (n,).
-        minima: All minima whose χ² exceeds the best by at most 4, the best first. The data cannot distinguish them.
-        evaluations: Number of evaluated predictions with derivatives, of all starts.
+        residuals: (prediction − measured)/sd for each of the n measured values, shape (n,).
+        minima: All minima whose χ² exceeds that of the best by at most 4, the best first. The data cannot distinguish
+            them.
+        evaluations: Number of computed predictions with derivatives, summed over all starts.
         at_bounds: Names of the parameters whose best value is at a bound.
 
     Examples:
@@ -152,7 +160,7 @@ class Fit:
         return "\n".join(lines)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Plot the residuals in standard deviations over the number of the measured value.
+        """Plot the residuals in standard deviations against the number of the measured value.
 
         Args:
             ax: Matplotlib axes to draw into; None makes a figure.
@@ -168,7 +176,7 @@ class Fit:
 
 
 class _Problem:
-    """Residuals of a fit and their Jacobian; values of the same parameters are computed once."""
+    """Residuals of a fit and their Jacobian matrix; the results for the last parameters are stored for reuse."""
 
     def __init__(self, profile: Profile, measured: Measured, sd: Array) -> None:
         self._profile, self._measured, self._sd = profile, measured, sd
@@ -176,7 +184,7 @@ class _Problem:
         self.evaluations = 0
 
     def forget(self) -> None:
-        """Evaluate the next parameters in any case, so that their warnings are shown."""
+        """Delete the stored results. The next call then computes them again and issues its warnings."""
         self._last = None
 
     def residuals(self, x: Array) -> Array:
@@ -185,7 +193,7 @@ class _Problem:
         return self._residuals
 
     def jacobian(self, x: Array) -> Array:
-        """Return the derivatives of the residuals by the parameters, shape (n, p)."""
+        """Return the derivatives of the n residuals with respect to the p parameters, shape (n, p)."""
         self._evaluate(x)
         columns = [
             self._result.jvp(**self._profile.pushforward(x, direction)) / self._sd for direction in np.eye(len(x))
@@ -193,7 +201,7 @@ class _Problem:
         return np.stack(columns, axis=1)
 
     def warn_of_evanescent_orders(self, x: Array) -> None:
-        """Warn of measured power in orders that do not propagate, so that their prediction is 0."""
+        """Warn if power was measured in orders that do not propagate, and whose prediction is therefore 0."""
         self._evaluate(x)
         is_dark = (self._result.value == 0.0) & (np.abs(self._residuals) > _SIGNIFICANT)
         if self._measured.kind == "orders" and is_dark.any():
@@ -217,18 +225,19 @@ def fit(
 ) -> Fit:
     """Fit the parameters of a profile to measured orders, spectra or colours.
 
-    Least squares with exact Jacobians (trust region, Branch, Coleman and Li 1999, as in SciPy) from several starts. The
-    first start is that of the profile, the others are random within its bounds. With more than one start, parameters
-    that are equivalent to the best ones are tried, too, if the profile states them.
+    The residuals are minimised by least squares with exact Jacobian matrices, from several starts. The method is the
+    trust region method of Branch, Coleman and Li (1999), as in SciPy. The first start is that of the profile, and the
+    other starts are random within the bounds of the parameters. With more than one start, the fit also starts from
+    parameters that are equivalent to the best ones, if the profile states such parameters.
 
     Args:
         profile: Profile from ``warpdiff.profiles``, with start values and bounds.
         measured: Measured values with their geometry and optics.
-        sd: Standard deviation of the measured values, more than 0, one number or shape (n,). Its size does not change
-            the best values, only their standard errors and χ².
+        sd: Standard deviation of the measured values, more than 0, one number or shape (n,). A common factor of all
+            standard deviations does not change the best parameters; it changes only their standard errors and χ².
         starts: Number of starts, 1 to 1000, by default 8.
         seed: Seed of the random starts, by default 0.
-        progress: Function that is called with the finished share, 0 to 1; True shows a progress bar.
+        progress: Function that is called with the finished fraction, 0 to 1; True shows a progress bar.
 
     Returns:
         Parameters with standard errors, correlations, χ², residuals and all equivalent minima.
@@ -305,10 +314,11 @@ def _minimum(problem: _Problem, start: Array, bounds: Array) -> Minimum:
 
     low, high = bounds.T
     inside = np.clip(start, low + _AT_BOUND * (high - low), high - _AT_BOUND * (high - low))
-    # Without the size of sd and of the residuals at the start, tolerances have the same meaning for all data.
+    # The residuals are divided by their norm at the start, so that the tolerances of the minimiser have the same
+    # meaning for all data.
     size = float(np.linalg.norm(problem.residuals(inside))) or 1.0
     with warnings.catch_warnings():
-        # Warnings about parameters on the way, such as an order at the horizon, do not concern the result.
+        # Warnings about intermediate parameters, such as an order at the horizon, do not concern the result.
         warnings.simplefilter("ignore", WarpdiffWarning)
         result = least_squares(
             lambda x: problem.residuals(x) / size, inside, lambda x: problem.jacobian(x) / size, bounds=(low, high),
@@ -318,13 +328,13 @@ def _minimum(problem: _Problem, start: Array, bounds: Array) -> Minimum:
 
 
 def _best(minima: list[Minimum]) -> Minimum:
-    """Return the minimum with the least χ², that of the earliest start among equally good ones."""
+    """Return the minimum with the smallest χ²; among equally good minima, return that of the earliest start."""
     least = min(minimum.chi2 for minimum in minima)
     return next(minimum for minimum in minima if minimum.chi2 <= least + _TIE * (1.0 + least))
 
 
 def _result(profile: Profile, problem: _Problem, minima: list[Minimum], report: Callable[[float], None] | None) -> Fit:
-    """Return the result of a fit: the best minimum with its covariance, and the others that are as good."""
+    """Return the result of a fit: the best minimum with its covariance, and the other minima that are about as good."""
     best = _best(minima)
     problem.forget()
     jacobian, residuals = problem.jacobian(best.values), problem.residuals(best.values)
@@ -336,7 +346,7 @@ def _result(profile: Profile, problem: _Problem, minima: list[Minimum], report: 
     ranges = (high - low)[is_free]
     covariance[np.ix_(is_free, is_free)] = _covariance(jacobian[:, is_free] * ranges) * np.outer(ranges, ranges)
     errors = np.sqrt(np.diag(covariance))
-    # A standard error above the range of a parameter says no more about it than its bounds do.
+    # A standard error that is larger than the range between the bounds gives less information than the bounds.
     beyond = errors > high - low
     covariance[beyond] = covariance[:, beyond] = errors[beyond] = np.nan
     names = np.array(profile.names)
@@ -357,7 +367,7 @@ def _result(profile: Profile, problem: _Problem, minima: list[Minimum], report: 
 
 
 def _covariance(jacobian: Array) -> Array:
-    """Return the covariance matrix of parameters, (p, p), NaN for those that some change without effect contains."""
+    """Return the covariance matrix of parameters, shape (p, p); NaN for parameters that the data do not determine."""
     count = jacobian.shape[1]
     _, values, rows = np.linalg.svd(jacobian, full_matrices=len(jacobian) < count)
     singular = np.zeros(count)
@@ -370,7 +380,7 @@ def _covariance(jacobian: Array) -> Array:
 
 
 def _warn_of_result(best: Minimum, at_bounds: tuple[str, ...], undetermined: list[str]) -> None:
-    """Warn of reasons not to trust the best parameters or their standard errors."""
+    """Warn if the best parameters or their standard errors are not reliable, and state why."""
     if not best.has_converged:
         warn(
             f"the best minimum has not converged in {_MOST_STEPS} steps, χ² = {best.chi2:.3g}: increase "
@@ -389,5 +399,5 @@ def _warn_of_result(best: Minimum, at_bounds: tuple[str, ...], undetermined: lis
 
 
 def _listed(names: Sequence[str]) -> str:
-    """Return names as text, at most six of them."""
+    """Return names as text: at most six names, and the number of further names."""
     return ", ".join(names[:6]) + (f" and {len(names) - 6} others" if len(names) > 6 else "")

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _LIGHT, _VIEW = ("light_theta_deg", "light_phi_deg"), ("view_theta_deg", "view_phi_deg")
-# Columns of the CSV files, which are those of the tables of results, by the kind of data.
+# Columns of CSV files by the kind of data. They are the columns of the tables that results of this package save.
 COLUMNS = {
     "orders": (*_LIGHT, "wavelength_nm", "m_y", "m_x", "efficiency"),
     "spectra": (*_LIGHT, *_VIEW, "wavelength_nm", "relative_reflectance"),
@@ -45,12 +45,13 @@ COLUMNS = {
 }
 
 
-# Efficiency above which values look like percent. Limit: an order reflects at most the incident power, plus noise.
+# Efficiency above which values are probably in percent. The value is slightly above 1, because an order reflects at
+# most the incident power, and noise is added.
 _LARGEST_EFFICIENCY = 1.5
 
 
 class _Grid(NamedTuple):
-    """Distinct rows of an array, and the index of each row among them."""
+    """Different rows of an array, and for each row of the array the index of the equal row among them."""
 
     rows: Array
     which: NDArray[np.int64]
@@ -79,11 +80,11 @@ class Measured:
         return f"Measured({self.kind}, {len(self.values)} values)"
 
     def predict(self, surface: HeightField | Outline, wrt: tuple[str, ...] = ()) -> Linearised:
-        """Return the values that a surface would have, shape (n,), with their derivatives.
+        """Return the values that would be measured on a surface, shape (n,), with their derivatives.
 
         Args:
             surface: Height field or outline.
-            wrt: Variables of the derivatives, as in ``warpdiff.adjoint``.
+            wrt: Names of the variables of the derivatives, as in ``warpdiff.adjoint``.
         """
         with renaming({"heightfield": "surface"}):
             return self._predict(surface, wrt)
@@ -152,8 +153,8 @@ class Measured:
             to_light: Directions to the light, shape (3,) or (n, 3).
             to_view: Directions to the viewer, shape (3,) or (n, 3).
             wavelengths_nm: Wavelength of each reflectance [nm], one number or shape (n,).
-            reflectances: ρ as of :func:`warpdiff.spectral_reflectance`, shape (n,).
-            coherence: Window or source; None is an averaged window of σ = 16.25 µm.
+            reflectances: Relative reflectances ρ, as in :func:`warpdiff.spectral_reflectance`, shape (n,).
+            coherence: Coherence window or source; None is an averaged window of σ = 16.25 µm.
             ior: Index of refraction; None is 1.5 unless a material is given.
             material: Material of the surface.
             masking: Whether V-cavity masking is included.
@@ -186,9 +187,9 @@ class Measured:
         Args:
             to_light: Directions to the light, shape (3,) or (n, 3).
             to_view: Directions to the viewer, shape (3,) or (n, 3).
-            xyz: CIE XYZ as of :func:`warpdiff.reflectance`, shape (n, 3).
+            xyz: CIE XYZ, as in :func:`warpdiff.reflectance`, shape (n, 3).
             illuminant: Illuminant under which the colours were measured.
-            coherence: Window or source; None is an averaged window of σ = 16.25 µm.
+            coherence: Coherence window or source; None is an averaged window of σ = 16.25 µm.
             ior: Index of refraction; None is 1.5 unless a material is given.
             material: Material of the surface.
             masking: Whether V-cavity masking is included.
@@ -220,9 +221,10 @@ class Measured:
     ) -> Measured:  # fmt: skip
         """Read measured data from a CSV file, whose first line names the columns.
 
-        The columns decide the kind of the data. They are those of the tables that
-        :class:`warpdiff.OrderEfficiencies` and :class:`warpdiff.ReflectanceSpectra` save; others are ignored.
-        Separators are commas, semicolons or tabs. With the last two, numbers may have decimal commas. Names may have
+        The columns determine the kind of the data. They are the columns of the tables that
+        :class:`warpdiff.OrderEfficiencies` and :class:`warpdiff.ReflectanceSpectra` save; other columns are ignored.
+        Separators are commas, semicolons or tabs. With semicolons and tabs, numbers may have decimal commas. Names may
+        have
         units in brackets, such as ``wavelength [µm]`` or ``efficiency (%)``, and cells may have percent signs. Empty
         lines and comments (#) are skipped.
 
@@ -238,7 +240,7 @@ class Measured:
             ior: Index of refraction.
             material: Material of the surface.
             masking: Whether V-cavity masking is included in spectra and colours.
-            energy: Energy of orders.
+            energy: Energy of orders, ``"stam"`` or ``"normalised"``.
 
         Raises:
             FileNotFoundError: The file does not exist.
@@ -252,7 +254,7 @@ class Measured:
             >>> wd.Measured.from_csv(path, ior=math.inf)
             Measured(orders, 7 values)
         """
-        # Options that the kind of the data does not use are checked, too.
+        # All options are checked, also those that this kind of data does not use.
         validation.instance(coherence, Coherence, "coherence", optional=True)
         validation.flag(masking, "masking")
         colorimetry.check_illuminant(illuminant)
@@ -298,7 +300,7 @@ def _check_optics(
     ior: float | None, material: Material | None, wavelengths_nm: Array, *, coherence: Coherence | None = None,
     masking: bool = True, energy: Energy | None = None,
 ) -> None:  # fmt: skip
-    """Raise an error for invalid optics, before a fit starts."""
+    """Raise an error before a fit starts if a material, an index of refraction or a coherence is invalid."""
     check_reflection(ior, material)
     if material is not None:
         check_covers(material, float(wavelengths_nm.min()), float(wavelengths_nm.max()))
@@ -309,7 +311,7 @@ def _check_optics(
 
 
 def _below_horizon(name: str, heights: Array) -> Exception:
-    """Return the error for directions whose z components are not all above the horizon."""
+    """Return the error for directions of which at least one is not above the horizon; ``heights`` are z components."""
     return ArgumentValueError(
         f"{ref(name)} must be above the horizon (z > 0), got z = {heights.min():.3g} after normalisation: nothing is "
         "measured there; remove the value"
@@ -317,7 +319,7 @@ def _below_horizon(name: str, heights: Array) -> Exception:
 
 
 def _grid(rows: Array, count: int, name: str) -> _Grid:
-    """Return the distinct rows of an array with one row per value, or with one row for all values."""
+    """Return the different rows of an array. The array has one row per measured value, or one row for all values."""
     if len(rows) not in (1, count):
         raise ArgumentValueError(f"{ref(name)} must have one row, or one per value, {count}, got {len(rows)}")
     distinct, index = np.unique(np.broadcast_to(rows, (count, rows.shape[1])), axis=0, return_inverse=True)
@@ -337,7 +339,10 @@ def _pairs(to_light: ArrayLike, to_view: ArrayLike, count: int) -> _Grid:
 
 
 def _picked(result: Linearised, places: tuple[NDArray[np.int64], ...], exists: NDArray[np.bool_]) -> Linearised:
-    """Return elements of a linearised value as a linearised vector; elements that do not exist are 0."""
+    """Return selected elements of a linearised value as a vector; elements that do not exist are 0.
+
+    ``places`` are the indices of the elements, and ``exists`` states which of them exist.
+    """
     value, vjp, jvp = result
 
     def adjoint(adjoint_of_value: ArrayLike) -> dict[str, Array]:
