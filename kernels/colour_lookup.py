@@ -143,6 +143,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         line_blurs2: wp.array(dtype=wp.float32)  # for a source: variance of the lines' blur in angle [rad²], by octave
         spread2: wp.float32  # for a source: variance s² of (u, v) across the source's direction
         inner_radius2: wp.float32  # for a source: directions below this |(u, v)|² are not served
+        has_pitch_scales: wp.bool  # for a source: whether directions to the light have pitch scales as their lengths
 
     # Kernels of this module have a second thread index, which is always 0, because Warp then compiles one variant of a
     # kernel instead of two: see ``light_samples``.

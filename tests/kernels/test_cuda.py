@@ -16,6 +16,7 @@ from warpdiff.kernels import (
     bvh,
     coefficient_sum,
     colour_lookup,
+    dot_transforms,
     light_samples,
     primary_hits,
     shadow_rays,
@@ -45,6 +46,7 @@ KERNELS = {
     "plain_reflection": {"add_plain_reflection", "add_emission"},
     "plain_samples": {"sample_plain_sky", "draw_plain_disc", "choose_plain_lights"},
     "disc_samples": {"draw_disc"},
+    "dot_transforms": {"find_dots", "mark_edges_of_dots", "signals_of_dots", "transform_samples"},
     "light_choice": {"choose_lights"},
     "sky_samples": {"mirror_deflections", "sample_sky"},
     "subdivision": {"accumulate", "select_levels",
@@ -110,7 +112,17 @@ def test_every_kernel_module_is_listed_in_this_file():
 @pytest.mark.parametrize("arch", ARCHITECTURES)
 @pytest.mark.parametrize(
     "module",
-    [bvh, primary_hits, light_samples, subdivision, shadow_rays, tile_lists, base_colours, transparency],
+    [
+        bvh,
+        primary_hits,
+        light_samples,
+        subdivision,
+        shadow_rays,
+        tile_lists,
+        base_colours,
+        transparency,
+        dot_transforms,
+    ],
     ids=lambda item: item.__name__,
 )
 def test_modules_compile(module, arch, tmp_path):

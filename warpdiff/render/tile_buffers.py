@@ -28,14 +28,15 @@ class BufferKind(NamedTuple):
     """Flags that say which optional arrays tile buffers have.
 
     In the order of the flags, the arrays are: geometry factors of directions that a table cannot serve; base colours;
-    geometry factors at faces with the finish that is being evaluated, if faces have several finishes; and the rays'
-    own directions to the light.
+    geometry factors at faces with the finish that is being evaluated, if faces have several finishes; the rays' own
+    directions to the light; and samples in the frames of the dots of grating maps.
     """
 
     needs_sampling: bool
     is_pigmented: bool
     has_finishes: bool
     has_directions: bool
+    has_dots: bool
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,12 @@ class TileBuffers:
         return cls(
             GBuffer.allocate(rays, coloured=kind.is_pigmented, device=device),
             LightSamples.allocate(
-                rays, means=True, has_finishes=kind.has_finishes, has_directions=kind.has_directions, device=device
+                rays,
+                means=True,
+                has_finishes=kind.has_finishes,
+                has_directions=kind.has_directions,
+                has_dots=kind.has_dots,
+                device=device,
             ),
             wp.empty(rays, dtype=wp.vec3f, device=device),
             wp.empty(rays * kind.needs_sampling, dtype=wp.float32, device=device),
