@@ -35,6 +35,7 @@ from warpdiff.fitting.least_squares import Minimum as Minimum
 from warpdiff.fitting.least_squares import fit as fit
 from warpdiff.fitting.measured_data import Measured as Measured
 from warpdiff.heightfield.field import HeightField as HeightField
+from warpdiff.heightfield.grating_map import GratingMap as GratingMap
 from warpdiff.heightfield.periods import Period as Period
 from warpdiff.heightfield.periods import Periods as Periods
 from warpdiff.heightfield.roughness import Roughness as Roughness

@@ -17,6 +17,7 @@ from warpdiff.device.kernel_calls import KernelCall
 from warpdiff.kernels import light_samples
 from warpdiff.kernels.refinement_levels import rays_at
 from warpdiff.kernels.structs import Footprint
+from warpdiff.lights.grating_dots import DotSamples, GratingDots, LookupSamples
 from warpdiff.lights.plain_materials import plain_faces
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial, transmittances
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from warpdiff.heightfield.grating_map import GratingMap
     from warpdiff.lights.plain_materials import PlainFaces
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.materials import Material
@@ -53,6 +55,7 @@ class SurfaceOptics:
         is_plain: Whether the surface has no height field: it reflects light by its base colour and its material.
         unit: Factor from the colours of this surface to the unit of the picture. None if the colours of the picture are
             relative to this surface's own R(0) and coherence.
+        grating_map: Map of the surface's dots; None if the whole surface has the same height field.
     """
 
     coherence: Coherence
@@ -65,6 +68,7 @@ class SurfaceOptics:
     shadows: bool = True
     is_plain: bool = False
     unit: float | None = None
+    grating_map: GratingMap | None = None
 
 
 class PictureUnit(NamedTuple):
@@ -101,6 +105,7 @@ class PassContext:
         no_colours: An empty array of colours.
         finish_of_faces: Index of each face's finish on the device; empty for a single finish.
         refines: Whether pixels with large errors are subdivided.
+        dots: Dots of the surfaces with a grating map; None without any.
         reflection: The struct ``Reflection``, from which kernels compute reflectance, masking and the light of the
             pigment.
     """
@@ -133,6 +138,10 @@ class PassContext:
         self.no_colours = wp.empty(0, dtype=wp.vec3f, device=self._device)
         by_face = np.zeros(0, dtype=np.int32) if finish_of_faces is None else finish_of_faces
         self.finish_of_faces = self._array(by_face, wp.int32)
+        self.dots = GratingDots.of(
+            [optics.grating_map for optics in surfaces],
+            np.array([finish.surface for finish in self.finishes], dtype=np.int32)[by_face], rays,
+        )  # fmt: skip
         self.reflection = self._reflection()
 
     def _array(self, values: Any, dtype: Any) -> wp.array:
@@ -236,6 +245,7 @@ class LightSamples:
         footprints: Footprints of the rays' filters in (u, v), (n,); empty if pixels show points.
         finish_gains: Geometry factors where faces have one of several finishes, else 0, (n,); empty for a single
             finish.
+        of_dots: Samples in the frames of dots; None without a grating map.
     """
 
     occluded: wp.array
@@ -246,10 +256,11 @@ class LightSamples:
     towards: wp.array
     footprints: wp.array
     finish_gains: wp.array
+    of_dots: DotSamples | None = None
 
     @classmethod
     def allocate(
-        cls, rays: int, *, means: bool, has_finishes: bool, has_directions: bool, device: wp.Device
+        cls, rays: int, *, means: bool, has_finishes: bool, has_directions: bool, has_dots: bool, device: wp.Device
     ) -> LightSamples:
         """Return uninitialised arrays for a number of rays; footprints are empty unless pixels show ``means``."""
 
@@ -261,7 +272,16 @@ class LightSamples:
             wp.empty((3 * has_directions, rays * has_directions), dtype=wp.float32, device=device),
             empty(wp.vec4f, rays * has_directions),
             empty(Footprint, rays * means), empty(wp.float32, rays * has_finishes),
+            DotSamples.allocate(rays, means=means, device=device) if has_dots else None,
         )  # fmt: skip
+
+    @property
+    def signals(self) -> wp.array:
+        """Vectors of the rays whose changes between pixels tell refinement how evenly colours change.
+
+        They are scattering vectors. With a grating map they also differ from dot to dot.
+        """
+        return self.scattering_vectors if self.of_dots is None else self.of_dots.scattering_vectors
 
     @property
     def directions(self) -> list[wp.array]:
@@ -435,11 +455,19 @@ class LightPass(ABC):
             lookups: Look-ups of the surfaces.
             surface: The only surface whose colours are added; None stands for all surfaces.
         """
-        samples, context, calls = batch.samples, self.context, []
+        samples, context = batch.samples, self.context
+        calls: list[KernelCall] = []
+        of_rays = LookupSamples(samples.scattering_vectors, samples.to_lights, footprints)
         for index, (finish, spectra) in enumerate(zip(context.finishes, self.illuminated[lobe], strict=True)):
             lookup = lookups[finish.surface] if finish.surface < len(lookups) else None
             if lookup is None or surface not in (None, finish.surface):
                 continue
+            own = of_rays
+            if context.dots is not None and samples.of_dots is not None and context.dots.has_map(finish.surface):
+                own, transforms = context.dots.transform(
+                    finish.surface, batch.gbuffer, of_rays, samples.of_dots, batch.level
+                )
+                calls += transforms
             for gain, illuminated in zip(gains, spectra, strict=True):
                 used = gain
                 if context.has_finishes:
@@ -447,9 +475,11 @@ class LightPass(ABC):
                     used = samples.finish_gains
                     calls.append(KernelCall(light_samples.select_finish, inputs, [used], in_runs=True))
                 calls += lookup.kernel_calls(
-                    samples.scattering_vectors, samples.to_lights, used, illuminated, batch.xyz,
-                    footprints if lookup.plan.uses_footprints else None, batch.unserved_gain,
+                    own.scattering_vectors, own.to_lights, used, illuminated, batch.xyz,
+                    own.footprints if lookup.plan.uses_footprints else None, batch.unserved_gain,
                 )  # fmt: skip
+        if context.dots is not None and samples.of_dots is not None and context.refines and batch.level == 0:
+            calls += context.dots.signal_calls(batch.gbuffer, samples.scattering_vectors, samples.of_dots)
         return calls
 
     def shade(self, batch: RayBatch, lookups: Lookups) -> list[KernelCall]:
