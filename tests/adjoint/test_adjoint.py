@@ -1,9 +1,11 @@
 """``wd.adjoint``: vjp is the transpose of jvp, values equal those of plain functions, and wrong names raise errors."""
 
+import functools
 import math
 
 import numpy as np
 import pytest
+import trimesh
 from conftest import coherence_of, hemisphere, noise
 
 import warpdiff as wd
@@ -266,11 +268,21 @@ NEEDED = {
 }  # fmt: skip
 
 
+@functools.cache
+def picture():
+    """Return a renderer of a flat square."""
+    corners = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
+    visual = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]])
+    mesh = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False)
+    view, light = wd.View((0.0, 0.0, 3.0), (0.0, 0.0, 0.0), width=4, height=3), wd.DirectionalLight((0.0, 0.1, 1.0))
+    return wd.Renderer(mesh, noise((8, 9), (0.09, 0.09)), light, view, footprint=False, refine=False)
+
+
 @pytest.mark.parametrize("name", variables.VARIABLES)
 def test_the_table_of_derivatives_is_true(name):
     """Each function must accept the variables for which the table says "yes" in its column, and refuse all others."""
     row = next(line for line in variables.table().splitlines() if f"| `{name}` |" in line)
-    marks = [cell.strip() == "yes" for cell in row.split("|")[2:5]]
+    marks = [cell.strip() == "yes" for cell in row.split("|")[2:6]]
     surface = OUTLINE if name in ("vertices", "period_um") else FIELD
     light, view = (0.0, 0.1, 1.0), (0.1, 0.0, 1.0)
     needed = NEEDED.get(name, {})
@@ -279,6 +291,7 @@ def test_the_table_of_derivatives_is_true(name):
         lambda: wd.adjoint.order_efficiencies(surface, light, 500.0, wrt=(name,), **optics),
         lambda: wd.adjoint.spectral_reflectance(surface, light, view, 500.0, wrt=(name,), **needed),
         lambda: wd.adjoint.reflectance(surface, light, view, wrt=(name,), **needed),
+        lambda: wd.adjoint.pixels(picture(), surface, wd.DirectionalLight(light), wrt=(name,)),
     ]
     for has_derivative, call in zip(marks, calls, strict=True):
         if has_derivative:

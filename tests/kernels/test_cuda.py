@@ -57,6 +57,7 @@ KERNELS = {
                    "mark_shared", "copy_batch", "luminance_histogram"},
     "colour_lookup": {"blur", "integrate", "interpolate"},
     "lobe_sums": {"sum_lobes", "differentiate_lobes", "evaluate_polynomials", "spread_pairs"},
+    "polar_sums": {"sample_spectrum_rings", "spread_pixels_to_rings", "spread_spectrum_rings", "sum_rings_of_pixels"},
     "spectrum_sampling": {"add_product", "gather", "project", "project_lines", "resample"},
 }  # fmt: skip
 # Tested kernels: number of terms in a row of the coefficient table, coherence model, and whether the rows contain

@@ -36,13 +36,37 @@ _LEAST_WAVELENGTHS, _MOST_WAVELENGTHS = 12, 20_000
 _QUINTIC = (0.5 * 1.5 * 2.5) ** 2 / 720.0
 # Angular frequency of a sine wave that is interpolated with the same error as a Gaussian, times the standard deviation
 # of the Gaussian. The value follows from the sixth derivative of a Gaussian, which is at most 15 times its maximum.
-_OF_GAUSSIAN = 15.0 ** (1.0 / 6.0)
+OF_GAUSSIAN = 15.0 ** (1.0 / 6.0)
 # Fraction of the truncation error that the colour of the flat material may have. The colour is tried at a few angles
 # only, and the factor 2 was chosen as a margin for the angles between them.
 _SHARE_OF_MATERIAL = 0.5
 # Number of points of the Gauss quadrature between two kinks of the integrand, which are at most 1 nm apart. With this
 # number, the error for films of up to 1 µm is a rounding error.
 _GAUSS_POINTS = 4
+
+
+def counts_of(
+    rates: NDArray[np.float64], span: float, truncation: float, remedy: str = "increase it"
+) -> NDArray[np.int64]:
+    """Return numbers of equally spaced nodes between which a function is interpolated by quintic polynomials.
+
+    Args:
+        rates: Angular frequencies of the function, shape (n,).
+        span: Length of the range of the nodes.
+        truncation: Relative error.
+        remedy: Advice for the error.
+
+    Raises:
+        ValueError: More wavelengths than are supported are required.
+    """
+    step = (truncation / _QUINTIC) ** (1.0 / 6.0) / np.maximum(rates, 1e-9)
+    counts = np.maximum(np.ceil(span / step).astype(np.int64) + 1, _LEAST_WAVELENGTHS)
+    if counts.size and counts.max() > _MOST_WAVELENGTHS:
+        raise ArgumentValueError(
+            f"{ref('truncation')} must be larger than {truncation:g}, which requires {counts.max()} wavelengths; at "
+            f"most {_MOST_WAVELENGTHS} are supported: {remedy}"
+        )
+    return np.asarray(counts)
 
 
 def sampling(
@@ -100,16 +124,15 @@ def _count_of_surface(
     high, low = 1e3 / colorimetry.LAMBDA_MIN_NM, 1e3 / colorimetry.LAMBDA_MAX_NM
     phase = 2.0 * math.pi * float(np.max(half[:, 2], initial=0.0)) * 2.0 * scale_um
     if coherence.kind == "source":
-        span, rate = math.log(high / low), high * phase + _OF_GAUSSIAN * along / coherence.spread
+        span, rate = math.log(high / low), high * phase + OF_GAUSSIAN * along / coherence.spread
     elif coherence.periods is not None:
         reach = math.hypot(*np.multiply(coherence.periods, size_um))
         span, rate = high - low, phase + 2.0 * math.pi * along * reach
     else:
         # The power at the distance d from q has a Gaussian weight of the standard deviation 1/(√8 πσ) in d.
         sharpness = math.sqrt(8.0) * math.pi * (coherence.sigma_um or 0.0)
-        span, rate = high - low, phase + _OF_GAUSSIAN * along * sharpness
-    step = (truncation / _QUINTIC) ** (1.0 / 6.0) / max(rate, 1e-9)
-    return int(max(math.ceil(span / step) + 1, _LEAST_WAVELENGTHS))
+        span, rate = high - low, phase + OF_GAUSSIAN * along * sharpness
+    return int(counts_of(np.array([rate]), span, truncation, "increase it, or use spectral_reflectance")[0])
 
 
 def _exact_colours(cosines: NDArray[np.float64], material: Material, illuminant: str | Spectrum) -> NDArray[np.float64]:

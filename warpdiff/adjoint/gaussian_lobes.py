@@ -111,6 +111,19 @@ class GaussianLobes:
         table.first_row, table.first_column = block.first
         table.step_y, table.step_x = (1.0 / length for length in size_um)
 
+    @property
+    def series(self) -> CoefficientRows:
+        """Chebyshev series of the coefficients."""
+        return self._rows
+
+    def table(self, coefficients: NDArray[np.float64]) -> lobe_sums.LobeTable:
+        """Return the struct of the kernels, for coefficients whose series are rows of ``coefficients``.
+
+        The struct shares the memory of the coefficients.
+        """
+        self._table.coefficients = wp.array(coefficients.ravel(), dtype=wp.float64, device="cpu", copy=False)
+        return self._table
+
     def sums(self, pairs: Pairs, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the sum of each pair, shape (p,). Each row of ``coefficients`` is the series of one coefficient."""
         result = np.empty(len(pairs))
@@ -160,8 +173,7 @@ class GaussianLobes:
         self, kernel: Kernel, size: int, coefficients: NDArray[np.float64], pairs: lobe_sums.LobePairs,
         result: NDArray[np.float64],
     ) -> None:  # fmt: skip
-        # The arrays of coefficients and results are not copied: the kernel uses the memory of the NumPy arrays.
-        self._table.coefficients = wp.array(coefficients.ravel(), dtype=wp.float64, device="cpu", copy=False)
+        table = self.table(coefficients)
         output = wp.array(result, dtype=wp.float64, device="cpu", copy=False)
         slice_size = _CELLS_OF_SLICE if kernel is lobe_sums.spread_pairs else ELEMENTS_OF_SLICE
-        launch(kernel, size, [self._table, pairs], [output], slice_size=slice_size, **self._where)
+        launch(kernel, size, [table, pairs], [output], slice_size=slice_size, **self._where)

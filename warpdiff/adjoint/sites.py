@@ -32,6 +32,12 @@ class Block:
         """Number of orders in the block."""
         return self.shape[0] * self.shape[1]
 
+    def joined(self, other: Block) -> Block:
+        """Return the smallest block that contains both."""
+        first = np.minimum(self.first, other.first)
+        beyond = np.maximum(np.add(self.first, self.shape), np.add(other.first, other.shape))
+        return Block((int(first[0]), int(first[1])), (int(beyond[0] - first[0]), int(beyond[1] - first[1])))
+
     def orders(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return s and r of all orders of the block, row by row, both of shape (size,)."""
         s, r = (np.arange(first, first + count) for first, count in zip(self.first, self.shape, strict=True))

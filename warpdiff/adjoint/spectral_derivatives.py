@@ -13,14 +13,12 @@ import numpy as np
 from annotated_types import Interval
 
 from warpdiff.adjoint import colour_sampling
-from warpdiff.adjoint.coefficient_rows import CoefficientRows
+from warpdiff.adjoint.coefficient_series import CoefficientSeries, SeriesSize
 from warpdiff.adjoint.gaussian_lobes import block_of, exponent_of
 from warpdiff.adjoint.linearised import linearised
 from warpdiff.adjoint.period_sums import PeriodSums
 from warpdiff.adjoint.power_sums import LobeSums
 from warpdiff.adjoint.reflection import index_of, kinks
-from warpdiff.adjoint.series_length import kappa_range, term_count
-from warpdiff.adjoint.sites import Block, Sites
 from warpdiff.adjoint.spectral_model import MOST_KEPT, PAIRS_TOGETHER, SURFACE, Illumination, SpectralModel
 from warpdiff.adjoint.surfaces import Relief
 from warpdiff.adjoint.variables import available, check_variables, differentiable
@@ -41,6 +39,7 @@ if TYPE_CHECKING:
 
     from warpdiff.adjoint.linearised import Derivatives, Linearised
     from warpdiff.adjoint.power_sums import PowerSums
+    from warpdiff.adjoint.sites import Block
     from warpdiff.optics.materials import Material
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.profiles.outline import Outline
@@ -154,21 +153,16 @@ class SpectralCall:
         exponent, kappas, block = exponent_of(self._truncation), (math.inf, 0.0), None
         for part in illumination.parts():
             pairs = illumination.pairs(part)
-            block = _joined(block, block_of(pairs, exponent, relief.shape, relief.size_um))
+            own = block_of(pairs, exponent, relief.shape, relief.size_um)
+            block = own if block is None else block.joined(own)
             kappas = min(kappas[0], float(pairs.kappas.min())), max(kappas[1], float(pairs.kappas.max()))
         assert block is not None  # noqa: S101 (there is a part if any direction is above the horizon)
-        low, high = kappa_range(*kappas, relief.scale_um)
         powers = self._coherence.adds_powers
-        terms = term_count(2.0 * math.pi * high * relief.scale_um, self._truncation)
-        # As a function of κ, a power oscillates with the phase of the whole height range. An amplitude oscillates with
-        # the phase of half of the range, because the phase of the middle height is omitted.
-        count = term_count(math.pi * (high - low) * relief.scale_um * (2.0 if powers else 1.0), self._truncation)
-        self._require(illumination, block, terms, count, powers=powers)
-        sites = Sites(relief.shape, *block.orders())
-        rows = CoefficientRows(sites.count, (low, high), count, powers=powers, together=relief.sites_together)
-        series = relief.terms(sites, rows.nodes, terms)
+        size = SeriesSize.of(relief, kappas, self._truncation, powers=powers)
+        self._require(illumination, block, size.terms, size.count, powers=powers)
+        series = CoefficientSeries(relief, block, size, powers=powers)
         centre, moving = self._centre()
-        return LobeSums(series, rows, block, sites, relief.size_um, exponent, centre, moving)
+        return LobeSums(series.terms, series.rows, block, series.sites, relief.size_um, exponent, centre, moving)
 
     def _require_values(self, directions: int, wavelengths: int) -> None:
         """Raise ``MemoryError`` if the values of all pairs of a direction and a wavelength do not fit into memory."""
@@ -225,15 +219,6 @@ class SpectralCall:
         unit = self._lights if name == "to_light" else self._views
         result = np.atleast_2d(change) / validation.lengths(self._vectors[name])
         return np.asarray((result - unit * np.sum(unit * result, axis=1, keepdims=True))[self._above])
-
-
-def _joined(block: Block | None, other: Block) -> Block:
-    """Return the smallest block that contains two blocks of orders; None is an empty block."""
-    if block is None:
-        return other
-    first = np.minimum(block.first, other.first)
-    beyond = np.maximum(np.add(block.first, block.shape), np.add(other.first, other.shape))
-    return Block((int(first[0]), int(first[1])), (int(beyond[0] - first[0]), int(beyond[1] - first[1])))
 
 
 @differentiable

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 Function = TypeVar("Function", bound="Callable[..., object]")
 
-_ALL = ("order_efficiencies", "spectral_reflectance", "reflectance")
+_ALL = ("order_efficiencies", "spectral_reflectance", "reflectance", "pixels")
+_PLAIN = ("order_efficiencies", "spectral_reflectance", "reflectance")
 _LOBES = ("spectral_reflectance", "reflectance")
 _SPECTRA = ("order_efficiencies", "spectral_reflectance")
 # Variables of derivatives: for each variable, the functions that have a derivative with respect to it, the shape of the
@@ -26,16 +27,16 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "heights_um": (_ALL, "(ny, nx)", "height field"),
     "vertices": (_ALL, "(k, 2): position in periods, height [µm]", "outline"),
     "height_scale": (_ALL, "()", ""),
-    "pitch_um": (_ALL, "(2,), in the order (y, x)", "height field"),
-    "period_um": (_ALL, "()", "outline"),
+    "pitch_um": (_PLAIN, "(2,), in the order (y, x)", "height field"),
+    "period_um": (_PLAIN, "()", "outline"),
     "sigma_um": (_LOBES, "()", 'coherence "averaged" or "centred"'),
     "angular_diameter_deg": (_LOBES, "()", 'coherence "source"'),
-    "to_light": (_ALL, "as the argument", ""),
+    "to_light": (_PLAIN, "as the argument", ""),
     "to_view": (_LOBES, "as the argument", ""),
-    "ior": (_ALL, "()", "finite index, no material"),
+    "ior": (_ALL, "()", "finite index, no material; pixels: no base colour"),
     "n": (_SPECTRA, "(m,), one per wavelength", "material"),
     "k": (_SPECTRA, "(m,), one per wavelength", "material"),
-    "film_nm": (_ALL, "()", "material with a film"),
+    "film_nm": (_PLAIN, "()", "material with a film"),
     "wavelengths_nm": (("order_efficiencies",), "(m,)", ""),
 }
 # Names that users may take for variables, but that have no derivative, with the reason for the error message.
@@ -56,7 +57,7 @@ _ARGUMENTS = {
     "method": "adjoints have one method of their own; use truncation",
     "integration": "adjoints integrate over sampled wavelengths; use truncation",
     "plan": "plans describe tables, which have no derivative; use truncation",
-    "tolerance": "adjoints have no plan; use truncation",
+    "tolerance": "adjoints of single directions have no plan; use truncation",
     "energy": "factors of the normalised energy of colours are interpolated on a grid; use energy='stam'",
 }
 
@@ -79,16 +80,20 @@ def differentiable(function: Function) -> Function:
 
 def available(
     function: str, *, coherence: Coherence | None = None, ior: float | None = None, material: Material | None = None,
-    is_outline: bool | None = None,
+    is_outline: bool | None = None, has_material: bool = False,
 ) -> tuple[str, ...]:  # fmt: skip
-    """Return the names of the variables with respect to which a call of a function has derivatives."""
+    """Return the names of the variables with respect to which a call of a function has derivatives.
+
+    ``has_material`` states whether the reflectance depends on more than ``ior``, also without a single ``material``.
+    """
     absent = set()
     if coherence is not None:
         absent |= {"sigma_um"} if coherence.sigma_um is None else {"angular_diameter_deg"}
         absent |= {"angular_diameter_deg"} if coherence.angular_diameter_deg is None else set()
     if is_outline is not None:
         absent |= {"heights_um", "pitch_um"} if is_outline else {"vertices", "period_um"}
-        absent |= {"ior"} if material is not None or ior == math.inf else set()
+        has_material = has_material or material is not None
+        absent |= {"ior"} if has_material or ior == math.inf else set()
         absent |= {"n", "k"} if material is None else set()
         absent |= {"film_nm"} if material is None or material.film is None else set()
     return tuple(name for name, (functions, _, _) in VARIABLES.items() if function in functions and name not in absent)
