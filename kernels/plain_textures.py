@@ -1,4 +1,7 @@
-"""Textures of plain surfaces at hits: metallic and roughness, and emission. Only scenes with such textures use this."""
+"""Textures of plain surfaces at hits: metallic and roughness, and emission.
+
+Plain surfaces have no height field. The kernels are launched only for scenes in which they have such textures.
+"""
 
 import warp as wp
 
@@ -24,7 +27,7 @@ def sample_plain_textures(
     camera: Camera, surface: SurfaceArrays, textures: Textures, pixels: Pixels, deviation: wp.float32,
     first: wp.int32, run: wp.int32,
 ):  # fmt: skip
-    """Write metallic, roughness and emission of textures at hits, which are 1 without a texture.
+    """Write metallic, roughness and emission of textures at hits; the values are 1 where there is no texture.
 
     Args:
         camera: Camera in the units of the mesh.

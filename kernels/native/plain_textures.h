@@ -1,7 +1,9 @@
-// Textures of plain surfaces at hits: metallic and roughness, and emission. They multiply the factors of the material.
+// Textures of plain surfaces (surfaces without a height field) at hits: metallic and roughness, and emission. Their
+// values multiply the factors of the material.
 //
-// Textures of roughness have its square in red, roughness in green, metallic in blue, and the product of both in alpha.
-// The variance of roughness within a footprint, and its covariance with metallic, follow from the means of these.
+// A texture of roughness has the squared roughness in red, roughness in green, metallic in blue, and the product of
+// roughness and metallic in alpha. From the means of these channels over a footprint follow the variance of roughness,
+// and its covariance with metallic.
 
 #pragma once
 
@@ -31,9 +33,9 @@ struct HitTextures {
     {
     }
 
-    // Return the colour of a texture at the hit of a ray on a face, at the texture coordinates `uvs` of the vertices. A
-    // negative number is no texture, which is white. `variance` becomes that of the footprint, as a mean over the axes
-    // of the image [texels²].
+    // Return the colour of texture `number` at the hit of a ray on a face. `uvs` are the texture coordinates of the
+    // vertices. A negative number means no texture; the colour is then white. `variance` is set to the variance of the
+    // footprint [texels²], as a mean over both axes of the image.
     WARPDIFF_INLINE Rgba at(int number, const float* uvs, int ray, int face, float& variance) const
     {
         variance = 0.0f;
@@ -59,8 +61,9 @@ template <class Camera, class Surface, class Textures, class Pixels>
 WARPDIFF_INLINE void look_up_plain_textures(const Camera& camera, const Surface& surface, const Textures& textures,
     const Pixels& pixels, float deviation, float least_facing, int begin, int end)
 {
-    // Variance of bilinear interpolation between texels [texels²]. It spreads the squares of roughness, although the
-    // roughness of a point is a mean of texels. A footprint of variance v therefore has the share v/(v + 1/4).
+    // Variance of bilinear interpolation between texels [texels²]. Interpolation smooths the roughness, so that only a
+    // part of the variance between texels is a variance between points. For a footprint of the variance v, this part is
+    // about v/(v + 1/4).
     constexpr float OF_INTERPOLATION = 0.25f;
     const int* const hit = numbers<const int>(pixels.hit);
     const int* const face = numbers<const int>(pixels.face);

@@ -1,4 +1,4 @@
-"""Errors of truncated series and sums, derivatives of single pairs, and other edges of ``wd.adjoint``."""
+"""``wd.adjoint``: errors of truncated series and sums, derivatives for single pairs, and limiting cases."""
 
 import complex_step
 import numpy as np
@@ -18,7 +18,7 @@ FILM = wd.Material.metal("Cr").coated(wd.Material.dielectric(1.5), 1000.0)
 
 
 def exact_colours(surface, views, material, illuminant, **settings):
-    """Return XYZ by Gauss points between all entries of tables, where the integrand is smooth."""
+    """Return XYZ by Gauss quadrature between neighbouring table entries, where the integrand over λ is smooth."""
     grid, products = colorimetry.VISIBLE_NM, colorimetry.colour_products(illuminant)
     parts = [part for part in (material, getattr(material, "film", None)) if part is not None]
     cuts = np.unique(np.clip(np.concatenate([grid, *[np.asarray(part.wavelengths_nm) for part in parts]]), 380, 780))
@@ -40,7 +40,10 @@ def exact_colours(surface, views, material, illuminant, **settings):
      (FILM, "D65", "averaged")],
 )  # fmt: skip
 def test_truncation_is_the_largest_error_of_colours(material, illuminant, kind):
-    """Errors are relative to a flat mirror. Indices with kinks, and illuminants with lines, need more wavelengths."""
+    """The error of a colour must be at most ``truncation`` times the colour of a flat mirror.
+
+    More wavelengths are needed if the index of refraction has kinks, or if the illuminant has spectral lines.
+    """
     settings = {"coherence": coherence_of(kind, sigma_um=0.5, angular_diameter_deg=8.0)}
     views = [MIRROR, (0.0, 0.0, 1.0), (0.3, 0.1, 1.0)]
     exact = exact_colours(FIELD, views, material, illuminant, **settings)
@@ -75,7 +78,10 @@ def test_truncation_is_the_largest_error_of_dark_directions_relative_to_a_mirror
 
 @pytest.mark.parametrize(("depth_um", "error"), [(1.0, 1e-12), (1e-3, 1e-10), (1e-5, 1e-7)])
 def test_single_pairs_have_exact_derivatives_by_the_scale_of_heights(depth_um, error):
-    """All pairs have the same κ, so that the range of the series has no width of its own."""
+    """With a single pair of directions, all values of κ = w/λ are equal. The derivative must still be exact.
+
+    The range of κ of the series then has no width of its own and must be widened.
+    """
     field = noise((5, 9), (0.21, 0.17))
     field = wd.HeightField.of_known_scale(field.heights_um / np.ptp(field.heights_um) * depth_um, field.pitch_um)
     view = np.array([0.3, -0.2, 1.0])

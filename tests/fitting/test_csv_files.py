@@ -1,4 +1,4 @@
-"""CSV files of measured data as programs and people write them: encodings, separators, units, percent and gaps."""
+"""CSV files of measured data must be read in all usual forms: encodings, separators, units, percent and empty cells."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Fits that should not be trusted say so: no convergence, bounds, singular covariances, few data, wrong data."""
+"""Fits with unreliable results must warn: no convergence, bounds, singular covariances, few data, or wrong data."""
 
 import math
 import warnings
@@ -48,7 +48,10 @@ def fit_with_warnings(guess, data, sd):
 
 @pytest.mark.parametrize("sd", [1e-12, 1.0, 1e3, 1e9])
 def test_the_best_values_do_not_depend_on_the_size_of_sd(sd):
-    """A gradient of χ² below an absolute limit once ended fits with large sd at their start."""
+    """Fits must have the same best values for any common standard deviation ``sd``.
+
+    The minimiser once ended at the start for a large ``sd``, because it compared the gradient of χ² with a constant.
+    """
     expected = wd.fit(GUESS, measured(NOISY), sd=1e-3, starts=1)
     result, _ = fit_with_warnings(GUESS, measured(NOISY), sd)
     np.testing.assert_allclose(result.values, expected.values, rtol=1e-6)
@@ -67,7 +70,11 @@ def test_exact_starts_and_surfaces_without_gradient_end_at_once():
 
 
 def test_parameters_at_bounds_are_named():
-    """Walls lower the efficiencies of high orders. Data with even higher ones end at a vertical wall."""
+    """If a best value is at a bound, the fit must name the parameter and give no standard error for it.
+
+    Sloped walls lower the efficiencies of high orders. The efficiencies in the data are higher than those for vertical
+    walls, so that the fit ends at the bound of vertical walls.
+    """
     vertical = measured(EXACT).predict(profile().surface([0.14, 0.42, 0.0, 2.0])).value
     result, texts = fit_with_warnings(profile(), measured(vertical + 0.2 * (vertical - EXACT)), 1e-3)
     assert "best wall is at a bound of profile" in texts
@@ -87,7 +94,10 @@ def test_fewer_values_than_parameters_give_a_warning():
 
 
 def test_a_change_of_all_pixels_is_not_determined():
-    """The truncation of colours once gave this combination standard errors of a millimetre."""
+    """If all pixels change by the same height, no colour changes. All standard errors must therefore be NaN.
+
+    Truncation errors of colours once made this change seem to be determined, with standard errors of a millimetre.
+    """
     rng = np.random.default_rng(1)
     pixels = wd.profiles.Pixels(0.5, rng.uniform(0.0, 0.1, (1, 3)), samples=2)
     views, coherence = wd.direction([5.0, 15.0, 25.0, 35.0]), wd.Coherence(sigma_um=1.0)
@@ -139,7 +149,10 @@ def test_percent_gives_a_warning():
 
 
 def test_parameters_without_a_surface_are_refused():
-    """Vertices beyond the period were once moved into it, with a gradient as if they were not."""
+    """Parameters whose vertices are beyond the period, or not in order, must raise an error.
+
+    Such vertices were once moved into the period without a notice, and the gradient did not include the move.
+    """
     for x in ([0.14, 1.4, 0.04, 2.0], [0.14, 0.42, 0.9, 2.0], [0.14, -0.1, 0.0, 2.0]):
         with pytest.raises(ValueError, match="vertices in increasing order within one period"):
             profile().surface(x)

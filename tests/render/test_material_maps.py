@@ -19,7 +19,7 @@ REPEAT = ("repeat", "repeat")
 
 
 def checker(low, high, size=8):
-    """Return an image like a chess board, with roughness in green and metallic in blue, in 8 bits."""
+    """Return an 8-bit image with a chessboard pattern: roughness in the green channel, metallic in the blue channel."""
     texels = np.zeros((size, size, 3), np.uint8)
     odd = np.indices((size, size)).sum(axis=0) % 2 == 1
     texels[..., 1], texels[..., 2] = np.where(odd, high, low), np.where(odd, 255, 128)
@@ -34,7 +34,7 @@ def mapped(texels, **values):
 
 
 def scene(own, bend=0.25, grating=None):
-    """Return a quad with a material, and a far one with a grating."""
+    """Return a quad with the material ``own``, and a distant quad with a grating."""
     result = trimesh.Scene({"body": quad(0.0, own, bend)})
     result.add_geometry(quad(0.0, grating, y=-4.0), geom_name="grating")
     return result
@@ -64,7 +64,8 @@ def test_pixels_have_the_brdf_of_the_roughness_at_their_texture_coordinates():
 @pytest.mark.parametrize("options", [POINTS, OPTIONS | {"refine": False}], ids=["points", "means"])
 def test_a_texture_of_one_colour_multiplies_the_factors(options):
     texels = np.tile(np.array([7, 102, 51], np.uint8), (4, 4, 1))
-    # Textures change the filter of cells, so that both materials have one.
+    # The filter of subpixel cells is different for surfaces with textures. Both materials have a texture, so that their
+    # pictures can be compared.
     white = {"baseColorTexture": Image.new("RGB", (1, 1), (255, 255, 255))}
     plain = PBRMaterial(
         name="mapped", baseColorFactor=[255, 204, 102, 255], metallicFactor=0.9 * 0.2, roughnessFactor=0.8 * 0.4,
@@ -97,7 +98,7 @@ def test_emission_is_multiplied_by_its_texture():
         inner = np.zeros((32, 32), bool)
         inner[2:-2, 2:-2] = True
         if options is OPTIONS:
-            # Texture coordinates range over two images. Filters of pixels include no second colour in these columns.
+            # The texture repeats twice. In these columns, the pixel filter covers only one colour of the texture.
             inner &= np.isin(np.arange(32), [3, 4, 11, 12, 19, 20, 27, 28])
         np.testing.assert_allclose(image.xyz[inner], expected[inner], rtol=2e-3)
 
@@ -121,7 +122,8 @@ def test_pictures_with_a_checker_of_roughness_meet_the_tolerance(size):
     view = wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=1.8, width=24, height=24)
     image = wd.shade(body, SURFACES, light, view, **OPTIONS)
     truth = wd.shade(body, SURFACES, light, view, **POINTS, samples_per_pixel=2048)
-    # The reference has a box filter, which differs from the pixel filter: both are averaged over 4 × 4 pixels.
+    # The reference has a box filter, which differs from the pixel filter of the picture. Both pictures are therefore
+    # averaged over 4 × 4 pixels before they are compared.
     floor = 1e-3 * np.percentile(truth.xyz[..., 1], 99.0)
     means, exact = (values.xyz.reshape(6, 4, 6, 4, 3).mean(axis=(1, 3))[1:-1, 1:-1] for values in (image, truth))
     error = np.linalg.norm(means - exact, axis=-1) / np.maximum(np.linalg.norm(exact, axis=-1), floor)
@@ -140,7 +142,7 @@ def far_view(pixels):
 
 
 def blocks():
-    """Return a texture of blocks of 32 × 32 texels with two roughnesses and two metallics."""
+    """Return a texture of square blocks of 32 × 32 texels, which have one of two roughnesses and of two metallics."""
     return checker(90, 250, 16).repeat(32, axis=0).repeat(32, axis=1)
 
 
@@ -163,14 +165,14 @@ def test_far_textures_reflect_the_mean_light_of_their_roughnesses(name):
 
 
 def test_far_textures_reflect_the_mean_light_of_a_sky():
-    """Cells within which the roughness varies are compared with cells that resolve the texels."""
+    """With few cells, which contain different roughnesses, the mean colour must be that of cells below a texel."""
     texels, sky = checker(90, 250, 64).repeat(8, axis=0).repeat(8, axis=1), wd.Environment.clear_sky((0.0, 0.05, 1.0))
     options = OPTIONS | {"shadows": False, "refine": False}
     few, many = (
         wd.shade(scene(mapped(texels), 0.05), SURFACES, sky, far_view(8), **options, samples_per_pixel=samples)
         for samples in (4, 4096)
     )
-    # The mean roughness instead of two roughnesses is wrong by 6 %.
+    # A single mean roughness per cell would have an error of 6 %. The tolerance is below this error.
     np.testing.assert_allclose(few.xyz.mean(axis=(0, 1)), many.xyz.mean(axis=(0, 1)), rtol=0.045)
 
 

@@ -1,4 +1,4 @@
-"""Refinement: pixels with uneven colours are subdivided until the picture equals one with many rays per pixel."""
+"""Refinement: subdivided pixels with uneven colours must equal those of a picture with many rays per pixel."""
 
 import dataclasses
 import itertools
@@ -26,7 +26,7 @@ SIZE = 24, 18
 
 @pytest.fixture(scope="module")
 def table(fingers):
-    """Return a plan whose table is so fine that errors of pictures are dominated by the averaging over footprints."""
+    """Return a plan with so fine a table that the errors of pictures come mainly from the averaging over footprints."""
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=3e-3)
     return dataclasses.replace(plan, footprint=True, tolerance=5e-2)
 
@@ -83,7 +83,7 @@ def truth(request, fingers, table):
 
 
 def errors(image, exact):
-    """Return the errors of inner pixels, relative to their colour or the floor f, as for ``tolerance``."""
+    """Return the errors of inner pixels as ``tolerance`` defines them, relative to the colour or the floor f."""
     xyz, _, inside = exact
     return relative_errors(image.xyz[inside], xyz[inside])
 
@@ -154,7 +154,7 @@ def test_silhouettes_are_covered_in_part(truth, fingers, table):
 
 
 def test_unrefined_pixels_have_the_requested_number_of_cells(fingers, table):
-    """Without refinement, pixels at silhouettes have as many cells as all others."""
+    """Without refinement, pixels at silhouettes must have as many cells as all other pixels."""
     mesh, camera = BODIES["tube"](), view()
     image = wd.shade(mesh, fingers, LIGHT, camera, plan=table, samples_per_pixel=4, refine=False)
     hit = wd.shade(mesh, fingers, LIGHT, finer(camera, 2, 1), plan=dataclasses.replace(table, footprint=False)).mask
@@ -173,7 +173,7 @@ def test_unrefined_pixels_have_the_requested_number_of_cells(fingers, table):
 
 
 def test_pictures_without_a_table_for_means_sum_points(fingers):
-    """With ``footprint=True`` but without a table for footprint means, pixels are computed from many points each."""
+    """With ``footprint=True`` but without a table for footprint means, each pixel must be the mean of many points."""
     mesh, coherence = BODIES["lumpy"](), wd.Coherence("centred", sigma_um=3.25)
     plan = wd.plan(fingers, coherence=coherence, method="low-rank", tolerance=3e-3)
     exact = by_points(mesh, fingers, LIGHT, view("lumpy"), plan, points=8)
@@ -195,7 +195,10 @@ def test_means_are_on_at_any_tolerance(method):
 
 
 def test_pixels_that_do_not_converge_cause_a_warning(fingers, table):
-    """In a view of a distant mesh, each pixel covers thousands of bumps, which no refinement resolves."""
+    """Pixels whose errors remain too large must cause a warning.
+
+    In this view of a distant mesh, each pixel covers thousands of bumps, which no refinement resolves.
+    """
     far = wd.View((12.0, 48.0, 93.0), (0.0, 0.0, 0.0), fov_y_deg=1.5, width=48, height=36)
     mesh, fine = lumpy(5), dataclasses.replace(table, tolerance=1e-3)
     with pytest.warns(wd.WarpdiffWarning, match=r"of the illuminated pixels are expected to exceed .* see image.error"):
@@ -205,7 +208,7 @@ def test_pixels_that_do_not_converge_cause_a_warning(fingers, table):
 
 
 def test_edge_pixels_are_distinguished_from_inner_pixels(truth, fingers, table):
-    """Pixels with an edge are marked. An inner pixel, whose whole square is hit and illuminated, is never marked."""
+    """Pixels with an edge must be marked, and inner pixels, whose square is entirely hit and illuminated, must not."""
     mesh, camera, (_, _, inside) = truth
     renderer = wd.Renderer(mesh, fingers, LIGHT, camera, plan=table, samples_per_pixel=16)
     illuminated = renderer.image().illuminated
@@ -255,8 +258,8 @@ def test_lights_and_pigments_add_up(fingers, table):
     other = wd.DirectionalLight((-0.7, 0.6, 0.8), power=0.4)
     alone = [wd.shade(mesh, fingers, light, view(), plan=table) for light in (LIGHT, other)]
     both = wd.shade(mesh, fingers, [LIGHT, other], view(), plan=table)
-    # A picture with one light is refined until it meets the tolerance. With two lights, only their sum must meet it, so
-    # the sum of the pictures differs slightly.
+    # A picture with one light is refined until it meets the tolerance. With two lights, only the sum of both must meet
+    # it, so that the picture differs slightly from the sum of the two pictures.
     expected = alone[0].xyz + alone[1].xyz
     away = relative_errors(both.xyz[both.illuminated], expected[both.illuminated])
     assert np.percentile(away, 99.0) < table.tolerance
@@ -287,12 +290,15 @@ def test_cell_weights_and_footprints_approximate_the_pixel_filter(level, means):
         np.testing.assert_allclose(ours, exact, atol=(ripples + 0.25 / 4**level) * exact.max())
 
 
-# Weight of the pixel filter at a diagonal neighbour, relative to that at a horizontal or vertical one.
+# Weight of the pixel filter at a diagonal neighbour, relative to the weight at a horizontal or vertical neighbour.
 ASLANT = refinement_levels.FILTER_SHARES[0] / refinement_levels.FILTER_SHARES[1]
 
 
 def texture_contrast(base, colours, hit, near, place):
-    """Return the part of a pixel's contrast that its base colour explains, ‖own colour‖ times the relative change."""
+    """Return the part of a pixel's contrast that its base colour explains.
+
+    It is the norm of the pixel's own colour times the largest relative change of the base colour to a neighbour.
+    """
     if sum(hit[other] for other in near) < 2:
         return 0.0
     change = max(np.linalg.norm(base[other] - base[place]) for other in near if hit[other])
@@ -300,7 +306,7 @@ def texture_contrast(base, colours, hit, near, place):
 
 
 def map_contrast(maps, colours, hit, near, own):
-    """Return the contrast of a pixel that differences of metallic, roughness and emission explain."""
+    """Return the part of a pixel's contrast that changes of metallic, roughness and emission explain."""
     metallic, roughness, emission = maps
     changes = [
         4.0 * abs(roughness[place] - roughness[own]) / max(roughness[own], 0.05)
@@ -313,7 +319,7 @@ def map_contrast(maps, colours, hit, near, own):
 
 
 def estimate_by_hand(colours, uv, hit, floor, bound, base=None, maps=None):
-    """Compute pixel by pixel, in Python, what the kernel ``estimate_errors`` returns."""
+    """Compute the result of the kernel ``estimate_errors`` in Python, pixel by pixel."""
     height, width = hit.shape
     result, marks, size = np.zeros((height, width)), np.zeros((height, width), bool), np.linalg.norm
     for row, column in np.ndindex(height, width):
@@ -422,7 +428,7 @@ def test_more_cells_than_the_highest_level_has_are_refused(fingers):
 
 
 def test_cells_detect_details_between_pixel_centres(fingers, table):
-    """The mesh consists of bars that are 0.3 pixels wide, one every 5.3 pixels. Most pixel centres miss them."""
+    """Cells must detect a mesh of bars that are 0.3 pixels wide, one every 5.3 pixels. Most pixel centres miss it."""
     bars = [
         trimesh.Trimesh(
             [(x, -9.0, 0.0), (x + 0.3, -9.0, 0.0), (x + 0.3, 9.0, 0.0), (x, 9.0, 0.0)], [(0, 1, 2), (0, 2, 3)],
@@ -440,7 +446,7 @@ def test_cells_detect_details_between_pixel_centres(fingers, table):
 
 
 def test_cells_detect_shadows_between_pixel_centres(fingers, table):
-    """The shadow of a strip is narrower than a pixel and falls between pixel centres. Cells detect it."""
+    """Cells must detect the shadow of a strip that is narrower than a pixel and falls between pixel centres."""
     floor = trimesh.creation.box((4.0, 4.0, 0.1))
     strip = trimesh.creation.box((2.4, 0.04, 0.01))
     strip.apply_translation((3.0, 0.08, 3.0))

@@ -1,4 +1,4 @@
-"""Pictures of scenes with cut-outs and blended faces: coverage, colours behind, and shadows."""
+"""Pictures of scenes with cut-outs and blended faces: coverage, colours of faces behind others, and shadows."""
 
 import base64
 import io
@@ -31,9 +31,9 @@ def square(height, half, material, repeats=1):
 
 
 def middle(parts, light=None, **options):
-    """Return coverage and luminance of the middle of a picture from above, where plain squares reflect light.
+    """Return coverage and luminance in the middle of a picture of plain squares from above.
 
-    A grating of a thousandth of the size, far below the squares and outside of the picture, completes the scene.
+    A scene must have a height field. A tiny grating far below the squares, outside of the picture, is therefore added.
     """
     grating = square(-3.0, 1e-3, OPAQUE)
     grating.apply_translation((1.5, 1.5, 0.0))
@@ -76,7 +76,7 @@ def test_blended_layers_cover_by_their_alphas(layers, white):
     passed = 1.0 - ALPHA
     np.testing.assert_allclose(coverage, 1.0 - passed**layers, atol=0.15)
     assert abs(coverage.mean() - (1.0 - passed**layers)) < 0.02
-    # Light passes the layers above on its way down, and again on its way up.
+    # Light passes the blended layers above a layer twice: once from the light to the layer, and once to the viewer.
     expected = sum(ALPHA * passed ** (2 * layer) for layer in range(layers))
     assert abs(luminance.mean() / white - expected) < 0.02
 
@@ -88,15 +88,15 @@ def test_blended_faces_cast_partial_shadows(white):
     pane.apply_translation((2.6, 0.0, 0.0))
     parts = {"ground": square(0.0, 2.0, OPAQUE), "pane": pane}
     _, shaded = middle(parts, light)
-    # Pixels may have errors of the tolerance, 0.1, which partly have the same sign: cells that agree by chance are not
-    # subdivided further.
+    # Each pixel may have an error of up to the tolerance of 0.1. The errors do not cancel in the mean: cells that agree
+    # by chance are not subdivided further, and their errors often have the same sign.
     assert abs(shaded.mean() / alone.mean() - (1.0 - ALPHA)) < 0.06
     assert alone.mean() < white
     sky = wd.Environment.clear_sky((0.0, 0.2, 1.0))
     _, open_sky = middle({"ground": square(0.0, 2.0, OPAQUE)}, sky)
     cover = {"ground": square(0.0, 2.0, OPAQUE), "pane": square(0.5, 1.9, BLEND)}
     _, below = middle(cover, sky)
-    # The pane covers nearly the whole sky of the points below. They show it through the pane.
+    # The blended pane covers nearly the whole sky above the points below it, but the sky is visible through the pane.
     assert 0.4 < below.mean() / open_sky.mean() < 1.0
 
 
@@ -156,7 +156,7 @@ def stencil():
     ("offset", "scale", "rotation"), [((0.3, -40.2), (2.0, 1.5), 0.4), ((-1.1, 0.2), (-1.0, 3.0), -2.0)], ids=str
 )
 def test_cut_outs_follow_texture_transforms_sets_and_continuations(tmp_path, wraps, offset, scale, rotation):
-    """The reference follows the formulas of KHR_texture_transform and of samplers, v downwards."""
+    """Cut-outs must follow KHR_texture_transform and the wrap modes of samplers, with v counted downwards."""
     file = square_file({"TEXCOORD_1": SQUARE_UVS, "TEXCOORD_0": 0.0 * SQUARE_UVS}, material=0)
     texels, uri = stencil()
     transform = {"offset": offset, "scale": scale, "rotation": rotation}

@@ -1,4 +1,4 @@
-"""Images of textures: every mode of Pillow in linear RGBA, and images that cannot be used."""
+"""Images of textures: conversion of every mode of Pillow to linear RGBA, and errors for images that cannot be used."""
 
 import io
 
@@ -37,7 +37,7 @@ def with_key(image, value):
     return image
 
 
-# Images of one row with two pixels, and their encoded RGBA.
+# Images with one row of two pixels in each mode, and the expected encoded RGBA of both pixels.
 MODES = {
     "1": (of([[0, 255]]).convert("1"), [[0, 0, 0, 1], [1, 1, 1, 1]]),
     "L": (of([[51, 255]]), [[0.2] * 3 + [1], [1] * 4]),

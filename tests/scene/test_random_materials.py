@@ -1,6 +1,6 @@
 """Random glTF scenes of two to four parts that lack textures, texture coordinates, colours or materials.
 
-Images have one colour each, so that the values at hits follow from the format by hand.
+Each image has a single colour. The expected values at hits therefore follow from the rules of the format alone.
 """
 
 import base64
@@ -22,7 +22,10 @@ TEXTURES = ("baseColorTexture", "metallicRoughnessTexture", "emissiveTexture")
 
 
 def random_material(rng, file):
-    """Add a random material to a file; return its factors, and for each texture its texel, or None, and its set."""
+    """Add a random material to a file; return its factors, its textures, and whether it is a cut-out.
+
+    Each texture is a pair: its texel (None if the image is missing), and the number of its set of texture coordinates.
+    """
     values = {name: rng.uniform(size=size or None) for name, size in FACTORS.items() if rng.random() < 0.7}
     textures = {}
     for name in TEXTURES:
@@ -49,7 +52,10 @@ def random_material(rng, file):
 
 
 def expected_of(material, sets, vertex_colour):
-    """Return base colour, or None, alpha, metallic, roughness and emission of a part by the rules of the format."""
+    """Return the base colour or None, the visibility, metallic and roughness, and the emission of a part.
+
+    The values follow from the rules of the format. ``sets`` are the sets of texture coordinates that the part has.
+    """
     values, textures, is_mask = material or ({}, {}, False)
     texel, number = textures.get("baseColorTexture", (None, 0))
     colour = values.get("baseColorFactor")
@@ -60,7 +66,8 @@ def expected_of(material, sets, vertex_colour):
     elif vertex_colour is not None:
         colour = vertex_colour * (1.0 if colour is None else colour)
     texel, _ = textures.get("metallicRoughnessTexture", (None, 0))
-    # A part without the texture coordinates has the mean of the texture, which is that of its one colour.
+    # A part without the required texture coordinates has the mean of the texture. The texture has one colour, so that
+    # the mean is this colour.
     gloss = [values.get("metallicFactor", 1.0), values.get("roughnessFactor", 1.0)]
     gloss *= np.ones(2) if texel is None else texel[[2, 1]]
     emission = values.get("emissiveFactor", np.zeros(3))
@@ -99,7 +106,7 @@ def test_parts_have_the_values_of_their_own_materials(tmp_path, seed):
 
 
 def check(surface, parts, deviation):
-    """Compare the values at hits in the middle of each part."""
+    """Check that the values at hits in the middle of each part are the expected values."""
     middle = 0.6 * len(parts) - 0.1
     view = wd.View.orthographic(
         (middle, 0.5, 5), (middle, 0.5, 0), extent_y=1.2, width=12 * len(parts), height=12

@@ -1,7 +1,9 @@
 """Passes of lights: each pass samples one part of a light at the hits of rays, and looks up its colours.
 
 The hits are in ``scene.gbuffer``. This module defines the samples of one lobe (:class:`LightSamples`), and rays with
-the sums to which their colours are added (:class:`RayBatch`).
+the sums to which their colours are added (:class:`RayBatch`). A lobe is a Gaussian of directions, or a single
+direction. A plain surface has no height field. (u, v, w) is the scattering vector, and R(0) the reflectance at normal
+incidence.
 """
 
 from __future__ import annotations
@@ -44,8 +46,10 @@ class SurfaceOptics:
     Attributes:
         coherence: Coherence of the light at the surface.
         area_um2: Area of the height field [µm²].
-        normal_reflectance: R(0) of Schlick's approximation; 1 if the surface has materials.
-        materials: Materials of the faces. An entry of None stands for Schlick's R with ``normal_reflectance``.
+        normal_reflectance: Reflectance R(0) at normal incidence of Schlick's approximation; 1 if the surface has
+            materials.
+        materials: Materials of the faces. An entry of None means that the face has Schlick's reflectance with
+            ``normal_reflectance``.
         masking: Whether V-cavity masking is included.
         energy: Factors of the energy normalisation
             (:class:`~warpdiff.diffraction.energy_normalisation.AchromaticFactors`); without them, the orders of a
@@ -72,11 +76,11 @@ class SurfaceOptics:
 
 
 class PictureUnit(NamedTuple):
-    """Light to which the colours of a picture are relative: a perfect mirror shows it at the coherence of the unit.
+    """Light that a perfect mirror would show in a picture; the colours of the picture are relative to this light.
 
     Attributes:
         coherence: Coherence of the unit.
-        area_um2: Area of the height field [µm²], used for periods only.
+        area_um2: Area of the height field [µm²]; it has an effect only if the coherence is that of periods.
     """
 
     coherence: Coherence
@@ -84,7 +88,7 @@ class PictureUnit(NamedTuple):
 
 
 class Finish(NamedTuple):
-    """Surface of a picture with one of its materials. Each face has one finish."""
+    """Finish of a face: its surface in the picture, and its material. Each face has one finish."""
 
     surface: int
     material: Material | None
@@ -95,9 +99,11 @@ class PassContext:
 
     Attributes:
         rays: Camera rays, on whose hits the light is sampled.
-        surfaces: Optics of the surfaces, without the diffraction of their height fields. The last one may be that of
-            all glossy faces: plain faces with a roughness, whose light ``kernels.plain_reflection`` computes.
-        plain: Materials of plain surfaces; None if all are matte and dark.
+        surfaces: Optics of the surfaces, without the diffraction of their height fields. If there are glossy faces
+            (plain faces with a roughness), the last entry is for all of them. Kernels of ``kernels.plain_reflection``
+            compute their light.
+        plain: Materials of plain surfaces; None if all are matte and emit no light.
+        finishes: Finishes of the picture: all surfaces with all of their materials.
         finishes: All surfaces with all of their materials.
         is_pigmented: Whether the mesh has base colours and the pigment is visible.
         has_maps: Whether textures have metallic, roughness or emission of plain faces.
@@ -127,7 +133,8 @@ class PassContext:
         ]
         self.plain = self._plain_faces(finish_of_faces)
         if finish_of_faces is not None and self.plain is not None and self.plain.has_glossy_faces:
-            # Glossy faces form a surface and a finish of their own, without a pigment and without a look-up.
+            # All glossy faces together form an additional surface and finish, without a pigment and without a height
+            # field.
             plain = next(optics for optics in surfaces if optics.is_plain)
             self.surfaces += (replace(plain, pigment=0.0),)
             self.finishes.append(Finish(len(surfaces), None))
@@ -148,7 +155,7 @@ class PassContext:
         return wp.array(np.asarray(values), dtype=dtype, device=self._device)
 
     def _plain_faces(self, finish_of_faces: NDArray[np.int32] | None) -> PlainFaces | None:
-        """Return the materials of plain surfaces; None if all are matte and dark."""
+        """Return the materials of plain surfaces; None if all are matte and emit no light."""
         is_plain = np.array([self.surfaces[finish.surface].is_plain for finish in self.finishes])
         if finish_of_faces is None or not is_plain.any():
             return None
@@ -163,7 +170,8 @@ class PassContext:
         reflection.surfaces = self._array([finish.surface for finish in self.finishes], wp.int32)
         reflection.normal_reflectances = self._array([surface.normal_reflectance for surface in optics], wp.float64)
         reflection.units = self._array([surface.unit or 1.0 for surface in optics], wp.float64)
-        # A picture in the unit of its surface is relative to R(0), and so is the light of its pigment.
+        # If the picture is in the unit of its surface, its colours are relative to R(0). The light of the pigment is
+        # divided by R(0), too.
         units = [surface.unit or surface.normal_reflectance for surface in optics]
         pigments = [surface.pigment / unit for surface, unit in zip(optics, units, strict=True)]
         reflection.pigments = self._array(pigments if self.is_pigmented else [], wp.float64)
@@ -201,7 +209,7 @@ class PassContext:
         return self.surfaces[0].shadows and self.rays.may_be_occluded
 
     def finishes_of_hits(self) -> NDArray[np.int32] | None:
-        """Return the index of the finish at the hit of each ray, any index for other rays; None for one finish."""
+        """Return the index of the finish at the hit of each ray (any index without a hit); None for a single finish."""
         if not self.has_finishes:
             return None
         faces = self.rays.gbuffer.pixels.face.numpy()
@@ -237,14 +245,16 @@ class LightSamples:
         occluded: Whether the mesh occludes the lobe at each hit, (n,).
         scattering_vectors: (u, v, w), (n,) of ``wp.vec3d``.
         to_lights: Directions to the light in the local frame, (n,) of ``wp.vec3f``.
-        gains: Geometry factors, (n,); 0 where no light arrives. For a sky, gains are 1 at hits.
-        spectral_gains: Geometry factors times the sky's radiance by spectrum, (3, n); (0, 0) unless rays have their own
-            directions.
+        gains: Geometry factors, (n,); 0 where no light arrives. For a sky, they are 1 at hits.
+        spectral_gains: Geometry factors times the sky's radiance by spectrum, (3, n); the shape is (0, 0) unless each
+            ray has its own direction to the light.
+        towards: Direction to the light of each ray, world frame, and its weight, (n,) of ``wp.vec4f``. The array is
+            empty unless directions are drawn at random or a light has an emission profile.
         towards: Each ray's own direction to the light, world frame, and its weight, (n,) of ``wp.vec4f``; empty unless
             a light is sampled or has an emission profile.
         footprints: Footprints of the rays' filters in (u, v), (n,); empty if pixels show points.
-        finish_gains: Geometry factors where faces have one of several finishes, else 0, (n,); empty for a single
-            finish.
+        finish_gains: Geometry factors at faces with the finish that is evaluated, and 0 at other faces, (n,); empty for
+            a single finish.
         of_dots: Samples in the frames of dots; None without a grating map.
     """
 
@@ -295,13 +305,13 @@ class RayBatch:
 
     Attributes:
         gbuffer: Hits of the rays.
-        samples: Samples of one lobe at the hits; each lobe overwrites those of the lobe before.
+        samples: Samples of one lobe at the hits; the samples of the next lobe overwrite them.
         xyz: Sums of colours, (n,).
         coverage: Sums of hits, (n,); an empty array is not written.
         illuminated: Whether light reached the ray's hit, (n,); an empty array is not written.
-        unserved_gain: Geometry factors of directions that a table excludes, (n,); empty if it excludes none.
-        tiles: Indices of the pixels whose cells are the rays; −1 is no pixel. If empty, the rays are one per pixel of
-            the picture.
+        unserved_gain: Geometry factors of directions that a table does not contain, (n,); empty if it contains all.
+        tiles: Indices of the pixels whose subpixel cells are the rays; −1 is no pixel. If empty, there is one ray for
+            each pixel of the picture.
         level: Level of the cells; 0 is one ray per pixel.
         deviation: Standard deviation of the filter of a ray [pixels]; 0 without footprints.
     """
@@ -318,7 +328,7 @@ class RayBatch:
 
     @property
     def sums(self) -> list[wp.array]:
-        """The arrays to which samples are added: colours, number of hits, and marks of illuminated rays."""
+        """The arrays to which the values of a ray are added: colours, number of hits, and marks of illuminated rays."""
         return [self.xyz, self.coverage, self.illuminated]
 
 
@@ -328,7 +338,7 @@ class Counting:
 
     Attributes:
         weight: Weight of the lobe's colours in the sum of colours.
-        counted: Weight of a hit in the sum of coverage; 0 if an earlier lobe has counted the same hits.
+        counted: Weight of a hit in the sum of coverage; 0 if the same hits were counted with an earlier lobe.
         begins: Whether all sums are set to zero before this lobe is added.
         resets: Whether the sum of colours is set to zero before this lobe is added.
     """
@@ -340,13 +350,13 @@ class Counting:
 
 
 class LightPass(ABC):
-    """Base class of passes: one part of a light over the rays of one picture. A pass is made before the plan is known.
+    """Base class of passes: a pass evaluates one part of a light for the rays of a picture; it exists before the plan.
 
     Attributes:
         is_sampled: Whether directions to the light are drawn at random, so that colours have noise.
-        has_directions: Whether each ray has its own direction or weight: sampled lights and emission profiles.
-        first_level: Level of the first cells. Sampled lights begin at a finer one, because four cells are too few to
-            estimate noise.
+        has_directions: Whether each ray has its own direction or weight, for random directions or emission profiles.
+        first_level: Level of the first subdivision. It is higher for random directions, because four cells are too few
+            to estimate noise.
         context: Context that all passes of the picture share.
         lobe_count: Number of lobes, which are processed one after the other; for sampled lights, number of directions
             per pixel in a picture whose pixels are not subdivided.
@@ -430,7 +440,7 @@ class LightPass(ABC):
 
     @property
     def white_luminance(self) -> float:
-        """Luminance of a white matte surface that faces the brightest lobe."""
+        """Luminance of a white matte surface that faces the brightest lobe of the pass."""
         return 0.0
 
     @abstractmethod
