@@ -111,6 +111,22 @@ def transform_samples(
 
 
 @wp.kernel
+def scale_gains(
+    ratios: wp.array(dtype=wp.float32), scattering_vectors: wp.array(dtype=wp.vec3d),
+    gains: wp.array(dtype=wp.float32), first: wp.int32, run: wp.int32,
+    gains_out: wp.array(dtype=wp.float32),
+):  # fmt: skip
+    """Multiply gains by a function of cos θd = |(u, v, w)|/2, which is tabulated from 0 to 1."""
+    thread, _ = wp.tid()
+    last = ratios.shape[0] - 1
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        place = wp.min(0.5 * wp.float32(wp.length(scattering_vectors[i])), 1.0) * wp.float32(last)
+        entry = wp.min(wp.int32(place), last - 1)
+        t = place - wp.float32(entry)
+        gains_out[i] = gains[i] * ((1.0 - t) * ratios[entry] + t * ratios[entry + 1])
+
+
+@wp.kernel
 def signals_of_dots(
     dots: wp.array(dtype=wp.int32), columns: wp.int32, faces: wp.array(dtype=wp.int32),
     surfaces: wp.array(dtype=wp.int32), surface: wp.int32, scattering_vectors: wp.array(dtype=wp.vec3d),

@@ -10,6 +10,7 @@ import warp as wp
 from warpdiff.device.kernel_calls import KernelCall
 from warpdiff.kernels import dot_transforms
 from warpdiff.kernels.structs import Footprint
+from warpdiff.optics.fixed_reflectance import FixedReflectance, luminance_ratios
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.heightfield.grating_map import GratingMap
+    from warpdiff.optics.materials import Material
     from warpdiff.scene.camera_rays import CameraRays
     from warpdiff.scene.gbuffer import GBuffer
 
@@ -46,12 +48,14 @@ class DotSamples:
         to_lights: Directions to the light in the frames of the cells, (n,) of ``wp.vec3f``.
         footprints: Footprints in the frames of the cells, (n,); empty if pixels show points.
         dots: Indices of the dots, row by row, (n,); −1 without a hit.
+        gains: Geometry factors times the dependence of a material's reflectance on the angle, (n,).
     """
 
     scattering_vectors: wp.array
     to_lights: wp.array
     footprints: wp.array
     dots: wp.array
+    gains: wp.array
 
     @classmethod
     def allocate(cls, rays: int, *, means: bool, device: wp.Device) -> DotSamples:
@@ -59,7 +63,18 @@ class DotSamples:
         return cls(
             wp.empty(rays, dtype=wp.vec3d, device=device), wp.empty(rays, dtype=wp.vec3f, device=device),
             wp.empty(rays * means, dtype=Footprint, device=device), wp.empty(rays, dtype=wp.int32, device=device),
+            wp.empty(rays, dtype=wp.float32, device=device),
         )  # fmt: skip
+
+
+def material_of_dots(material: Material | None, grating_map: GratingMap | None) -> Material | None:
+    """Return the material with which the colours of a surface are looked up.
+
+    Depths and pitches that differ between dots require a material whose reflectance does not depend on the angle.
+    """
+    if material is None or grating_map is None or grating_map.has_one_shape:
+        return material
+    return FixedReflectance.of(material)
 
 
 class GratingDots:
@@ -74,6 +89,7 @@ class GratingDots:
         """
         device = rays.options["device"]
         self._rays = rays
+        self._ratios: dict[Material, wp.array] = {}
         self._no_footprints = wp.empty(0, dtype=Footprint, device=device)
         self._shapes = {surface: grating_map.shape for surface, grating_map in maps.items()}
         self._transforms = {
@@ -95,6 +111,21 @@ class GratingDots:
     def has_map(self, surface: int) -> bool:
         """Whether a surface has a map."""
         return surface in self._transforms
+
+    def scaled_gains(
+        self, material: Material | None, scattering_vectors: wp.array, gains: wp.array, of_dots: DotSamples
+    ) -> tuple[wp.array, list[KernelCall]]:
+        """Return the gains with which the colours of a material are looked up, and the kernel calls that compute them.
+
+        They contain the dependence of the reflectance on the angle, unless the look-up contains it.
+        """
+        if not isinstance(material, FixedReflectance):
+            return gains, []
+        if material not in self._ratios:
+            device = self._rays.options["device"]
+            self._ratios[material] = wp.array(luminance_ratios(material), dtype=wp.float32, device=device)
+        inputs = [self._ratios[material], scattering_vectors, gains]
+        return of_dots.gains, [KernelCall(dot_transforms.scale_gains, inputs, [of_dots.gains], in_runs=True)]
 
     def transform(
         self, surface: int, gbuffer: GBuffer, samples: LookupSamples, of_dots: DotSamples, level: int

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -19,8 +19,9 @@ from warpdiff.device.kernel_calls import KernelCall
 from warpdiff.kernels import light_samples
 from warpdiff.kernels.refinement_levels import rays_at
 from warpdiff.kernels.structs import Footprint
-from warpdiff.lights.grating_dots import DotSamples, GratingDots, LookupSamples
+from warpdiff.lights.grating_dots import DotSamples, GratingDots, LookupSamples, material_of_dots
 from warpdiff.lights.plain_materials import plain_faces
+from warpdiff.lights.surface_optics import Finish, PictureUnit
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial, transmittances
 
@@ -29,69 +30,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from warpdiff.heightfield.grating_map import GratingMap
     from warpdiff.lights.plain_materials import PlainFaces
-    from warpdiff.optics.coherence import Coherence
-    from warpdiff.optics.materials import Material
+    from warpdiff.lights.surface_optics import SurfaceOptics
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.scene.camera_rays import CameraRays
     from warpdiff.scene.gbuffer import GBuffer
     from warpdiff.tables.lookup import Lookups
-
-
-@dataclass(frozen=True, eq=False)
-class SurfaceOptics:
-    """Optics of one surface of a picture, except for the diffraction of its height field.
-
-    Attributes:
-        coherence: Coherence of the light at the surface.
-        area_um2: Area of the height field [µm²].
-        normal_reflectance: Reflectance R(0) at normal incidence of Schlick's approximation; 1 if the surface has
-            materials.
-        materials: Materials of the faces. An entry of None means that the face has Schlick's reflectance with
-            ``normal_reflectance``.
-        masking: Whether V-cavity masking is included.
-        energy: Factors of the energy normalisation
-            (:class:`~warpdiff.diffraction.energy_normalisation.AchromaticFactors`); without them, the orders of a
-            perfect mirror do not sum to 1.
-        pigment: Linear factor of the light that the pigment reflects; 0 is no pigment.
-        shadows: Whether the mesh may occlude the lights.
-        is_plain: Whether the surface has no height field: it reflects light by its base colour and its material.
-        unit: Factor from the colours of this surface to the unit of the picture. None if the colours of the picture are
-            relative to this surface's own R(0) and coherence.
-        grating_map: Map of the surface's dots; None if the whole surface has the same height field.
-    """
-
-    coherence: Coherence
-    area_um2: float
-    normal_reflectance: float
-    materials: tuple[Material | None, ...] = (None,)
-    masking: bool = True
-    energy: NDArray[np.float32] | None = None
-    pigment: float = 0.0
-    shadows: bool = True
-    is_plain: bool = False
-    unit: float | None = None
-    grating_map: GratingMap | None = None
-
-
-class PictureUnit(NamedTuple):
-    """Light that a perfect mirror would show in a picture; the colours of the picture are relative to this light.
-
-    Attributes:
-        coherence: Coherence of the unit.
-        area_um2: Area of the height field [µm²]; it has an effect only if the coherence is that of periods.
-    """
-
-    coherence: Coherence
-    area_um2: float
-
-
-class Finish(NamedTuple):
-    """Finish of a face: its surface in the picture, and its material. Each face has one finish."""
-
-    surface: int
-    material: Material | None
 
 
 class PassContext:
@@ -129,7 +73,9 @@ class PassContext:
         self.rays, self.surfaces, self.refines = rays, tuple(surfaces), refines
         self._unit = unit or PictureUnit(surfaces[0].coherence, surfaces[0].area_um2)
         self.finishes = [
-            Finish(index, material) for index, optics in enumerate(surfaces) for material in optics.materials
+            Finish(index, material, material_of_dots(material, optics.grating_map))
+            for index, optics in enumerate(surfaces)
+            for material in optics.materials
         ]
         self.plain = self._plain_faces(finish_of_faces)
         if finish_of_faces is not None and self.plain is not None and self.plain.has_glossy_faces:
@@ -370,7 +316,7 @@ class LightPass(ABC):
         self.context, self.lobe_count = context, len(spectra_of_lobes)
         self.illuminated = [
             tuple(
-                tuple(IlluminatedMaterial(spectrum, finish.material) for spectrum in spectra)
+                tuple(IlluminatedMaterial(spectrum, finish.looked_up) for spectrum in spectra)
                 for finish in context.finishes
             )
             for spectra in spectra_of_lobes
@@ -484,6 +430,11 @@ class LightPass(ABC):
                     inputs = [gain, batch.gbuffer.pixels.face, context.finish_of_faces, index]
                     used = samples.finish_gains
                     calls.append(KernelCall(light_samples.select_finish, inputs, [used], in_runs=True))
+                if own is not of_rays and context.dots is not None and samples.of_dots is not None:
+                    used, scales = context.dots.scaled_gains(
+                        finish.looked_up, samples.scattering_vectors, used, samples.of_dots
+                    )
+                    calls += scales
                 calls += lookup.kernel_calls(
                     own.scattering_vectors, own.to_lights, used, illuminated, batch.xyz,
                     own.footprints if lookup.plan.uses_footprints else None, batch.unserved_gain,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,8 @@ import numpy as np
 
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.optics.coherence import Coherence
+from warpdiff.optics.fixed_reflectance import spectral_change
+from warpdiff.optics.materials import Material
 from warpdiff.request.plan import Plan
 
 if TYPE_CHECKING:
@@ -17,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.heightfield.grating_map import GratingMap
-    from warpdiff.lights.light_pass import SurfaceOptics
+    from warpdiff.lights.surface_optics import SurfaceOptics
     from warpdiff.request.settings import PictureSettings
     from warpdiff.scene.mesh_import import Surface as Mesh
 
@@ -55,7 +58,23 @@ def settings_of_map(grating_map: GratingMap, settings: PictureSettings) -> Pictu
             f"{ref('coherence')} must be of kind 'source' for a GratingMap whose {ref('pitch_scale')} differs between "
             f"dots, from {low:g} to {high:g}, got {kind!r}: give Coherence('source'), or one pitch scale"
         )
+    if not grating_map.has_one_shape:
+        _check_materials(settings)
     return settings
+
+
+def _check_materials(settings: PictureSettings) -> None:
+    """Raise an error for materials whose spectrum changes with the angle by more than the tolerance."""
+    materials = settings.material.values() if isinstance(settings.material, Mapping) else [settings.material]
+    tolerance = settings.plan.tolerance if isinstance(settings.plan, Plan) else settings.tolerance
+    for material in materials:
+        if isinstance(material, Material) and (change := spectral_change(material)) > tolerance:
+            raise ArgumentValueError(
+                f"{ref('material')} must have a spectrum that changes with the angle by at most {ref('tolerance')} "
+                f"for a GratingMap whose {ref('depth_scale')} or {ref('pitch_scale')} differs between dots, got "
+                f"{material} with a change of {change:.2g} for {ref('tolerance', tolerance)}: give a larger "
+                f"{ref('tolerance')}, {ref('ior')}, or a map of {ref('turn_deg')} alone"
+            )
 
 
 def _text(value: object) -> str:

@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
     from warpdiff.lights.base import LightPart
-    from warpdiff.lights.light_pass import LightPass, PictureUnit, RayBatch, SurfaceOptics
+    from warpdiff.lights.light_pass import LightPass, RayBatch
+    from warpdiff.lights.surface_optics import PictureUnit, SurfaceOptics
     from warpdiff.optics.materials import IlluminatedMaterial
     from warpdiff.request.directions import DirectionRange, DirectionSample
     from warpdiff.request.plan import Plan

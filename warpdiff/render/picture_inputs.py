@@ -14,7 +14,8 @@ from warpdiff.heightfield.field import HeightField
 from warpdiff.heightfield.grating_map import GratingMap
 from warpdiff.kernels import refinement_levels
 from warpdiff.lights.base import Light, listed
-from warpdiff.lights.light_pass import PictureUnit, SurfaceOptics
+from warpdiff.lights.grating_dots import material_of_dots
+from warpdiff.lights.surface_optics import PictureUnit, SurfaceOptics
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import IlluminatedMaterial
@@ -92,7 +93,8 @@ class SurfaceInputs:
         # The planner tries tables for the spectra of lobes. If only a sky illuminates, tables for one of its three
         # primary spectra suffice, because all three are smooth.
         spectra = [name for part in parts if part.has_lobes for name in part.spectra] or parts[0].spectra[:1]
-        illuminated = IlluminatedMaterial.of(spectra, evaluation.materials.values())
+        materials = [material_of_dots(material, grating_map) for material in evaluation.materials.values()]
+        illuminated = IlluminatedMaterial.of(spectra, materials)
         evaluation = replace(evaluation, plan=plan, illuminated=illuminated)
         return cls(evaluation, settings, parts, heightfield is None, grating_map=grating_map)
 
