@@ -33,7 +33,8 @@ GROUPS = {
     "Pictures": ["shade", "Renderer", "Image", "Report", "compare", "Comparison"],
     "Reflectance without a picture": [
         "reflectance", "spectral_reflectance", "reflectance_spectra", "ReflectanceSpectra", "brdf", "reflectance_map",
-        "order_efficiencies", "OrderEfficiencies", "order_angles", "direction",
+        "order_efficiencies", "OrderEfficiencies", "order_angles", "direction", "rigorous_order_efficiencies",
+        "RigorousEfficiencies",
     ],
     "Gradients and fits": ["adjoint", "profiles", "fit", "Fit", "Minimum", "Measured"],
     "Design": ["design", "Target", "Design"],
