@@ -17,7 +17,7 @@ from warpdiff.adjoint.reflection import index_of, kinks
 from warpdiff.adjoint.spectral_model import MOST_KEPT, PAIRS_TOGETHER, SURFACE, Illumination, SpectralModel
 from warpdiff.adjoint.surfaces import Relief
 from warpdiff.adjoint.variables import available, check_variables, differentiable
-from warpdiff.adjoint.wavelength_sums import OF_GAUSSIAN, counts_of
+from warpdiff.adjoint.wavelength_sums import MOST_WAVELENGTHS, OF_GAUSSIAN, counts_of
 from warpdiff.core import memory, validation
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
@@ -113,8 +113,13 @@ class SpectralCall:
             # The weight of a power at the distance d from q is a Gaussian of the standard deviation 1/(√8 πσ).
             sharpness = math.sqrt(8.0) * math.pi * (self._coherence.sigma_um or 0.0)
             span, rate = high - low, phase + OF_GAUSSIAN * along * sharpness
-        remedy = "increase it, or use spectral_reflectance"
-        return int(counts_of(np.array([rate]), span, self._truncation, remedy)[0])
+        count = int(counts_of(np.array([rate]), span, self._truncation)[0])
+        if count > MOST_WAVELENGTHS:
+            raise ArgumentValueError(
+                f"{ref('truncation')} must be larger than {self._truncation:g}, which requires {count} wavelengths; at "
+                f"most {MOST_WAVELENGTHS} are supported: increase it, or use spectral_reflectance"
+            )
+        return count
 
     def evaluate(self, wavelengths_nm: NDArray[np.float64], weights: NDArray[np.float64] | None = None) -> Linearised:
         """Return ρ at wavelengths, shape (n, m), or ρ times ``weights`` (m, 3), with derivatives."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.adjoint.gaussian_lobes import Pairs
-from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.core.warnings import warn
 from warpdiff.kernels.thresholds import LOWEST, TINY
 from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import reflectance_at
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 # Number of pairs of a direction and a wavelength that are computed together. Limit: memory, about 500 bytes per pair.
 PAIRS_TOGETHER = 1 << 18
 # Largest number of wavelengths of a colour. Limit: computing time is proportional to it.
-_MOST_WAVELENGTHS = 20_000
+MOST_WAVELENGTHS = 20_000
 # Error of quintic interpolation of a sine wave, relative to (angular frequency × step)^6. Derived: the product of the
 # distances from six nodes, at the middle, over 6!.
 _QUINTIC = (0.5 * 1.5 * 2.5) ** 2 / 720.0
@@ -36,36 +36,25 @@ OF_GAUSSIAN = 15.0 ** (1.0 / 6.0)
 LOW, HIGH = 1e3 / colorimetry.LAMBDA_MAX_NM, 1e3 / colorimetry.LAMBDA_MIN_NM
 
 
-def counts_of(
-    rates: NDArray[np.float64], span: float, truncation: float, remedy: str = "increase it"
-) -> NDArray[np.int64]:
+def counts_of(rates: NDArray[np.float64], span: float, truncation: float) -> NDArray[np.int64]:
     """Return numbers of equally spaced nodes between which a function is interpolated by quintic polynomials.
 
     Args:
         rates: Angular frequencies of the function, shape (n,).
         span: Length of the range of the nodes.
         truncation: Relative error.
-        remedy: Advice for the error.
-
-    Raises:
-        ValueError: More wavelengths than are supported are required.
     """
     step = (truncation / _QUINTIC) ** (1.0 / 6.0) / np.maximum(rates, 1e-9)
     # Six nodes are the least for quintic polynomials. The colour matching functions themselves are exact.
-    counts = np.maximum(np.ceil(span / step).astype(np.int64) + 1, 12)
-    if counts.size and counts.max() > _MOST_WAVELENGTHS:
-        raise ArgumentValueError(
-            f"{ref('truncation')} must be larger than {truncation:g}, which requires {counts.max()} wavelengths; at "
-            f"most {_MOST_WAVELENGTHS} are supported: {remedy}"
-        )
-    return np.asarray(counts)
+    return np.asarray(np.maximum(np.ceil(span / step).astype(np.int64) + 1, 12))
 
 
 class WavelengthSums:
     """Colours of directions at sampled wavelengths under lobes of coefficients, widened by footprints.
 
     Directions with similar |(u, v)| share their wavelengths, whose number follows from the truncation error. Lights
-    less than 2° above the horizon have the number of lights at 2°.
+    less than 2° above the horizon have the number of lights at 2°. One warning counts the directions that require more
+    wavelengths than ``MOST_WAVELENGTHS``.
     """
 
     def __init__(
@@ -81,14 +70,22 @@ class WavelengthSums:
         """
         self._groups, self._coherence = groups, coherence
         self._is_source = coherence.kind == "source"
+        undersampled = 0
         self._classes: list[list[tuple[NDArray[np.int64], int]]] = []
         for group in groups:
-            counts = counts_of(self._rates(group, height_range_um), self._span, truncation, "use smaller angles")
+            counts = counts_of(self._rates(group, height_range_um), self._span, truncation)
+            undersampled += int(np.count_nonzero(counts > MOST_WAVELENGTHS))
+            counts = np.minimum(counts, MOST_WAVELENGTHS)
             # Numbers of wavelengths are rounded up to powers of √2.
             octaves = np.ceil(2.0 * np.log2(counts / 12.0)).astype(np.int64)
             self._classes.append([
                 (np.flatnonzero(octaves == k), math.ceil(12.0 * 2.0 ** (k / 2.0))) for k in np.unique(octaves).tolist()
             ])  # fmt: skip
+        if undersampled:
+            warn(
+                f"{undersampled} of {sum(len(group.gains) for group in groups)} samples require more than "
+                f"{MOST_WAVELENGTHS} wavelengths, and their colours may be wrong: give a larger source or footprint"
+            )
 
     @property
     def _span(self) -> float:
