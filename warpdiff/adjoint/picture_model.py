@@ -15,6 +15,7 @@ import numpy as np
 from warpdiff.adjoint.coefficient_series import CoefficientSeries, SeriesSize
 from warpdiff.adjoint.colour_splines import ring_count
 from warpdiff.adjoint.gaussian_lobes import GaussianLobes, block_of, exponent_of
+from warpdiff.adjoint.lobe_pyramid import LobePyramid
 from warpdiff.adjoint.polar_grid_sums import PolarGridSums, RingGrid, RingSizes, kappa_margin
 from warpdiff.adjoint.sites import Block
 from warpdiff.adjoint.wavelength_sums import HIGH, LOW, PAIRS_TOGETHER, WavelengthSums
@@ -119,7 +120,7 @@ class PictureModel:
             block = own if block is None else block.joined(own)
         assert block is not None  # noqa: S101 (groups are not empty)
         self._begin(block, self._kappas(), 0, 0)
-        return _OnLobes(sums, self._series.lobes(self._exponent))
+        return _OnLobes(sums, LobePyramid(self._series, self._relief.size_um, self._exponent))
 
     def _sums_over_wavelengths(self, groups: list[LitPixels]) -> WavelengthSums:
         return WavelengthSums(groups, self._coherence, self._truncation, 2.0 * self._relief.scale_um)
@@ -162,7 +163,8 @@ class PictureModel:
         for group, xyz in zip(self._groups, self.values, strict=True):
             bright = np.argsort(-xyz[:, 1], kind="stable")[:_CHECKED]
             chosen = np.union1d(bright, rng.integers(len(xyz), size=_CHECKED))
-            (exact,) = self._sums_over_wavelengths([group.among(chosen)]).sums(lobes, self._coefficients)
+            sums = self._sums_over_wavelengths([group.among(chosen)])
+            (exact,) = sums.colours(lambda pairs: lobes.sums(pairs, self._coefficients))
             size = np.maximum(np.linalg.norm(exact, axis=1), floor)
             errors.append(np.linalg.norm(xyz[chosen] - exact, axis=1) / size)
         return bool(np.quantile(np.concatenate(errors), _SHARE) <= self._tolerance)
@@ -171,14 +173,14 @@ class PictureModel:
 class _OnLobes:
     """Sums over wavelengths of the coefficients of one block."""
 
-    def __init__(self, sums: WavelengthSums, lobes: GaussianLobes) -> None:
+    def __init__(self, sums: WavelengthSums, lobes: LobePyramid) -> None:
         self._sums, self._lobes = sums, lobes
 
     def sums(self, coefficients: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        return self._sums.sums(self._lobes, coefficients)
+        return self._sums.colours(self._lobes.sums_of(coefficients))
 
     def spread(self, adjoints: list[NDArray[np.float64]], rows: NDArray[np.float64]) -> None:
-        self._sums.spread(self._lobes, adjoints, rows)
+        self._lobes.spread(self._sums.adjoints(adjoints), rows)
 
 
 class _WithZeroth:
@@ -192,14 +194,16 @@ class _WithZeroth:
 
     def sums(self, coefficients: NDArray[np.float64]) -> list[NDArray[np.float64]]:
         result = self._rings.sums(coefficients)
-        for xyz, near, own in zip(result, self._near, self._sums.sums(self._lobes, coefficients), strict=True):
+        central = self._sums.colours(lambda pairs: self._lobes.sums(pairs, coefficients))
+        for xyz, near, own in zip(result, self._near, central, strict=True):
             xyz[near] += own
         return result
 
     def spread(self, adjoints: list[NDArray[np.float64]], rows: NDArray[np.float64]) -> None:
         self._rings.spread(adjoints, rows)
-        own = [adjoint[near] for adjoint, near in zip(adjoints, self._near, strict=True)]
-        self._sums.spread(self._lobes, own, rows[self._zeroth : self._zeroth + 1])
+        of_near = [adjoint[near] for adjoint, near in zip(adjoints, self._near, strict=True)]
+        for pairs, own in self._sums.adjoints(of_near):
+            self._lobes.spread(pairs, own, rows[self._zeroth : self._zeroth + 1])
 
 
 def _cell_of_zeroth(block: Block) -> int:

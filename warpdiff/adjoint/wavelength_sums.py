@@ -14,11 +14,10 @@ from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import reflectance_at
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
-    from warpdiff.adjoint.gaussian_lobes import GaussianLobes
     from warpdiff.optics.coherence import Coherence
     from warpdiff.render.picture_samples import LitPixels
 
@@ -109,17 +108,17 @@ class WavelengthSums:
                     pairs, factors = self._pairs(group.among(part), wavenumbers)
                     yield index, part, pairs, factors, weights
 
-    def sums(self, lobes: GaussianLobes, coefficients: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return XYZ of the directions of each group, shape (n, 3), for series of the coefficients."""
+    def colours(self, sums: Callable[[Pairs], NDArray[np.float64]]) -> list[NDArray[np.float64]]:
+        """Return XYZ of the directions of each group, shape (n, 3), from a function that sums powers under lobes."""
         result = [np.zeros((len(group.gains), 3)) for group in self._groups]
         for index, part, pairs, factors, weights in self.parts():
-            result[index][part] = (lobes.sums(pairs, coefficients).reshape(factors.shape) * factors) @ weights
+            result[index][part] = (sums(pairs).reshape(factors.shape) * factors) @ weights
         return result
 
-    def spread(self, lobes: GaussianLobes, adjoints: list[NDArray[np.float64]], rows: NDArray[np.float64]) -> None:
-        """Add to the rows of the block of lobes, shape (size, k), what the adjoints of XYZ of each group contribute."""
+    def adjoints(self, adjoints: list[NDArray[np.float64]]) -> Iterator[tuple[Pairs, NDArray[np.float64]]]:
+        """Yield pairs in parts with the adjoints of their sums, from those of XYZ of each group, shape (n, 3)."""
         for index, part, pairs, factors, weights in self.parts():
-            lobes.spread(pairs, ((adjoints[index][part] @ weights.T) * factors).ravel(), rows)
+            yield pairs, ((adjoints[index][part] @ weights.T) * factors).ravel()
 
     def _variances(self, group: LitPixels, lowest: float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return entries xx, xy and yy of two covariances (n, 3): of a window in q, and of all others in (u, v).
