@@ -200,3 +200,21 @@ def test_higher_orders_of_a_shallow_surface_are_accurate(method):
     for n in (1, 2):
         of_order = np.abs(order) == n
         np.testing.assert_allclose(values[:, of_order], exact[:, of_order], rtol=1e-5 * n**4)
+
+
+@pytest.mark.parametrize("parts", [1, 2])
+@pytest.mark.parametrize("shape", [(3, 5), (20, 40)])
+def test_the_strongest_coefficients_are_the_first_64_in_descending_order_of_their_powers(shape, parts, rng):
+    """The powers must be those in the middle of the range of |κ|. Fewer than 64 coefficients are all returned."""
+    rows = rng.lognormal(size=(*shape, parts, 2)).astype(np.float32)
+    basis = np.stack([np.ones(12), np.arange(-1.0, 11.0)], axis=1).astype(np.float32)
+    coefficients = coefficient_basis.Coefficients(rows, basis, 0.0, 0.5, np.zeros(0))
+    places, powers = coefficients.strongest
+    # The range of κ ends two steps before the last entry. The middle is a geometric mean; κ counts as at least 0.1 of
+    # the end.
+    entry = math.sqrt(0.1 * 4.5 * 4.5) / 0.5
+    values = rows[..., 0].astype(float) + entry * rows[..., 1]
+    expected = values[..., 0] if parts == 1 else np.sum(values**2, axis=2)
+    order = np.argsort(-expected.ravel())[:64]
+    np.testing.assert_array_equal(places, order)
+    np.testing.assert_allclose(powers, expected.ravel()[order], rtol=1e-5)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import noise
+from conftest import hemisphere, noise
 
 import warpdiff as wd
 from bench.truth.pictures import furnace_picture
@@ -36,6 +36,11 @@ def test_powers_of_all_bins_add_up_to_one(bin_um):
     bins = np.arange(len(powers.frequencies))
     for kappa in (0.0, 1.7, 3.1, 7.9):
         assert powers.at(bins, kappa).sum() == pytest.approx(1.0, rel=1e-6)
+    # Bins have the requested width, rounded to a whole number of orders. The first and the last bin may have fewer
+    # orders, so that the distance between the centres of bins may be smaller.
+    for frequencies, length in zip(powers.frequencies.T, (1.3, 1.5), strict=True):
+        widest = np.max(np.diff(np.unique(frequencies)))
+        assert 0.8 < widest / (max(round(bin_um * length), 1) / length) < 1.0 + 1e-9
 
 
 def test_under_an_even_sky_a_perfect_mirror_is_as_bright_as_the_sky():
@@ -174,3 +179,54 @@ def test_responses_of_a_balance_solve_its_linear_equations(rng):
     x, y = energy_normalisation.balance_response(shares, rows, columns)
     np.testing.assert_allclose(shares.sum(axis=1)[:, None] * x + shares @ y, rows, atol=1e-12)
     np.testing.assert_allclose(shares.T @ x + shares.sum(axis=0)[:, None] * y, columns, atol=1e-12)
+
+
+def test_grid_weights_are_bilinear_between_the_directions_of_the_grid(rng):
+    """Values at the directions of the grid must be reproduced, and the weights of any direction must add up to 1."""
+    directions = energy_normalisation._grid()
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=1e-12)
+    nodes, weights = energy_normalisation.grid_weights(directions)
+    values = rng.uniform(size=len(directions))
+    # The nodes of the first row are one direction, the normal.
+    columns = np.count_nonzero(directions[:, 2] > 1.0 - 1e-12)
+    values[:columns] = 0.5
+    np.testing.assert_allclose(np.sum(weights * values[nodes], axis=1), values, atol=1e-6)
+    _, weights = energy_normalisation.grid_weights(hemisphere(rng, 200))
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0)
+    assert weights.min() >= 0.0
+
+
+@pytest.mark.parametrize("contrast", [0.5, 8.0])
+def test_factors_balance_a_symmetric_matrix(contrast, rng):
+    """The factors a of a symmetric matrix K with positive elements must satisfy a (K a) = 1."""
+    matrix = rng.lognormal(0.0, contrast, (40, 40))
+    matrix += matrix.T
+    factors = energy_normalisation._balanced(matrix)
+    np.testing.assert_allclose(factors * (matrix @ factors), 1.0, atol=1e-8)
+
+
+def test_factors_are_linear_between_wavelengths():
+    values = np.array([1.0, 3.0, 2.0])[:, None, None] * np.ones((3, 16, 16))
+    factors = energy_normalisation.EnergyFactors(np.array([400.0, 500.0, 800.0]), values)
+    for wavelength, expected in ((400.0, 1.0), (425.0, 1.5), (500.0, 3.0), (650.0, 2.5), (800.0, 2.0)):
+        np.testing.assert_allclose(factors.at(np.array([at(30.0, 50.0)]), wavelength), expected, rtol=1e-12)
+
+
+def test_the_reported_spread_is_that_of_the_power_of_single_lights_and_wavelengths(rng):
+    """The spread must be the deviation of the reflected power from the incident power, as a root mean square.
+
+    The reflected power of a light at one wavelength is the sum over orders of the factors of both directions times the
+    efficiency by Stam's model, with the prescribed decrease towards the horizon.
+    """
+    heightfield = wd.gratings.sinusoidal(1.5, 0.25)
+    factors = energy_normalisation.achromatic_factors(heightfield)
+    lights = hemisphere(rng, 150, math.cos(math.radians(80.0)))
+    sums = []
+    for light, wavelength in zip(lights, rng.uniform(420.0, 680.0, len(lights)), strict=True):
+        orders = wd.order_efficiencies(heightfield, light, wavelength, ior=math.inf, energy="stam")
+        lives = ~np.isnan(orders.to_view[0, :, 0])
+        views = orders.to_view[0, lives]
+        between = factors.between(np.broadcast_to(light, views.shape), views)
+        sums.append(np.sum(orders.efficiencies[0, lives] * between * energy_normalisation.rise(views[:, 2])))
+    spread = math.sqrt(np.average((np.array(sums) - 1.0) ** 2, weights=lights[:, 2]))
+    assert factors.spread == pytest.approx(spread, rel=0.25)

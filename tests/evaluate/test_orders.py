@@ -328,6 +328,19 @@ def test_the_normalised_brdf_of_many_orders_conserves_energy():
         np.testing.assert_allclose(absolute[1] / absolute[0], expected, rtol=1e-4)
 
 
+def test_a_sum_of_stams_efficiencies_that_deviates_from_the_power_causes_a_warning(recwarn):
+    """Stam's efficiencies may deviate from the reflected power by up to 20 % without a warning; normalised ones sum
+    to 1.
+    """
+    light, deep, shallow = at_angle(30.0), wd.gratings.sinusoidal(2.0, 0.3), wd.gratings.sinusoidal(1.0, 0.1)
+    with pytest.warns(wd.WarpdiffWarning, match=r"the orders sum to 0\.789 times that power"):
+        wd.order_efficiencies(deep, light, 500.0, ior=math.inf, energy="stam")
+    recwarn.clear()
+    wd.order_efficiencies(deep, light, 500.0, ior=math.inf, energy="normalised")
+    wd.order_efficiencies(shallow, light, 500.0, ior=math.inf, energy="stam")
+    assert not recwarn.list
+
+
 def test_efficiencies_print_their_orders_and_wavelengths():
     orders = wd.order_efficiencies(wd.gratings.sinusoidal(PERIOD, 0.3), (0, 0, 1), [400.0, 700.0, 550.0])
     assert repr(orders) == f"OrderEfficiencies({len(orders.orders)} orders, 3 wavelengths, 400 to 700 nm)"

@@ -115,6 +115,7 @@ def test_pixels_of_a_map_are_means_of_directions_within_the_unit_disc(line):
     # relative to a pixel's colour, or to the floor f if that is larger.
     np.testing.assert_allclose(image.error[image.mask].max(), plan.error, rtol=1e-3)
     assert not image.error[~image.mask].any()
+    assert image.report.refined_share == 0.0
 
 
 def test_a_normalised_brdf_does_not_depend_on_other_directions_of_the_call():

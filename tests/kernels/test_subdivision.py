@@ -198,3 +198,13 @@ def test_threads_add_the_colours_of_a_light_to_each_pixel_once(rng):
     np.testing.assert_allclose(outputs[0].numpy(), others + share[:, None] * colours, rtol=1e-6)
     np.testing.assert_allclose(outputs[1].numpy(), other_errors + share * errors, rtol=1e-6)
     np.testing.assert_array_equal(outputs[2].numpy(), others_illuminated | (share & illuminated))
+
+
+def test_shares_of_the_filter_are_integrals_of_a_truncated_gaussian():
+    """The filter is a Gaussian, truncated at 1.5 pixels, whose integrals over three pixels are its shares."""
+    place = (np.arange(3000) + 0.5) / 1000.0 - 1.5
+    values = np.exp(-0.5 * (place / refinement_levels.FILTER_SIGMA) ** 2).reshape(3, 1000).sum(axis=1)
+    np.testing.assert_allclose(refinement_levels.FILTER_SHARES, values / values.sum(), rtol=1e-5)
+    assert refinement_levels.FILTER_CUT == 1.5
+    beyond = [refinement_levels.share_beyond(distance) for distance in (0.0, 0.5, 1.5)]
+    np.testing.assert_allclose(beyond, [0.5, values[2] / values.sum(), 0.0], atol=1e-6)

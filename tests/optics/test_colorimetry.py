@@ -166,3 +166,11 @@ def test_invalid_wavelengths_are_refused(wavelengths, message):
 def test_invalid_illuminants_are_refused(illuminant, message):
     with pytest.raises((ValueError, TypeError), match=message):
         wd.reflectance(FLAT, NORMAL, NORMAL, illuminant=illuminant)
+
+
+@pytest.mark.parametrize("geometric", [False, True])
+def test_cached_quadratures_cannot_be_changed(geometric):
+    """Later calls return the same arrays, so that a change would make the colours of these calls wrong."""
+    for values in colorimetry.uniform_quadrature(17, "D65", geometric=geometric):
+        with pytest.raises(ValueError, match="read-only"):
+            values[0] = 0.0

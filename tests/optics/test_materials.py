@@ -202,6 +202,8 @@ def test_formulas_with_wrong_coefficients_are_refused(tmp_path):
     text = "DATA:\n  - type: formula {}\n    wavelength_range: 0.4 1\n    coefficients: {}\n"
     for number, coefficients, message in (
         ("9", "1 2 3", "formula 9 must have 6 coefficients, got 3"),
+        ("5", "1.5" + 11 * " 0", "formula 5 must have 1 to 11 coefficients, got 12"),
+        ("7", "3.4" + 6 * " 0", "formula 7 must have 1 to 6 coefficients, got 7"),
         ("3", "1 0.1x 2", "coefficients of formula 3 must be numbers, got '1 0.1x 2'"),
         ("10", "1", "formula 10 is not supported: use a table, or formula 1 to 9"),
     ):
@@ -223,7 +225,9 @@ BAD = {
     "is tabulated from 400 to 600 nm": lambda: wd.reflectance(
         flat(), UP, UP, material=wd.Material([400.0, 600.0], [1.5, 1.5])
     ),
-    "angle_deg must lie within 0 to 90": lambda: GOLD.reflectance(500.0, 91.0),
+    "angle_deg must lie within 0 to 90": lambda: GOLD.reflectance(500.0, [10.0, 91.0]),
+    "k must lie within 0 to 100, got 1 to 101": lambda: wd.Material([500.0, 600.0], 1.5, [1.0, 101.0]),
+    "is tabulated from 450 to 650 nm": lambda: wd.Material([450.0, 650.0], [1.5, 1.5]).reflectance([500.0, 700.0], 0.0),
     "must broadcast": lambda: GOLD.reflectance([500.0, 600.0], [0.0, 1.0, 2.0]),
     "material must cover 150 to 150 nm": lambda: GOLD.reflectance(150.0, 0.0),
 }

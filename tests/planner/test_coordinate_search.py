@@ -242,6 +242,19 @@ def test_a_bandwidth_is_not_doubled_where_that_does_not_halve_the_error(fingers,
     assert coordinate_search._sufficient(start, trial, TARGET, automatic=True) == (start, TARGET)
 
 
+def test_a_bandwidth_is_doubled_until_the_fastest_orders_are_resolved(fingers, start):
+    """The error may not decrease before a plan has enough wavelengths for the direction with the largest order rate."""
+    trial = ClosedForm(fingers, start)
+    rate = 6.0 * start.max_order_rate
+    trial.order_rate, trial.w = np.array([0.0, rate]), np.array([start.max_w, start.max_w])
+    needed = cost_model.wavelength_count(start, rate, start.max_w)
+    assert start.wavelengths < needed / 3.0
+    trial.training_error = lambda plan: TARGET if plan.wavelengths < needed else 0.0
+    plan, error = coordinate_search._sufficient(start, trial, TARGET, automatic=True)
+    assert error == 0.0
+    assert needed <= plan.wavelengths < 2.5 * needed
+
+
 def test_a_smaller_bandwidth_allows_larger_order_rates_or_fewer_wavelengths(fingers):
     """A plan with half of the bandwidth must cover larger order rates with the same wavelengths, or have fewer
     wavelengths.

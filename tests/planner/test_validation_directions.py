@@ -91,3 +91,21 @@ def test_the_few_directions_at_an_order_are_candidates(axis, rng):
     assert set(at_order.tolist()) <= edge_cases
     assert chosen.weights.sum() == pytest.approx(count)
     assert 1000 <= len(chosen) - len(edge_cases) <= 1024
+
+
+def test_directions_with_extreme_angles_are_edge_cases(rng):
+    """The directions with the most grazing lights and views, and with the largest and smallest |(u, v)|, must be
+    examined.
+    """
+    heightfield = wd.gratings.sinusoidal(2.0, 0.1)
+    lights, views = hemisphere(rng, 3000), hemisphere(rng, 3000)
+    sample = DirectionSample(-lights - views, lights, np.ones(3000), np.ones(3000))
+    plan = wd.plan(heightfield, [0.0, 0.0, 1.0], [0.5, 0.0, 0.8], method="low-rank")
+    chosen, is_edge_case = validation_directions.candidates(
+        heightfield, DirectionRange(2.0, 2.0, 0.1, 2.0), sample, plan, threads=1
+    )
+    edge_cases = set(map(tuple, chosen.scattering_vectors[is_edge_case]))
+    across = np.hypot(*sample.scattering_vectors[:, :2].T)
+    for score in (-lights[:, 2], -views[:, 2], across, -across):
+        extreme = sample.scattering_vectors[np.argsort(score)[-16:]]
+        assert set(map(tuple, extreme)) <= edge_cases
