@@ -154,6 +154,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         periods_x: wp.float64
         patch_y: wp.float64  # length of the patch along y [µm]
         patch_x: wp.float64
+        has_pitch_scales: wp.bool  # for a source: whether directions to the light have pitch scales as their lengths
 
     @wp.func
     def window_for(table: Table, to_light: wp.vec3f) -> Window:
@@ -173,6 +174,10 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
             window.along = table.along * stretch
             window.across = table.across * (tangent * tangent / stretch)
             window.slant = t_x * t_y / stretch * wp.sqrt(table.across / table.along)
+            if table.has_pitch_scales:
+                # The covariance of a dot with the pitch scale p is p² Σ. The division by ``to_light[2]``, which is
+                # p cos θ, has divided ``across`` by p² already.
+                window.along = window.along / wp.length_sq(to_light)
         else:
             window.along = table.along
             window.across = table.across

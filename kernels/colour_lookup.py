@@ -155,6 +155,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         line_blurs2: wp.array(dtype=wp.float32)
         spread2: wp.float32  # for a source: variance s² of (u, v) perpendicular to the direction of the light
         inner_radius2: wp.float32  # for a source: the table gives no colours for smaller |(u, v)|²
+        has_pitch_scales: wp.bool  # for a source: whether the length of a direction to the light is a pitch scale
 
     # Kernels of this module have a second thread index, which is always 0. Warp then compiles one variant of a kernel
     # instead of two, as explained in ``light_samples``.

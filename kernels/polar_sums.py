@@ -49,7 +49,7 @@ class PolarPixels:
     slopes: wp.array(dtype=wp.float64)  # |w|/|(u, v)|, the ratio of κ to the frequency t
     gains: wp.array(dtype=wp.float64)
     curves: wp.array3d(dtype=wp.float64)  # weights of rings, by the fraction of a place, ring, and X, Y or Z
-    factors: wp.array2d(dtype=wp.float64)  # further factor of each ring of a direction; empty is 1
+    reflectances: wp.array2d(dtype=wp.float64)  # reflectance at the rings of a direction; empty is 1
     adjoints: wp.array2d(dtype=wp.float64)  # adjoints of XYZ, for the transposed sum
     begins: wp.array(dtype=wp.int32)  # for groups of ``TOGETHER`` rings: first direction that uses one of them
     ends: wp.array(dtype=wp.int32)  # one more than the last such direction

@@ -62,6 +62,12 @@ SCATTER_CAUTION = 2.0
 BRIGHTEST_SHARE = 1.0 - PERCENTILE
 
 
+def share_beyond(distance: float) -> float:
+    """Return the share of a pixel's filter beyond a distance from its centre on one side of one axis [pixels]."""
+    scale = FILTER_SIGMA * math.sqrt(2.0)
+    return 0.5 - 0.5 * math.erf(distance / scale) / math.erf(FILTER_CUT / scale)
+
+
 def rays_at(level: int) -> int:
     """Return the number of subpixel cells of a pixel at a level of refinement, each with its own ray."""
     return 1 << 2 * level

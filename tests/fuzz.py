@@ -355,7 +355,7 @@ WAVY = wd.HeightField(0.05 * np.sin(np.arange(120.0)).reshape(1, -1) + np.zeros(
 # Classes that only the library creates are not fuzzed. Errors and warnings are excluded because they accept any text.
 MADE_BY_THE_LIBRARY = {"BakedLobes", "BakedSpectrum", "Comparison", "Image", "OrderEfficiencies", "Period"}
 MADE_BY_THE_LIBRARY |= {"Periods", "ReflectanceSpectra", "Report", "Roughness", "ScanReport", "ToleranceError"}
-MADE_BY_THE_LIBRARY |= {"WarpdiffWarning", "Fit", "Measured", "Minimum", "Design", "Target"}
+MADE_BY_THE_LIBRARY |= {"WarpdiffWarning", "Fit", "Measured", "Minimum", "Design", "Target", "RigorousEfficiencies"}
 # Methods that only the renderer calls are not fuzzed, because their arguments are already checked.
 CALLED_BY_PICTURES = {"lobes", "parts"}
 # Objects on which methods are called, by class. Methods of the classes in ``FUZZED_OWNERS`` are also called on fuzzed
@@ -366,6 +366,10 @@ OWNERS = {
     "HeightField": lambda: WAVY, "Image": picture, "Plan": plan, "Renderer": renderer, "View": lambda: VIEW,
     "BakedLobes": lobes, "Comparison": lambda: wd.compare(np.ones((2, 3, 3)), np.ones((2, 3, 3)), tolerance=0.1),
     "OrderEfficiencies": efficiencies, "Periods": lambda: wd.Periods([PERIOD]),
+    "RigorousEfficiencies": lambda: wd.RigorousEfficiencies(
+        np.array([500.0]), np.eye(3)[2], np.zeros((1, 2), dtype=int), np.eye(3)[2].reshape(1, 1, 3),
+        *(np.ones((1, 1)) for _ in range(3)), np.array([8]), np.array([0.0]), np.array([True]),
+    ),
     "Roughness": WAVY.roughness, "Fit": fitted, "Measured": measured, "Design": designed,
     "Table": lambda: wd.Table({"number": [1.0]}),
     "ReflectanceSpectra": lambda: wd.ReflectanceSpectra(np.ones(1), np.eye(3)[2:], np.eye(3)[2:], np.ones((1, 1))),
@@ -395,7 +399,7 @@ LEGAL_OF = {
 }  # fmt: skip
 LEGAL_OF |= {
     f"{name}.save": {"path": "a.csv"}
-    for name in ("OrderEfficiencies", "Periods", "ReflectanceSpectra", "Roughness", "Table")
+    for name in ("OrderEfficiencies", "Periods", "ReflectanceSpectra", "RigorousEfficiencies", "Roughness", "Table")
 }
 LEGAL_OF |= {
     "order_angles": {"source": PERIOD}, "plot.colour_strip": {"source": np.ones((2, 3)), "angles_deg": [0.0, 10.0]},
@@ -409,6 +413,7 @@ LEGAL_OF |= {
     "Target.orders": {"efficiencies": {(0, 1): 0.01}, "wavelength_nm": 500.0},
     "Target.equal": {"orders": [(0, 1)], "wavelength_nm": 500.0}, "design": {"starts": 1},
     "measure_layout": {"path": "foil.gds"},
+    "rigorous_order_efficiencies": {"heightfield": wd.gratings.lamellar(1.0, 0.1, samples=8), "layers": 1},
 }  # fmt: skip
 LEGAL_BY_CALL = {"renderer": renderer, "lobes": lobes, "ax": axes, "efficiencies": efficiencies}
 # Functions that make a legal value of an argument for each call. The values are those of single functions, and override

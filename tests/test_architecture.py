@@ -166,6 +166,7 @@ fitted = wd.fit(trapezoid, orders, sd=1e-3, starts=1)
 target = wd.Target.equal([(0, -1), (0, 1)], up, 550.0)
 designed = wd.design(wd.profiles.Pixels(0.5, np.zeros((1, 4))), target, starts=1)
 called |= {
+    "RigorousEfficiencies": wd.RigorousEfficiencies, "rigorous_order_efficiencies": wd.rigorous_order_efficiencies,
     "Design": designed, "Target": target, "design": designed,
     "adjoint": wd.adjoint.order_efficiencies(heightfield, up, 550.0).value, "profiles": trapezoid, "fit": fitted,
     "Fit": fitted, "Measured": orders, "Minimum": fitted.minima[0], "Surface": wd.Surface(heightfield),

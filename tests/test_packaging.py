@@ -214,7 +214,7 @@ def test_declared_dependencies_equal_the_imported_packages():
     declared = {re.split(r"[<>=~! \[]", requirement)[0] for requirement in PROJECT["dependencies"]}
     # Packages that only single commands require are optional dependencies.
     extras = PROJECT["optional-dependencies"]
-    commands = ("view", "data", "dask", "mitsuba", "plot", "scans", "gltf", "lithography", "jax", "torch")
+    commands = ("view", "data", "dask", "mitsuba", "plot", "scans", "gltf", "lithography", "jax", "torch", "rigorous")
     optional = {re.split(r"[<>=~! \[]", each)[0] for name in commands for each in extras[name]}
     assert declared == used - optional
     assert optional <= used

@@ -35,6 +35,7 @@ from warpdiff.fitting.least_squares import Minimum as Minimum
 from warpdiff.fitting.least_squares import fit as fit
 from warpdiff.fitting.measured_data import Measured as Measured
 from warpdiff.heightfield.field import HeightField as HeightField
+from warpdiff.heightfield.grating_map import GratingMap as GratingMap
 from warpdiff.heightfield.periods import Period as Period
 from warpdiff.heightfield.periods import Periods as Periods
 from warpdiff.heightfield.roughness import Roughness as Roughness
@@ -58,6 +59,8 @@ from warpdiff.render.renderer import Renderer as Renderer
 from warpdiff.render.shade import shade as shade
 from warpdiff.request.plan import Plan as Plan
 from warpdiff.request.surface import Surface as Surface
+from warpdiff.rigorous.rigorous_orders import RigorousEfficiencies as RigorousEfficiencies
+from warpdiff.rigorous.rigorous_orders import rigorous_order_efficiencies as rigorous_order_efficiencies
 from warpdiff.samples import gratings as gratings
 from warpdiff.samples import meshes as meshes
 from warpdiff.scene.camera import View as View

@@ -143,21 +143,33 @@ WARPDIFF_INLINE void load_footprints(
             pixels.row_u[i] = pixels.row_v[i] = pixels.column_u[i] = pixels.column_v[i] = 0.0f;
 }
 
+// Return the squared length of a pixel's direction to the light. It is 1, unless directions have pitch scales as their
+// lengths.
+template <int N, class Table>
+WARPDIFF_INLINE float squared_length(const Table& table, const Footprints<N>& pixels, int i)
+{
+    const float x = pixels.light_x[i], y = pixels.light_y[i], z = pixels.light_z[i];
+    return table.has_pitch_scales ? x * x + y * y + z * z : 1.0f;
+}
+
 // Compute the covariances of footprints, in (u, v) and in polar coordinates, and the number of parts of each footprint.
-template <bool SOURCE, int MOST_PARTS, int N, class Table>
+// `SCALED` is for tables whose directions to the light have pitch scales as their lengths.
+template <bool SOURCE, bool SCALED, int MOST_PARTS, int N, class Table>
 WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels, int count)
 {
     for (int from = 0; from < count; from += ABREAST)
         for (int i = from; i < from + ABREAST; ++i) {
             // The covariance of (u, v) over a light source of spread s is Σs = s² (I − t tᵀ). I is the unit matrix, and
-            // the vector t is the projection of the direction to the light onto the surface.
+            // the vector t is the projection of the direction to the light onto the surface. If directions to the light
+            // have the pitch scales p of dots as their lengths, the covariance is p² Σs = s² (p² I − (p t) (p t)ᵀ).
             const float spread2 = SOURCE ? table.spread2 : 0.0f, t0 = pixels.light_x[i], t1 = pixels.light_y[i];
+            const float length2 = SCALED ? squared_length(table, pixels, i) : 1.0f;
             const float row_u = pixels.row_u[i], row_v = pixels.row_v[i];
             const float column_u = pixels.column_u[i], column_v = pixels.column_v[i];
-            pixels.source2[i] = spread2 * pixels.light_z[i];
-            pixels.xx[i] = spread2 * (1.0f - t0 * t0) + (row_u * row_u + column_u * column_u);
+            pixels.source2[i] = spread2 * pixels.light_z[i] * (SCALED ? wp::sqrt(length2) : 1.0f);
+            pixels.xx[i] = spread2 * (length2 - t0 * t0) + (row_u * row_u + column_u * column_u);
             pixels.xy[i] = -spread2 * t0 * t1 + (row_u * row_v + column_u * column_v);
-            pixels.yy[i] = spread2 * (1.0f - t1 * t1) + (row_v * row_v + column_v * column_v);
+            pixels.yy[i] = spread2 * (length2 - t1 * t1) + (row_v * row_v + column_v * column_v);
             pixels.at_w.set(i, table, pixels.w[i]);
             const PolarCovariance polar =
                 to_polar(table, pixels.u[i], pixels.v[i], pixels.xx[i], pixels.xy[i], pixels.yy[i]);
@@ -189,7 +201,7 @@ WARPDIFF_INLINE bool is_unserved(const Table& table, const Footprints<N>& pixels
     const int octave =
         wp::clamp((int)((at.log2 * (float)table.rings_per_octave + table.ring_of_one) * table.octaves_per_ring), 0,
             (int)table.azimuths.shape[1] - 1);
-    return u * u + v * v < table.inner_radius2
+    return u * u + v * v < table.inner_radius2 * squared_length(table, pixels, i)
         || (within * pixels.angle2[i] - numbers<const float>(table.line_blurs2)[octave]) * over2
         < within * within * both * both;
 }
@@ -567,7 +579,10 @@ WARPDIFF_INLINE void look_up_footprints(const Table& table, const Taps& taps, Cu
     load_footprints<SOURCE>(pixels, numbers<const double>(scattering_vectors) + 3LL * begin,
         numbers<const float>(to_lights) + 3LL * begin,
         is_empty(footprints) ? nullptr : numbers<const float>(footprints) + 4LL * begin, count);
-    find_covariances<SOURCE, MOST_PARTS>(table, pixels, count);
+    if (SOURCE && table.has_pitch_scales)
+        find_covariances<SOURCE, SOURCE, MOST_PARTS>(table, pixels, count);
+    else
+        find_covariances<SOURCE, false, MOST_PARTS>(table, pixels, count);
     WeighedRows<WIDTH> sum;
     sum.clear();
     for (NextPart next_part = {0, 0};;) {

@@ -216,33 +216,42 @@ struct ColourRings {
 
     // Compute the weights of X, Y and Z at ring m of those that contribute; they are 0 beyond these rings.
     template <class Pixels>
-    WARPDIFF_INLINE void weights(const Pixels& pixels, int pixel, int m, double* xyz) const
+    WARPDIFF_INLINE void weights(const Pixels& pixels, int m, double* xyz) const
     {
         const bool inside = m >= 0 && m < count;
         const double* const low = numbers<const double>(pixels.curves) + 3LL * (entry * count + (inside ? m : 0));
         const double* const high = low + 3LL * count;
-        const double* const factors = numbers<const double>(pixels.factors);
-        const double factor = !inside ? 0.0 : is_empty(pixels.factors) ? 1.0 : factors[(long long)pixel * count + m];
-        for (int c = 0; c < 3; ++c) xyz[c] = factor * ((1.0 - share) * low[c] + share * high[c]);
+        for (int c = 0; c < 3; ++c) xyz[c] = inside ? (1.0 - share) * low[c] + share * high[c] : 0.0;
+    }
+
+    // Return the reflectance at ring m, or at the nearest ring that contributes.
+    template <class Pixels>
+    WARPDIFF_INLINE double reflectance(const Pixels& pixels, int pixel, int m) const
+    {
+        if (is_empty(pixels.reflectances)) return 1.0;
+        const int ring = wp::min(wp::max(m, 0), count - 1);
+        return numbers<const double>(pixels.reflectances)[(long long)pixel * count + ring];
     }
 };
 
-// Compute the polynomials of κ at a ring for a direction.
+// Compute the polynomials of κ at ring m of those that contribute to a direction, times the reflectance.
 template <class Grid, class Pixels>
 WARPDIFF_INLINE void polynomials_at(
-    const Grid& grid, const Pixels& pixels, int pixel, int ring, int terms, double* polynomials)
+    const Grid& grid, const Pixels& pixels, const ColourRings& rings, int pixel, int m, int terms, double* polynomials)
 {
-    const double frequency = wp::exp(grid.log_first + (double)ring * grid.step);
+    const double frequency = wp::exp(grid.log_first + (double)(rings.first + m) * grid.step);
     const double kappa = numbers<const double>(pixels.slopes)[pixel] * frequency;
     chebyshev_polynomials((kappa - pixels.least_kappa) * pixels.places_per_kappa - 1.0, terms, polynomials);
+    const double reflectance = rings.reflectance(pixels, pixel, m);
+    for (int n = 0; n < terms; ++n) polynomials[n] *= reflectance;
 }
 
 // Compute the colour of one direction.
 //
 // The weights c of rings are those of splines that are fitted to the colour curves. The spectrum at a ring is an
-// integral over its spline, within which the polynomials T change. A spline fitted to the product of curve and
-// polynomial has the weight c T − (c₊ (T₊ − T) + c₋ (T₋ − T))/8 to second order, with c₋, c₊, T₋ and T₊ at the
-// neighbouring rings.
+// integral over its spline, within which the polynomials T, times the reflectance, change. A spline fitted to the
+// product of curve and polynomial has the weight c T − (c₊ (T₊ − T) + c₋ (T₋ − T))/8 to second order, with c₋, c₊, T₋
+// and T₊ at the neighbouring rings.
 template <class Grid, class Values, class Pixels, class Colours>
 WARPDIFF_INLINE void sum_rings(
     const Grid& grid, const Values& values, const Pixels& pixels, int pixel, Colours& xyz_out)
@@ -252,13 +261,13 @@ WARPDIFF_INLINE void sum_rings(
     const double turns = numbers<const double>(pixels.turns)[pixel], gain = numbers<const double>(pixels.gains)[pixel];
     double polynomials[3][MOST_POLAR_TERMS], weights[3][3], sums[3] = {}, row[MOST_POLAR_TERMS];
     for (int k = 0; k < 2; ++k) {
-        polynomials_at(grid, pixels, pixel, rings.first - 1 + k, terms, polynomials[k]);
-        rings.weights(pixels, pixel, k - 1, weights[k]);
+        polynomials_at(grid, pixels, rings, pixel, k - 1, terms, polynomials[k]);
+        rings.weights(pixels, k - 1, weights[k]);
     }
     for (int m = 0; m < rings.count; ++m) {
         const int before = m % 3, here = (m + 1) % 3, after = (m + 2) % 3;
-        polynomials_at(grid, pixels, pixel, rings.first + m + 1, terms, polynomials[after]);
-        rings.weights(pixels, pixel, m + 1, weights[after]);
+        polynomials_at(grid, pixels, rings, pixel, m + 1, terms, polynomials[after]);
+        rings.weights(pixels, m + 1, weights[after]);
         const AroundRing around(grid, rings.first + m, turns);
         const double* rows[4];
         for (int j = 0; j < 4; ++j) rows[j] = numbers<const double>(values) + around.row(j) * terms;
@@ -294,11 +303,11 @@ WARPDIFF_INLINE void spread_pixels(const Grid& grid, const Pixels& pixels, int g
         for (int k = 0; k < N; ++k) {
             const int ring = first_ring - 1 + k;
             double xyz[3];
-            rings.weights(pixels, pixel, ring - rings.first, xyz);
+            rings.weights(pixels, ring - rings.first, xyz);
             weights[k] = gain * (adjoint[0] * xyz[0] + adjoint[1] * xyz[1] + adjoint[2] * xyz[2]);
             // Polynomials beyond the rings of the colour are not used, and may be huge.
             const bool used = ring >= rings.first - 1 && ring <= rings.first + rings.count;
-            if (used) polynomials_at(grid, pixels, pixel, ring, terms, polynomials[k]);
+            if (used) polynomials_at(grid, pixels, rings, pixel, ring - rings.first, terms, polynomials[k]);
         }
         for (int k = 1; k <= RINGS_TOGETHER; ++k) {
             const int ring = first_ring - 1 + k;

@@ -17,9 +17,12 @@ import warpdiff as wd
 from warpdiff.adjoint import picture_model
 from warpdiff.adjoint.coefficient_series import CoefficientSeries, SeriesSize
 from warpdiff.adjoint.colour_splines import curve_weights, ring_count
+from warpdiff.adjoint.gaussian_lobes import Pairs
+from warpdiff.adjoint.lobe_pyramid import LobePyramid
 from warpdiff.adjoint.polar_grid_sums import PolarGridSums, RingGrid, RingSizes, kappa_margin
 from warpdiff.adjoint.sites import Block
 from warpdiff.adjoint.surfaces import Relief
+from warpdiff.adjoint.wavelength_sums import WavelengthSums
 from warpdiff.core import memory
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial
@@ -204,6 +207,37 @@ def test_sums_over_rings_and_their_transpose(shape, rng):
         assert excluded < 0 or not rows[excluded].any()
 
 
+@pytest.mark.parametrize("shape", [(60, 70), (1, 90), (80, 1)])
+def test_sums_under_wide_lobes_and_their_transpose(shape, rng):
+    """Sums of joined orders equal those of single orders, for lobes of very different sizes and directions."""
+    relief = Relief.of(noise(shape))
+    first, counts = ([0 if n == 1 else 3 - n // 2 for n in shape], [1 if n == 1 else n - 7 for n in shape])
+    block = Block((first[0], first[1]), (counts[0], counts[1]))
+    size = SeriesSize.of(relief, (1.0, 5.0), 1e-4, powers=True)
+    series = CoefficientSeries(relief, block, size, powers=True)
+    count, steps = 60, 1.0 / np.array(relief.size_um)[::-1]
+    deviations = np.exp(rng.uniform(np.log(0.3), np.log(25.0), (count, 2))) * steps
+    turns = rng.uniform(-0.9, 0.9, count)
+    xx, yy = deviations.T**2
+    xy = turns * np.sqrt(xx * yy)
+    forms = 0.5 * np.stack([yy, -xy, xx], axis=1) / (xx * yy - xy * xy)[:, None]
+    centres = rng.uniform(-0.3, 0.3, (count, 2)) * (np.array(shape)[::-1] - 1) * steps
+    pairs = Pairs(centres, forms, rng.uniform(1.0, 5.0, count))
+    coefficients = rng.uniform(0.0, 1.0, (2 * series.sites.count, size.count)) * [1.0, *[0.1] * (size.count - 1)]
+    series.powers()
+    exact = series.lobes(16.0).sums(pairs, coefficients)
+    pyramid = LobePyramid(series, relief.size_um, 16.0)
+    sums = pyramid.sums_of(coefficients)(pairs)
+    np.testing.assert_allclose(sums, exact, rtol=5e-3, atol=1e-3 * exact.max())
+    if min(shape) > 1:
+        assert np.linalg.norm(sums - exact) <= 2e-4 * np.sqrt(count) * exact.max()
+    assert {level for level, *_ in pyramid._split(pairs)} >= {0, 1, 2}
+    adjoints, rows = rng.normal(size=count), np.zeros((block.size, size.count))
+    pyramid.spread([(pairs, adjoints)], rows)
+    expected = np.sum(rows * coefficients[series.sites.places])
+    assert abs(np.sum(adjoints * sums) - expected) <= 1e-12 * np.sum(np.abs(adjoints * sums))
+
+
 def test_unused_azimuths_are_not_needed(rng):
     """Directions of a small range of azimuths have the same colours if all azimuths are sampled."""
     turns = np.concatenate([rng.uniform(0.1, 0.12, 20), np.linspace(0.0, 1.0, 400, endpoint=False)])
@@ -279,6 +313,17 @@ def test_derivatives_by_the_index_of_refraction(square):
     np.testing.assert_allclose(results[1].jvp(ior=1.0), difference, rtol=1e-3)
 
 
+def test_pictures_of_metals_and_films_have_grids(body, view):
+    """Reflectances at the wavelengths of rings make sums over wavelengths unnecessary."""
+    film = wd.Material.metal("Cr").coated(wd.Material.dielectric(1.4), 300.0)
+    renderer = renderer_of(body, view, ior=None, material=film, tolerance=0.1)
+    with mock.patch.object(picture_model.PictureModel, "_by_wavelengths", side_effect=AssertionError):
+        value = wd.adjoint.pixels(renderer, FIELD, LIGHT, wrt=(), tolerance=3e-3).value
+    with mock.patch.object(picture_model, "_SIZES", ()):
+        exact = wd.adjoint.pixels(renderer, FIELD, LIGHT, wrt=(), tolerance=1e-3).value
+    assert np.linalg.norm(value - exact) <= 2e-3 * np.linalg.norm(exact)
+
+
 def test_pixels_in_the_mirror_direction(square, rng):
     """A flat square under a light behind the camera has the zeroth order in the middle of the picture."""
     view = wd.View((0.0, 0.0, 3.0), (0.0, 0.0, 0.0), width=24, height=24)
@@ -324,6 +369,25 @@ def test_discs_widen_footprints(body, view):
     image = renderer.image()
     value = wd.adjoint.pixels(renderer, FIELD, disc, wrt=()).value
     assert np.linalg.norm(image.xyz[image.illuminated] - value) <= 3e-2 * np.linalg.norm(value)
+
+
+def test_footprints_at_silhouettes_have_a_largest_size(body):
+    view = wd.View.fit(body, width=24, height=16)
+    renderer = renderer_of(body, view, footprint=True, tolerance=0.1, strict=False)
+    (lit,) = samples_of(renderer, LIGHT).lobes
+    uu, uv, vv = lit.footprints.T
+    largest = np.sqrt((uu + vv) / 2.0 + np.hypot((uu - vv) / 2.0, uv))
+    assert largest.max() == pytest.approx(0.35)
+    assert largest.min() < 0.35
+    assert np.isfinite(wd.adjoint.pixels(renderer, FIELD, LIGHT, wrt=()).value).all()
+
+
+def test_grazing_lights_of_a_source_warn_of_missing_wavelengths(body, view):
+    narrow = wd.Coherence("source", angular_diameter_deg=0.02)
+    light = wd.DirectionalLight((1.0, 0.02, 0.0))
+    renderer = renderer_of(body, view, light, coherence=narrow, integration="sampled", tolerance=0.5, strict=False)
+    with pytest.warns(wd.WarpdiffWarning, match=r"samples require more than 20000 wavelengths"):
+        WavelengthSums(samples_of(renderer, light).lobes, narrow, 1e-4, 0.1)
 
 
 def test_outlines_replace_the_height_field(points, rng):

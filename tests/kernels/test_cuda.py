@@ -16,6 +16,7 @@ from warpdiff.kernels import (
     bvh,
     coefficient_sum,
     colour_lookup,
+    dot_transforms,
     light_samples,
     pixel_contrast,
     plain_textures,
@@ -48,6 +49,7 @@ KERNELS = {
     "plain_textures": {"sample_plain_textures"},
     "plain_samples": {"sample_plain_sky", "draw_plain_disc", "choose_plain_lights"},
     "disc_samples": {"draw_disc"},
+    "dot_transforms": {"find_dots", "mark_edges_of_dots", "scale_gains", "signals_of_dots", "transform_samples"},
     "light_choice": {"choose_lights"},
     "sky_samples": {"mirror_deflections", "sample_sky"},
     "pixel_contrast": {"estimate_errors"},
@@ -116,7 +118,7 @@ def test_every_kernel_module_is_listed_in_this_file():
     "module",
     [
         bvh, primary_hits, light_samples, pixel_contrast, plain_textures, subdivision, shadow_rays, tile_lists,
-        base_colours, transparency,
+        base_colours, transparency, dot_transforms,
     ],
     ids=lambda item: item.__name__,
 )  # fmt: skip

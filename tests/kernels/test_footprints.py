@@ -16,7 +16,7 @@ from bench.truth.brute_force import shading_frame
 from warpdiff import meshes
 from warpdiff.device.kernel_calls import launch_pipeline
 from warpdiff.kernels.structs import Footprint
-from warpdiff.lights.light_pass import SurfaceOptics
+from warpdiff.lights.surface_optics import SurfaceOptics
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.render.accumulators import Accumulators
 from warpdiff.render.picture import Picture

@@ -7,7 +7,7 @@ from conftest import slow
 import warpdiff as wd
 from warpdiff import meshes
 from warpdiff.lights.base import MANY_LIGHTS
-from warpdiff.render import picture_inputs
+from warpdiff.render import light_parts
 from warpdiff.scene import occluder_grid
 
 TOLERANCE = 0.1
@@ -31,7 +31,7 @@ def test_a_choice_of_lights_has_the_colours_of_all_lights(fingers, monkeypatch, 
     coherence = wd.Coherence(sigma_um=4.0)
     renderer = wd.Renderer(body, fingers, lights, VIEW, coherence=coherence, tolerance=TOLERANCE, strict=False)
     image = renderer.image()
-    monkeypatch.setattr(picture_inputs, "MANY_LIGHTS", len(lights) + 1)
+    monkeypatch.setattr(light_parts, "MANY_LIGHTS", len(lights) + 1)
     renderer.draw(lights)
     exact = renderer.image().xyz
     inside = image.illuminated & (image.coverage > 0.999)

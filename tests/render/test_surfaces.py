@@ -171,7 +171,7 @@ def test_plans_state_the_coherence_of_the_unit():
         ({"gold": WAVE}, r"for each part of the mesh, got none for 'middle/silver'.*: add '\*'"),
         ({"gold": WAVE, "left": BLAZED, "*": None}, r"got the keys 'gold' and 'left' for 'left/gold': add the key"),
         ({"*": None}, "must have a height field for at least one part, got none"),
-        ({"*": 5}, r"heightfield\['\*'\] must be a HeightField, a Surface or None, got int"),
+        ({"*": 5}, r"heightfield\['\*'\] must be a HeightField, a GratingMap, a Surface or None, got int"),
         ({5: WAVE}, "must have names of parts as keys, got int"),
         ({"left": WAVE, "*": wd.Surface(WAVE, coherence=wd.Coherence("centred", 2.0))}, "all or none have footprints"),
     ],

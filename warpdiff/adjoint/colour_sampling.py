@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 # Smallest and largest number of wavelengths of a colour. The first number is limited by quintic polynomials, which need
 # six nodes. The second number is limited by the computing time, which is proportional to the number.
-_LEAST_WAVELENGTHS, _MOST_WAVELENGTHS = 12, 20_000
+_LEAST_WAVELENGTHS, MOST_WAVELENGTHS = 12, 20_000
 # Error of the quintic interpolation of a sine wave, divided by (angular frequency × step)⁶. The value follows from the
 # error formula of polynomial interpolation: the product of the distances from six nodes, in the middle of them, over
 # 6!.
@@ -45,28 +45,16 @@ _SHARE_OF_MATERIAL = 0.5
 _GAUSS_POINTS = 4
 
 
-def counts_of(
-    rates: NDArray[np.float64], span: float, truncation: float, remedy: str = "increase it"
-) -> NDArray[np.int64]:
+def counts_of(rates: NDArray[np.float64], span: float, truncation: float) -> NDArray[np.int64]:
     """Return numbers of equally spaced nodes between which a function is interpolated by quintic polynomials.
 
     Args:
         rates: Angular frequencies of the function, shape (n,).
         span: Length of the range of the nodes.
         truncation: Relative error.
-        remedy: Advice for the error.
-
-    Raises:
-        ValueError: More wavelengths than are supported are required.
     """
     step = (truncation / _QUINTIC) ** (1.0 / 6.0) / np.maximum(rates, 1e-9)
-    counts = np.maximum(np.ceil(span / step).astype(np.int64) + 1, _LEAST_WAVELENGTHS)
-    if counts.size and counts.max() > _MOST_WAVELENGTHS:
-        raise ArgumentValueError(
-            f"{ref('truncation')} must be larger than {truncation:g}, which requires {counts.max()} wavelengths; at "
-            f"most {_MOST_WAVELENGTHS} are supported: {remedy}"
-        )
-    return np.asarray(counts)
+    return np.asarray(np.maximum(np.ceil(span / step).astype(np.int64) + 1, _LEAST_WAVELENGTHS))
 
 
 def sampling(
@@ -97,7 +85,7 @@ def sampling(
         lengths = np.linalg.norm(half, axis=1) / 2.0
         cosines = np.unique(np.minimum(np.quantile(lengths, [0.0, 0.5, 1.0]), 1.0))
         exact = _exact_colours(cosines, material, illuminant)
-    while count <= _MOST_WAVELENGTHS:
+    while count <= MOST_WAVELENGTHS:
         wavenumbers, weights = colorimetry.uniform_quadrature(count, illuminant, geometric=geometric, signed=True)
         wavelengths = colorimetry.NM_PER_UM / wavenumbers
         if material is None or not len(half):
@@ -108,7 +96,7 @@ def sampling(
         count *= 2
     raise ArgumentValueError(
         f"{ref('truncation')} must be larger than {truncation:g}, which requires {count} wavelengths; at most "
-        f"{_MOST_WAVELENGTHS} are supported: increase it, or use spectral_reflectance"
+        f"{MOST_WAVELENGTHS} are supported: increase it, or use spectral_reflectance"
     )
 
 
@@ -132,7 +120,7 @@ def _count_of_surface(
         # The power at the distance d from q has a Gaussian weight of the standard deviation 1/(√8 πσ) in d.
         sharpness = math.sqrt(8.0) * math.pi * (coherence.sigma_um or 0.0)
         span, rate = high - low, phase + OF_GAUSSIAN * along * sharpness
-    return int(counts_of(np.array([rate]), span, truncation, "increase it, or use spectral_reflectance")[0])
+    return int(counts_of(np.array([rate]), span, truncation)[0])
 
 
 def _exact_colours(cosines: NDArray[np.float64], material: Material, illuminant: str | Spectrum) -> NDArray[np.float64]:

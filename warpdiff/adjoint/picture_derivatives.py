@@ -140,9 +140,9 @@ def pixels(
     Value n belongs to the n-th illuminated pixel in the order of rows: ``picture[image.illuminated] = value`` puts the
     values into a picture, with ``image = renderer.image()`` under the same lights.
 
-    Without footprints, under an averaged window and without a material, the colours are sums over rings of a polar
-    grid, which becomes finer until the colours of some pixels agree with sums over wavelengths. All other pictures are
-    sums over wavelengths, which take longer.
+    Without footprints and under an averaged window, the colours are sums over rings of a polar grid, which becomes
+    finer until the colours of some pixels agree with sums over wavelengths. All other pictures are sums over
+    wavelengths, which require more time.
 
     Args:
         renderer: Renderer of the mesh, made with ``refine=False``. Its view, coherence, material and other options

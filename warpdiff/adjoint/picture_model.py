@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from warpdiff.adjoint.coefficient_series import CoefficientSeries, SeriesSize
+from warpdiff.adjoint.colour_splines import ring_count
 from warpdiff.adjoint.gaussian_lobes import GaussianLobes, block_of, exponent_of
+from warpdiff.adjoint.lobe_pyramid import LobePyramid
 from warpdiff.adjoint.polar_grid_sums import PolarGridSums, RingGrid, RingSizes, kappa_margin
 from warpdiff.adjoint.sites import Block
 from warpdiff.adjoint.wavelength_sums import HIGH, LOW, PAIRS_TOGETHER, WavelengthSums
@@ -34,8 +36,9 @@ _SIZES = (RingSizes(24, 1.3), RingSizes(32, 1.6), RingSizes(48, 2.0), RingSizes(
 _CHECKED, _SHARE = 64, 0.95
 # Relative size of the truncated terms of series and sums, as a share of the tolerance.
 _TRUNCATION_SHARE = 1e-2
-# Counted memory [bytes]: per height sample, and per pair of a direction and a wavelength that is computed at once.
-_BYTES_PER_SAMPLE, _BYTES_PER_PAIR = 120.0, 700.0
+# Counted memory [bytes]: per height sample, per pair of a direction and a wavelength that is computed at once, and per
+# reflectance of a direction at a ring.
+_BYTES_PER_SAMPLE, _BYTES_PER_PAIR, _BYTES_PER_REFLECTANCE = 120.0, 700.0, 60.0
 _REMEDY = "take a smaller picture, {share} of the area of heightfield, or a larger tolerance"
 
 
@@ -69,9 +72,7 @@ class PictureModel:
         self._relief, self._groups, self._coherence, self._tolerance = relief, groups, coherence, tolerance
         self._truncation = _TRUNCATION_SHARE * tolerance
         self._exponent = exponent_of(self._truncation)
-        has_rings = coherence.kind == "averaged" and all(
-            group.footprints is None and group.illuminated.material is None for group in groups
-        )
+        has_rings = coherence.kind == "averaged" and all(group.footprints is None for group in groups)
         for sizes in _SIZES if has_rings else ():
             self._colours: Colours = self._by_rings(sizes)
             self.values = self._colours.sums(self._coefficients)
@@ -97,7 +98,8 @@ class PictureModel:
         margin = kappa_margin(sizes)
         low, high = self._kappas()
         block = grid.block(self._exponent, relief.shape, relief.size_um)
-        self._begin(block, (low / margin, high * margin), grid.rows)
+        samples = sum(len(group.gains) for group in self._groups if group.illuminated.material is not None)
+        self._begin(block, (low / margin, high * margin), grid.rows, samples * ring_count(sizes.rings_per_octave))
         lobes = self._series.lobes(self._exponent)
         zeroth = _cell_of_zeroth(block)
         rings = PolarGridSums(grid, lobes, self._groups, zeroth)
@@ -117,8 +119,8 @@ class PictureModel:
             own = block_of(pairs, self._exponent, self._relief.shape, self._relief.size_um)
             block = own if block is None else block.joined(own)
         assert block is not None  # noqa: S101 (groups are not empty)
-        self._begin(block, self._kappas(), 0)
-        return _OnLobes(sums, self._series.lobes(self._exponent))
+        self._begin(block, self._kappas(), 0, 0)
+        return _OnLobes(sums, LobePyramid(self._series, self._relief.size_um, self._exponent))
 
     def _sums_over_wavelengths(self, groups: list[LitPixels]) -> WavelengthSums:
         return WavelengthSums(groups, self._coherence, self._truncation, 2.0 * self._relief.scale_um)
@@ -128,15 +130,22 @@ class PictureModel:
         ws = np.concatenate([-group.scattering_vectors[:, 2] for group in self._groups])
         return LOW * float(ws.min()), HIGH * float(ws.max())
 
-    def _begin(self, block: Block, kappas: tuple[float, float], ring_values: int) -> None:
-        """Compute the coefficients of a block; raise ``MemoryError`` before if they do not fit."""
+    def _begin(self, block: Block, kappas: tuple[float, float], ring_values: int, reflectances: int) -> None:
+        """Compute the coefficients of a block; raise ``MemoryError`` before if they do not fit.
+
+        Args:
+            block: Orders of the coefficients.
+            kappas: Range of |κ| [1/µm].
+            ring_values: Number of values on all rings.
+            reflectances: Number of reflectances at rings.
+        """
         size = SeriesSize.of(self._relief, kappas, self._truncation, powers=True)
         ny, nx = self._relief.shape
         sites = min(block.size, ny * (nx // 2 + 1))
         memory.require_memory(
             _BYTES_PER_SAMPLE * self._relief.samples + 32.0 * size.terms * sites
             + 8.0 * size.count * (2 * sites + 3 * block.size + 2 * ring_values)
-            + (_BYTES_PER_PAIR + 16.0 * size.count) * PAIRS_TOGETHER,
+            + _BYTES_PER_REFLECTANCE * reflectances + (_BYTES_PER_PAIR + 16.0 * size.count) * PAIRS_TOGETHER,
             f"a gradient by {block.shape[0]} × {block.shape[1]} coefficients", _REMEDY,
         )  # fmt: skip
         self._series = CoefficientSeries(self._relief, block, size, powers=True)
@@ -154,7 +163,8 @@ class PictureModel:
         for group, xyz in zip(self._groups, self.values, strict=True):
             bright = np.argsort(-xyz[:, 1], kind="stable")[:_CHECKED]
             chosen = np.union1d(bright, rng.integers(len(xyz), size=_CHECKED))
-            (exact,) = self._sums_over_wavelengths([group.among(chosen)]).sums(lobes, self._coefficients)
+            sums = self._sums_over_wavelengths([group.among(chosen)])
+            (exact,) = sums.colours(lambda pairs: lobes.sums(pairs, self._coefficients))
             size = np.maximum(np.linalg.norm(exact, axis=1), floor)
             errors.append(np.linalg.norm(xyz[chosen] - exact, axis=1) / size)
         return bool(np.quantile(np.concatenate(errors), _SHARE) <= self._tolerance)
@@ -163,14 +173,14 @@ class PictureModel:
 class _OnLobes:
     """Sums over wavelengths of the coefficients of one block."""
 
-    def __init__(self, sums: WavelengthSums, lobes: GaussianLobes) -> None:
+    def __init__(self, sums: WavelengthSums, lobes: LobePyramid) -> None:
         self._sums, self._lobes = sums, lobes
 
     def sums(self, coefficients: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        return self._sums.sums(self._lobes, coefficients)
+        return self._sums.colours(self._lobes.sums_of(coefficients))
 
     def spread(self, adjoints: list[NDArray[np.float64]], rows: NDArray[np.float64]) -> None:
-        self._sums.spread(self._lobes, adjoints, rows)
+        self._lobes.spread(self._sums.adjoints(adjoints), rows)
 
 
 class _WithZeroth:
@@ -184,14 +194,16 @@ class _WithZeroth:
 
     def sums(self, coefficients: NDArray[np.float64]) -> list[NDArray[np.float64]]:
         result = self._rings.sums(coefficients)
-        for xyz, near, own in zip(result, self._near, self._sums.sums(self._lobes, coefficients), strict=True):
+        central = self._sums.colours(lambda pairs: self._lobes.sums(pairs, coefficients))
+        for xyz, near, own in zip(result, self._near, central, strict=True):
             xyz[near] += own
         return result
 
     def spread(self, adjoints: list[NDArray[np.float64]], rows: NDArray[np.float64]) -> None:
         self._rings.spread(adjoints, rows)
-        own = [adjoint[near] for adjoint, near in zip(adjoints, self._near, strict=True)]
-        self._sums.spread(self._lobes, own, rows[self._zeroth : self._zeroth + 1])
+        of_near = [adjoint[near] for adjoint, near in zip(adjoints, self._near, strict=True)]
+        for pairs, own in self._sums.adjoints(of_near):
+            self._lobes.spread(pairs, own, rows[self._zeroth : self._zeroth + 1])
 
 
 def _cell_of_zeroth(block: Block) -> int:

@@ -20,6 +20,8 @@ from warpdiff.device.kernel_calls import launch
 from warpdiff.kernels import polar_sums
 from warpdiff.kernels.polar_sums import BLOCK_RINGS, TOGETHER
 from warpdiff.optics import colorimetry
+from warpdiff.optics.colorimetry import VISIBLE_NM
+from warpdiff.optics.materials import reflectance_at
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -38,6 +40,9 @@ _FEWEST_AZIMUTHS = 16
 # Number of azimuths on either side of a used one at which the spectrum is sampled, too. Derived: the coefficient of a
 # cubic spline depends on a value at this distance by 0.27^16 = 8e-10.
 _NEIGHBOURS = 16
+# Number of cosines at which the reflectance of a material is tabulated, with all whole nanometres. The error of linear
+# interpolation is at most 1e-5 for metals; the check of colours finds larger ones.
+_ANGLES = 513
 # Longest and shortest visible wavelength [µm].
 _RED_UM, _BLUE_UM = 1e-3 * colorimetry.LAMBDA_MAX_NM, 1e-3 * colorimetry.LAMBDA_MIN_NM
 # Numbers of elements per launch on a thread. Limits: elements of one launch differ in cost.
@@ -208,6 +213,9 @@ class PolarGridSums:
         for name, values in columns.items():
             setattr(pixels, name, wp.array(values[order], dtype=wp.float64, device="cpu"))
         pixels.curves = wp.array(curves, dtype=wp.float64, device="cpu")
+        if group.illuminated.material is not None:
+            reflectances = self._reflectances(group.among(order), curves.shape[1])
+            pixels.reflectances = wp.array(reflectances, dtype=wp.float64, device="cpu")
         pixels.least_kappa, pixels.places_per_kappa = low, 2.0 / (high - low)
         # A direction uses consecutive rings, of which each group of rings has some.
         first = np.ceil(places[order]).astype(np.int64) - 2
@@ -217,6 +225,21 @@ class PolarGridSums:
         pixels.begins = wp.array(begins.astype(np.int32), dtype=wp.int32, device="cpu")
         pixels.ends = wp.array(ends.astype(np.int32), dtype=wp.int32, device="cpu")
         return _Placed(pixels, order)
+
+    def _reflectances(self, group: LitPixels, count: int) -> NDArray[np.float64]:
+        """Return the reflectance of the material at the wavelengths of the rings of each direction, (n, count)."""
+        from scipy import ndimage
+
+        material = group.illuminated.material
+        assert material is not None  # noqa: S101 (callers have checked it)
+        radii = self._rings.radii_of(group)
+        first = np.ceil(self._rings.places(radii)) - 2.0
+        frequencies = np.exp(self._rings.log_first + self._rings.sizes.step * (first[:, None] + np.arange(count)))
+        nm = np.clip(1e3 * radii[:, None] / frequencies, VISIBLE_NM[0], VISIBLE_NM[-1])
+        cosines = np.minimum(0.5 * np.linalg.norm(group.scattering_vectors, axis=1), 1.0)
+        table = reflectance_at(material, VISIBLE_NM, np.linspace(0.0, 1.0, _ANGLES)[:, None])
+        places = np.stack([np.broadcast_to((_ANGLES - 1) * cosines[:, None], nm.shape), nm - VISIBLE_NM[0]])
+        return np.asarray(ndimage.map_coordinates(table, places, order=1))
 
     def sums(self, coefficients: NDArray[np.float64]) -> list[NDArray[np.float64]]:
         """Return XYZ of the directions of each group, shape (n, 3), for series of the coefficients."""

@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.adjoint.colour_sampling import OF_GAUSSIAN, counts_of
+from warpdiff.adjoint.colour_sampling import MOST_WAVELENGTHS, OF_GAUSSIAN, counts_of
 from warpdiff.adjoint.gaussian_lobes import Pairs
+from warpdiff.core.warnings import warn
 from warpdiff.kernels.thresholds import LOWEST, TINY
 from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import reflectance_at
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
-    from warpdiff.adjoint.gaussian_lobes import GaussianLobes
     from warpdiff.optics.coherence import Coherence
     from warpdiff.render.picture_samples import LitPixels
 
@@ -32,7 +32,8 @@ class WavelengthSums:
     """Colours of directions at sampled wavelengths under lobes of coefficients, widened by footprints.
 
     Directions with similar |(u, v)| share their wavelengths, whose number follows from the truncation error. Lights
-    less than 2° above the horizon have the number of lights at 2°.
+    less than 2° above the horizon have the number of lights at 2°. One warning counts the directions that require more
+    wavelengths than ``MOST_WAVELENGTHS``.
     """
 
     def __init__(
@@ -48,14 +49,22 @@ class WavelengthSums:
         """
         self._groups, self._coherence = groups, coherence
         self._is_source = coherence.kind == "source"
+        undersampled = 0
         self._classes: list[list[tuple[NDArray[np.int64], int]]] = []
         for group in groups:
-            counts = counts_of(self._rates(group, height_range_um), self._span, truncation, "use smaller angles")
+            counts = counts_of(self._rates(group, height_range_um), self._span, truncation)
+            undersampled += int(np.count_nonzero(counts > MOST_WAVELENGTHS))
+            counts = np.minimum(counts, MOST_WAVELENGTHS)
             # Numbers of wavelengths are rounded up to powers of √2.
             octaves = np.ceil(2.0 * np.log2(counts / 12.0)).astype(np.int64)
             self._classes.append([
                 (np.flatnonzero(octaves == k), math.ceil(12.0 * 2.0 ** (k / 2.0))) for k in np.unique(octaves).tolist()
             ])  # fmt: skip
+        if undersampled:
+            warn(
+                f"{undersampled} of {sum(len(group.gains) for group in groups)} samples require more than "
+                f"{MOST_WAVELENGTHS} wavelengths, and their colours may be wrong: give a larger source or footprint"
+            )
 
     @property
     def _span(self) -> float:
@@ -79,17 +88,17 @@ class WavelengthSums:
                     pairs, factors = self._pairs(group.among(part), wavenumbers)
                     yield index, part, pairs, factors, weights
 
-    def sums(self, lobes: GaussianLobes, coefficients: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return XYZ of the directions of each group, shape (n, 3), for series of the coefficients."""
+    def colours(self, sums: Callable[[Pairs], NDArray[np.float64]]) -> list[NDArray[np.float64]]:
+        """Return XYZ of the directions of each group, shape (n, 3), from a function that sums powers under lobes."""
         result = [np.zeros((len(group.gains), 3)) for group in self._groups]
         for index, part, pairs, factors, weights in self.parts():
-            result[index][part] = (lobes.sums(pairs, coefficients).reshape(factors.shape) * factors) @ weights
+            result[index][part] = (sums(pairs).reshape(factors.shape) * factors) @ weights
         return result
 
-    def spread(self, lobes: GaussianLobes, adjoints: list[NDArray[np.float64]], rows: NDArray[np.float64]) -> None:
-        """Add to the rows of the block of lobes, shape (size, k), what the adjoints of XYZ of each group contribute."""
+    def adjoints(self, adjoints: list[NDArray[np.float64]]) -> Iterator[tuple[Pairs, NDArray[np.float64]]]:
+        """Yield pairs in parts with the adjoints of their sums, from those of XYZ of each group, shape (n, 3)."""
         for index, part, pairs, factors, weights in self.parts():
-            lobes.spread(pairs, ((adjoints[index][part] @ weights.T) * factors).ravel(), rows)
+            yield pairs, ((adjoints[index][part] @ weights.T) * factors).ravel()
 
     def _variances(self, group: LitPixels, lowest: float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return entries xx, xy and yy of two covariances (n, 3): of a window in q, and of all others in (u, v).

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.core.warnings import warn
-from warpdiff.core.wording import ref
+from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.heightfield import cleaning
 
 if TYPE_CHECKING:
@@ -77,6 +77,23 @@ def warn_of_edges(heightfield: HeightField, coherence: Coherence, longest_um: fl
             f"{jumps[worst]:.2g} times the largest steps of its roughness, and {100.0 * max(shares):.2g} % of the "
             f"interfering pairs of points have an edge between them; use {ref('periodic()')}, or cut whole periods "
             f"with {ref('whole_periods()')}"
+        )
+
+
+def check_periodic(heightfield: HeightField) -> None:
+    """Raise an error if opposite edges of a field do not match, or if it is tilted, whatever its coherence is."""
+    heights = heightfield.heights_um
+    jumps = [_jump(heights, axis) for axis in (0, 1)]
+    plane = heights - cleaning.level(heights, heightfield.missing, 1)
+    if max(jumps) <= _MOST_JUMP or float(np.std(plane)) >= _EXACT * float(np.std(heights - plane)):
+        return
+    change = float(np.sqrt(np.mean(cleaning.smooth_part(heights) ** 2)))
+    if change > _MOST_CHANGE * heightfield.rms_um:
+        worst = jumps.index(max(jumps))
+        raise ArgumentValueError(
+            f"{ref('heightfield')} must be periodic, but its opposite edges differ along {'yx'[worst]} by "
+            f"{jumps[worst]:.2g} times the largest steps of its roughness: use {ref('periodic()')}, or cut whole "
+            f"periods with {ref('whole_periods()')}"
         )
 
 

@@ -130,7 +130,8 @@ class TheoryVerdict:
         if self.reason == "undersampled":
             return "scan at a finer pitch, or use HeightField.resampled() if the surface is smooth"
         energy = "energy='normalised' for mirrors and metals, or " if self.reason == "energy" else ""
-        return f"use positions of colours, not their brightness; or use {energy}a rigorous solver"
+        rigorous = "a rigorous solver (rigorous_order_efficiencies() for one-dimensional gratings)"
+        return f"use positions of colours, not their brightness; or use {energy}{rigorous}"
 
     @property
     def explanation(self) -> str:

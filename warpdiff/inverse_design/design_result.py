@@ -9,13 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.core import validation
+from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.table import Table
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.evaluate.orders import order_efficiencies
 from warpdiff.evaluate.reflectance import reflectance
 from warpdiff.heightfield.field import HeightField
 from warpdiff.inverse_design.goal import TRUNCATION, Goal, silenced
+from warpdiff.inverse_design.rigorous_check import RigorousCheck, rigorous_values
 from warpdiff.optics import colorimetry
+from warpdiff.optics.materials import DEFAULT_IOR, Material
 from warpdiff.profiles.sampled_profiles import Pixels
 
 if TYPE_CHECKING:
@@ -32,6 +35,10 @@ if TYPE_CHECKING:
 _LEAST_POWER = 1e-300
 # Number of samples per standard deviation of rounded edges, at least.
 _PER_EDGE = 2.0
+
+
+# Largest number of wavelengths of a rigorous colour. Limit: computing time is proportional to it.
+_MOST_WAVELENGTHS = 401
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +122,65 @@ class Design:
         lines += [f"uniformity error {value:.4f}" for value in self.uniformity_errors]
         lines += [f"share of the reflected power {value:.4f}" for value in self.shares]
         return "\n".join(lines)
+
+    def check_rigorously(
+        self, *, material: Material | None = None, wavelengths: int = 21, max_harmonics: int = 256,
+        progress: Progress = None,
+    ) -> RigorousCheck:  # fmt: skip
+        """Evaluate the targets by rigorous solutions for unpolarised light (extra ``rigorous``).
+
+        The height field must have a single row, and all directions must be perpendicular to the grooves. Scalar
+        diffraction is an approximation, so that a real foil differs from its design.
+
+        Args:
+            material: Material of the foil without a film; None is that of the targets, or aluminium if they are perfect
+                mirrors, which have no rigorous solution here.
+            wavelengths: Number of wavelengths of a colour, 5 to 401, by default 21. Efficiencies are interpolated
+                between them.
+            max_harmonics: Largest order of the expansion of the fields, 8 to 2000, by default 256.
+            progress: Function that is called with the finished share, 0 to 1; True shows a progress bar.
+
+        Returns:
+            Rigorous values compared with the requested ones, and the share of the solutions that have converged.
+
+        Raises:
+            ValueError: The surface or a direction has no rigorous solution here, or an argument is out of
+                its range.
+            ImportError: meent is not installed: ``pip install 'warpdiff[rigorous]'``.
+
+        Examples:
+            >>> import math
+            >>> pixels = wd.profiles.Pixels(0.5, np.zeros((1, 16)))
+            >>> target = wd.Target.equal([(0, -1), (0, 1)], (0, 0, 1), 632.8, ior=math.inf)
+            >>> result = wd.design(pixels, target, levels=2, starts=1)
+            >>> result.check_rigorously()  # doctest: +SKIP
+            RigorousCheck(uniformity error 0.0...; converged at 100%)
+        """
+        report = reporter(progress, "rigorous check")
+        count = validation.count(wavelengths, "wavelengths", least=5, most=_MOST_WAVELENGTHS)
+        values, converged, change = rigorous_values(
+            self.heightfield, self.targets, self._substance(material), count, max_harmonics, report
+        )
+        exposure = fitted_exposure(self.targets, values, self.exposure)
+        table = _table(self.targets, values, exposure)
+        shown = np.char.equal(table["quantity"], "Y")
+        uniform = [uniformity_error(v) for v, t in zip(values, self.targets, strict=True) if t.kind == "equal"]
+        if report is not None:
+            report(1.0)
+        return RigorousCheck(table, exposure, table["error"][shown], np.array(uniform), converged, change)
+
+    def _substance(self, material: Material | None) -> Material:
+        """Return the material of a rigorous check."""
+        if material is not None:
+            validation.instance(material, Material, "material")
+            return material
+        optics = {(target.optics.material, target.optics.ior) for target in self.targets}
+        if len(optics) > 1:
+            raise ArgumentValueError(f"{ref('material')} must be given if targets have different materials, got None")
+        substance, ior = next(iter(optics))
+        if substance is None:
+            return Material.metal("Al") if ior == math.inf else Material.dielectric(DEFAULT_IOR if ior is None else ior)
+        return substance
 
     def robustness(
         self, *, depth_scales: Sequence[float] = (0.95, 1.05), edge_widths_um: Sequence[float] = (0.05, 0.1),

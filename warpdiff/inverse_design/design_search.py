@@ -49,7 +49,10 @@ _DEEPEST_UM = 10.0
 
 
 class Limits(NamedTuple):
-    """Limits of manufacture of pixels: number of levels or None, range of the depth [µm], least feature [pixels]."""
+    """Limits of manufacture of pixels: number of levels or None, range of the depth [µm], least feature [pixels].
+
+    Other profiles have no such limits, and their bounds instead.
+    """
 
     levels: int | None
     depths_um: tuple[float, float]
@@ -160,7 +163,7 @@ def _checked_targets(targets: Sequence[Target]) -> list[Target]:
 
 def _limits(
     profile: Profile, targets: list[Target], levels: object, depth_um: object, least_feature_um: object
-) -> Limits | _NoLimits:
+) -> Limits:
     """Check the limits of manufacture."""
     restricted = {"levels": levels, "depth_um": depth_um, "least_feature_um": least_feature_um}
     if not isinstance(profile, Pixels):
@@ -170,7 +173,7 @@ def _limits(
                     f"{ref(name)} must not be given for a profile of the class {type(profile).__name__}, got "
                     f"{value!r:.40}: only {ref('Pixels')} have levels, and other profiles have {ref('bounds')}"
                 )
-        return _NoLimits()
+        return Limits(None, (0.0, 0.0), 1)
     count = None if levels is None else validation.count(levels, "levels", least=2, most=MOST_LEVELS)
     cycle = float(np.mean([target.cycle_um for target in targets]))
     if depth_um is None:
@@ -204,18 +207,10 @@ def _limits(
     return Limits(count, depths, feature)
 
 
-class _NoLimits(NamedTuple):
-    """Limits of profiles that are not pixels: their own bounds."""
-
-    levels: None = None
-    depths_um: tuple[float, float] = (0.0, 0.0)
-    feature: int = 1
-
-
 class _Search:
     """Stages of a search, with the history of their losses."""
 
-    def __init__(self, profile: Profile, targets: list[Target], limits: Limits | _NoLimits) -> None:
+    def __init__(self, profile: Profile, targets: list[Target], limits: Limits) -> None:
         self._profile, self._targets, self._limits = profile, targets, limits
         self._goal = Goal(targets)
         self._pixels = profile if isinstance(profile, Pixels) else None

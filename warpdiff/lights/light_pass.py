@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -19,7 +19,9 @@ from warpdiff.device.kernel_calls import KernelCall
 from warpdiff.kernels import light_samples
 from warpdiff.kernels.refinement_levels import rays_at
 from warpdiff.kernels.structs import Footprint
+from warpdiff.lights.grating_dots import DotSamples, GratingDots, LookupSamples, material_of_dots
 from warpdiff.lights.plain_materials import plain_faces
+from warpdiff.lights.surface_optics import Finish, PictureUnit
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial, transmittances
 
@@ -29,65 +31,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.lights.plain_materials import PlainFaces
-    from warpdiff.optics.coherence import Coherence
-    from warpdiff.optics.materials import Material
+    from warpdiff.lights.surface_optics import SurfaceOptics
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.scene.camera_rays import CameraRays
     from warpdiff.scene.gbuffer import GBuffer
     from warpdiff.tables.lookup import Lookups
-
-
-@dataclass(frozen=True, eq=False)
-class SurfaceOptics:
-    """Optics of one surface of a picture, except for the diffraction of its height field.
-
-    Attributes:
-        coherence: Coherence of the light at the surface.
-        area_um2: Area of the height field [µm²].
-        normal_reflectance: Reflectance R(0) at normal incidence of Schlick's approximation; 1 if the surface has
-            materials.
-        materials: Materials of the faces. An entry of None means that the face has Schlick's reflectance with
-            ``normal_reflectance``.
-        masking: Whether V-cavity masking is included.
-        energy: Factors of the energy normalisation
-            (:class:`~warpdiff.diffraction.energy_normalisation.AchromaticFactors`); without them, the orders of a
-            perfect mirror do not sum to 1.
-        pigment: Linear factor of the light that the pigment reflects; 0 is no pigment.
-        shadows: Whether the mesh may occlude the lights.
-        is_plain: Whether the surface has no height field: it reflects light by its base colour and its material.
-        unit: Factor from the colours of this surface to the unit of the picture. None if the colours of the picture are
-            relative to this surface's own R(0) and coherence.
-    """
-
-    coherence: Coherence
-    area_um2: float
-    normal_reflectance: float
-    materials: tuple[Material | None, ...] = (None,)
-    masking: bool = True
-    energy: NDArray[np.float32] | None = None
-    pigment: float = 0.0
-    shadows: bool = True
-    is_plain: bool = False
-    unit: float | None = None
-
-
-class PictureUnit(NamedTuple):
-    """Light that a perfect mirror would show in a picture; the colours of the picture are relative to this light.
-
-    Attributes:
-        coherence: Coherence of the unit.
-        area_um2: Area of the height field [µm²]; it has an effect only if the coherence is that of periods.
-    """
-
-    coherence: Coherence
-    area_um2: float
-
-
-class Finish(NamedTuple):
-    """Finish of a face: its surface in the picture, and its material. Each face has one finish."""
-
-    surface: int
-    material: Material | None
 
 
 class PassContext:
@@ -106,6 +54,7 @@ class PassContext:
         no_colours: An empty array of colours.
         finish_of_faces: Index of each face's finish on the device; empty for a single finish.
         refines: Whether pixels with large errors are subdivided.
+        dots: Dots of the surfaces with a grating map; None without any.
         reflection: The struct ``Reflection``, from which kernels compute reflectance, masking and the light of the
             pigment.
     """
@@ -123,7 +72,9 @@ class PassContext:
         self.rays, self.surfaces, self.refines = rays, tuple(surfaces), refines
         self._unit = unit or PictureUnit(surfaces[0].coherence, surfaces[0].area_um2)
         self.finishes = [
-            Finish(index, material) for index, optics in enumerate(surfaces) for material in optics.materials
+            Finish(index, material, material_of_dots(material, optics.grating_map))
+            for index, optics in enumerate(surfaces)
+            for material in optics.materials
         ]
         self.plain = self._plain_faces(finish_of_faces)
         if finish_of_faces is not None and self.plain is not None and self.plain.has_glossy_faces:
@@ -139,6 +90,10 @@ class PassContext:
         self.no_colours = wp.empty(0, dtype=wp.vec3f, device=self._device)
         by_face = np.zeros(0, dtype=np.int32) if finish_of_faces is None else finish_of_faces
         self.finish_of_faces = self._array(by_face, wp.int32)
+        self.dots = GratingDots.of(
+            [optics.grating_map for optics in surfaces],
+            np.array([finish.surface for finish in self.finishes], dtype=np.int32)[by_face], rays,
+        )  # fmt: skip
         self.reflection = self._reflection()
 
     def _array(self, values: Any, dtype: Any) -> wp.array:
@@ -243,6 +198,7 @@ class LightSamples:
         footprints: Footprints of the rays' filters in (u, v), (n,); empty if pixels show points.
         finish_gains: Geometry factors at faces with the finish that is evaluated, and 0 at other faces, (n,); empty for
             a single finish.
+        of_dots: Samples in the frames of dots; None without a grating map.
     """
 
     occluded: wp.array
@@ -253,10 +209,11 @@ class LightSamples:
     towards: wp.array
     footprints: wp.array
     finish_gains: wp.array
+    of_dots: DotSamples | None = None
 
     @classmethod
     def allocate(
-        cls, rays: int, *, means: bool, has_finishes: bool, has_directions: bool, device: wp.Device
+        cls, rays: int, *, means: bool, has_finishes: bool, has_directions: bool, has_dots: bool, device: wp.Device
     ) -> LightSamples:
         """Return uninitialised arrays for a number of rays; footprints are empty unless pixels show ``means``."""
 
@@ -268,7 +225,16 @@ class LightSamples:
             wp.empty((3 * has_directions, rays * has_directions), dtype=wp.float32, device=device),
             empty(wp.vec4f, rays * has_directions),
             empty(Footprint, rays * means), empty(wp.float32, rays * has_finishes),
+            DotSamples.allocate(rays, means=means, device=device) if has_dots else None,
         )  # fmt: skip
+
+    @property
+    def signals(self) -> wp.array:
+        """Vectors of the rays whose changes between pixels tell refinement how evenly colours change.
+
+        They are scattering vectors. With a grating map they also differ from dot to dot.
+        """
+        return self.scattering_vectors if self.of_dots is None else self.of_dots.scattering_vectors
 
     @property
     def directions(self) -> list[wp.array]:
@@ -347,7 +313,7 @@ class LightPass(ABC):
         self.context, self.lobe_count = context, len(spectra_of_lobes)
         self.illuminated = [
             tuple(
-                tuple(IlluminatedMaterial(spectrum, finish.material) for spectrum in spectra)
+                tuple(IlluminatedMaterial(spectrum, finish.looked_up) for spectrum in spectra)
                 for finish in context.finishes
             )
             for spectra in spectra_of_lobes
@@ -442,21 +408,36 @@ class LightPass(ABC):
             lookups: Look-ups of the surfaces.
             surface: The only surface whose colours are added; None stands for all surfaces.
         """
-        samples, context, calls = batch.samples, self.context, []
+        samples, context = batch.samples, self.context
+        calls: list[KernelCall] = []
+        of_rays = LookupSamples(samples.scattering_vectors, samples.to_lights, footprints)
         for index, (finish, spectra) in enumerate(zip(context.finishes, self.illuminated[lobe], strict=True)):
             lookup = lookups[finish.surface] if finish.surface < len(lookups) else None
             if lookup is None or surface not in (None, finish.surface):
                 continue
+            own = of_rays
+            if context.dots is not None and samples.of_dots is not None and context.dots.has_map(finish.surface):
+                own, transforms = context.dots.transform(
+                    finish.surface, batch.gbuffer, of_rays, samples.of_dots, batch.level
+                )
+                calls += transforms
             for gain, illuminated in zip(gains, spectra, strict=True):
                 used = gain
                 if context.has_finishes:
                     inputs = [gain, batch.gbuffer.pixels.face, context.finish_of_faces, index]
                     used = samples.finish_gains
                     calls.append(KernelCall(light_samples.select_finish, inputs, [used], in_runs=True))
+                if own is not of_rays and context.dots is not None and samples.of_dots is not None:
+                    used, scales = context.dots.scaled_gains(
+                        finish.looked_up, samples.scattering_vectors, used, samples.of_dots
+                    )
+                    calls += scales
                 calls += lookup.kernel_calls(
-                    samples.scattering_vectors, samples.to_lights, used, illuminated, batch.xyz,
-                    footprints if lookup.plan.uses_footprints else None, batch.unserved_gain,
+                    own.scattering_vectors, own.to_lights, used, illuminated, batch.xyz,
+                    own.footprints if lookup.plan.uses_footprints else None, batch.unserved_gain,
                 )  # fmt: skip
+        if context.dots is not None and samples.of_dots is not None and context.refines and batch.level == 0:
+            calls += context.dots.signal_calls(batch.gbuffer, samples.scattering_vectors, samples.of_dots)
         return calls
 
     def shade(self, batch: RayBatch, lookups: Lookups) -> list[KernelCall]:

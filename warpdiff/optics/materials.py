@@ -13,7 +13,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -81,6 +81,8 @@ class Material:
     film: Material | None = None
     film_nm: float = 0.0
     _key: tuple[object, ...] = field(init=False, repr=False)
+    # Whether the reflectance depends on the angle of incidence; ``fixed_reflectance`` has materials without.
+    has_angles: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         wavelengths = colorimetry.check_wavelengths(self.wavelengths_nm)
@@ -270,7 +272,7 @@ def reflectance_at(
     polarisation: Polarisation | None = None,
 ) -> NDArray[np.float64]:
     """Return the power reflectance R at wavelengths [nm] and cosines of the angle of incidence, which broadcast."""
-    cosine = np.clip(cosine, 0.0, 1.0)
+    cosine = np.clip(cosine, 0.0, 1.0) if material.has_angles else np.ones_like(cosine)
     media = [_index(medium, wavelengths_nm) for medium in (material.film, material) if medium is not None]
     # Cosines of the angle of refraction in each medium, by Snell's law. They are complex in an absorbing medium. The
     # principal square root belongs to the wave that decays into the medium.

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.kernels.thresholds import TINY
 from warpdiff.lights.base import LobeSet, listed
 from warpdiff.render import pixel_filter
 
@@ -25,7 +26,10 @@ if TYPE_CHECKING:
     from warpdiff.render.pixel_sampler import LobeIndex
     from warpdiff.render.renderer import Renderer
 
-# Names of the fields of :class:`LitPixels` with one entry per sample, without the field of the footprints.
+# Largest standard deviation of a footprint in (u, v). Limit: at silhouettes, directions change so fast that footprints,
+# which are linear, would exceed the hemisphere.
+_WIDEST = 0.35
+# Fields of :class:`LitPixels` with an entry per sample, without the footprints.
 _ARRAYS = ("pixels", "scattering_vectors", "to_lights", "gains")
 
 
@@ -39,7 +43,8 @@ class LitPixels:
         to_lights: Unit vectors to the light in the local frame, shape (n, 3).
         gains: Geometry factors with the power of the light, shape (n,).
         footprints: Covariances uu, uv and vv of (u, v) over the filter of each pixel, shape (n, 3); None for points.
-        illuminated: Illuminant of the light with the material of the surface.
+            Standard deviations are at most 0.35.
+        illuminated: Illuminant, and the material of the surface.
     """
 
     pixels: NDArray[np.int64]
@@ -182,7 +187,9 @@ def _covariances(picture: Picture, index: LobeIndex) -> NDArray[np.float64]:
     picture.rays.launch(picture.footprint_calls(index, batch))
     wp.synchronize_device(picture.context.device)
     row_u, row_v, column_u, column_v = batch.samples.footprints.numpy().astype(np.float64).T
-    return np.stack(
-        [row_u * row_u + column_u * column_u, row_u * row_v + column_u * column_v, row_v * row_v + column_v * column_v],
-        axis=1,
-    )
+    uu, uv = row_u * row_u + column_u * column_u, row_u * row_v + column_u * column_v
+    vv = row_v * row_v + column_v * column_v
+    # Footprints are scaled so that their largest variance is at most that of the widest one.
+    largest = (uu + vv) / 2.0 + np.hypot((uu - vv) / 2.0, uv)
+    share = np.minimum(_WIDEST**2 / np.maximum(largest, TINY), 1.0)
+    return np.asarray(share[:, None] * np.stack([uu, uv, vv], axis=1))

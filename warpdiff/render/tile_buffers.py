@@ -27,9 +27,10 @@ if TYPE_CHECKING:
 class BufferKind(NamedTuple):
     """Flags that say which optional arrays tile buffers have.
 
-    The flags are in the order of these optional arrays: geometry factors of directions that a table does not contain;
-    base colours; geometry factors at faces with the finish that is evaluated, if faces have several finishes; each
-    ray's own direction to the light; and metallic, roughness and emission of textures.
+    In the order of the flags, the arrays are: geometry factors of directions that a table cannot serve; base colours;
+    geometry factors at faces with the finish that is being evaluated, if faces have several finishes; the rays' own
+    directions to the light; metallic, roughness and emission of textures; and samples in the frames of the dots of
+    grating maps.
     """
 
     needs_sampling: bool
@@ -37,6 +38,7 @@ class BufferKind(NamedTuple):
     has_finishes: bool
     has_directions: bool
     has_maps: bool
+    has_dots: bool
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,12 @@ class TileBuffers:
         return cls(
             GBuffer.allocate(rays, coloured=kind.is_pigmented, has_maps=kind.has_maps, device=device),
             LightSamples.allocate(
-                rays, means=True, has_finishes=kind.has_finishes, has_directions=kind.has_directions, device=device
+                rays,
+                means=True,
+                has_finishes=kind.has_finishes,
+                has_directions=kind.has_directions,
+                has_dots=kind.has_dots,
+                device=device,
             ),
             wp.empty(rays, dtype=wp.vec3f, device=device),
             wp.empty(rays * kind.needs_sampling, dtype=wp.float32, device=device),

@@ -81,6 +81,7 @@ class Surface:
         handedness: −1 where the texture mapping is mirrored, else 1, shape (n,), float32; equal for all vertices of a
             face.
         uvs: Texture coordinates, v upwards, shape (n, 2), float32; zero where undefined.
+        lacks_uvs: Whether a corner of each face has no texture coordinates, shape (m,); None if all corners have them.
         plain_colour: Linear RGB of a uniform colour, shape (3,), float32; black without colour, −1 with textures.
         vertex_colours: Linear RGB, shape (n, 3), float32; negative at vertices whose base colour is that of a texture.
             None if the colour is uniform, or that of textures at all vertices.
@@ -126,6 +127,7 @@ class Surface:
     alpha_cutoffs: tuple[float, ...] = ()
     vertex_alphas: NDArray[np.float32] | None = None
     maps: MaterialMaps | None = None
+    lacks_uvs: NDArray[np.bool_] | None = None
 
     @property
     def is_textured(self) -> bool:
@@ -294,7 +296,7 @@ def _build(
         index, vertices = index[used], vertices.take(used, axis=1)
         geometry = FaceGeometry(vertices, faces)
 
-    uvs = np.zeros((2, len(index))) if part.uvs is None else np.nan_to_num(part.uvs.T.take(index, axis=1))
+    uvs, lacks_uvs = _texture_coordinates(part, index, faces)
     handedness = np.ones(len(index))
     if tangents is None:
         texture_geometry = TextureGeometry(uvs, faces)
@@ -348,7 +350,23 @@ def _build(
         alpha_cutoffs=tuple(own.cutoff for own in part.appearances),
         vertex_alphas=None if part.alphas is None else part.alphas[index].astype(np.float32),
         maps=None if part.maps is None else part.maps.at(index, single_uvs),
+        lacks_uvs=lacks_uvs,
     )  # fmt: skip
+
+
+def _texture_coordinates(
+    part: SceneArrays, index: NDArray[np.int64], faces: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_] | None]:
+    """Return the texture coordinates at vertices, 0 where undefined, and which faces have an undefined corner.
+
+    The second result is None if all corners have texture coordinates. ``index`` has the index of each vertex in the
+    arrays of ``part``.
+    """
+    if part.uvs is None:
+        return np.zeros((2, len(index))), np.ones(faces.shape[1], dtype=np.bool_)
+    uvs = part.uvs.T.take(index, axis=1)
+    lacks: NDArray[np.bool_] = np.asarray(np.asarray(np.isnan(uvs).any(axis=0))[faces].any(axis=0))
+    return np.nan_to_num(uvs), lacks if lacks.any() else None
 
 
 def _explicit_field(

@@ -105,6 +105,10 @@ class ColourTable:
         """Return a table whose look-ups exclude the zeroth order, the reflection of the mean plane."""
         return replace(self, fields={name: value for name, value in self.fields.items() if name != "zeroth_order"})
 
+    def with_pitch_scales(self) -> ColourTable:
+        """Return a table whose look-ups take the length of each direction to the light as a pitch scale."""
+        return replace(self, fields={**self.fields, "has_pitch_scales": True})
+
     def fill(self, levels: range, compute: Callable[[int, int, wp.array], None], **options: Any) -> None:
         """Fill the rows of some mip levels with spline coefficients.
 

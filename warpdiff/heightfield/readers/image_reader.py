@@ -33,6 +33,11 @@ _OTHER_FORMAT = (
 )  # fmt: skip
 def read_image(file: Path) -> FileContent:
     """Read a grey image without a conversion of its samples."""
+    return FileContent(image_samples(file))
+
+
+def image_samples(file: Path) -> np.ndarray:
+    """Return the samples of a grey image as the file has them, shape (rows, columns)."""
     with openimageio.in_use() as oiio:
         # Files in the format PFM store the bottom row first. This attribute makes OpenImageIO return the top row first;
         # for other formats, OpenImageIO ignores the attribute.
@@ -45,7 +50,7 @@ def read_image(file: Path) -> FileContent:
             reason = _unknown(_reason(oiio))
             raise refusal(file, reason if file.suffix.lower() in _SUFFIXES else _OTHER_FORMAT)
         try:
-            return FileContent(_samples_of(image, file))
+            return _samples_of(image, file)
         finally:
             image.close()
 
