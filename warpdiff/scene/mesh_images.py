@@ -1,4 +1,4 @@
-"""Images that mesh files refer to: opened from bytes, and decoded to linear RGBA."""
+"""Images to which mesh files refer: opening from bytes, and decoding to linear RGBA."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def opened(data: bytes) -> Image.Image:
     """Open an image; its pixels are not decoded.
 
     Raises:
-        OSError: Pillow cannot open it. The message is the reason.
+        OSError: Pillow cannot open the image. The message is the reason.
     """
     from PIL import Image
 
@@ -41,11 +41,11 @@ def opened(data: bytes) -> Image.Image:
 def linear_rgba(image: Image.Image, *, is_data: bool = False) -> NDArray[np.float32] | None:
     """Return an image in linear RGBA, shape (h, w, 4), or None with a warning if it is damaged.
 
-    Alpha is 1 in images without an alpha channel. Numbers of float images are linear already.
+    Alpha is 1 in images without an alpha channel. Images of floating-point numbers are linear already.
 
     Args:
         image: The image.
-        is_data: Whether the numbers of the image are linear, not encoded in sRGB.
+        is_data: Whether the numbers of the image are linear and not encoded in sRGB.
     """
     try:
         return _linear_rgba(image, is_data=is_data)
