@@ -19,9 +19,11 @@ from warpdiff.kernels.plain_reflection import (
     blurred,
     facet_density,
     gloss_at,
+    has_spread,
     reflected,
     stretched,
 )
+from warpdiff.kernels.primary_hits import scramble
 from warpdiff.kernels.sample_sequence import filter_point, light_point, sample_index
 from warpdiff.kernels.shading_frames import LEAST_COSINE
 from warpdiff.kernels.sky_samples import (
@@ -203,7 +205,11 @@ def sample_plain_sky(
             continue
         index = sample_index(tiles, width, across, i, sample, samples)
         frame = filtered_frame(pixels, i, footprints[i], filter_point(index))
-        gloss = gloss_at(materials, pixels, i, frame.view)
+        # One of two roughnesses is drawn, whose mean and variance are those within the footprint.
+        deviations = wp.float32(0.0)
+        if has_spread(pixels, i):
+            deviations = wp.where((scramble(index) & wp.uint32(1)) != wp.uint32(0), 1.0, -1.0)
+        gloss = gloss_at(materials, pixels, i, frame.view, deviations)
         if gloss.alpha2 == 0.0:
             continue
         of_facets = share_of_facets(gloss)
@@ -267,7 +273,7 @@ def draw_plain_disc(
         if pixels.hit[i] == 0:
             continue
         frame = frame_at(pixels, i)
-        gloss = gloss_at(materials, pixels, i, frame.view)
+        gloss = gloss_at(materials, pixels, i, frame.view, 0.0)
         if gloss.alpha2 == 0.0:
             continue
         # The Gaussian source of a sample widens the lobe, as in ``light_samples.add_light_extent``.
@@ -363,7 +369,7 @@ def choose_plain_lights(
         if pixels.hit[i] == 0:
             continue
         frame = frame_at(pixels, i)
-        gloss = gloss_at(materials, pixels, i, frame.view)
+        gloss = gloss_at(materials, pixels, i, frame.view, 0.0)
         if gloss.alpha2 == 0.0:
             continue
         gloss = blurred(gloss, covariance_of(footprints[i]), 2.0 * gloss.view[2])

@@ -36,10 +36,10 @@ def alpha_at(
 @wp.func
 def cutoff_of(textures: Textures, transparency: Transparency, face: wp.int32) -> wp.float32:
     """Return the cut-off of a face's material: 0 if it is opaque, and negative if it is blended."""
-    material = textures.materials[face]
+    row = textures.rows[face]
     result = wp.float32(0.0)
-    if material >= 0:
-        result = transparency.cutoffs[material]
+    if row >= 0:
+        result = transparency.cutoffs[row]
     return result
 
 

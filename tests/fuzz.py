@@ -16,6 +16,7 @@ from types import SimpleNamespace
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
 import trimesh
+from conftest import public_members
 from hypothesis import strategies as st
 
 import warpdiff as wd
@@ -233,7 +234,6 @@ _TOPOGRAPHIES = [
 ]  # fmt: skip
 
 
-# Hypothesis strategies for arguments that are objects, by argument name.
 def trapezoid():
     """Return a profile with few parameters."""
     return wd.profiles.Trapezoid(0.1, 0.5, 0.02, 1.0)
@@ -257,9 +257,7 @@ def fitted():
 @functools.cache
 def designed():
     """Return the result of a design."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", wd.WarpdiffWarning)
-        return wd.design(wd.profiles.Pixels(0.5, np.zeros((1, 4))), [orders_target()], starts=1)
+    return wd.design(wd.profiles.Pixels(0.2, np.zeros((1, 8))), [orders_target()], starts=1)
 
 
 def orders_target():
@@ -267,6 +265,7 @@ def orders_target():
     return wd.Target.equal([(0, -1), (0, 1)], UP, 500.0)
 
 
+# Hypothesis strategies for arguments that are objects, by argument name.
 OBJECTS = {
     "topography": st.sampled_from(_TOPOGRAPHIES),
     "heightfield": _one_of(_heightfields), "mesh": _one_of(malformed_meshes), "view": _one_of(_views),
@@ -292,7 +291,7 @@ OBJECTS = {
     "measured": _one_of(lambda: [measured()]), **dict.fromkeys(("orders", "reflectances", "sd"), _VECTORS),
     **dict.fromkeys(("evaluate", "loss"), st.just("bad")),
     "targets": _one_of(lambda: [orders_target(), [orders_target()], [], ["x"], None]),
-    "levels": _NUMBERS, "dose": _VECTORS,
+    "levels": st.one_of(_COUNTS, _VECTORS), "dose": _VECTORS,
     **dict.fromkeys(("depth_scales", "edge_widths_um", "tilts_deg", "least_feature_um"), _VECTORS),
     "wrt": st.sampled_from([("heights_um",), ("to_light", "ior"), ("duty",), ("x",), "heights_um", (), [1], (None,)]),
 }  # fmt: skip
@@ -337,7 +336,8 @@ def _of_its_kind(option: Option) -> st.SearchStrategy:
     if option.kind in simple:
         return simple[option.kind]
     one = _COUNTS if option.kind.startswith("integer") else _NUMBERS
-    # Counts at their upper limit are legal but slow, so only the next larger count is tested, which is refused.
+    # Counts at their upper limit are legal but slow. Therefore only the next larger count is tested, which must be
+    # refused.
     steps = {option.gt: (0, 1), option.ge: (-1, 0), option.le: (1,) if one is _COUNTS else (0, 1)}
     limits = [bound + step for bound in steps if bound not in (None, math.inf) for step in steps[bound]]
     one = st.one_of(one, st.sampled_from(limits)) if limits else one
@@ -414,7 +414,8 @@ LEGAL_OF |= {
     "rigorous_order_efficiencies": {"heightfield": wd.gratings.lamellar(1.0, 0.1, samples=8), "layers": 1},
 }  # fmt: skip
 LEGAL_BY_CALL = {"renderer": renderer, "lobes": lobes, "ax": axes, "efficiencies": efficiencies}
-# As ``LEGAL_BY_CALL``, for arguments of single functions: functions that make a legal value for each call.
+# Functions that make a legal value of an argument for each call. The values are those of single functions, and override
+# ``LEGAL_BY_CALL``.
 LEGAL_OF_BY_CALL = {
     "fit": {"profile": trapezoid, "measured": measured},
     "design": {"profile": lambda: wd.profiles.Pixels(0.5, np.zeros((1, 4))), "targets": lambda: [orders_target()]},
@@ -449,8 +450,8 @@ def public():
         if name not in MADE_BY_THE_LIBRARY:
             yield name, member, None
         if inspect.isclass(member):
-            for key, value in vars(member).items():
-                is_public = key[0] != "_" and key not in CALLED_BY_PICTURES
+            for key, value in public_members(member).items():
+                is_public = key not in CALLED_BY_PICTURES
                 if is_public and (inspect.isfunction(value) or isinstance(value, classmethod)):
                     yield f"{name}.{key}", getattr(member, key), None if isinstance(value, classmethod) else name
 
@@ -459,7 +460,7 @@ PUBLIC = {name: (function, owner) for name, function, owner in public()}
 
 
 def example_of(function):
-    """Return the arguments of a class of lights in the first call of it in the example of its docstring."""
+    """Return the arguments with which the docstring of a class of lights creates its first example."""
     source = "\n".join(example.source for example in doctest.DocTestParser().get_examples(function.__doc__))
     calls = (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call))
     first = next(node for node in calls if ast.unparse(node.func) == f"wd.{function.__name__}")

@@ -34,16 +34,16 @@ struct UvFootprint {
             const float change2 = hit.scale * (dot(hit.of_share2, step) - hit.slide2 * through);
             for (int c = 0; c < 2; ++c) {
                 const float start = uvs[2LL * corners[0] + c];
-                changes[2 * axis + c] = change1 * (uvs[2LL * corners[1] + c] - start)
-                    + change2 * (uvs[2LL * corners[2] + c] - start);
+                changes[2 * axis + c] =
+                    change1 * (uvs[2LL * corners[1] + c] - start) + change2 * (uvs[2LL * corners[2] + c] - start);
             }
         }
     }
 };
 
-// Replace the negative base colours of the hits from `begin` to `end` by those of the textures of their materials, or by
-// black without a texture.
-// `deviation` is the standard deviation of the rays' filter [pixels]; without one, textures are sampled at points.
+// Replace the negative base colours of the hits from `begin` to `end` by those of the textures of their materials, or
+// by black without a texture. `deviation` is the standard deviation of the rays' filter [pixels]; without one, textures
+// are sampled at points.
 template <class Camera, class Surface, class Textures, class Pixels>
 WARPDIFF_INLINE void look_up_base_colours(const Camera& camera, const Surface& surface, const Textures& textures,
     const Pixels& pixels, float deviation, float least_facing, int begin, int end)
@@ -56,8 +56,8 @@ WARPDIFF_INLINE void look_up_base_colours(const Camera& camera, const Surface& s
     for (int ray = begin; ray < end; ++ray) {
         float* const colour = numbers<float>(pixels.base_colour) + 3LL * ray;
         if (hit[ray] == 0 || !(colour[0] < 0.0f)) continue;
-        const int material = numbers<const int>(textures.materials)[face[ray]];
-        const int number = material < 0 ? -1 : numbers<const int>(textures.of_base_colour)[material];
+        const int row = numbers<const int>(textures.rows)[face[ray]];
+        const int number = row < 0 ? -1 : numbers<const int>(textures.of_base_colour)[row];
         if (number < 0) {
             colour[0] = colour[1] = colour[2] = 0.0f;
             continue;

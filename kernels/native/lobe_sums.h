@@ -1,9 +1,8 @@
 // Sums of Fourier coefficients under Gaussian lobes in float64, their derivatives, and the transposed sum.
 //
-// A coefficient is a series of Chebyshev polynomials in x, one row of `terms` numbers; x is κ, scaled to the range −1
-// to
-// 1. A pair of a direction and a wavelength has a centre q [1/µm], a positive definite matrix M [µm²], and its x. The
-// weight of the coefficient at the frequency q_rs is exp(−dᵀMd) with d = q − q_rs.
+// A coefficient is a series of Chebyshev polynomials in x, one row of `terms` numbers. Here x is κ, scaled to the range
+// from −1 to 1. A pair of a direction and a wavelength has a centre q [1/µm], a positive definite matrix M [µm²], and
+// its x. The weight of the coefficient at the frequency q_rs is exp(−dᵀMd) with d = q − q_rs.
 
 #pragma once
 

@@ -1,5 +1,6 @@
 // Textures: look-ups in an image pyramid, filtered by the footprint of a ray. A footprint is a Gaussian over texture
-// coordinates. Two rows of probes along its long axis, on one level, approximate it (as in Feline, McCormack et al. 1999).
+// coordinates. Two rows of probes along its long axis, on one level, approximate it (as in Feline, McCormack et al.
+// 1999).
 //
 // All texels are in one array. Level 0 of a texture is its image, and each further level has half the size.
 
@@ -19,6 +20,8 @@ constexpr int MOST_PROBES = 12;
 constexpr float PROBE_SPACING = 1.5f;
 // Range of probes along the long axis [standard deviations of the footprint]. Limit: the Gaussian beyond is omitted.
 constexpr float PROBE_RANGE = 2.0f;
+// Variance from which on a footprint covers the whole image [texels²]. Limit: squares of larger numbers exceed float32.
+constexpr float MOST_VARIANCE = 1.0e30f;
 
 struct Rgba {
     float channels[4] = {};
@@ -144,8 +147,8 @@ WARPDIFF_INLINE Rgba sample_point(const Textures& textures, int number, const Po
     const Texture<Textures> texture(textures, number);
     const TextureLevel level = texture.level(0);
     const float from_left = wrapped(uv.u, texture.wrap[0]);
-    const float from_top = texture.wrap[1] == REPEAT ? wp::floor(uv.v) + (1.0f - uv.v_again)
-                                                     : 1.0f - wrapped(uv.v, texture.wrap[1]);
+    const float from_top =
+        texture.wrap[1] == REPEAT ? wp::floor(uv.v) + (1.0f - uv.v_again) : 1.0f - wrapped(uv.v, texture.wrap[1]);
     const float x = fmaf(from_left, (float)level.width, -0.5f), y = fmaf(from_top, (float)level.height, -0.5f);
     const TexelSquare texels(level, texture.wrap, x, y);
     const float right = texels.right, left = 1.0f - right, down = texels.down, up = 1.0f - down;
@@ -176,7 +179,11 @@ WARPDIFF_INLINE Rgba sample_footprint(const Textures& textures, int number, floa
     const float mean = 0.5f * (xx + yy), half = 0.5f * (xx - yy), root = wp::sqrt(half * half + xy * xy);
     const float longest = mean + root, shortest = wp::max(mean - root, 0.0f);
     Rgba result;
-    if (!(longest > 1.0e-6f)) {
+    if (!(longest < MOST_VARIANCE)) {
+        add_bilinear(texture.level(texture.count - 1), texture.wrap, u, v, 1.0f, result);
+        return result;
+    }
+    if (longest <= 1.0e-6f) {
         add_bilinear(whole, texture.wrap, u, v, 1.0f, result);
         return result;
     }

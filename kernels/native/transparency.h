@@ -19,9 +19,10 @@ WARPDIFF_INLINE float alpha_at(const Surface& surface, const Textures& textures,
         const float* const at = numbers<const float>(transparency.vertex_alphas);
         alpha = share0 * at[corners[0]] + share1 * at[corners[1]] + (1.0f - share0 - share1) * at[corners[2]];
     }
-    const int number = numbers<const int>(textures.of_base_colour)[numbers<const int>(textures.materials)[face]];
+    const int number = numbers<const int>(textures.of_base_colour)[numbers<const int>(textures.rows)[face]];
     if (number < 0) return alpha;
-    return alpha * sample_point(textures, number, PointUv(numbers<const float>(surface.uvs), corners, place)).channels[3];
+    return alpha
+        * sample_point(textures, number, PointUv(numbers<const float>(surface.uvs), corners, place)).channels[3];
 }
 
 } // namespace warpdiff

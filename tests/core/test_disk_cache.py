@@ -45,6 +45,12 @@ def test_stored_arrays_are_read_again(folder):
     assert [path.suffix for path in folder.iterdir()] == [".npz"]
 
 
+@pytest.mark.usefixtures("folder")
+def test_arrays_of_objects_which_could_never_be_read_again_are_refused():
+    with pytest.raises(TypeError, match="cannot be read from the cache: names"):
+        disk_cache.cached_on_disk("key", HEIGHTS, lambda: {"names": ("mesh", None), "step": 0.25})
+
+
 @pytest.mark.parametrize(("key", "heights"), [("other", HEIGHTS), ("key", HEIGHTS + 1.0), ("key", HEIGHTS.T)])
 def test_other_keys_and_heights_have_their_own_files(folder, key, heights):
     disk_cache.cached_on_disk("key", HEIGHTS, counted(1.0)[1])

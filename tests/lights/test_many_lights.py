@@ -54,7 +54,10 @@ def test_a_picture_with_many_lights_does_not_depend_on_the_number_of_threads(fin
 
 
 def test_occluder_grids_are_kept_for_lights_that_do_not_move(fingers, monkeypatch):
-    """More lights than the mesh stores grids for, so that only their pass keeps all of them."""
+    """Occluder grids of lights that do not move must not be made again for the next picture.
+
+    The picture has more lights than the mesh stores grids for, so that only the pass of the lights stores all grids.
+    """
     made, make = [], occluder_grid._made
     monkeypatch.setattr(occluder_grid, "_made", lambda *args, **options: made.append(1) or make(*args, **options))
     body, lights = meshes.tube(segments_along=48, segments_around=24), hemisphere(7)

@@ -5,6 +5,15 @@ import math
 import numpy as np
 import pytest
 import trimesh
+from plain_specification import (
+    OPTIONS,
+    POINTS,
+    SURFACES,
+    VIEW,
+    brdf,
+    quad,
+    white_luminance,
+)
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
@@ -12,26 +21,11 @@ import warpdiff as wd
 from warpdiff.optics import colorimetry
 from warpdiff.render import device_tiles, renderer
 
-SIGMA_UM = 5.0
-COHERENCE = wd.Coherence(sigma_um=SIGMA_UM)
-WAVE = wd.gratings.sinusoidal(1.5, 0.1)
-OPTIONS = {"coherence": COHERENCE, "tolerance": 0.1, "strict": False}
-POINTS = OPTIONS | {"footprint": False, "refine": False}
 # Metallic, roughness and linear base colour of the parts of the test scene. The last roughness is below the least one.
 MATERIALS = [
     (0.0, 0.3, (0.8, 0.5, 0.2)), (0.0, 1.0, (0.2, 0.6, 0.9)), (1.0, 0.25, (0.9, 0.7, 0.3)), (1.0, 0.7, (0.5, 0.5, 0.5)),
     (0.4, 0.5, (0.3, 0.8, 0.4)), (1.0, 0.0, (1.0, 1.0, 1.0)),
 ]  # fmt: skip
-VIEW = wd.View.orthographic((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), extent_y=2.2, width=96, height=16)
-
-
-def white_luminance():
-    """Return the luminance of a white matte surface facing a light of power 1: the mean of λ²/(4π²σ²) with S ȳ."""
-    um = 1e-3 * colorimetry.VISIBLE_NM
-    return float(um**2 @ colorimetry.colour_products("D65")[:, 1]) / (4.0 * math.pi**2 * SIGMA_UM**2)
-
-
-LEAST_ALPHA = 0.5 * math.sqrt(white_luminance())
 
 
 def material(name, metallic, roughness, colour, emission=None):
@@ -39,16 +33,6 @@ def material(name, metallic, roughness, colour, emission=None):
     return PBRMaterial(
         name=name, baseColorFactor=[*(round(255 * value) for value in colour), 255], metallicFactor=metallic,
         roughnessFactor=roughness, emissiveFactor=emission,
-    )  # fmt: skip
-
-
-def quad(x, own, bend=0.25, y=0.0):
-    """Return a quad with the width and height 2, whose normals are bent by ``bend``."""
-    corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    return trimesh.Trimesh(
-        corners + np.array([x, y, 0.0]), [[0, 1, 2], [0, 2, 3]],
-        vertex_normals=corners * (bend, bend, 0.0) + np.array([0.0, 0.0, 1.0]), process=False,
-        visual=TextureVisuals(uv=corners[:, :2], material=own),
     )  # fmt: skip
 
 
@@ -60,26 +44,6 @@ def scene(materials=MATERIALS, bend=0.25, size=2.1):
         result.add_geometry(quad(x, material(f"m{index}", *own), bend), geom_name=f"q{index}")
     result.add_geometry(quad(0.0, None, y=-4.0), geom_name="grating")
     return result
-
-
-SURFACES = {"grating": WAVE, "*": None}
-
-
-def brdf(to_light, to_view, metallic, roughness, colour):
-    """Return f of glTF 2.0 in 1/sr, shape (n, 3), with the height-correlated masking of Heitz 2014."""
-    alpha2 = max(roughness**2, LEAST_ALPHA) ** 2
-    half = to_light + to_view
-    half /= np.linalg.norm(half, axis=-1, keepdims=True)
-    n_h, v_h = half[:, 2], np.sum(to_view * half, axis=-1)
-    n_l, n_v = to_light[:, 2], to_view[:, 2]
-    distribution = alpha2 / (math.pi * (n_h**2 * (alpha2 - 1.0) + 1.0) ** 2)
-    lambdas = [0.5 * (np.sqrt(1.0 + alpha2 * (1.0 - c**2) / c**2) - 1.0) for c in (n_l, n_v)]
-    shadowing = 1.0 / (1.0 + lambdas[0] + lambdas[1])
-    base = np.array([round(255 * value) / 255 for value in colour])
-    f0 = 0.04 * (1.0 - metallic) + base * metallic
-    fresnel = f0 + (1.0 - f0) * ((1.0 - np.abs(v_h)) ** 5)[:, None]
-    diffuse = (1.0 - fresnel) * base * (1.0 - metallic) / math.pi
-    return diffuse + fresnel * (distribution * shadowing / (4.0 * n_l * n_v))[:, None]
 
 
 def parts_of(image):

@@ -15,8 +15,7 @@ import warpdiff as wd
 from bench.truth.pictures import finer
 from warpdiff import meshes
 from warpdiff.image.report import Report
-from warpdiff.kernels import refinement_levels
-from warpdiff.kernels import subdivision as kernels
+from warpdiff.kernels import pixel_contrast, refinement_levels
 from warpdiff.render import pixel_filter, threaded_tiles
 from warpdiff.render.shade import warn_unconverged
 
@@ -300,7 +299,20 @@ def texture_contrast(base, colours, hit, near, place):
     return np.linalg.norm(colours[place]) * change / np.linalg.norm(base[place])
 
 
-def estimate_by_hand(colours, uv, hit, floor, bound, base=None):
+def map_contrast(maps, colours, hit, near, own):
+    """Return the contrast of a pixel that differences of metallic, roughness and emission explain."""
+    metallic, roughness, emission = maps
+    changes = [
+        4.0 * abs(roughness[place] - roughness[own]) / max(roughness[own], 0.05)
+        + abs(metallic[place] - metallic[own])
+        + np.linalg.norm(emission[place] - emission[own]) / np.linalg.norm(emission[own])
+        for place in near
+        if hit[place]
+    ]
+    return max(changes) * np.linalg.norm(colours[own])
+
+
+def estimate_by_hand(colours, uv, hit, floor, bound, base=None, maps=None):
     """Compute pixel by pixel, in Python, what the kernel ``estimate_errors`` returns."""
     height, width = hit.shape
     result, marks, size = np.zeros((height, width)), np.zeros((height, width), bool), np.linalg.norm
@@ -332,8 +344,10 @@ def estimate_by_hand(colours, uv, hit, floor, bound, base=None):
                     + refinement_levels.CONTRAST_PER_CHANGE * wide
                 )
             result[row, column] = min(share, 1.0) * contrast
-            if base is not None:
-                explained = min(contrast, texture_contrast(base, colours, hit, near, (row, column)))
+            if base is not None or maps is not None:
+                explained = 0.0 if base is None else texture_contrast(base, colours, hit, near, (row, column))
+                explained += 0.0 if maps is None else map_contrast(maps, colours, hit, near, (row, column))
+                explained = min(contrast, explained)
                 result[row, column] = max(result[row, column], refinement_levels.CONTRAST_OF_TEXTURE * explained)
         limit = bound * max(size(colours[row, column]) if hit[row, column] else 0.0, floor)
         marks[row, column] = any(hits) and (rim or result[row, column] > limit)
@@ -342,8 +356,9 @@ def estimate_by_hand(colours, uv, hit, floor, bound, base=None):
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 70), (41, 1), (3, 5), (20, 33), (9, 100)], ids=str)
 @pytest.mark.parametrize("slices", [1, 6])
-@pytest.mark.parametrize("is_textured", [False, True])
-def test_errors_are_estimated_from_neighbouring_pixels(size, slices, is_textured, rng):
+@pytest.mark.parametrize("textures", ["", "base colour", "maps", "base colour and maps"])
+def test_errors_are_estimated_from_neighbouring_pixels(size, slices, textures, rng):
+    is_textured, has_maps = "base" in textures, "maps" in textures
     colours = rng.lognormal(0.0, 1.0, (*size, 3)).astype(np.float32)
     # The kernel estimates the error of a pixel differently at the rim of the mesh and where (u, v) changes irregularly
     # between pixels. This picture has both: every sixth row of pixels misses the mesh, and (u, v) is noisy.
@@ -353,11 +368,16 @@ def test_errors_are_estimated_from_neighbouring_pixels(size, slices, is_textured
     uv += rng.choice([0.0, 1e-4, 1e-3], (*size, 1), p=[0.9, 0.07, 0.03])
     scattering_vectors = np.concatenate([uv, np.zeros((*size, 1))], axis=-1)
     base = rng.uniform(0.1, 1.0, (*size, 3)).astype(np.float32)
+    gloss = rng.choice([0.5, 0.51, 0.02], (*size, 4), p=[0.8, 0.15, 0.05]).astype(np.float32)
+    emission = rng.choice([0.5, 0.52], (*size, 3)).astype(np.float32)
+    maps = (gloss[..., 0], gloss[..., 1], emission)
     given = [
         wp.array(colours.reshape(-1, 3), dtype=wp.vec3f, device="cpu"),
         wp.array(scattering_vectors.reshape(-1, 3), dtype=wp.vec3d, device="cpu"),
         wp.array(hit.ravel(), dtype=wp.int32, device="cpu"),
         wp.array(base.reshape(-1, 3) if is_textured else np.zeros((0, 3)), dtype=wp.vec3f, device="cpu"),
+        wp.array(gloss.reshape(-1, 4) if has_maps else np.zeros((0, 4)), dtype=wp.vec4f, device="cpu"),
+        wp.array(emission.reshape(-1, 3) if has_maps else np.zeros((0, 3)), dtype=wp.vec3f, device="cpu"),
         size[1], wp.array([0.8], dtype=wp.float32, device="cpu"),
         0.3, False, True,
     ]  # fmt: skip
@@ -365,8 +385,10 @@ def test_errors_are_estimated_from_neighbouring_pixels(size, slices, is_textured
     wanted = wp.full(hit.size, 7, dtype=wp.uint8, device="cpu")
     for begin, end in itertools.pairwise(np.linspace(0, hit.size, slices + 1).astype(int)):
         inputs = [*given, int(begin), int(end - begin)]
-        launch(kernels.estimate_errors, (1, 1), inputs, [result, wanted], device="cpu")
-    expected, is_wanted = estimate_by_hand(colours, uv, hit, 0.8, 0.3, base if is_textured else None)
+        launch(pixel_contrast.estimate_errors, (1, 1), inputs, [result, wanted], device="cpu")
+    expected, is_wanted = estimate_by_hand(
+        colours, uv, hit, 0.8, 0.3, base if is_textured else None, maps if has_maps else None
+    )
     np.testing.assert_allclose(result.numpy().reshape(size), expected, rtol=2e-3, atol=1e-6)
     near = np.abs(expected - 0.3 * np.maximum(np.linalg.norm(colours, axis=2), 0.8)) < 1e-3
     np.testing.assert_array_equal(wanted.numpy().reshape(size)[~near], is_wanted[~near])

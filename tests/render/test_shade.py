@@ -15,7 +15,7 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
 
 import warpdiff as wd
-from bench.truth import reference
+from bench.truth import pixel_reference, reference
 from warpdiff import meshes
 from warpdiff.scene.mesh_import import prepare_surface
 
@@ -51,17 +51,17 @@ def snake_view(width=96, height=72):
 
 def judge(mesh, heightfield, light, view, coherence, tolerances, *, pixels):
     """Return the errors of pictures at several tolerances, in ``pixels`` stratified random pixels."""
-    body = reference.Body.of(prepare_surface(mesh))
+    body = pixel_reference.Body.of(prepare_surface(mesh))
     result, truth, chosen = [], None, None
     for tolerance in tolerances:
         image = wd.shade(mesh, heightfield, light, view, tolerance=tolerance, coherence=coherence, footprint=False)
         if truth is None:
-            chosen = reference.stratified(image.mask, pixels)
+            chosen = pixel_reference.stratified(image.mask, pixels)
             given = body, heightfield, [light], view, chosen, coherence.kind, coherence.sigma_um
-            truth = reference.reference_picture(*given, tolerance=min(tolerances))
+            truth = pixel_reference.reference_picture(*given, tolerance=min(tolerances))
         sure = ~truth.unsure
         np.testing.assert_array_equal(truth.hit[sure], image.mask.ravel()[chosen][sure])
-        result.append(reference.picture_error(image.xyz.reshape(-1, 3)[chosen], truth))
+        result.append(pixel_reference.picture_error(image.xyz.reshape(-1, 3)[chosen], truth))
     return result
 
 
@@ -159,11 +159,11 @@ def test_both_sides_are_visible(fingers):
     ]  # fmt: skip
     assert images[1].xyz[images[1].mask][:, 1].min() > 0.0
     pixels = np.arange(25 * 25)
-    body = reference.Body.of(prepare_surface(whole_disc()))
+    body = pixel_reference.Body.of(prepare_surface(whole_disc()))
     behind = wd.View(eye * flip, (0, 0, 0), up=(1, 0, 0), width=25, height=25)
     lights = [wd.DirectionalLight(light * flip)]
-    truth = reference.reference_picture(body, fingers, lights, behind, pixels, "averaged", 3.0, tolerance=1e-2)
-    error = reference.picture_error(images[1].xyz.reshape(-1, 3), truth)
+    truth = pixel_reference.reference_picture(body, fingers, lights, behind, pixels, "averaged", 3.0, tolerance=1e-2)
+    error = pixel_reference.picture_error(images[1].xyz.reshape(-1, 3), truth)
     assert error.p99 <= 1e-2
     assert error.below <= 1e-2
 
@@ -180,8 +180,8 @@ def test_shadows_equal_those_of_brute_force():
     options = {"coherence": wd.Coherence("averaged", 0.3), "footprint": False}
     shadowed = wd.shade(two_discs(), FLAT, light, view, **options)
     open_ = wd.shade(two_discs(), FLAT, light, view, shadows=False, plan=shadowed.plan)
-    body, pixels = reference.Body.of(prepare_surface(two_discs())), np.arange(40 * 30)
-    truth = reference.reference_picture(body, FLAT, [light], view, pixels, "averaged", 0.3, tolerance=1e-2)
+    body, pixels = pixel_reference.Body.of(prepare_surface(two_discs())), np.arange(40 * 30)
+    truth = pixel_reference.reference_picture(body, FLAT, [light], view, pixels, "averaged", 0.3, tolerance=1e-2)
     sure, illuminated = (a.reshape(30, 40) for a in (~truth.unsure, truth.illuminated))
     black = shadowed.xyz[..., 1] == 0.0
     np.testing.assert_array_equal(black[sure & shadowed.mask], ~illuminated[sure & shadowed.mask])
@@ -283,15 +283,15 @@ def test_pigment_follows_its_formula(sigma_um, ior, illuminant, fingers):
     quad = textured_quad()
     options = {"coherence": wd.Coherence("averaged", sigma_um), "ior": ior, "tolerance": 1e-3, "footprint": False}
     bare, half, whole = (wd.shade(quad, fingers, light, view, pigment=p, **options).xyz for p in (0.0, 0.5, 1.0))
-    body = reference.Body.of(prepare_surface(quad), TEXTURE)
+    body = pixel_reference.Body.of(prepare_surface(quad), TEXTURE)
     given = body, fingers, [light], view, np.arange(16 * 12), "averaged", sigma_um
-    truth = [reference.reference_picture(*given, tolerance=1e-3, ior=ior, pigment=p) for p in (0.0, 1.0)]
+    truth = [pixel_reference.reference_picture(*given, tolerance=1e-3, ior=ior, pigment=p) for p in (0.0, 1.0)]
     under = (truth[1].xyz - truth[0].xyz).reshape(12, 16, 3)
     # The pigment's colour is the difference of two float32 pictures. Its error includes their rounding errors, which
     # are proportional to the brighter picture.
     np.testing.assert_allclose(whole - bare, under, rtol=2e-4, atol=1e-7 * bare.max() + 1e-6 * under.max())
     np.testing.assert_allclose(half - bare, (whole - bare) / 2.0, rtol=1e-4, atol=2e-7 * bare.max())
-    error = reference.picture_error(whole.reshape(-1, 3), truth[1])
+    error = pixel_reference.picture_error(whole.reshape(-1, 3), truth[1])
     assert error.p99 <= 1e-3
     plain = quad.copy()
     plain.visual = TextureVisuals(uv=quad.visual.uv)
@@ -377,8 +377,8 @@ def test_illuminated_pixels_are_finite_and_positive(name, request):
     assert image.xyz.min() >= 0.0
     pixels = np.flatnonzero(image.mask)
     # Only hits and shadows of the float64 reference are used, so its height field is flat.
-    body = reference.Body.of(prepare_surface(mesh))
-    truth = reference.reference_picture(body, FLAT, [light], view, pixels, "averaged", 0.05, tolerance=0.5)
+    body = pixel_reference.Body.of(prepare_surface(mesh))
+    truth = pixel_reference.reference_picture(body, FLAT, [light], view, pixels, "averaged", 0.05, tolerance=0.5)
     luminance = image.xyz[..., 1].ravel()[pixels]
     above = truth.illuminated & (truth.cos_geometric > 0.0) & ~truth.unsure
     assert np.count_nonzero(above) > 0.3 * len(pixels)

@@ -345,4 +345,5 @@ def test_a_texture_without_texture_coordinates_is_named_in_a_warning():
     body.visual = TextureVisuals(material=image)
     with pytest.warns(WarpdiffWarning, match="not rendered: texture without texture coordinates of 'paint'"):
         surface = prepare_surface(body, tangents="x")
-    np.testing.assert_array_equal(surface.texture.shape, (1, 1, 3))
+    assert not surface.is_textured
+    np.testing.assert_array_equal(surface.plain_colour, 1.0)

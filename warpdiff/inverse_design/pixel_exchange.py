@@ -21,7 +21,7 @@ from warpdiff.core import memory
 from warpdiff.core.threads import single_threaded_blas
 from warpdiff.evaluate.orders import propagating
 from warpdiff.inverse_design.goal import SEARCH_TRUNCATION
-from warpdiff.optics import colorimetry, reflectance_factors
+from warpdiff.optics import reflectance_factors
 from warpdiff.optics.materials import check_reflection, reflectances
 
 if TYPE_CHECKING:
@@ -96,17 +96,15 @@ def _of_colours(group: list[Target], surface: HeightField) -> Coefficients:
         "reflectance", surface, lights, views, wrt=(), coherence=optics.coherence, ior=optics.ior,
         material=optics.material, masking=optics.masking, truncation=SEARCH_TRUNCATION,
     )  # fmt: skip
-    wavenumbers, quadrature = colorimetry.uniform_quadrature(
-        call.wavelength_count(), optics.illuminant, geometric=optics.coherence.kind == "source"
-    )
+    wavelengths, quadrature = call.sampling(optics.illuminant)
     illumination = Illumination(
-        lights, views, 1e3 / wavenumbers, optics.coherence, index_of(optics.ior), optics.material, optics.masking
+        lights, views, wavelengths, optics.coherence, index_of(optics.ior), optics.material, optics.masking
     )
     every = slice(0, len(group))
     pairs = illumination.pairs(every)
     gains, cosines = illumination.gains(every)
     rho = np.broadcast_to(
-        gains.value[:, None] * illumination.reflectances(cosines.value).value, (len(group), len(wavenumbers))
+        gains.value[:, None] * illumination.reflectances(cosines.value).value, (len(group), len(wavelengths))
     ).ravel()
     exponent = exponent_of(SEARCH_TRUNCATION)
     reach = pairs.reaches(exponent)
@@ -123,7 +121,7 @@ def _of_colours(group: list[Target], surface: HeightField) -> Coefficients:
     exponents = xx * dx * dx + 2.0 * xy * dx * dy + yy * dy * dy
     pair, *place = np.nonzero(exponents <= exponent)
     lobes = rho[pair] * np.exp(-exponents[pair, place[0], place[1]])
-    direction, wavelength = np.divmod(pair, len(wavenumbers))
+    direction, wavelength = np.divmod(pair, len(wavelengths))
     weights = np.zeros((len(group), 3, len(pair)))
     weights[direction, :, np.arange(len(pair))] = lobes[:, None] * quadrature[wavelength]
     orders = np.stack([s[pair, place[0], place[1]], r[pair, place[0], place[1]]], axis=1).astype(np.int64)

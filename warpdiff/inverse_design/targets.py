@@ -120,8 +120,8 @@ class Target:
             raise ArgumentValueError(
                 f"{ref('xyz')} must be positive and have Y of at most 1, the white, got {colour.tolist()}"
             )
-        form = coherence or Coherence()
-        validation.instance(form, Coherence, "coherence")
+        validation.instance(coherence, Coherence, "coherence", optional=True)
+        form = Coherence() if coherence is None else coherence
         if form.kind not in ("averaged", "source"):
             raise ArgumentValueError(
                 f"{ref('coherence')} must be averaged or a source, got {form.kind!r}: other kinds have speckle, which "

@@ -96,7 +96,8 @@ class PassContext:
         plain: Materials of plain surfaces; None if all are matte and dark.
         finishes: All surfaces with all of their materials.
         is_pigmented: Whether the mesh has base colours and the pigment is visible.
-        is_textured: Whether textures have some of these base colours.
+        has_maps: Whether textures have metallic, roughness or emission of plain faces.
+        is_textured: Whether colours depend on any texture.
         no_colours: An empty array of colours.
         finish_of_faces: Index of each face's finish on the device; empty for a single finish.
         refines: Whether pixels with large errors are subdivided.
@@ -127,7 +128,8 @@ class PassContext:
             self.finishes.append(Finish(len(surfaces), None))
             finish_of_faces = np.where(self.plain.is_glossy, len(self.finishes) - 1, finish_of_faces).astype(np.int32)
         self.is_pigmented = rays.surface.has_base_colour and any(optics.pigment > 0.0 for optics in surfaces)
-        self.is_textured = self.is_pigmented and rays.surface.is_textured
+        self.has_maps = self.plain is not None and rays.surface.has_maps
+        self.is_textured = self.has_maps or (self.is_pigmented and rays.surface.is_textured)
         self.no_colours = wp.empty(0, dtype=wp.vec3f, device=self._device)
         by_face = np.zeros(0, dtype=np.int32) if finish_of_faces is None else finish_of_faces
         self.finish_of_faces = self._array(by_face, wp.int32)

@@ -57,8 +57,8 @@ def plain_faces(
     if factors is None:
         return None
     count = len(factors.roughness)
-    # The index −1 of a face without a material selects the last row, which is matte and dark.
-    rows = np.where(is_plain & (mesh.materials >= 0), mesh.materials, count)
+    # Faces without a material have the last row, which is matte and dark.
+    rows = np.where(is_plain & (mesh.rows >= 0), mesh.rows, count)
     roughness, emission = np.append(factors.roughness, -1.0), np.append(factors.emission, [[0.0] * 3], axis=0)
     is_glossy, emits = roughness[rows] >= 0.0, bool(np.any(emission[np.unique(rows)] > 0.0))
     if not (is_glossy.any() or emits):
@@ -67,7 +67,6 @@ def plain_faces(
     struct.rows = wp.array(rows, dtype=wp.int32, device=device)
     pairs = np.stack([np.append(factors.metallic, 0.0), roughness], axis=1)
     struct.metallic_roughness = wp.array(pairs, dtype=wp.vec2f, device=device)
-    struct.is_white = wp.array(np.append(factors.is_white, False), dtype=wp.bool, device=device)
     struct.emission = wp.array(emission, dtype=wp.vec3f, device=device)
     # The peak of a mirror-like highlight is π D V = 1/(4 α²) times the luminance of a white surface.
     struct.least_alpha = max(_LEAST_ALPHA, 0.5 * math.sqrt(white_luminance))

@@ -1,4 +1,4 @@
-"""Profiles that are height fields: all samples, square pixels, or a few modes of a scan."""
+"""Profiles that are height fields. Their parameters are all samples, square pixels, or a few modes of a scan."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Range of heights around the start values [µm]. Limit: scalar diffraction describes no steeper surfaces of this size.
+# Largest difference between a height and its start value [µm]. The value is limited because scalar diffraction does not
+# describe steeper surfaces.
 _HEIGHT_MARGIN_UM = 10.0
 
 
 class _SampledProfile(Profile):
-    """Profile whose heights are a linear function of the parameters, at a fixed pitch."""
+    """Profile with a fixed pitch, whose heights are a linear function of the parameters."""
 
     def __init__(
         self, names: tuple[str, ...], start: ArrayLike, bounds: ArrayLike, pitch_um: tuple[float, float]
@@ -32,7 +33,7 @@ class _SampledProfile(Profile):
 
     @property
     def wrt(self) -> tuple[str, ...]:
-        """Variables of the surface that depend on the parameters."""
+        """Names of the variables of the surface that depend on the parameters."""
         return ("heights_um",)
 
     def surface(self, x: ArrayLike) -> HeightField:
@@ -44,7 +45,7 @@ class _SampledProfile(Profile):
         return self.surface(x)
 
     def pullback(self, x: ArrayLike, adjoints: Mapping[str, Array]) -> Array:
-        """Return the adjoints of the parameters, shape (p,), from that of the heights."""
+        """Return the adjoints of the parameters, shape (p,), from the adjoint of the heights."""
         self.check(x)
         return self._transposed(adjoints["heights_um"])
 
@@ -129,7 +130,7 @@ class Pixels(_SampledProfile):
 
 
 class ScanModes(_SampledProfile):
-    """Scale, tilt and bow of a scan as parameters: what the calibration of an instrument leaves uncertain.
+    """Scale, tilt and bow of a scan as parameters, which the calibration of an instrument leaves uncertain.
 
     The heights are scale · h + tilt_y · y + tilt_x · x + bow · (x² + y² − mean), where x and y run from −½ to ½ over
     the patch.

@@ -19,6 +19,7 @@ from warpdiff.kernels import light_samples, primary_hits, subdivision
 from warpdiff.kernels.shadow_rays import trace_shadow_rays
 from warpdiff.lights.emission_pass import EmissionPass
 from warpdiff.lights.light_pass import PassContext
+from warpdiff.lights.lobe_pass import LobePass
 from warpdiff.render import pixel_filter
 from warpdiff.render.accumulators import Accumulators
 from warpdiff.render.device_tiles import DeviceTiles
@@ -201,6 +202,22 @@ class Picture:
     def illuminated(self, index: LobeIndex) -> Sequence[Sequence[IlluminatedMaterial]]:
         """Return the illuminated materials of a lobe, by finish and spectrum."""
         return self._passes[index.light].illuminated[index.lobe]
+
+    @property
+    def sums(self) -> Accumulators:
+        """Sums of the pixels under the present light, which :attr:`sampler` fills."""
+        return self._light_sums
+
+    def footprint_calls(self, index: LobeIndex, batch: RayBatch) -> list[KernelCall]:
+        """Return the kernel calls that compute the footprints of a batch under a lobe of directional or point lights.
+
+        Raises:
+            TypeError: The light is not of this kind.
+        """
+        light_pass = self._passes[index.light]
+        if not isinstance(light_pass, LobePass):
+            raise TypeError(f"{type(light_pass).__name__} has no footprints of its own")
+        return light_pass.footprint_calls(index.lobe, batch)
 
     def directions_to(self, light: int) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
         """Return scattering vectors, directions to a light and geometry factors where rays through centres hit.

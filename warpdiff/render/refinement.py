@@ -15,7 +15,7 @@ import warp as wp
 
 from warpdiff.core.threads import subprogress
 from warpdiff.device.kernel_calls import KernelCall
-from warpdiff.kernels import refinement_levels, subdivision
+from warpdiff.kernels import pixel_contrast, refinement_levels, subdivision
 from warpdiff.kernels.refinement_levels import ERROR_ORDER, ERROR_PER_CHANGES, SCATTER_FACTOR
 from warpdiff.kernels.structs import Sampling
 from warpdiff.render import pixel_filter
@@ -102,8 +102,9 @@ class LightRefinement:
         """Flags that say which optional arrays of tile buffers this light requires."""
         context = self.light_pass.context
         return BufferKind(
-            self.lookups.needs_sampling, context.is_pigmented, context.has_finishes, self.light_pass.has_directions
-        )
+            self.lookups.needs_sampling, context.is_pigmented, context.has_finishes, self.light_pass.has_directions,
+            context.has_maps,
+        )  # fmt: skip
 
     @property
     def _resolved(self) -> list[wp.array]:
@@ -122,10 +123,11 @@ class LightRefinement:
         bound = -1.0 if policy.is_sampled else policy.tolerance
         inputs = [
             self.sums.xyz, self.batch.samples.scattering_vectors, pixels.hit,
-            pixels.base_colour if context.is_textured else context.no_colours, context.rays.width, floor,
+            pixels.base_colour if context.is_textured else context.no_colours, pixels.metallic_roughness,
+            pixels.emission, context.rays.width, floor,
             bound if policy.refine else np.inf, policy.least_level > 0, policy.refine,
         ]  # fmt: skip
-        return KernelCall(subdivision.estimate_errors, inputs, [self.sums.errors, marks], in_runs=True)
+        return KernelCall(pixel_contrast.estimate_errors, inputs, [self.sums.errors, marks], in_runs=True)
 
     def shade_cells(self, level: int, buffers: TileBuffers, sums: subdivision.FilteredSums) -> list[KernelCall]:
         """Return the kernel calls that trace and shade the cells in the buffers.

@@ -134,6 +134,11 @@ class Renderer:
         return min(plan.tolerance for plan in self._plans)
 
     @property
+    def _made_of(self) -> tuple[PictureInputs, list[Plan], Surface, View]:
+        """Checked inputs, plans and mesh of the pictures, and this thread's view; for ``wd.adjoint.pixels``."""
+        return self._inputs, self._plans, self._surface, self._mine.view
+
+    @property
     def size(self) -> tuple[int, int]:
         """Width and height of the pictures [pixels]."""
         return self._mine.view.width, self._mine.view.height

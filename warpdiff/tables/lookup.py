@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 # Multiply-adds of one look-up for each function of w, the normal component of the scattering vector. The number was
 # derived as three colour channels times 3 × 3 spline coefficients.
 MULTIPLY_ADDS_OF_FUNCTION = 27.0
-# Number of derived tables that a `ColourLookup` caches for its callers, such as the colours under skies. Two entries
-# suffice for two skies that alternate.
+# Number of derived tables that a `ColourLookup` caches for its callers. The colours under a sky are such a table. Two
+# entries suffice for two skies that alternate.
 _MOST_DERIVED = 2
 # Number of directions that a CPU thread looks up in one launch. The value was chosen so that the arrays of these
 # directions fit into the cache of a core.

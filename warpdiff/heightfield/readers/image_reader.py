@@ -12,7 +12,8 @@ from warpdiff.heightfield.readers.reader_registry import FileContent, refusal, r
 if TYPE_CHECKING:
     from pathlib import Path
 
-# Measured peak memory while an image is read [bytes per sample]. If doubled, images that fit into memory are refused.
+# Measured peak memory while an image is read [bytes per sample]. Images that need more than the free memory are
+# refused. If doubled, images are refused that would fit into memory.
 _BYTES_PER_SAMPLE = 28.0
 
 
@@ -55,7 +56,7 @@ def _unknown(reason: str) -> str:
 
 
 def _samples_of(image: Any, file: Path) -> np.ndarray:
-    """Return the samples of an open image file; refuse a file that is not one grey image."""
+    """Return the samples of an open image file; raise an error if the file has several images or several channels."""
     spec = image.spec()
     channels = spec.nchannels
     if channels != 1:

@@ -1,4 +1,7 @@
-"""GDS layouts of height fields: a layer per level. The package gdstk (extra ``lithography``) writes and reads them."""
+"""GDS layouts of height fields: one layer per level of height.
+
+The package gdstk (extra ``lithography``) writes and reads the files.
+"""
 
 from __future__ import annotations
 
@@ -18,14 +21,15 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Unit of the coordinates in a file and their resolution [m]. Choice: micrometres and nanometres are what programs of
-# lithography expect.
+# Unit of the coordinates in a file [m], and their resolution [m]. Micrometres and nanometres were chosen because
+# programs for lithography expect these units.
 _UNIT, _PRECISION = 1e-6, 1e-9
-# Largest coordinate in units of the resolution. Limit: the format has 32-bit integers.
+# Largest coordinate in a file, in units of the resolution. The value is limited by the format's 32-bit integers.
 _MOST_COORDINATE = 2**31 - 1
-# Time in the header of a file. Choice: equal height fields make equal files.
+# Time in the header of each file. A constant was chosen so that equal height fields give identical files.
 _TIME = datetime.datetime(2000, 1, 1)
-# Number of digits of positions [µm] that count as equal. Derived: a tenth of the resolution.
+# Number of decimal places to which positions [µm] are rounded before they are compared. The value follows from the
+# resolution of 1 nm: rounding to 0.1 nm removes errors of the arithmetic and no real difference.
 _DIGITS = 4
 
 
@@ -39,7 +43,7 @@ def _gdstk() -> Any:
 
 
 def write_gds(target: Path, levels: Levels, pitch_um: tuple[float, float]) -> None:
-    """Write the rectangles of each level to the layer with its number, and a label with the height of the level."""
+    """Write a file with a layer per level: the rectangles of the level, and a label with its height."""
     gdstk = _gdstk()
     (dy, dx), (ny, nx) = pitch_um, levels.indices.shape
     if min(dy, dx) < 1e6 * _PRECISION:
@@ -72,11 +76,12 @@ def write_gds(target: Path, levels: Levels, pitch_um: tuple[float, float]) -> No
 
 
 def measure_layout(path: str | os.PathLike[str]) -> Table:
-    """Measure the polygons of a GDS layout, as written by :meth:`warpdiff.HeightField.save`: least width and gap.
+    """Measure the smallest width and the smallest gap of the polygons in each layer of a GDS layout.
 
-    The widths are those of the union of all polygons of a layer, measured along x and y in the file itself. The layout
-    is repeated periodically, so that a feature at an edge continues at the opposite edge. Corners that touch have no
-    width along x and y; the table counts them.
+    The layout may come from :meth:`warpdiff.HeightField.save` or from another program. The widths are those of the
+    union of all polygons of a layer, measured along x and y in the file itself. The layout is repeated periodically, so
+    that a feature at an edge continues at the opposite edge. Corners that touch have no width along x and y; the table
+    counts them.
 
     Args:
         path: GDS file with one top cell, whose polygons have horizontal and vertical edges only.
@@ -130,7 +135,7 @@ def measure_layout(path: str | os.PathLike[str]) -> Table:
 
 
 def _edges(polygons: list[Any], axis: int) -> NDArray[np.float64]:
-    """Return the different coordinates of all vertices along an axis [µm], increasing."""
+    """Return the different coordinates of all vertices along an axis [µm], in increasing order."""
     points = np.concatenate([polygon.points[:, axis] for polygon in polygons])
     return np.unique(np.round(points, _DIGITS))
 
@@ -138,7 +143,10 @@ def _edges(polygons: list[Any], axis: int) -> NDArray[np.float64]:
 def _fill(
     mask: NDArray[np.bool_], points: NDArray[np.float64], xs: NDArray[np.float64], ys: NDArray[np.float64], name: str
 ) -> None:
-    """Mark the cells between coordinates ``xs`` and ``ys`` that a polygon covers, by the rule of even and odd."""
+    """Mark the cells of a grid that a polygon covers, by the even-odd rule.
+
+    ``xs`` and ``ys`` are the coordinates of the lines between cells [µm]. ``name`` is the name of the file.
+    """
     columns, rows = (np.searchsorted(edges, np.round(points[:, axis], _DIGITS)) for axis, edges in ((0, xs), (1, ys)))
     after_columns, after_rows = np.roll(columns, -1), np.roll(rows, -1)
     if np.any((columns != after_columns) & (rows != after_rows)):
@@ -156,12 +164,17 @@ def _fill(
 def _lines(
     mask: NDArray[np.bool_], xs: NDArray[np.float64], ys: NDArray[np.float64]
 ) -> list[tuple[NDArray[np.bool_], NDArray[np.float64]]]:
-    """Return the lines of features and of gaps along x and along y, with the coordinates along them."""
+    """Return the four cases of widths to measure: features along x, gaps along x, features along y, gaps along y.
+
+    Each case is an array whose rows are lines of marked cells, and the coordinates of the edges of these cells.
+    """
     return [(mask, xs), (~mask, xs), (mask.T, ys), (~mask.T, ys)]
 
 
 def _least_run(lines: NDArray[np.bool_], steps: NDArray[np.float64]) -> float:
-    """Return the least length of a run of marked cells within periodic lines; NaN if no run ends.
+    """Return the shortest length of consecutive marked cells within periodic lines.
+
+    The result is NaN if every line has only marked or only unmarked cells.
 
     Args:
         lines: Marked cells, shape (number of lines, n).
@@ -171,7 +184,8 @@ def _least_run(lines: NDArray[np.bool_], steps: NDArray[np.float64]) -> float:
     for line in np.unique(lines, axis=0):
         if line.all() or not line.any():
             continue
-        # The line begins at the end of a run, so that no run continues at its end.
+        # The periodic line is rotated so that it begins directly after a marked cell that an unmarked cell follows.
+        # Marked cells at the end of the line then do not continue at its beginning.
         shift = int(np.flatnonzero(line & ~np.roll(line, -1))[0]) + 1
         rolled, lengths = np.roll(line, -shift), np.roll(steps, -shift)
         starts = np.flatnonzero(np.diff(np.concatenate([[False], rolled])))

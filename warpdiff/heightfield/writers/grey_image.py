@@ -1,4 +1,4 @@
-"""16-bit grey images of heights, or of the dose of an exposure, as grey-scale lithography takes them."""
+"""16-bit grey images for grey-scale lithography: the samples are heights, or doses of an exposure."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Largest sample of the image.
+# Largest sample of a 16-bit image.
 _WHITE = 65535
 
 
 def dose_curve(dose: object) -> NDArray[np.float64]:
-    """Check a curve of depths [µm] and doses (0 to 1), and return it, shape (n, 2)."""
+    """Check and return the calibration curve of a resist: depths [µm] and doses (0 to 1), shape (n, 2)."""
     curve = validation.finite_array(dose, "dose", ndim=2, most=validation.MOST)
     if curve.shape[1:] != (2,) or len(curve) < 2:
         raise ArgumentValueError(f"{ref('dose')} must be at least two pairs of depth and dose, got shape {curve.shape}")
@@ -34,7 +34,7 @@ def dose_curve(dose: object) -> NDArray[np.float64]:
 def write_grey(
     target: Path, heights_um: NDArray[np.float64], pitch_um: tuple[float, float], curve: NDArray[np.float64] | None
 ) -> None:
-    """Write an image whose samples are proportional to the heights, or to the doses of a curve of depths."""
+    """Write an image whose samples are proportional to the heights, or to doses that ``curve`` gives for depths."""
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 

@@ -1,4 +1,4 @@
-"""Levels of a height field, and the rectangles of equal level that tile it."""
+"""Levels to which the heights of a field are rounded, and the rectangles of equal level that tile the field."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Indices = NDArray[np.int64]
 
-# Largest number of levels. Limit: GDS layers are numbered 0 to 255 in files that all programs read.
+# Largest number of levels. The value is limited by GDS files, in which all programs read the layers 0 to 255.
 MOST_LEVELS = 256
 
 
 class Levels(NamedTuple):
-    """Heights of levels, increasing [µm], shape (k,), and the level of each sample, shape (ny, nx)."""
+    """Heights of the levels [µm], in increasing order, shape (k,), and the index of each sample's level, (ny, nx)."""
 
     heights_um: Array
     indices: Indices
@@ -32,7 +32,7 @@ class Levels(NamedTuple):
 
 
 def levels_of(heights_um: Array, levels: object) -> Levels:
-    """Round heights to levels.
+    """Round the heights of a field to levels.
 
     Args:
         heights_um: Heights [µm], shape (ny, nx).
@@ -66,7 +66,7 @@ def levels_of(heights_um: Array, levels: object) -> Levels:
 
 
 class Rectangles(NamedTuple):
-    """Rectangles of equal level that tile a field: level and edges in samples, each of shape (n,)."""
+    """Rectangles of equal level that tile a field: index of the level, and edges [samples], each of shape (n,)."""
 
     level: Indices
     left: Indices
@@ -78,8 +78,8 @@ class Rectangles(NamedTuple):
 def rectangles_of(indices: Indices) -> Rectangles:
     """Return rectangles of equal level that tile a field without overlap.
 
-    Runs of equal level along a row are joined with the same run in the next rows, so that a rectangle is as high as
-    possible.
+    A run is a group of neighbouring samples of equal level in one row. Equal runs in consecutive rows are joined, so
+    that each rectangle is as high as possible.
 
     Args:
         indices: Level of each sample, shape (ny, nx).
@@ -91,14 +91,15 @@ def rectangles_of(indices: Indices) -> Rectangles:
     is_last = np.append(row[1:] != row[:-1], True)
     right = np.where(is_last, nx, np.append(left[1:], nx))
     level = indices[row, left]
-    # A run continues the run of the row below if both have the same ends and the same level. Each run has at most one
-    # such predecessor, so that a rectangle is a chain of runs.
+    # A run (neighbouring samples of equal level in one row) continues the run of the row below if both have the same
+    # ends and the same level. Each run continues at most one other run, so that a rectangle is a chain of runs.
     key = np.full((ny, nx), -1, dtype=np.int64)
     key[row, left] = right * (int(indices.max()) + 1) + level
     continues = np.zeros(len(row), dtype=bool)
     inner = row > 0
     continues[inner] = key[row[inner] - 1, left[inner]] == key[row[inner], left[inner]]
-    # Sorted by the left end, level and right end, and then by the row, the runs of a chain follow each other.
+    # The runs are sorted by left end, level and right end, and then by row, so that the runs of a chain are
+    # consecutive.
     order = np.lexsort((row, key[row, left], left))
     begins = ~continues[order]
     first = order[begins]

@@ -38,7 +38,7 @@ def write(
     target: Path, heights_um: Array, pitch_um: tuple[float, float], levels: object, curve: Array | None,
     history: tuple[str, ...],
 ) -> None:  # fmt: skip
-    """Write heights, rounded to levels if these are given; the arguments are those of `HeightField.save`."""
+    """Round heights to ``levels`` and write them to a file; the arguments are those of `HeightField.save`."""
     suffix = target.suffix.lower()
     if suffix == ".gds":
         write_gds(target, levels_of(heights_um, levels), pitch_um)

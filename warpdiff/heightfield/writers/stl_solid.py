@@ -13,16 +13,22 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Least distance of the base from the lowest point [µm]. Choice: the solid is at least as thick as its relief is high.
+# Smallest thickness of the solid below the lowest point of its surface [µm]. The thickness is the height range of the
+# surface, or this value if the height range is smaller, so that flat surfaces also give a solid.
 _LEAST_BASE_UM = 1.0
-# Memory per sample [bytes]: two triangles of the surface of 50 bytes, their corners in float64, and copies.
+# Memory that is required while a file is written [bytes per sample]: two triangles of 50 bytes, their corners in
+# float64, and copies. If doubled, fields are refused that would fit into memory.
 _BYTES_PER_SAMPLE = 800.0
-# One triangle of a binary STL file.
+# Layout of one triangle in a binary STL file.
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
 def write_stl(target: Path, heights_um: NDArray[np.float64], pitch_um: tuple[float, float]) -> None:
-    """Write a binary STL file: samples are vertices, and the first row and column follow the last ones again."""
+    """Write one period of a surface as a solid to a binary STL file.
+
+    Samples are vertices. The first row and column are repeated after the last ones, so that the solid has the full
+    length of the period.
+    """
     memory.require_memory(
         _BYTES_PER_SAMPLE * heights_um.size, f"an STL file of {heights_um.shape[0]} × {heights_um.shape[1]} samples",
         "take {share} of its area",
@@ -37,7 +43,8 @@ def write_stl(target: Path, heights_um: NDArray[np.float64], pitch_um: tuple[flo
     edges = [top[0], top[:, -1], top[-1, ::-1], top[::-1, 0]]
     bases = [below[0], below[:, -1], below[-1, ::-1], below[::-1, 0]]
     triangles += [_quads(b[:-1], b[1:], t[1:], t[:-1]) for t, b in zip(edges, bases, strict=True)]
-    # The base has the vertices of the walls, so that the solid is closed, and one vertex in its middle.
+    # The base is a fan of triangles around one vertex in its middle. Its outer vertices are the lower vertices of the
+    # walls, so that the solid has no gaps.
     ring = np.concatenate([b[:-1] for b in bases])
     middle = np.broadcast_to([x[-1] / 2.0, y[-1] / 2.0, base], ring.shape)
     triangles.append(np.stack([np.roll(ring, -1, axis=0), ring, middle], axis=1))

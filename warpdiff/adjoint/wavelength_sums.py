@@ -1,0 +1,143 @@
+"""Colours of directions as sums over sampled wavelengths, as a linear function of powers of coefficients."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.adjoint.colour_sampling import OF_GAUSSIAN, counts_of
+from warpdiff.adjoint.gaussian_lobes import Pairs
+from warpdiff.kernels.thresholds import LOWEST, TINY
+from warpdiff.optics import colorimetry
+from warpdiff.optics.materials import reflectance_at
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from warpdiff.adjoint.gaussian_lobes import GaussianLobes
+    from warpdiff.optics.coherence import Coherence
+    from warpdiff.render.picture_samples import LitPixels
+
+# Number of pairs of a direction and a wavelength that are computed together. Limit: memory, about 500 bytes per pair.
+PAIRS_TOGETHER = 1 << 18
+# Range of the visible wavenumbers 1/λ [1/µm].
+LOW, HIGH = 1e3 / colorimetry.LAMBDA_MAX_NM, 1e3 / colorimetry.LAMBDA_MIN_NM
+
+
+class WavelengthSums:
+    """Colours of directions at sampled wavelengths under lobes of coefficients, widened by footprints.
+
+    Directions with similar |(u, v)| share their wavelengths, whose number follows from the truncation error. Lights
+    less than 2° above the horizon have the number of lights at 2°.
+    """
+
+    def __init__(
+        self, groups: list[LitPixels], coherence: Coherence, truncation: float, height_range_um: float
+    ) -> None:
+        """Choose the wavelengths.
+
+        Args:
+            groups: Directions by illuminant and material.
+            coherence: Averaged window, or source.
+            truncation: Relative error of the integral over the wavelengths.
+            height_range_um: Range of the heights [µm].
+        """
+        self._groups, self._coherence = groups, coherence
+        self._is_source = coherence.kind == "source"
+        self._classes: list[list[tuple[NDArray[np.int64], int]]] = []
+        for group in groups:
+            counts = counts_of(self._rates(group, height_range_um), self._span, truncation, "use smaller angles")
+            # Numbers of wavelengths are rounded up to powers of √2.
+            octaves = np.ceil(2.0 * np.log2(counts / 12.0)).astype(np.int64)
+            self._classes.append([
+                (np.flatnonzero(octaves == k), math.ceil(12.0 * 2.0 ** (k / 2.0))) for k in np.unique(octaves).tolist()
+            ])  # fmt: skip
+
+    @property
+    def _span(self) -> float:
+        return math.log(HIGH / LOW) if self._is_source else HIGH - LOW
+
+    @property
+    def pair_count(self) -> int:
+        """Number of pairs of a direction and a wavelength."""
+        return sum(len(chosen) * count for classes in self._classes for chosen, count in classes)
+
+    def parts(self) -> Iterator[tuple[int, NDArray[np.int64], Pairs, NDArray[np.float64], NDArray[np.float64]]]:
+        """Yield parts of the pairs: index of the group, directions, pairs, factors (n, m) and weights (m, 3)."""
+        for index, (group, classes) in enumerate(zip(self._groups, self._classes, strict=True)):
+            for chosen, count in classes:
+                wavenumbers, weights = colorimetry.uniform_quadrature(
+                    count, group.illuminated.illuminant, geometric=self._is_source
+                )
+                size = max(PAIRS_TOGETHER // count, 1)
+                for first in range(0, len(chosen), size):
+                    part = chosen[first : first + size]
+                    pairs, factors = self._pairs(group.among(part), wavenumbers)
+                    yield index, part, pairs, factors, weights
+
+    def sums(self, lobes: GaussianLobes, coefficients: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        """Return XYZ of the directions of each group, shape (n, 3), for series of the coefficients."""
+        result = [np.zeros((len(group.gains), 3)) for group in self._groups]
+        for index, part, pairs, factors, weights in self.parts():
+            result[index][part] = (lobes.sums(pairs, coefficients).reshape(factors.shape) * factors) @ weights
+        return result
+
+    def spread(self, lobes: GaussianLobes, adjoints: list[NDArray[np.float64]], rows: NDArray[np.float64]) -> None:
+        """Add to the rows of the block of lobes, shape (size, k), what the adjoints of XYZ of each group contribute."""
+        for index, part, pairs, factors, weights in self.parts():
+            lobes.spread(pairs, ((adjoints[index][part] @ weights.T) * factors).ravel(), rows)
+
+    def _variances(self, group: LitPixels, lowest: float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return entries xx, xy and yy of two covariances (n, 3): of a window in q, and of all others in (u, v).
+
+        Lights whose direction has a smaller z component than ``lowest`` count as having this one.
+        """
+        count = len(group.gains)
+        of_q, of_uv = np.zeros((count, 3)), np.zeros((count, 3))
+        if group.footprints is not None:
+            of_uv += group.footprints
+        if self._is_source:
+            # The covariance of a source is s² (I − t tᵀ), with t the direction to the light on the surface.
+            x, y = group.to_lights[:, 0], group.to_lights[:, 1]
+            longest = np.minimum(1.0, math.sqrt(1.0 - lowest**2) / np.maximum(np.hypot(x, y), TINY))
+            x, y = longest * x, longest * y
+            of_uv += self._coherence.spread**2 * np.stack([1.0 - x * x, -x * y, 1.0 - y * y], axis=1)
+        else:
+            of_q += 1.0 / (8.0 * (math.pi * (self._coherence.sigma_um or 1.0)) ** 2) * np.array([1.0, 0.0, 1.0])
+        return of_q, of_uv
+
+    def _rates(self, group: LitPixels, height_range_um: float) -> NDArray[np.float64]:
+        """Return the angular frequency of the spectrum of each direction, over 1/λ, or over ln λ for a source."""
+        u, v, w = group.scattering_vectors.T
+        # Near the horizon, the foreshortened extent of a source vanishes, and the spectrum oscillates without limit.
+        of_q, of_uv = self._variances(group, LOWEST)
+        phase = -2.0 * math.pi * w * height_range_um
+        # The variances at the longest wavelength are the smallest in q.
+        xx, xy, yy = (of_q / LOW**2 + of_uv).T
+        crossing = np.sqrt((yy * u * u - 2.0 * xy * u * v + xx * v * v) / (xx * yy - xy * xy))
+        if self._is_source:
+            return np.asarray(HIGH * phase + OF_GAUSSIAN * crossing)
+        return np.asarray(phase + OF_GAUSSIAN * crossing / LOW)
+
+    def _pairs(self, group: LitPixels, wavenumbers: NDArray[np.float64]) -> tuple[Pairs, NDArray[np.float64]]:
+        """Return the pairs of directions with all wavelengths, and factors of their sums, shape (n, m)."""
+        vectors = group.scattering_vectors
+        of_q, of_uv = self._variances(group)
+        xx, xy, yy = np.moveaxis(of_q[:, None] + of_uv[:, None] * wavenumbers[:, None] ** 2, 2, 0)
+        determinants = xx * yy - xy * xy
+        forms = 0.5 * np.stack([yy, -xy, xx], axis=-1) / determinants[..., None]
+        factors = np.repeat(group.gains[:, None], len(wavenumbers), axis=1)
+        if group.footprints is not None:
+            # A footprint widens the lobe of a coefficient and lowers its peak; its volume does not change.
+            own = of_q[:, None] + (of_uv - group.footprints)[:, None] * wavenumbers[:, None] ** 2
+            factors *= np.sqrt((own[..., 0] * own[..., 2] - own[..., 1] ** 2) / determinants)
+        if group.illuminated.material is not None:
+            cosines = 0.5 * np.linalg.norm(vectors, axis=1)[:, None]
+            factors *= reflectance_at(group.illuminated.material, 1e3 / wavenumbers, cosines)
+        centres = vectors[:, None, :2] * wavenumbers[:, None]
+        kappas = -vectors[:, None, 2] * wavenumbers
+        return Pairs(centres.reshape(-1, 2), forms.reshape(-1, 3), kappas.ravel()), factors
