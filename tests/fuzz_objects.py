@@ -249,9 +249,7 @@ def fitted():
 @functools.cache
 def designed():
     """Return the result of a design."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", wd.WarpdiffWarning)
-        return wd.design(wd.profiles.Pixels(0.5, np.zeros((1, 4))), [orders_target()], starts=1)
+    return wd.design(wd.profiles.Pixels(0.2, np.zeros((1, 8))), [orders_target()], starts=1)
 
 
 def orders_target():
@@ -288,6 +286,7 @@ OBJECTS = {
     **dict.fromkeys(("evaluate", "loss"), st.just("bad")),
     "targets": _one_of(lambda: [orders_target(), [orders_target()], [], ["x"], None]),
     "levels": st.one_of(COUNTS, _VECTORS), "dose": _VECTORS,
+    "cell": _one_of(_heightfields), **dict.fromkeys(("turn_deg", "depth_scale", "pitch_scale"), st.one_of(NUMBERS, _VECTORS)),
     **dict.fromkeys(("depth_scales", "edge_widths_um", "tilts_deg", "least_feature_um"), _VECTORS),
     "wrt": st.sampled_from([("heights_um",), ("to_light", "ior"), ("duty",), ("x",), "heights_um", (), [1], (None,)]),
 }  # fmt: skip
