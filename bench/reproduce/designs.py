@@ -141,9 +141,7 @@ def main() -> None:
         parser.add_argument(name, action="store_true")
     parser.add_argument("--seeds", type=int, default=3, help="number of seeds")
     parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument(
-        "--max-harmonics", type=int, default=256, help="of the colours; 512 requires 12 minutes and more"
-    )
+    parser.add_argument("--max-harmonics", type=int, default=256, help="of the colours; 512 requires 12 minutes")
     options = parser.parse_args()
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     warnings.simplefilter("ignore", wd.WarpdiffWarning)
