@@ -198,7 +198,9 @@ def read_mesh(path):
 
 
 def read_gltf(path):
-    """Load the scene that a file belongs to, with a given tangent and with the tangents of the file."""
+    """Load the scene that a file belongs to, once with a tangent given by the caller, and once with the tangents of the
+    file.
+    """
     for tangents in ((1.0, 0.2, 0.1), None):
         surface = prepare_surface(path.with_suffix(".gltf") if path.suffix == ".bin" else path, tangents=tangents)
         assert np.isfinite(surface.vertices).all()

@@ -16,6 +16,7 @@ from types import SimpleNamespace
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
 import trimesh
+from conftest import public_members
 from hypothesis import strategies as st
 
 import warpdiff as wd
@@ -233,7 +234,6 @@ _TOPOGRAPHIES = [
 ]  # fmt: skip
 
 
-# Hypothesis strategies for arguments that are objects, by argument name.
 def trapezoid():
     """Return a profile with few parameters."""
     return wd.profiles.Trapezoid(0.1, 0.5, 0.02, 1.0)
@@ -254,6 +254,20 @@ def fitted():
         return wd.fit(trapezoid(), measured(), sd=0.01, starts=1)
 
 
+@functools.cache
+def designed():
+    """Return the result of a design."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", wd.WarpdiffWarning)
+        return wd.design(wd.profiles.Pixels(0.5, np.zeros((1, 4))), [orders_target()], starts=1)
+
+
+def orders_target():
+    """Return a target of two orders."""
+    return wd.Target.equal([(0, -1), (0, 1)], UP, 500.0)
+
+
+# Hypothesis strategies for arguments that are objects, by argument name.
 OBJECTS = {
     "topography": st.sampled_from(_TOPOGRAPHIES),
     "heightfield": _one_of(_heightfields), "mesh": _one_of(malformed_meshes), "view": _one_of(_views),
@@ -272,11 +286,15 @@ OBJECTS = {
     **dict.fromkeys(("n", "k", "values", "errors", "radiance_rgb", "pixels", "xyz"), _VECTORS),
     **dict.fromkeys(("theta_deg", "phi_deg", "angles_deg", "sigmas_um"), _VECTORS),
     "columns": st.dictionaries(_TEXTS, _VECTORS),
-    "efficiencies": _one_of(lambda: [efficiencies(), picture()]), "labels": st.lists(_TEXTS, max_size=2),
+    "efficiencies": _one_of(lambda: [efficiencies(), picture(), {(0, 1): 0.01}, {(0, 1): math.nan}, {1: 1}]),
+    "labels": st.lists(_TEXTS, max_size=2),
     "source": _one_of(lambda: [picture(), picture().xyz, [500.0], np.ones((2, 3)), HEIGHTFIELD.periods(), PERIOD]),
     "ax": _one_of(lambda: [axes()]), "profile": _one_of(lambda: [trapezoid()]), "surface": _one_of(_heightfields),
     "measured": _one_of(lambda: [measured()]), **dict.fromkeys(("orders", "reflectances", "sd"), _VECTORS),
     **dict.fromkeys(("evaluate", "loss"), st.just("bad")),
+    "targets": _one_of(lambda: [orders_target(), [orders_target()], [], ["x"], None]),
+    "levels": st.one_of(_COUNTS, _VECTORS), "dose": _VECTORS,
+    **dict.fromkeys(("depth_scales", "edge_widths_um", "tilts_deg", "least_feature_um"), _VECTORS),
     "wrt": st.sampled_from([("heights_um",), ("to_light", "ior"), ("duty",), ("x",), "heights_um", (), [1], (None,)]),
 }  # fmt: skip
 _SETTINGS = describe(SinglePictureSettings)
@@ -320,7 +338,8 @@ def _of_its_kind(option: Option) -> st.SearchStrategy:
     if option.kind in simple:
         return simple[option.kind]
     one = _COUNTS if option.kind.startswith("integer") else _NUMBERS
-    # Counts at their upper limit are legal but slow, so only the next larger count is tested, which is refused.
+    # Counts at their upper limit are legal but slow. Therefore only the next larger count is tested, which must be
+    # refused.
     steps = {option.gt: (0, 1), option.ge: (-1, 0), option.le: (1,) if one is _COUNTS else (0, 1)}
     limits = [bound + step for bound in steps if bound not in (None, math.inf) for step in steps[bound]]
     one = st.one_of(one, st.sampled_from(limits)) if limits else one
@@ -336,7 +355,7 @@ WAVY = wd.HeightField(0.05 * np.sin(np.arange(120.0)).reshape(1, -1) + np.zeros(
 # Classes that only the library creates are not fuzzed. Errors and warnings are excluded because they accept any text.
 MADE_BY_THE_LIBRARY = {"BakedLobes", "BakedSpectrum", "Comparison", "Image", "OrderEfficiencies", "Period"}
 MADE_BY_THE_LIBRARY |= {"Periods", "ReflectanceSpectra", "Report", "Roughness", "ScanReport", "ToleranceError"}
-MADE_BY_THE_LIBRARY |= {"WarpdiffWarning", "Fit", "Measured", "Minimum"}
+MADE_BY_THE_LIBRARY |= {"WarpdiffWarning", "Fit", "Measured", "Minimum", "Design", "Target", "RigorousEfficiencies"}
 # Methods that only the renderer calls are not fuzzed, because their arguments are already checked.
 CALLED_BY_PICTURES = {"lobes", "parts"}
 # Objects on which methods are called, by class. Methods of the classes in ``FUZZED_OWNERS`` are also called on fuzzed
@@ -347,7 +366,12 @@ OWNERS = {
     "HeightField": lambda: WAVY, "Image": picture, "Plan": plan, "Renderer": renderer, "View": lambda: VIEW,
     "BakedLobes": lobes, "Comparison": lambda: wd.compare(np.ones((2, 3, 3)), np.ones((2, 3, 3)), tolerance=0.1),
     "OrderEfficiencies": efficiencies, "Periods": lambda: wd.Periods([PERIOD]),
-    "Roughness": WAVY.roughness, "Fit": fitted, "Measured": measured, "Table": lambda: wd.Table({"number": [1.0]}),
+    "RigorousEfficiencies": lambda: wd.RigorousEfficiencies(
+        np.array([500.0]), np.eye(3)[2], np.zeros((1, 2), dtype=int), np.eye(3)[2].reshape(1, 1, 3),
+        *(np.ones((1, 1)) for _ in range(3)), np.array([8]), np.array([0.0]), np.array([True]),
+    ),
+    "Roughness": WAVY.roughness, "Fit": fitted, "Measured": measured, "Design": designed,
+    "Table": lambda: wd.Table({"number": [1.0]}),
     "ReflectanceSpectra": lambda: wd.ReflectanceSpectra(np.ones(1), np.eye(3)[2:], np.eye(3)[2:], np.ones((1, 1))),
     "BakedSpectrum": functools.cache(lambda: wd.bake_spectrum(HEIGHTFIELD, coherence=SHORT, size=16, tolerance=0.1)),
 }  # fmt: skip
@@ -375,7 +399,7 @@ LEGAL_OF = {
 }  # fmt: skip
 LEGAL_OF |= {
     f"{name}.save": {"path": "a.csv"}
-    for name in ("OrderEfficiencies", "Periods", "ReflectanceSpectra", "Roughness", "Table")
+    for name in ("OrderEfficiencies", "Periods", "ReflectanceSpectra", "RigorousEfficiencies", "Roughness", "Table")
 }
 LEGAL_OF |= {
     "order_angles": {"source": PERIOD}, "plot.colour_strip": {"source": np.ones((2, 3)), "angles_deg": [0.0, 10.0]},
@@ -386,11 +410,18 @@ LEGAL_OF |= {
     "Measured.colours": {"xyz": [[0.1, 0.2, 0.3]]}, "Measured.from_csv": {"path": "orders.csv"},
     "Measured.predict": {"surface": HEIGHTFIELD}, "fit": {"sd": 0.1, "starts": 1},
     "adjoint.objective": {"evaluate": print, "loss": print},
+    "Target.orders": {"efficiencies": {(0, 1): 0.01}, "wavelength_nm": 500.0},
+    "Target.equal": {"orders": [(0, 1)], "wavelength_nm": 500.0}, "design": {"starts": 1},
+    "measure_layout": {"path": "foil.gds"},
+    "rigorous_order_efficiencies": {"heightfield": wd.gratings.lamellar(1.0, 0.1, samples=8), "layers": 1},
 }  # fmt: skip
 LEGAL_BY_CALL = {"renderer": renderer, "lobes": lobes, "ax": axes, "efficiencies": efficiencies}
-# As ``LEGAL_BY_CALL``, for arguments of single functions: functions that make a legal value for each call.
+# Functions that make a legal value of an argument for each call. The values are those of single functions, and override
+# ``LEGAL_BY_CALL``.
 LEGAL_OF_BY_CALL = {
-    "fit": {"profile": trapezoid, "measured": measured}, "adjoint.objective": {"profile": trapezoid},
+    "fit": {"profile": trapezoid, "measured": measured},
+    "design": {"profile": lambda: wd.profiles.Pixels(0.5, np.zeros((1, 4))), "targets": lambda: [orders_target()]},
+    "adjoint.objective": {"profile": trapezoid},
     "plot.plan": {"plan": simple_plan}, "plot.error_image": {"image": still}, "plot.reflectance_map": {"source": still},
 }  # fmt: skip
 
@@ -421,8 +452,8 @@ def public():
         if name not in MADE_BY_THE_LIBRARY:
             yield name, member, None
         if inspect.isclass(member):
-            for key, value in vars(member).items():
-                is_public = key[0] != "_" and key not in CALLED_BY_PICTURES
+            for key, value in public_members(member).items():
+                is_public = key not in CALLED_BY_PICTURES
                 if is_public and (inspect.isfunction(value) or isinstance(value, classmethod)):
                     yield f"{name}.{key}", getattr(member, key), None if isinstance(value, classmethod) else name
 
@@ -431,7 +462,7 @@ PUBLIC = {name: (function, owner) for name, function, owner in public()}
 
 
 def example_of(function):
-    """Return the arguments of a class of lights in the first call of it in the example of its docstring."""
+    """Return the arguments with which the docstring of a class of lights creates its first example."""
     source = "\n".join(example.source for example in doctest.DocTestParser().get_examples(function.__doc__))
     calls = (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call))
     first = next(node for node in calls if ast.unparse(node.func) == f"wd.{function.__name__}")

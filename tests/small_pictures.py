@@ -37,7 +37,7 @@ def rough(function, **fixed):
 
 
 def draw_roughly(monkeypatch):
-    """Make views small, and pictures and baked lobes rough: large tolerances and a short coherence window."""
+    """Make views small, and computations fast but inaccurate, by large tolerances and a short coherence window."""
     window = wd.Coherence(sigma_um=1.5)
     monkeypatch.setattr(wd, "View", SmallView())
     for name in ("shade", "Renderer"):

@@ -2,7 +2,9 @@
 
 import ast
 import functools
+import hashlib
 import inspect
+import json
 import os
 import re
 import shutil
@@ -13,6 +15,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from conftest import public_members
 
 import warpdiff as wd
 
@@ -54,10 +57,16 @@ runpy.run_module("warpdiff", run_name="__main__", alter_sys=True)
 """
 
 
+# Largest size of the wheel [bytes], a target of the project: the package is code, not data.
+MOST_WHEEL_BYTES = 2 << 20
+
+
 def run(command: list[str | Path], cwd: Path) -> str:
     """Return the standard output of a command that must succeed, without network and without ``PYTHON*`` variables."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-    environment |= {"PIP_NO_INDEX": "1", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_INPUT": "1"}
+    # Archives with a stated date have the same bytes whenever they are built.
+    environment |= {"SOURCE_DATE_EPOCH": "1600000000", "PIP_NO_INDEX": "1"}
+    environment |= {"PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_INPUT": "1"}
     done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, f"{command} failed:\n{done.stdout}\n{done.stderr}"
     return done.stdout
@@ -90,9 +99,9 @@ def install(wheel: Path, target: Path) -> Path:
 
 
 def check_installed(target: Path, source: Path, outside: Path, method: str) -> None:
-    """Import and use the package installed in ``target`` from another folder; its files must be in ``source``.
+    """Import and use the package that is installed in ``target``; its files must be in ``source``.
 
-    The ``method`` "auto" compiles kernels. The other folder contains an empty folder
+    The ``method`` "auto" compiles kernels. Python runs in the folder ``outside``. This folder contains an empty folder
     ``warpdiff``, such as a clone has, which must not be imported instead.
     """
     (outside / "warpdiff" / "kernels").mkdir(parents=True)
@@ -126,6 +135,34 @@ def check_wheel(wheel: Path) -> None:
     assert f"{info}/licenses/LICENSE" in names
     scripts = zipfile.ZipFile(wheel).read(f"{info}/entry_points.txt").decode()
     assert "warpdiff = warpdiff.__main__:main" in scripts
+    assert wheel.stat().st_size <= MOST_WHEEL_BYTES
+    check_bill(json.loads(zipfile.ZipFile(wheel).read(f"{info}/sboms/warpdiff.cdx.json")), wheel)
+
+
+def check_bill(bill: dict, wheel: Path) -> None:
+    """Check that a bill of materials lists each dependency and each bundled data file, with its checksum."""
+    assert (bill["bomFormat"], bill["metadata"]["component"]["version"]) == ("CycloneDX", PROJECT["version"])
+    libraries = {entry["name"] for entry in bill["components"] if entry["type"] == "library"}
+    assert libraries == {re.split(r"[<>=~! \[]", requirement)[0] for requirement in PROJECT["dependencies"]}
+    archive = zipfile.ZipFile(wheel)
+    data = {name for name in archive.namelist() if name.startswith("warpdiff/") and name.endswith((".npy", ".json"))}
+    bundled = {entry["bom-ref"]: entry for entry in bill["components"] if entry["type"] == "data"}
+    assert bundled.keys() == data
+    for name, entry in bundled.items():
+        assert entry["hashes"][0]["content"] == hashlib.sha256(archive.read(name)).hexdigest()
+    references = {entry["bom-ref"] for entry in bill["components"]}
+    assert set(bill["dependencies"][0]["dependsOn"]) == references
+
+
+def check_reproducible(tree: Path, sdist: Path, wheel: Path, tmp_path: Path) -> None:
+    """Check that other permissions and times of the source files change neither the sdist nor the wheel."""
+    copy = tmp_path / "copy"
+    shutil.copytree(tree, copy, ignore=shutil.ignore_patterns("build", "*.egg-info"))
+    for path in copy.rglob("*.py"):
+        path.chmod(0o700)
+        os.utime(path, (1.5e9, 1.5e9))
+    assert build("sdist", copy, tmp_path / "again").read_bytes() == sdist.read_bytes()
+    assert build("wheel", copy, tmp_path / "again").read_bytes() == wheel.read_bytes()
 
 
 def test_the_sdist_and_the_wheel_built_from_it_are_complete(tree, tmp_path):
@@ -139,6 +176,7 @@ def test_the_sdist_and_the_wheel_built_from_it_are_complete(tree, tmp_path):
         assert not missing
     wheel = build("wheel", unpacked, tmp_path / "from_sdist")
     check_wheel(wheel)
+    check_reproducible(tree, sdist, wheel, tmp_path)
     # The compiler must find the kernels' header files in a folder whose name has spaces and non-ASCII letters.
     target = install(wheel, tmp_path / "Pakete für mich")
     check_installed(target, target, tmp_path / "outside", "auto")
@@ -148,7 +186,7 @@ def test_the_editable_install_uses_the_source_tree(tree, tmp_path):
     # The editable wheel has no install scripts, so unpacking it installs it.
     with zipfile.ZipFile(build("editable", tree, tmp_path / "dist")) as wheel:
         wheel.extractall(tmp_path / "target")
-    # The tests themselves compile kernels of a source tree, so nothing is compiled here.
+    # With the method "direct", nothing is compiled here. The other tests compile kernels of a source tree already.
     check_installed(tmp_path / "target", tree, tmp_path / "outside", "direct")
 
 
@@ -176,14 +214,14 @@ def test_declared_dependencies_equal_the_imported_packages():
     declared = {re.split(r"[<>=~! \[]", requirement)[0] for requirement in PROJECT["dependencies"]}
     # Packages that only single commands require are optional dependencies.
     extras = PROJECT["optional-dependencies"]
-    commands = ("view", "data", "dask", "mitsuba", "plot", "scans", "gltf", "jax", "torch")
+    commands = ("view", "data", "dask", "mitsuba", "plot", "scans", "gltf", "lithography", "jax", "torch", "rigorous")
     optional = {re.split(r"[<>=~! \[]", each)[0] for name in commands for each in extras[name]}
     assert declared == used - optional
     assert optional <= used
 
 
 def test_kernels_are_never_imported_by_their_folder():
-    # Parsing all tests would require two seconds, so the text is searched.
+    # The test searches for import statements in the text of the files. Parsing all tests would require two seconds.
     by_folder = re.compile(r"^\s*(from|import) kernels\b", re.MULTILINE)
     assert by_folder.search("import os\n    from kernels.bvh import trace_bvh\n")
     for folder in SOURCES:
@@ -192,7 +230,8 @@ def test_kernels_are_never_imported_by_their_folder():
 
 
 def test_importing_the_package_loads_no_slow_packages():
-    # Code that needs no device must not import Warp. No plain import may load packages that only some calls require.
+    # Code that needs no device must not import Warp. Packages that only some calls require must not be loaded by a
+    # plain import.
     slow = {"trimesh", "colour", "OpenImageIO", "PIL", "scipy", "matplotlib", "DracoPy", "mapbox_earcut"}
     light = "gratings", "meshes", "HeightField", "Coherence", "DirectionalLight", "View", "Image", "Plan", "plot"
     steps = ("import sys, warpdiff", f"from warpdiff import {', '.join(light)}; from warpdiff.apps import cli",
@@ -210,10 +249,12 @@ def test_public_names_exist_and_are_documented():
     for name in wd.__all__:
         public = getattr(wd, name)
         assert inspect.getdoc(public), f"warpdiff.{name} has no docstring"
-        members = vars(public).items() if inspect.isclass(public) or inspect.ismodule(public) else ()
-        for member, value in members:
+        members = public_members(public) if inspect.isclass(public) else {}
+        if inspect.ismodule(public):
+            members = {member: value for member, value in vars(public).items() if not member.startswith("_")}
+        for member, value in members.items():
             own = getattr(value, "__module__", "").startswith("warpdiff") or isinstance(value, (property, classmethod))
-            if not member.startswith("_") and callable(getattr(public, member)) and own:
+            if callable(getattr(public, member)) and own:
                 assert inspect.getdoc(value), f"warpdiff.{name}.{member} has no docstring"
 
 

@@ -143,7 +143,10 @@ class Run:
             (self.tree / "warpdiff" / "kernels").symlink_to("../kernels", target_is_directory=True)
         if not tests.exists():
             places = [f"tests/{name}" for name in TESTS if (self.tree / "tests" / name).exists()]
-            run_pytest(self.tree, places, None, tests)
+            result = run_pytest(self.tree, places, None, tests)
+            if result.startswith("exit") or not json.loads(tests.read_text(encoding="utf-8")):
+                tests.unlink(missing_ok=True)
+                sys.exit(f"error: the tests of {commit} could not be recorded ({result}); see {self.tree}.log")
         recorded = json.loads(tests.read_text(encoding="utf-8"))
         self._tests = {name: test for name, test in recorded.items() if not test["failed"]}
         self._executed = {name for test in self._tests.values() for name in test["names"]}

@@ -16,8 +16,8 @@ HERE = Path(__file__).parent
 
 @pytest.mark.parametrize(
     ("kind", "number"),
-    # Seven of the 17 height-field files are texts or .x3p files. The tests damage such files 200 times, a soak test
-    # 100,000 times.
+    # Of the 17 valid height-field files, seven are texts or .x3p files. In the default test command, the tests damage
+    # such files about 80 times, in a soak test 100,000 times.
     [pytest.param("scans", count(200, 245_000), marks=pytest.mark.permanent("damaged scans", shares=40)),
      pytest.param("meshes", count(120, 50_000), marks=pytest.mark.permanent("damaged meshes, under 4 GB", shares=20)),
      pytest.param("gltf", count(120, 100_000), marks=pytest.mark.permanent("damaged glTF, under 4 GB", shares=20))],

@@ -1,7 +1,8 @@
 """Exact derivatives of order efficiencies, spectra, colours and pictures, public as ``wd.adjoint``.
 
-Each function returns a ``Linearised`` value. Derivatives are closed formulas in float64, without finite
-differences. A variable without a derivative raises an error: no gradient is silently zero.
+Each function returns a ``Linearised`` object: a value with its derivatives. The derivatives are closed formulas in
+float64, without finite differences. A variable without a derivative raises an error, so that no gradient is zero by
+mistake.
 
 Examples:
     >>> import warpdiff as wd

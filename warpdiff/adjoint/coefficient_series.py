@@ -39,7 +39,7 @@ class SeriesSize:
     @classmethod
     def of(cls, relief: Relief, kappas: tuple[float, float], truncation: float, *, powers: bool) -> SeriesSize:
         """Return the size for a relative size of truncated terms."""
-        low, high = kappa_range(*kappas)
+        low, high = kappa_range(*kappas, relief.scale_um)
         terms = term_count(2.0 * math.pi * high * relief.scale_um, truncation)
         # A power oscillates over κ as fast as the phase of the whole height range, an amplitude half as fast.
         count = term_count(math.pi * (high - low) * relief.scale_um * (2.0 if powers else 1.0), truncation)

@@ -1,4 +1,4 @@
-"""Variables of derivatives: which function has which, and errors for those that have none."""
+"""Variables of derivatives: the functions that have derivatives with respect to each variable, and error messages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ _ALL = ("order_efficiencies", "spectral_reflectance", "reflectance", "pixels")
 _PLAIN = ("order_efficiencies", "spectral_reflectance", "reflectance")
 _LOBES = ("spectral_reflectance", "reflectance")
 _SPECTRA = ("order_efficiencies", "spectral_reflectance")
-# Variables with the functions that have a derivative by them, the shape of the derivative, and a condition.
+# Variables of derivatives: for each variable, the functions that have a derivative with respect to it, the shape of the
+# derivative, and a condition on the arguments of the call.
 VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "heights_um": (_ALL, "(ny, nx)", "height field"),
     "vertices": (_ALL, "(k, 2): position in periods, height [µm]", "outline"),
@@ -38,7 +39,7 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "film_nm": (_PLAIN, "()", "material with a film"),
     "wavelengths_nm": (("order_efficiencies",), "(m,)", ""),
 }
-# Names that look like variables and have no derivative, with the reason.
+# Names that users may take for variables, but that have no derivative, with the reason for the error message.
 _WITHOUT = {
     "duty": "duty cycles of wd.gratings.lamellar move samples in steps; use wd.profiles.Trapezoid, whose duty is exact",
     "duty_cycle": "duty cycles of wd.gratings.lamellar move samples in steps; use wd.profiles.Trapezoid",
@@ -51,7 +52,7 @@ _WITHOUT = {
     "missing": "missing samples have no height",
     "masking": "masking is on or off",
 }
-# Arguments of the plain functions that have no derivative, with the reason.
+# Arguments of the functions without derivatives that the functions of this package refuse, with the reason.
 _ARGUMENTS = {
     "method": "adjoints have one method of their own; use truncation",
     "integration": "adjoints integrate over sampled wavelengths; use truncation",
@@ -62,7 +63,7 @@ _ARGUMENTS = {
 
 
 def differentiable(function: Function) -> Function:
-    """Return a function that refuses arguments without a derivative, and checks the others by their annotations."""
+    """Decorate a function: arguments without a derivative are refused, others are checked by annotations."""
     inner, name = checked(function), function.__name__
 
     @functools.wraps(function)
@@ -81,7 +82,7 @@ def available(
     function: str, *, coherence: Coherence | None = None, ior: float | None = None, material: Material | None = None,
     is_outline: bool | None = None, has_material: bool = False,
 ) -> tuple[str, ...]:  # fmt: skip
-    """Return the variables by which a function has derivatives, for the arguments of a call.
+    """Return the names of the variables with respect to which a call of a function has derivatives.
 
     ``has_material`` states whether the reflectance depends on more than ``ior``, also without a single ``material``.
     """
@@ -103,12 +104,12 @@ def check_variables(function: str, wrt: Sequence[str], names: tuple[str, ...]) -
 
     Args:
         function: Name of the function, for messages.
-        wrt: Names of variables.
+        wrt: Names of the variables that the caller requests.
         names: Names of the variables that have a derivative.
 
     Raises:
         TypeError: ``wrt`` is a string or not a sequence of strings.
-        ValueError: A name has no derivative.
+        ValueError: A name is not that of a variable with a derivative.
     """
     if not isinstance(wrt, (tuple, list)) or not all(isinstance(name, str) for name in wrt):
         raise ArgumentTypeError(f"{ref('wrt')} must be a tuple of names, such as ('heights_um',), got {wrt!r}")
@@ -130,7 +131,7 @@ def _sentence(function: str, names: tuple[str, ...]) -> str:
 
 
 def table() -> str:
-    """Return the table of variables and functions for the documentation, in Markdown."""
+    """Return the documentation's table of all variables and the functions with their derivatives, in Markdown."""
     lines = [
         f"| variable | {' | '.join(f'`{function}`' for function in _ALL)} | shape | condition |",
         f"| --- |{' --- |' * (len(_ALL) + 2)}",

@@ -7,6 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff.adjoint.colour_sampling import (
+    LEAST_WAVELENGTHS,
+    MOST_WAVELENGTHS,
+    OF_GAUSSIAN,
+    count_of_material,
+    counts_of,
+)
 from warpdiff.adjoint.gaussian_lobes import Pairs
 from warpdiff.core.warnings import warn
 from warpdiff.kernels.thresholds import LOWEST, TINY
@@ -23,29 +30,8 @@ if TYPE_CHECKING:
 
 # Number of pairs of a direction and a wavelength that are computed together. Limit: memory, about 500 bytes per pair.
 PAIRS_TOGETHER = 1 << 18
-# Largest number of wavelengths of a colour. Limit: computing time is proportional to it.
-MOST_WAVELENGTHS = 20_000
-# Error of quintic interpolation of a sine wave, relative to (angular frequency × step)^6. Derived: the product of the
-# distances from six nodes, at the middle, over 6!.
-_QUINTIC = (0.5 * 1.5 * 2.5) ** 2 / 720.0
-# Angular frequency that stands for a Gaussian, times its standard deviation. Derived: the sixth derivative of a
-# Gaussian is at most 15 times its value.
-OF_GAUSSIAN = 15.0 ** (1.0 / 6.0)
 # Range of the visible wavenumbers 1/λ [1/µm].
 LOW, HIGH = 1e3 / colorimetry.LAMBDA_MAX_NM, 1e3 / colorimetry.LAMBDA_MIN_NM
-
-
-def counts_of(rates: NDArray[np.float64], span: float, truncation: float) -> NDArray[np.int64]:
-    """Return numbers of equally spaced nodes between which a function is interpolated by quintic polynomials.
-
-    Args:
-        rates: Angular frequencies of the function, shape (n,).
-        span: Length of the range of the nodes.
-        truncation: Relative error.
-    """
-    step = (truncation / _QUINTIC) ** (1.0 / 6.0) / np.maximum(rates, 1e-9)
-    # Six nodes are the least for quintic polynomials. The colour matching functions themselves are exact.
-    return np.asarray(np.maximum(np.ceil(span / step).astype(np.int64) + 1, 12))
 
 
 class WavelengthSums:
@@ -73,13 +59,20 @@ class WavelengthSums:
         self._classes: list[list[tuple[NDArray[np.int64], int]]] = []
         for group in groups:
             counts = counts_of(self._rates(group, height_range_um), self._span, truncation)
+            if group.illuminated.material is not None and len(counts):
+                least = count_of_material(
+                    LEAST_WAVELENGTHS, -group.scattering_vectors, group.illuminated.material,
+                    group.illuminated.illuminant, truncation, geometric=self._is_source,
+                )  # fmt: skip
+                counts = np.maximum(counts, least)
             undersampled += int(np.count_nonzero(counts > MOST_WAVELENGTHS))
             counts = np.minimum(counts, MOST_WAVELENGTHS)
             # Numbers of wavelengths are rounded up to powers of √2.
-            octaves = np.ceil(2.0 * np.log2(counts / 12.0)).astype(np.int64)
-            self._classes.append([
-                (np.flatnonzero(octaves == k), math.ceil(12.0 * 2.0 ** (k / 2.0))) for k in np.unique(octaves).tolist()
-            ])  # fmt: skip
+            octaves = np.ceil(2.0 * np.log2(counts / LEAST_WAVELENGTHS)).astype(np.int64)
+            self._classes.append([])
+            for k in np.unique(octaves).tolist():
+                count = math.ceil(LEAST_WAVELENGTHS * 2.0 ** (k / 2.0))
+                self._classes[-1].append((np.flatnonzero(octaves == k), count))
         if undersampled:
             warn(
                 f"{undersampled} of {sum(len(group.gains) for group in groups)} samples require more than "
@@ -100,7 +93,7 @@ class WavelengthSums:
         for index, (group, classes) in enumerate(zip(self._groups, self._classes, strict=True)):
             for chosen, count in classes:
                 wavenumbers, weights = colorimetry.uniform_quadrature(
-                    count, group.illuminated.illuminant, geometric=self._is_source
+                    count, group.illuminated.illuminant, geometric=self._is_source, signed=True
                 )
                 size = max(PAIRS_TOGETHER // count, 1)
                 for first in range(0, len(chosen), size):

@@ -68,7 +68,8 @@ class _Library:
         self._forking = True
         self._changed.wait_for(lambda: not self._users, timeout=_MOST_WAIT_S)
         oiio: Any = sys.modules.get("OpenImageIO")
-        # Another thread may be importing OpenImageIO at this moment. The module then exists, but not yet its functions.
+        # Another thread may be importing OpenImageIO at this moment. The module then exists, but its functions may
+        # still be missing.
         self._threads = oiio.get_int_attribute("threads") if hasattr(oiio, "get_int_attribute") else 0
         self._set_threads(1)
 

@@ -58,8 +58,8 @@ INVALID = 0.9
 # fitted to rigorous solutions for two thirds of the periods and depths; the other third tests the factors
 # (bench/reproduce/theory_verdict.py).
 _PER_SLOPE, _PER_DEPTH, _PER_NARROW_SHARE, _PER_ENERGY, _PER_NORMALISED_ENERGY = 0.22, 0.05, 1.0 / 0.7, 1.1, 0.4
-# Factor from the share of undersampled steps in the heights to the estimated error. If half of the relief is
-# undersampled, the estimated error is 1: the results are meaningless.
+# Ratio of the estimated error to the fraction of undersampled steps in the relief. If half of the relief is
+# undersampled, the estimated error is 1, and the results are meaningless.
 _PER_UNDERSAMPLED = 2.0
 # Product of spatial frequency and wavelength above which features count as narrow, because their period is less than
 # two wavelengths. The value was fitted to the same rigorous solutions as the factors above.
@@ -130,7 +130,8 @@ class TheoryVerdict:
         if self.reason == "undersampled":
             return "scan at a finer pitch, or use HeightField.resampled() if the surface is smooth"
         energy = "energy='normalised' for mirrors and metals, or " if self.reason == "energy" else ""
-        return f"use positions of colours, not their brightness; or use {energy}a rigorous solver"
+        rigorous = "a rigorous solver (rigorous_order_efficiencies() for one-dimensional gratings)"
+        return f"use positions of colours, not their brightness; or use {energy}{rigorous}"
 
     @property
     def explanation(self) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import warp as wp
 
+from warpdiff.lights.grating_dots import LookupSamples
 from warpdiff.lights.light_pass import Counting, LightSamples, RayBatch
 from warpdiff.render import pixel_filter
 from warpdiff.request.directions import DirectionRange, DirectionSample
@@ -48,7 +49,7 @@ class PixelSampler:
         self._shadow_rays_per_hit = shadow_rays_per_hit
         self.samples = LightSamples.allocate(
             context.rays.size, means=means, has_finishes=context.has_finishes, has_directions=False,
-            device=context.device,
+            has_dots=context.dots is not None, device=context.device,
         )  # fmt: skip
         self._passes: Sequence[LightPass] = ()
         self._no_tiles = wp.empty(0, dtype=wp.int32, device=context.device)
@@ -139,6 +140,22 @@ class PixelSampler:
         scattering_vectors, to_lights, gains = (values.numpy() for values in self.samples.directions)
         return scattering_vectors, to_lights, gains
 
+    def _of_dots(self, surface: int) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]] | None:
+        """Return the directions of the last lobe in the frames of a surface's dots; None without a grating map.
+
+        Directions to the light are unit vectors. A plan therefore meets its tolerance for the smallest pitch scale,
+        whose orders are narrowest relative to (u, v).
+        """
+        dots, of_dots = self._context.dots, self.samples.of_dots
+        if dots is None or of_dots is None or not dots.has_map(surface):
+            return None
+        samples = LookupSamples(self.samples.scattering_vectors, self.samples.to_lights, None)
+        result, transforms = dots.transform(surface, self._context.rays.gbuffer, samples, of_dots, level=0)
+        self._context.rays.launch(transforms)
+        to_lights = result.to_lights.numpy()
+        lengths = np.linalg.norm(to_lights, axis=1, keepdims=True)
+        return result.scattering_vectors.numpy(), to_lights / np.maximum(lengths, 1e-6), self.samples.gains.numpy()
+
     def measure_directions(
         self, heightfields: Sequence[HeightField | None], sums: Accumulators
     ) -> list[tuple[DirectionRange, DirectionSample, int]]:
@@ -172,7 +189,8 @@ class PixelSampler:
                 self.scatter(sample, index, sums, samples_per_pixel=1 if self._means and sample == 0 else per_pixel)
                 directions = self.directions()
                 for of_surface in surfaces:
-                    of_surface.add(self._context, directions, parts if self._means or sample == 0 else 0)
+                    own = self._of_dots(of_surface.surface) or directions
+                    of_surface.add(self._context, own, parts if self._means or sample == 0 else 0)
         if measured > self._samples_per_pixel:
             self.invalidate()
         return [

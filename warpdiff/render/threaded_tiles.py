@@ -10,7 +10,7 @@ import warp as wp
 
 from warpdiff.core.threads import subprogress
 from warpdiff.device.kernel_calls import KernelCall, Pipeline, launch_pipeline
-from warpdiff.kernels import subdivision
+from warpdiff.kernels import pixel_contrast
 from warpdiff.render import pixel_filter
 from warpdiff.render.refinement import SLICE, TileGroup
 from warpdiff.render.tile_buffers import SharedTileBuffers
@@ -148,7 +148,7 @@ class ThreadedTiles:
         # tiles of marked pixels. It gets the mark ``SHARED``.
         touched = pixel_filter.around(np.flatnonzero(~has_cells), width, height).ravel()
         between = np.flatnonzero(~touched & (self._marked == 0)).astype(np.int32)
-        self._marked[between] = subdivision.SHARED
+        self._marked[between] = pixel_contrast.SHARED
         ranks = np.empty_like(self._marked, dtype=np.int32)
         ranks[tiles] = np.arange(len(tiles), dtype=np.int32)
         sums = light.empty_tile_sums(len(tiles))

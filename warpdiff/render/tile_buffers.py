@@ -28,14 +28,17 @@ class BufferKind(NamedTuple):
     """Flags that say which optional arrays tile buffers have.
 
     In the order of the flags, the arrays are: geometry factors of directions that a table cannot serve; base colours;
-    geometry factors at faces with the finish that is being evaluated, if faces have several finishes; and the rays'
-    own directions to the light.
+    geometry factors at faces with the finish that is being evaluated, if faces have several finishes; the rays' own
+    directions to the light; metallic, roughness and emission of textures; and samples in the frames of the dots of
+    grating maps.
     """
 
     needs_sampling: bool
     is_pigmented: bool
     has_finishes: bool
     has_directions: bool
+    has_maps: bool
+    has_dots: bool
 
 
 @dataclass(frozen=True)
@@ -65,9 +68,14 @@ class TileBuffers:
             for level in refinement_levels.LEVELS
         }
         return cls(
-            GBuffer.allocate(rays, coloured=kind.is_pigmented, device=device),
+            GBuffer.allocate(rays, coloured=kind.is_pigmented, has_maps=kind.has_maps, device=device),
             LightSamples.allocate(
-                rays, means=True, has_finishes=kind.has_finishes, has_directions=kind.has_directions, device=device
+                rays,
+                means=True,
+                has_finishes=kind.has_finishes,
+                has_directions=kind.has_directions,
+                has_dots=kind.has_dots,
+                device=device,
             ),
             wp.empty(rays, dtype=wp.vec3f, device=device),
             wp.empty(rays * kind.needs_sampling, dtype=wp.float32, device=device),

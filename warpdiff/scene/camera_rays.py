@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from warpdiff.device.kernel_calls import KernelCall, launch, launch_pipeline
-from warpdiff.kernels import base_colours, bvh, primary_hits, transparency
+from warpdiff.kernels import base_colours, bvh, plain_textures, primary_hits, transparency
 from warpdiff.kernels.structs import Cells, Sampling
 from warpdiff.scene import device_mesh
 from warpdiff.scene.gbuffer import GBuffer
@@ -69,7 +69,9 @@ class CameraRays:
         # the centres.
         self._offsets = wp.empty(0, dtype=wp.vec2d, device=device)
         self.options: dict[str, Any] = {"device": device, "threads": threads}
-        self.gbuffer = GBuffer.allocate(self.size, coloured=surface.has_base_colour, device=device)
+        self.gbuffer = GBuffer.allocate(
+            self.size, coloured=surface.has_base_colour, has_maps=surface.has_maps, device=device
+        )
         self.set_view(view)
 
     def set_view(self, view: View) -> None:
@@ -116,6 +118,9 @@ class CameraRays:
         if self.scene.is_textured and gbuffer.is_coloured:
             inputs = [self.camera, self.scene.bare, self.scene.textures, gbuffer.pixels, deviation]
             calls.append(KernelCall(base_colours.sample_base_colours, inputs, [], in_runs=True))
+        if self.scene.has_maps and gbuffer.has_maps:
+            inputs = [self.camera, self.scene.bare, self.scene.textures, gbuffer.pixels, deviation]
+            calls.append(KernelCall(plain_textures.sample_plain_textures, inputs, [], in_runs=True))
         return calls
 
     def _sampling(self, sample: int, samples: int) -> Sampling:

@@ -41,6 +41,7 @@ class SceneArrays:
         transparency: Transparency as a struct for kernels; empty if all faces are opaque.
         is_textured: Whether any base colour is that of a texture.
         is_opaque: Whether no ray passes through a face.
+        has_maps: Whether textures have metallic, roughness or emission of any plain face.
         face_count: Number of faces.
         grids: Cache of occluder grids by light direction.
     """
@@ -63,10 +64,15 @@ class SceneArrays:
         arrays.smooth = bool(smooth)
         self.face_count = len(surface.faces)
         self.bare = arrays
-        self.is_textured, self.is_opaque = surface.is_textured, surface.is_opaque
+        self.is_textured, self.is_opaque, self.has_maps = surface.is_textured, surface.is_opaque, surface.has_maps
         self.textures, self.transparency = Textures(), Transparency()
-        if surface.is_textured or not surface.is_opaque:
-            self.textures = table_of(surface.textures, surface.materials, device)
+        if surface.is_textured or surface.has_maps or not surface.is_opaque:
+            self.textures = table_of(surface.textures, surface.rows, device, surface.maps)
+        if surface.maps is not None:
+            for name in ("metallic_roughness_uvs", "emission_uvs"):
+                uvs = getattr(surface.maps, name)
+                array = arrays.uvs if uvs is None else wp.array(uvs, dtype=wp.vec2f, device=device)
+                setattr(self.textures, name, array)
         if not surface.is_opaque:
             self.transparency.cutoffs = wp.array(surface.alpha_cutoffs, dtype=wp.float32, device=device)
             alphas = np.zeros(0, np.float32) if surface.vertex_alphas is None else surface.vertex_alphas

@@ -18,7 +18,8 @@ from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.request.settings import TANGENT_RULES, TangentRule, check_tangents
 from warpdiff.scene.direction_fields import Body, direction_field
-from warpdiff.scene.material_factors import factors_of, warn_of_hidden_emission
+from warpdiff.scene.material_factors import checked_parts, factors_of, warn_of_hidden_emission
+from warpdiff.scene.material_maps import NotSampled, maps_of
 from warpdiff.scene.mesh_files import UNNAMED
 from warpdiff.scene.mesh_geometry import (
     FaceGeometry,
@@ -42,6 +43,7 @@ from warpdiff.scene.scene_arrays import (
     joined,
     labelled_parts,
     warn_of_features,
+    with_missing_colours,
 )
 from warpdiff.scene.textures import TextureImages
 
@@ -53,7 +55,7 @@ if TYPE_CHECKING:
 
     from warpdiff.scene.material_factors import MaterialFactors
     from warpdiff.scene.scene_parts import ScenePart
-    from warpdiff.scene.textures import Texture
+    from warpdiff.scene.textures import MaterialMaps, Texture
 
 # Remedy in messages about a mesh without directions.
 _HOW_TO_GET_TANGENTS = (
@@ -79,6 +81,7 @@ class Surface:
         handedness: −1 where the texture mapping is mirrored, else 1, shape (n,), float32; equal for all vertices of a
             face.
         uvs: Texture coordinates, v upwards, shape (n, 2), float32; zero where undefined.
+        lacks_uvs: Whether a corner of each face has no texture coordinates, shape (m,); None if all corners have them.
         plain_colour: Linear RGB of a uniform colour, shape (3,), float32; black without colour, −1 with textures.
         vertex_colours: Linear RGB, shape (n, 3), float32; negative at vertices whose base colour is that of a texture.
             None if the colour is uniform, or that of textures at all vertices.
@@ -87,12 +90,15 @@ class Surface:
         geometry_names: Names of the geometries, which all differ; "mesh 0" for a single mesh without a name.
         materials: For each face, the index of its material in ``material_names``, shape (m,), int32; −1 without one.
         material_names: Names of the materials, which all differ.
-        material_factors: Metallic, roughness and emission of the materials; None if all are matte and dark.
-        textures: Base-colour texture of each material; None without one.
-        alpha_cutoffs: Alpha below which rays pass through a face, by material; 0 for opaque materials, and negative for
-            materials that are blended with their background.
+        rows: For each face, the index of its row in the next four attributes, shape (m,), int32; −1 without a
+            material. A material has several rows if only some of its faces have texture coordinates or transparency.
+        material_factors: Metallic, roughness and emission by row; None if all are matte and dark.
+        textures: Base-colour texture of each row; None without one.
+        alpha_cutoffs: Alpha below which rays pass through a face, by row; 0 for opaque faces, and negative for faces
+            that are blended with their background.
         vertex_alphas: Alpha at the vertices, shape (n,), float32, which is 1 where a texture has the alpha; None if it
             is 1 at all vertices.
+        maps: Textures of metallic, roughness and emission of plain faces; None without any.
         is_convex: Whether the mesh bounds a convex body or is in a plane, so that no point on its outside is in shadow.
         centre: Origin of ``vertices``, world frame, shape (3,), float64.
         radius: Unit of ``vertices``, in mesh units.
@@ -109,6 +115,7 @@ class Surface:
     has_base_colour: bool
     geometries: NDArray[np.int32]
     materials: NDArray[np.int32]
+    rows: NDArray[np.int32]
     is_convex: bool
     centre: NDArray[np.float64]
     radius: float
@@ -118,11 +125,18 @@ class Surface:
     textures: tuple[Texture | None, ...] = ()
     alpha_cutoffs: tuple[float, ...] = ()
     vertex_alphas: NDArray[np.float32] | None = None
+    maps: MaterialMaps | None = None
+    lacks_uvs: NDArray[np.bool_] | None = None
 
     @property
     def is_textured(self) -> bool:
         """Whether any base colour is that of a texture."""
         return any(texture is not None for texture in self.textures)
+
+    @property
+    def has_maps(self) -> bool:
+        """Whether textures have metallic, roughness or emission of any plain face."""
+        return self.maps is not None
 
     @property
     def is_opaque(self) -> bool:
@@ -171,7 +185,8 @@ def prepare_surface(
         return mesh
     field = _checked_field(tangents)
     with _naming_file(mesh):
-        scene = labelled_parts(mesh)
+        entries, labels = zip(*labelled_parts(mesh), strict=True)
+        scene = [*zip(checked_parts(entries), labels, strict=True)]
         with single_threaded_blas():
             images = TextureImages()
             part = joined([arrays_of(entry, label, images) for entry, label in scene])
@@ -179,12 +194,15 @@ def prepare_surface(
                 field = np.broadcast_to(field, (part.count, 3))
             roles = _FaceRoles.of([entry for entry, _ in scene], part, plain)
             _check_tangents(part, field, roles.is_plain)
+            part = with_missing_colours(part, roles.is_plain)
+            part = replace(part, maps=maps_of(scene, part, roles.is_plain, images))
             surface = _build(part, field, roles, in_memory=not isinstance(mesh, (str, os.PathLike)))
-        entries = [entry for entry, _ in scene]
-        warn_of_features(entries)
-        factors = factors_of(entries, surface.material_names)
+        not_sampled = NotSampled.of(part, roles.is_plain, part.maps)
+        warn_of_features([entry for entry, _ in scene], not_sampled.features(part.appearances))
+        factors = factors_of(part.appearances, not_sampled)
         if factors is not None:
-            warn_of_hidden_emission(factors, part.materials[~roles.is_plain], part.material_names)
+            names = [own.material.name for own in part.appearances]
+            warn_of_hidden_emission(factors, part.rows[~roles.is_plain], names)
         return replace(surface, material_factors=factors)
 
 
@@ -265,18 +283,18 @@ def _build(
     # Positions are rounded to float32 before areas are tested, because kernels use the rounded positions.
     vertices = ((world - centre[:, None]) / radius).astype(np.float32).astype(np.float64)
     geometry = FaceGeometry(vertices, faces)
-    keep, geometries, materials = geometry.has_area, part.geometries, part.materials
+    keep, geometries, materials, rows = geometry.has_area, part.geometries, part.materials, part.rows
     dropped = int(np.count_nonzero(~keep))
     if dropped == len(keep):
         raise ArgumentValueError(f"{ref('mesh')} must have a face with an area, got {dropped} without")
     if dropped:
         warn(f"{ref('mesh')}: {dropped} of {len(keep)} faces have no area and are ignored")
         used, faces = compacted(faces.compress(keep, axis=1), len(index))
-        geometries, materials, roles = geometries[keep], materials[keep], roles.kept(keep)
+        geometries, materials, rows, roles = geometries[keep], materials[keep], rows[keep], roles.kept(keep)
         index, vertices = index[used], vertices.take(used, axis=1)
         geometry = FaceGeometry(vertices, faces)
 
-    uvs = np.zeros((2, len(index))) if part.uvs is None else np.nan_to_num(part.uvs.T.take(index, axis=1))
+    uvs, lacks_uvs = _texture_coordinates(part, index, faces)
     handedness = np.ones(len(index))
     if tangents is None:
         texture_geometry = TextureGeometry(uvs, faces)
@@ -312,6 +330,7 @@ def _build(
         has_poles=isinstance(tangents, str),
     )  # fmt: skip
 
+    single_uvs = uvs.T.astype(np.float32, order="C")
     colours = None if part.colours is None else part.colours[index]
     plain = np.full(3, -1.0 if part.is_textured else 0.0)
     if colours is not None and np.all(colours == colours[0]) and not part.is_textured:
@@ -319,15 +338,33 @@ def _build(
     return Surface(
         vertices=vertices.T.astype(np.float32, order="C"), faces=faces.T.astype(np.int32, order="C"),
         normals=normals.T.astype(np.float32, order="C"), tangents=field.T.astype(np.float32, order="C"),
-        handedness=handedness.astype(np.float32), uvs=uvs.T.astype(np.float32, order="C"),
+        handedness=handedness.astype(np.float32), uvs=single_uvs,
         plain_colour=plain.astype(np.float32), vertex_colours=None if colours is None else colours.astype(np.float32),
         has_base_colour=part.is_textured or part.colours is not None,
-        geometries=geometries, materials=materials,
+        geometries=geometries, materials=materials, rows=rows,
         is_convex=is_convex(vertices, faces, geometry.normals, welded), centre=centre, radius=radius,
-        geometry_names=part.geometry_names, material_names=part.material_names, textures=part.textures,
-        alpha_cutoffs=part.cutoffs,
+        geometry_names=part.geometry_names, material_names=part.material_names,
+        textures=tuple(own.texture for own in part.appearances),
+        alpha_cutoffs=tuple(own.cutoff for own in part.appearances),
         vertex_alphas=None if part.alphas is None else part.alphas[index].astype(np.float32),
+        maps=None if part.maps is None else part.maps.at(index, single_uvs),
+        lacks_uvs=lacks_uvs,
     )  # fmt: skip
+
+
+def _texture_coordinates(
+    part: SceneArrays, index: NDArray[np.int64], faces: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_] | None]:
+    """Return the texture coordinates at vertices, 0 where undefined, and which faces have an undefined corner.
+
+    The second result is None if all corners have texture coordinates. ``index`` has the index of each vertex in the
+    arrays of ``part``.
+    """
+    if part.uvs is None:
+        return np.zeros((2, len(index))), np.ones(faces.shape[1], dtype=np.bool_)
+    uvs = part.uvs.T.take(index, axis=1)
+    lacks: NDArray[np.bool_] = np.asarray(np.asarray(np.isnan(uvs).any(axis=0))[faces].any(axis=0))
+    return np.nan_to_num(uvs), lacks if lacks.any() else None
 
 
 def _explicit_field(

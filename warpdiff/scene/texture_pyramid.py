@@ -30,6 +30,29 @@ def pyramid(texels: NDArray[np.float32]) -> list[NDArray[np.float32]]:
     return levels
 
 
+def mean_products(one: NDArray[np.float32], two: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the mean product of two images over each texel, where both are interpolated bilinearly, shape (h, w).
+
+    Images are continued by repetition.
+    """
+    # Means of (1 − x)², x (1 − x) and x² over the half of a texel next to another one, where 0 < x < 1/2.
+    own, mixed, other = 7.0 / 12.0, 1.0 / 6.0, 1.0 / 12.0
+
+    def along_rows(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.float32]:
+        result = own * first * second
+        for step in (-1, 1):
+            near1, near2 = np.roll(first, step, axis=1), np.roll(second, step, axis=1)
+            result += 0.5 * (mixed * (first * near2 + near1 * second) + other * near1 * near2)
+        return result
+
+    result = own * along_rows(one, two)
+    for step in (-1, 1):
+        near1, near2 = np.roll(one, step, axis=0), np.roll(two, step, axis=0)
+        result += 0.5 * mixed * (along_rows(one, near2) + along_rows(near1, two))
+        result += 0.5 * other * along_rows(near1, near2)
+    return result
+
+
 def _reduced(texels: NDArray[np.float32], size: int, axis: int) -> NDArray[np.float32]:
     """Return means over ``size`` equal parts of an axis, where texels at the edges of a part count by their share."""
     before = texels.shape[axis]

@@ -82,7 +82,7 @@ def sequence(
             draws; True shows a bar. Frames that existed before count as finished. An exception that the callable raises
             ends the call.
 
-    Returns:
+        Paths of the frames: all frames in the first format in their order, then all frames in the second format.
         Paths of the frames in order, those of the first format, then those of the second.
 
     Raises:

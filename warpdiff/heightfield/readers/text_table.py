@@ -21,8 +21,9 @@ if TYPE_CHECKING:
 # Size of the decompressed text above which a file is refused [bytes]: 100 million numbers of ten characters. The limit
 # also stops small compressed files that expand to very large texts.
 MOST_BYTES = 1 << 30
-# Separators and decimal signs are tried on a sample of the text. The numbers are the largest numbers of lines and of
-# characters of this sample. If doubled, the choice is as good and takes twice as long.
+# The separator and the decimal sign of a text are found by trials on a sample of its lines. The first number is the
+# largest number of lines of this sample, and the second is the largest number of characters. If doubled, the trials
+# take twice as long and have the same results.
 _SAMPLE_LINES, _SAMPLE_CHARACTERS = 400, 200_000
 # Number of bytes at the beginning of a file that are read to find out whether the file is text.
 _HEAD_BYTES = 4096
@@ -246,9 +247,10 @@ def form_of(lines: Sequence[str]) -> Form | None:
 
 
 def _best_form(forms: Sequence[Form], sample: Sequence[str], *, has_quotes: bool) -> tuple[int, Form | None]:
-    """Return the form of numbers that reads the most numbers in equally long rows, after the number of these.
+    """Try several forms of numbers on lines of a text, and return the form that reads the most numbers.
 
-    A form has the separator of cells and the decimal and thousands signs.
+    A form has the separator of cells and the decimal and thousands signs. Only numbers in rows of equal length count.
+    The result is the number of these numbers, and the form.
     """
     best, chosen = 0, None
     for form in forms:

@@ -39,8 +39,10 @@ _NOT_RENDERED = {
     "KHR_materials_volume": "volume",
     _SPECULAR_GLOSSINESS: "specular colour",
 }
+# Index of refraction of dielectric materials (specification, appendix B); other indices have no effect.
+_IOR = 1.5
 # Extensions of materials that are read, or change nothing alone.
-_READ = ("KHR_materials_emissive_strength", "KHR_materials_ior", "KHR_materials_variants")
+_READ = ("KHR_materials_emissive_strength", "KHR_materials_ior")
 
 
 class Materials:
@@ -97,8 +99,7 @@ class Materials:
             emission=cast("tuple[float, float, float]", tuple(emission.tolist())),
             emission_texture=self._texture(material, "emissiveTexture"),
             alpha_mode=cast("AlphaMode", alpha_mode.lower()), alpha_cutoff=material.number("alphaCutoff", 0.5),
-            is_double_sided=material.flag("doubleSided", default=False),
-            not_rendered=_not_rendered(material, metal, emits=bool(emission.any())),
+            is_double_sided=material.flag("doubleSided", default=False), not_rendered=_not_rendered(material),
         )  # fmt: skip
 
     def normal_uv_set(self, index: int) -> int:
@@ -194,24 +195,17 @@ def _wrap(sampler: Element, name: str) -> Wrap:
     return _WRAPS[kind]
 
 
-def _not_rendered(material: Element, metal: Element, *, emits: bool) -> tuple[str, ...]:
-    """Return the features of a material that have no effect on pictures.
-
-    Args:
-        material: The material.
-        metal: Its metallic-roughness model.
-        emits: Whether its emission is not zero.
-    """
+def _not_rendered(material: Element) -> tuple[str, ...]:
+    """Return the features of a material that have no effect on pictures."""
     features = []
     if "normalTexture" in material:
         features.append("normal map")
     if "occlusionTexture" in material:
         features.append("occlusion")
-    if "metallicRoughnessTexture" in metal:
-        features.append("metallic-roughness texture except for its mean")
-    if emits and "emissiveTexture" in material:
-        features.append("emission with a texture")
     extensions = material.element("extensions")
     names = () if extensions is None else (name for name in extensions.values if name not in _READ)
+    ior = material.extension("KHR_materials_ior")
+    if ior is not None and ior.number("ior", _IOR) != _IOR:
+        features.append("index of refraction")
     features += [_NOT_RENDERED.get(name, re.sub(r"[^\w]", "?", name)[:60]) for name in names]
     return tuple(dict.fromkeys(features))

@@ -90,6 +90,8 @@ class Meshes:
         if "POSITION" not in attributes:
             self.not_read[f"a primitive without positions in mesh {self.names[index]!r}"] = None
             return None
+        if primitive.extension("KHR_materials_variants") is not None:
+            self.not_read[f"variants of the materials of mesh {self.names[index]!r}"] = None
         compressed = primitive.extension(gltf_draco.EXTENSION)
         corners: NDArray[np.int64] | None = None
         values: dict[str, NDArray[np.float64]] = {}
