@@ -54,11 +54,11 @@ _PROGRESS_OF_FIRST_RAYS = 0.3
 # time if there are many shadow rays. The value was fitted to pictures of the snake mesh, which have 20 shadow rays per
 # hit at a tolerance of 0.1, and 59 at 0.03.
 _SHADOW_RAYS_REFINED = 24
-# Level of the first cells of pixels near the edges of dots. Choice: with 4 cells instead of 16, the scatter of colours
-# that dots cause within a pixel is often missed.
+# Level of the first cells of pixels near the edges of dots of a grating map. The value was chosen because with 4 cells
+# instead of 16, the scatter of colours that dots cause within a pixel is often missed.
 _FIRST_LEVEL_OF_DOTS = 2
-# Number of pixels per slice when colours of one ray per pixel are looked up on the CPU. Choice: longer slices
-# distribute work less evenly over threads; shorter ones require more launches.
+# Number of pixels per slice when colours of one ray per pixel are looked up on the CPU. The value was chosen because
+# longer slices distribute work less evenly over threads, and shorter slices require more launches.
 _COLOURS_OF_SLICE = 2048
 
 

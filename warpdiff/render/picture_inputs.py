@@ -357,7 +357,10 @@ def _in_unit(inputs: PictureInputs) -> Evaluation:
 
 
 def _unit_coherence(surfaces: Mapping[str, SurfaceOfPart], settings: PictureSettings) -> Coherence:
-    """Return the coherence to which colours of a picture are relative: that of surfaces without one of their own."""
+    """Return the coherence to which all colours of a picture are relative.
+
+    It is the coherence of the surfaces that do not have a coherence of their own.
+    """
     if settings.coherence is not None or not isinstance(settings.plan, Mapping):
         return settings.coherence or Coherence()
     own = {key for key, value in surfaces.items() if _has_own_coherence(value)}

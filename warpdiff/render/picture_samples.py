@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from warpdiff.render.pixel_sampler import LobeIndex
     from warpdiff.render.renderer import Renderer
 
-# Largest standard deviation of a footprint in (u, v). Limit: at silhouettes, directions change so fast that footprints,
-# which are linear, would exceed the hemisphere.
+# Largest standard deviation of a footprint in (u, v). At silhouettes, directions change so fast that footprints, which
+# are linear approximations, would exceed the hemisphere without this limit.
 _WIDEST = 0.35
-# Fields of :class:`LitPixels` with an entry per sample, without the footprints.
+# Names of the fields of :class:`LitPixels` with one entry per sample, without the field of the footprints.
 _ARRAYS = ("pixels", "scattering_vectors", "to_lights", "gains")
 
 
@@ -44,7 +44,7 @@ class LitPixels:
         gains: Geometry factors with the power of the light, shape (n,).
         footprints: Covariances uu, uv and vv of (u, v) over the filter of each pixel, shape (n, 3); None for points.
             Standard deviations are at most 0.35.
-        illuminated: Illuminant, and the material of the surface.
+        illuminated: Illuminant of the light with the material of the surface.
     """
 
     pixels: NDArray[np.int64]
@@ -189,7 +189,7 @@ def _covariances(picture: Picture, index: LobeIndex) -> NDArray[np.float64]:
     row_u, row_v, column_u, column_v = batch.samples.footprints.numpy().astype(np.float64).T
     uu, uv = row_u * row_u + column_u * column_u, row_u * row_v + column_u * column_v
     vv = row_v * row_v + column_v * column_v
-    # Footprints are scaled so that their largest variance is at most that of the widest one.
+    # Footprints are made smaller, so that their largest variance is at most the square of `_WIDEST`.
     largest = (uu + vv) / 2.0 + np.hypot((uu - vv) / 2.0, uv)
     share = np.minimum(_WIDEST**2 / np.maximum(largest, TINY), 1.0)
     return np.asarray(share[:, None] * np.stack([uu, uv, vv], axis=1))

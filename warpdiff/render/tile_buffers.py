@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 class BufferKind(NamedTuple):
     """Flags that say which optional arrays tile buffers have.
 
-    In the order of the flags, the arrays are: geometry factors of directions that a table cannot serve; base colours;
-    geometry factors at faces with the finish that is being evaluated, if faces have several finishes; the rays' own
-    directions to the light; metallic, roughness and emission of textures; and samples in the frames of the dots of
-    grating maps.
+    The flags are in the order of these optional arrays: geometry factors of directions that a table does not contain;
+    base colours; geometry factors at faces with the finish that is evaluated, if faces have several finishes; each
+    ray's own direction to the light; metallic, roughness and emission of textures; and samples in the frames of the
+    dots of grating maps.
     """
 
     needs_sampling: bool
