@@ -1,4 +1,4 @@
-"""``wd.adjoint.pixels``: values of pictures, transposes, differences of pictures, and errors of unsupported ones."""
+"""``wd.adjoint.pixels``: values of pictures, transposes, differences of pictures, and errors of other pictures."""
 
 import dataclasses
 import functools

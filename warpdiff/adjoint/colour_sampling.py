@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
     from warpdiff.optics.spectra import Spectrum
 
-# Smallest and largest number of wavelengths of a colour. The first number is limited by quintic polynomials, which need
-# six nodes. The second number is limited by the computing time, which is proportional to the number.
+# Smallest and largest number of wavelengths of a colour. The smallest number is limited by quintic polynomials, which
+# need six nodes. The largest number is limited by the computing time, which is proportional to the number.
 LEAST_WAVELENGTHS, MOST_WAVELENGTHS = 12, 20_000
 # Error of the quintic interpolation of a sine wave, divided by (angular frequency × step)⁶. The value follows from the
 # error formula of polynomial interpolation: the product of the distances from six nodes, in the middle of them, over

@@ -189,7 +189,7 @@ class Renderer:
         """Draw the next picture.
 
         Args:
-            lights: Lights of this thread's pictures from now on; None keeps the previous ones.
+            lights: Lights of this thread's pictures from now on; None uses the previous lights.
             view: Camera from now on, with the same size in pixels; None uses the previous camera.
             progress: As for :func:`warpdiff.shade`. On a GPU it is called once, after all launches. An exception that
                 it raises cancels the picture; the next picture starts from scratch.
