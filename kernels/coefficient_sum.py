@@ -233,8 +233,6 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
             return total
         dy = wp.float32(first_y) - fy
         centre = fx
-        if wp.static(form == "source"):
-            centre = fx - window.slant * dy
         first_x = wp.int32(wp.ceil(centre - radius_x))
         last_x = wp.int32(wp.floor(centre + radius_x))
         if wp.static(form != "source"):
@@ -401,7 +399,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
                 g3 = patch_power(table, scattering_vector, quadrature.wavenumbers[start + 3 * divisions])
                 base = wp.int32(0)
                 for k in range(start, end):
-                    interval = wp.min((k - start) // divisions, intervals - 1)
+                    interval = (k - start) // divisions
                     if interval - 1 > base and base < intervals - 3:
                         base = base + 1
                         g0 = g1

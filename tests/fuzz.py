@@ -106,7 +106,7 @@ MADE_BY_THE_LIBRARY = {"BakedLobes", "BakedSpectrum", "Comparison", "Image", "Or
 MADE_BY_THE_LIBRARY |= {"Periods", "ReflectanceSpectra", "Report", "Roughness", "ScanReport", "ToleranceError"}
 MADE_BY_THE_LIBRARY |= {"WarpdiffWarning", "Fit", "Measured", "Minimum", "Design", "Target", "RigorousEfficiencies"}
 # Methods that only the renderer calls are not fuzzed, because their arguments are already checked.
-CALLED_BY_PICTURES = {"lobes", "parts"}
+CALLED_BY_PICTURES = {"lobes", "parts", "table_coherence"}
 # Objects on which methods are called, by class. Methods of the classes in ``FUZZED_OWNERS`` are also called on fuzzed
 # objects of these classes.
 OWNERS = {
@@ -120,13 +120,14 @@ OWNERS = {
         *(np.ones((1, 1)) for _ in range(3)), np.array([8]), np.array([0.0]), np.array([True]),
     ),
     "Roughness": WAVY.roughness, "Fit": fitted, "Measured": measured, "Design": designed,
-    "Table": lambda: wd.Table({"number": [1.0]}),
+    "Table": lambda: wd.Table({"number": [1.0]}), "GratingMap": lambda: wd.GratingMap(HEIGHTFIELD),
     "ReflectanceSpectra": lambda: wd.ReflectanceSpectra(np.ones(1), np.eye(3)[2:], np.eye(3)[2:], np.ones((1, 1))),
     "BakedSpectrum": functools.cache(lambda: wd.bake_spectrum(HEIGHTFIELD, coherence=SHORT, size=16, tolerance=0.1)),
 }  # fmt: skip
 FUZZED_OWNERS = {"HeightField": "heightfield", "View": "view"}
 # Legal values for arguments that are not fuzzed in a call. ``LEGAL_OF`` overrides them for single functions.
 LEGAL = {
+    "cell": HEIGHTFIELD, "row": 0, "column": 0,
     "heightfield": HEIGHTFIELD, "mesh": MESH, "light": LIGHT, "lights": LIGHT, "view": VIEW, "to_light": UP,
     "to_view": UP, "wavelengths_nm": [500.0], "coherence": SHORT, "eye": (0.0, 0.0, 5.0), "target": (0.0, 0.0, 0.0),
     "extent_y": 1.0, "period_um": 1.0, "depth_um": 0.1, "path": Path("a.npy"), "heights_um": [[0.0, 0.1], [0.1, 0.0]],

@@ -396,6 +396,15 @@ def test_grazing_lights_of_a_source_warn_of_missing_wavelengths(body, view):
         WavelengthSums(samples_of(renderer, light).lobes, narrow, 1e-4, 0.1)
 
 
+def test_thick_films_require_more_wavelengths(points):
+    (lit,) = samples_of(points, LIGHT).lobes
+    lit = dataclasses.replace(lit, scattering_vectors=lit.scattering_vectors * [0.01, 0.01, 1.0])
+    film = wd.Material.metal("Cr").coated(wd.Material.dielectric(1.4), 1000.0)
+    coated = dataclasses.replace(lit, illuminated=IlluminatedMaterial("D65", film))
+    plain, thick = (WavelengthSums([group], WINDOW, 1e-4, 0.01).pair_count for group in (lit, coated))
+    assert thick >= 2 * plain
+
+
 def test_outlines_replace_the_height_field(points, rng):
     grating = wd.profiles.Trapezoid(0.12, 0.4, 0.05, 1.5)
     outline = grating.surface(grating.start)

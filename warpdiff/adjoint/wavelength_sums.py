@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.adjoint.colour_sampling import MOST_WAVELENGTHS, OF_GAUSSIAN, counts_of
+from warpdiff.adjoint.colour_sampling import (
+    LEAST_WAVELENGTHS,
+    MOST_WAVELENGTHS,
+    OF_GAUSSIAN,
+    count_of_material,
+    counts_of,
+)
 from warpdiff.adjoint.gaussian_lobes import Pairs
 from warpdiff.core.warnings import warn
 from warpdiff.kernels.thresholds import LOWEST, TINY
@@ -58,13 +64,21 @@ class WavelengthSums:
         self._classes: list[list[tuple[NDArray[np.int64], int]]] = []
         for group in groups:
             counts = counts_of(self._rates(group, height_range_um), self._span, truncation)
+            if group.illuminated.material is not None and len(counts):
+                least = count_of_material(
+                    LEAST_WAVELENGTHS, -group.scattering_vectors, group.illuminated.material,
+                    group.illuminated.illuminant, truncation, geometric=self._is_source,
+                )  # fmt: skip
+                counts = np.maximum(counts, least)
             undersampled += int(np.count_nonzero(counts > MOST_WAVELENGTHS))
             counts = np.minimum(counts, MOST_WAVELENGTHS)
-            # Numbers of wavelengths are rounded up to powers of √2, so that more directions use the same wavelengths.
-            octaves = np.ceil(2.0 * np.log2(counts / 12.0)).astype(np.int64)
-            self._classes.append([
-                (np.flatnonzero(octaves == k), math.ceil(12.0 * 2.0 ** (k / 2.0))) for k in np.unique(octaves).tolist()
-            ])  # fmt: skip
+            # Numbers of wavelengths are rounded up to powers of √2, so that more directions use the same
+            # wavelengths.
+            octaves = np.ceil(2.0 * np.log2(counts / LEAST_WAVELENGTHS)).astype(np.int64)
+            self._classes.append([])
+            for k in np.unique(octaves).tolist():
+                count = math.ceil(LEAST_WAVELENGTHS * 2.0 ** (k / 2.0))
+                self._classes[-1].append((np.flatnonzero(octaves == k), count))
         if undersampled:
             warn(
                 f"{undersampled} of {sum(len(group.gains) for group in groups)} samples require more than "
@@ -85,7 +99,7 @@ class WavelengthSums:
         for index, (group, classes) in enumerate(zip(self._groups, self._classes, strict=True)):
             for chosen, count in classes:
                 wavenumbers, weights = colorimetry.uniform_quadrature(
-                    count, group.illuminated.illuminant, geometric=self._is_source
+                    count, group.illuminated.illuminant, geometric=self._is_source, signed=True
                 )
                 size = max(PAIRS_TOGETHER // count, 1)
                 for first in range(0, len(chosen), size):

@@ -25,6 +25,10 @@ if TYPE_CHECKING:
 
     from warpdiff.optics.coherence import Coherence
 
+    # Values of dots: a number or an array, the path of an image, or a tuple of the path and its values of black and
+    # white.
+    DotValues = ArrayLike | os.PathLike[str] | tuple[str | os.PathLike[str], float, float]
+
 # Largest turn [degrees], depth scale and pitch scale that a map accepts. Turns are limited because kernels store their
 # sine and cosine in float32, and larger turns would be rounded before. Larger scales probably have a wrong unit.
 _MOST_TURN_DEG, _MOST_SCALE = 36_000.0, 1000.0
@@ -91,8 +95,8 @@ class GratingMap:
     """
 
     def __init__(
-        self, cell: HeightField, *, turn_deg: ArrayLike | Any = 0.0, depth_scale: ArrayLike | Any = 1.0,
-        pitch_scale: ArrayLike | Any = 1.0,
+        self, cell: HeightField, *, turn_deg: DotValues = 0.0, depth_scale: DotValues = 1.0,
+        pitch_scale: DotValues = 1.0,
     ) -> None:  # fmt: skip
         with renaming({"heightfield": "cell"}):
             check_whole(cell)

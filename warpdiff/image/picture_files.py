@@ -167,10 +167,12 @@ def read_exr(file: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, tupl
     names for which the numbers in the layer stand.
     """
     with openimageio.in_use() as oiio:
-        source = oiio.ImageInput.open(str(file))
+        source = openimageio.opened(oiio, file, ("openexr",))
         if source is None:
             _discard_error(oiio)
-            raise ArgumentValueError(f"{ref('path')}: {str(file)!r} cannot be read as an image; name an EXR file")
+            raise ArgumentValueError(
+                f"{ref('path')}: {str(file)!r} cannot be read as an EXR file; name one of Image.save"
+            )
         try:
             specs: list[Any] = []
             while source.seek_subimage(len(specs), 0):

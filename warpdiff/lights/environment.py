@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 
 # Largest radiance, linear sRGB. The value is limited by kernels, which square colours in float32; float32 ends at 3e38.
 _MOST_RADIANCE = 1e9
+# Names of the accepted formats in OpenImageIO.
+_FORMATS = ("openexr", "hdr")
 # Range of the option ``directions``. It is limited because fewer directions show noise, and because time is
 # proportional to the number of directions.
 _FEWEST_DIRECTIONS, _MOST_DIRECTIONS = 16, 32_768
@@ -137,7 +139,7 @@ class Environment(Checked, Light):
         file = validation.path(path, "path")
         files.check_file(file)
         with openimageio.in_use() as oiio:
-            image = oiio.ImageInput.open(str(file))
+            image = openimageio.opened(oiio, file, _FORMATS)
             if image is None:
                 oiio.geterror()
                 raise ArgumentValueError(

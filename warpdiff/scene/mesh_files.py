@@ -29,6 +29,9 @@ UNNAMED = "mesh 0"
 _STL_HEADER_BYTES, _STL_TRIANGLE_BYTES = 84, 50
 # Suffixes of formats in which a file has one mesh without a name.
 _SINGLE = (".ply", ".stl", ".off")
+# Formats that trimesh reads here, the last two with packages of its own. Its readers of archives and of other formats
+# are not used, so that a file can neither contain files nor select another decoder.
+_BY_TRIMESH = (".obj", *_SINGLE, ".3mf", ".dae")
 
 
 def load(path: str | os.PathLike[str]) -> list[ScenePart]:
@@ -45,8 +48,11 @@ def load(path: str | os.PathLike[str]) -> list[ScenePart]:
         if not file.is_file():
             raise ArgumentValueError(f"{ref('mesh')} must be a file, got the folder {str(file)!r}")
         parts = gltf.load(file)
-    else:
+    elif file.suffix.lower() in _BY_TRIMESH or not file.is_file():
         parts = _load_by_trimesh(file)
+    else:
+        names = ", ".join((".gltf", ".glb", *_BY_TRIMESH))
+        raise ArgumentValueError(f"{ref('mesh')} must be a file of the formats {names}, got {str(file)!r}; convert it")
     if not parts:
         raise ArgumentValueError(f"{ref('mesh')} must have triangles, got a scene or file without any")
     return parts

@@ -305,7 +305,7 @@ def _is_whole(path: Path, shot: Shot) -> bool:
     if not path.is_file():
         return False
     with openimageio.in_use() as oiio:
-        source = oiio.ImageInput.open(str(path))
+        source = openimageio.opened(oiio, path, ("openexr", "png"))
         if source is None:
             # OpenImageIO prints unread error messages at the end of the process. Reading the message prevents this.
             oiio.geterror()

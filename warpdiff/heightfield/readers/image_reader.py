@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 _BYTES_PER_SAMPLE = 28.0
 
 
+# Names of the accepted formats in OpenImageIO. Other decoders of the library do not read files of heights.
+_FORMATS = (
+    "png", "tiff", "openexr", "bmp", "pnm", "jpeg", "jpeg2000", "webp", "hdr", "dpx", "fits", "gif", "psd", "targa",
+)  # fmt: skip
 _SUFFIXES = (
     ".png", ".tif", ".tiff", ".exr", ".bmp", ".tga", ".pgm", ".pfm", ".pnm", ".jpg", ".jpeg", ".jp2", ".webp", ".hdr",
     ".dpx", ".fits", ".gif", ".psd",
@@ -43,7 +47,7 @@ def image_samples(file: Path) -> np.ndarray:
         # for other formats, OpenImageIO ignores the attribute.
         configuration = oiio.ImageSpec()
         configuration.attribute("pnm:pfmflip", 1)
-        image = oiio.ImageInput.open(str(file), configuration)
+        image = openimageio.opened(oiio, file, _FORMATS, configuration)
         if image is None:
             # The error message is read even if it is not used, because OpenImageIO prints unread messages when the
             # process ends.
