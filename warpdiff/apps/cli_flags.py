@@ -248,6 +248,12 @@ def _add_picture(flags: Flags, settings: type) -> None:
         help="height field of the parts with this geometry or material, or 'plain' for a surface with the "
         "material of the mesh; other parts have --heightfield; may be repeated",
     )  # fmt: skip
+    flags.parser.add_argument(
+        "--map", action="append", metavar="NAME=VALUE",
+        help="value of the dots of --heightfield over the texture coordinates: NAME is turn_deg, depth_scale or "
+        "pitch_scale, and VALUE a number, a grey image, or IMAGE,BLACK,WHITE with the values of black and white; may "
+        "be repeated",
+    )  # fmt: skip
     _add_evaluation(flags, settings)
     _add_scene(flags)
     _add_saving(flags)

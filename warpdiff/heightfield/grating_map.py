@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from warpdiff.core import forks, memory, validation
-from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref, renaming
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, marked, ref, renaming
 from warpdiff.heightfield.edge_checks import check_periodic
 from warpdiff.heightfield.field import HeightField, check_whole
 from warpdiff.heightfield.readers.image_reader import image_samples
@@ -284,7 +284,7 @@ def _from_image(value: Any, name: str) -> NDArray[np.float64]:
         )
     file = validation.path(value, name)
     if not file.is_file():
-        raise FileNotFoundError(f"{name}: there is no file {str(file)!r}")
+        raise marked(FileNotFoundError, f"{ref(name)}: there is no file {str(file)!r}")
     with renaming({"path": name}):
         samples = image_samples(file)
     full = float(np.iinfo(samples.dtype).max) if samples.dtype.kind in "iu" else 1.0
