@@ -163,6 +163,10 @@ LEGAL_OF |= {
     "Target.orders": {"efficiencies": {(0, 1): 0.01}, "wavelength_nm": 500.0},
     "Target.equal": {"orders": [(0, 1)], "wavelength_nm": 500.0}, "design": {"starts": 1},
     "measure_layout": {"path": "foil.gds"},
+    "hidden_pictures": {
+        "first": np.eye(3), "second": np.ones((3, 3)), "eyes": [(0, 0, 8), (5, 1, 6)], "to_light": (0.0, 0.6, 0.8),
+        "cell": wd.gratings.sinusoidal(1.3, 0.2), "width": 1.0,
+    },
     "rigorous_order_efficiencies": {"heightfield": wd.gratings.lamellar(1.0, 0.1, samples=8), "layers": 1},
 }  # fmt: skip
 LEGAL_BY_CALL = {"renderer": renderer, "lobes": lobes, "ax": axes, "efficiencies": efficiencies}

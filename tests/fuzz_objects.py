@@ -286,7 +286,7 @@ OBJECTS = {
     **dict.fromkeys(("evaluate", "loss"), st.just("bad")),
     "targets": _one_of(lambda: [orders_target(), [orders_target()], [], ["x"], None]),
     "levels": st.one_of(COUNTS, _VECTORS), "dose": _VECTORS,
-    "cell": _one_of(_heightfields),
+    "cell": _one_of(_heightfields), **dict.fromkeys(("first", "second"), _HEIGHTS), "eyes": _VECTORS,
     **dict.fromkeys(("turn_deg", "depth_scale", "pitch_scale"), st.one_of(NUMBERS, _VECTORS)),
     **dict.fromkeys(("depth_scales", "edge_widths_um", "tilts_deg", "least_feature_um"), _VECTORS),
     "wrt": st.sampled_from([("heights_um",), ("to_light", "ior"), ("duty",), ("x",), "heights_um", (), [1], (None,)]),
