@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from conftest import slow
+from conftest import hemisphere, slow
+from trimesh.visual.material import PBRMaterial
 
 import warpdiff as wd
 from bench.truth.brute_force import intersect
@@ -15,9 +16,12 @@ from warpdiff.device.kernel_calls import launch
 from warpdiff.kernels.shading_frames import LIFT
 from warpdiff.kernels.shadow_rays import trace_shadow_rays
 from warpdiff.kernels.structs import Pixels
+from warpdiff.kernels.transparency import trace_shadow_rays_through
 from warpdiff.scene import camera_rays, occluder_grid
 from warpdiff.scene.device_mesh import SceneArrays
 from warpdiff.scene.mesh_import import prepare_surface
+
+UP = (0.0, 0.0, 1.0)
 
 
 def unit(vector):
@@ -75,18 +79,26 @@ def points_on(surface, light, count, rng):
     return (np.einsum("kc,kcd->kd", shares, corners) + float(LIFT) * normal).astype(np.float32)
 
 
-def occluded(grid, light, origins, threads=1):
-    """Return the shadow kernel's results for rays from ``origins`` to the light: True for each occluded ray."""
+def traced(kernel, of_mesh, light, origins, directions=(), threads=1):
+    """Return the results of a shadow kernel for rays from ``origins`` to the light: True for each occluded ray.
+
+    If ``directions`` has a direction for each ray, (n, 3), the rays have these directions instead.
+    """
     places = wp.array([(*light, 0.0)], dtype=wp.vec4d, device="cpu")
     pixels = Pixels()
     pixels.hit = wp.ones(len(origins), dtype=wp.int32, device="cpu")
     pixels.normal = wp.full(len(origins), wp.vec3f(*light), dtype=wp.vec3f, device="cpu")
     pixels.shadow_origin = wp.array(origins, dtype=wp.vec3f, device="cpu")
     result = wp.empty(len(origins), dtype=wp.bool, device="cpu")
-    device = wp.get_device("cpu")
-    inputs = [grid, places, 0, wp.empty(0, dtype=wp.vec4f, device=device), pixels]
-    launch(trace_shadow_rays, len(origins), inputs, [result], device=device, threads=threads, in_runs=True)
+    towards = wp.array([(*direction, 1.0) for direction in directions], dtype=wp.vec4f, device="cpu")
+    inputs = [*of_mesh, places, 0, towards, pixels]
+    launch(kernel, len(origins), inputs, [result], device=wp.get_device("cpu"), threads=threads, in_runs=True)
     return result.numpy()
+
+
+def occluded(grid, light, origins, threads=1, directions=()):
+    """Return the results of the shadow kernel for opaque scenes: True for each occluded ray."""
+    return traced(trace_shadow_rays, [grid], light, origins, directions, threads)
 
 
 def scene_of(surface):
@@ -113,6 +125,48 @@ def test_shadows_equal_brute_force(make, light, rng):
     assert np.count_nonzero(sure) > 0.99 * len(sure)
     for grid in (grid_of(surface, scene, light), occluder_grid.no_grid(scene)):
         np.testing.assert_array_equal(occluded(grid, light, origins)[sure], np.isfinite(t)[sure])
+
+
+def through(scene, light, origins, directions=()):
+    """Return the results of the shadow kernel for scenes with transparent faces, as :func:`occluded`."""
+    scene.with_hierarchy()
+    return traced(
+        trace_shadow_rays_through, [scene.bare, scene.textures, scene.transparency], light, origins, directions
+    )
+
+
+@pytest.mark.parametrize("is_opaque", [True, False])
+def test_rays_with_directions_of_their_own_hit_a_rectangle_as_plane_geometry_states(is_opaque, rng):
+    """Rays to directions on a disc light must be occluded where they pass through a rectangle above their origins."""
+    plate = trimesh.Trimesh([[-0.5, -0.2, 0], [0.7, -0.2, 0], [0.7, 0.3, 0], [-0.5, 0.3, 0]], [[0, 1, 2], [0, 2, 3]])
+    surface = surface_of(plate)
+    # The surface is scaled to the unit sphere, so that the edges of the rectangle are read from its vertices.
+    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    origins = rng.uniform(-0.5, 0.5, (400, 3)) - (0.0, 0.0, 1.0)
+    directions = hemisphere(rng, 400, 0.5)
+    met = (origins + (low[2] - origins[:, 2:]) / directions[:, 2:] * directions)[:, :2]
+    expected = np.all((met > low[:2]) & (met < high[:2]), axis=1)
+    assert 20 < np.count_nonzero(expected) < 380
+    sure = np.minimum(np.abs(met - low[:2]), np.abs(met - high[:2])).min(axis=1) > 1e-4
+    scene, starts = scene_of(surface), origins.astype(np.float32)
+    if is_opaque:
+        result = occluded(occluder_grid.no_grid(scene), UP, starts, directions=directions)
+    else:
+        result = through(scene, UP, starts, directions)
+    np.testing.assert_array_equal(result[sure], expected[sure])
+
+
+@pytest.mark.parametrize("layers", [1, 64, 65])
+def test_a_ray_passes_64_transparent_faces_and_no_more(layers):
+    cut = PBRMaterial(name="cut", baseColorFactor=[255, 255, 255, 0], alphaMode="MASK", alphaCutoff=0.5)
+    panes = [lid().apply_translation((0.0, 0.0, 0.01 * layer)) for layer in range(layers)]
+    stack = trimesh.util.concatenate(panes)
+    stack.visual = trimesh.visual.TextureVisuals(uv=stack.vertices[:, :2], material=cut)
+    surface = surface_of(stack)
+    scene = scene_of(surface)
+    assert not scene.is_opaque
+    origins = np.array([[0.1, 0.2, surface.vertices[:, 2].min() - 0.1]], dtype=np.float32)
+    assert through(scene, UP, origins).tolist() == [layers > 64]
 
 
 def test_shadows_have_no_gap_at_common_edges_of_faces(rng):

@@ -1,4 +1,4 @@
-"""Samples of a sky: stratification, probability densities, gains, and interpolation between the cells of the sky.
+"""Samples of a sky: stratification, densities, gains, scattering vectors, and interpolation between cells of the sky.
 
 (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
 light and to the viewer.
@@ -13,10 +13,13 @@ from conftest import hemisphere, launch
 
 from warpdiff.kernels import compile_options, sample_sequence, sky_samples
 from warpdiff.kernels.light_samples import Reflection
+from warpdiff.kernels.structs import Footprint, Pixels, SurfaceArrays, Textures, Transparency
 from warpdiff.lights.sky_grid import sample_grid
 from warpdiff.optics import reflectance_factors
 
 COUNT = 1 << 14
+# Cumulative probabilities whose last value is below 1, as rounding may leave it.
+SHORT = [0.3, 0.3, 0.9]
 
 
 def array(values, dtype):
@@ -25,11 +28,11 @@ def array(values, dtype):
 
 @wp.kernel(module="unique", module_options=compile_options.options())
 def call_functions(
-    table: sky_samples.SkyDistribution, sky: sky_samples.Sky, reflection: Reflection,
+    table: sky_samples.SkyDistribution, sky: sky_samples.Sky, reflection: Reflection, cdf: wp.array(dtype=wp.float32),
     along: wp.array(dtype=wp.vec3f), views: wp.array(dtype=wp.vec3f), points: wp.array(dtype=wp.vec2f),
     indices: wp.array(dtype=wp.uint32), drawn_uv: wp.array(dtype=wp.vec2f), uv_densities: wp.array(dtype=wp.float32),
     drawn: wp.array(dtype=wp.vec3f), densities: wp.array(dtype=wp.float32), powers: wp.array(dtype=wp.vec3f),
-    gains: wp.array(dtype=wp.float32),
+    gains: wp.array(dtype=wp.float32), steps: wp.array(dtype=wp.int32),
 ):  # fmt: skip
     i = wp.tid()
     points[i] = sample_sequence.light_point(wp.uint32(i))
@@ -40,6 +43,7 @@ def call_functions(
     place = sky_samples.place_in_sky(sky, drawn[i])
     densities[i] = sky_samples.density_of_direction(table, place)
     powers[i] = sky_samples.power_at(sky, sky_samples.place_in_sky(sky, along[i]))
+    steps[i] = sky_samples.find_step(cdf, 0, cdf.shape[0], points[i][0])
     uv = wp.vec2f(-along[i][0] - views[i][0], -along[i][1] - views[i][1])
     gains[i] = sky_samples.gain_over_cosine(reflection, 0, uv, along[i], views[i])
 
@@ -70,10 +74,10 @@ def results():
     along, views = hemisphere(rng, COUNT), hemisphere(rng, COUNT)
     types = {
         "points": wp.vec2f, "indices": wp.uint32, "drawn_uv": wp.vec2f, "uv_densities": wp.float32, "drawn": wp.vec3f,
-        "densities": wp.float32, "powers": wp.vec3f, "gains": wp.float32,
+        "densities": wp.float32, "powers": wp.vec3f, "gains": wp.float32, "steps": wp.int32,
     }  # fmt: skip
     outputs = {name: wp.zeros(COUNT, dtype=dtype, device="cpu") for name, dtype in types.items()}
-    inputs = [table, sky, reflection, array(along, wp.vec3f), array(views, wp.vec3f)]
+    inputs = [table, sky, reflection, array(SHORT, wp.float32), array(along, wp.vec3f), array(views, wp.vec3f)]
     launch(call_functions, COUNT, inputs, list(outputs.values()), device="cpu")
     given = {"along": along, "views": views, "grid": grid, "rings": rings, "spokes": spokes, "blocks": blocks}
     return given, {name: values.numpy() for name, values in outputs.items()}
@@ -120,6 +124,13 @@ def test_points_are_drawn_in_proportion_to_their_density(results):
     assert (radius**2 * per_density).mean() == pytest.approx(0.5 * math.pi * farthest**4, rel=0.01)
 
 
+def test_the_last_step_is_drawn_if_rounding_makes_the_sum_of_probabilities_too_small(results):
+    computed = results[1]
+    expected = np.minimum(np.searchsorted(SHORT, computed["points"][:, 0], side="right"), len(SHORT) - 1)
+    assert (computed["points"][:, 0] > SHORT[-1]).any()
+    np.testing.assert_array_equal(computed["steps"], expected)
+
+
 def test_directions_are_drawn_in_proportion_to_their_density(results):
     given, computed = results
     drawn = computed["drawn"]
@@ -145,3 +156,84 @@ def test_gains_equal_those_of_the_library_for_extended_lights(results):
         given["along"], given["views"], normal=0.04, masking=True, per_light_cosine=True
     )
     np.testing.assert_allclose(computed["gains"], expected, rtol=2e-4)
+
+
+SKY_RAYS = 256
+
+
+def frames_of_rays(rng):
+    """Return tangents, bitangents and normals of random shading frames, shape (n, 3, 3); half are left-handed."""
+    frames = np.linalg.qr(rng.normal(size=(SKY_RAYS, 3, 3)))[0]
+    frames[::2, 1] *= -1.0
+    assert np.mean(np.linalg.det(frames) > 0.0) == 0.5
+    return frames
+
+
+def pixels_with(frames, views, hit):
+    """Return the struct of hits with shading frames, (n, 3, 3), and directions to the viewer in these frames, (n, 3)."""
+    pixels = Pixels()
+    pixels.hit, pixels.face = array(hit, wp.int32), array(np.zeros(len(hit)), wp.int32)
+    pixels.tangent, pixels.bitangent, pixels.normal = (array(frames[:, axis], wp.vec3f) for axis in range(3))
+    pixels.to_view = array(np.einsum("na,nac->nc", views, frames), wp.vec3f)
+    return pixels
+
+
+def test_each_sample_scatters_light_from_its_direction_in_the_sky(rng):
+    """The scattering vector must be −ωi − ωr, and the gains proportional to the power of the sky in the direction ωi.
+
+    Both must hold for either handedness of the frame, and for either way by which a direction is drawn.
+    """
+    frames, views = frames_of_rays(rng), hemisphere(rng, SKY_RAYS, 0.3)
+    hit = rng.uniform(size=SKY_RAYS) < 0.9
+    table, sky, reflection = sky_samples.SkyDistribution(), sky_samples.Sky(), Reflection()
+    table.ring_cdf, table.starts = array([0.4, 1.0], wp.float32), array([0, 4, 8], wp.int32)
+    table.spoke_cdf = array(2 * [0.25, 0.5, 0.75, 1.0], wp.float32)
+    table.densities = array(np.ones(8), wp.float32)
+    table.least_log, table.per_log = math.log(0.5), 1.0 / math.log(4.0)
+    table.row_cdf, table.column_cdf = array([0.5, 1.0], wp.float32), array(2 * [[0.5, 1.0]], wp.float32)
+    table.block_densities, table.sky_share = array(np.full((2, 2), 0.25 / math.pi), wp.float32), 0.5
+    grid = np.ones((8, 16, 3))
+    grid[..., 0] = rng.uniform(0.5, 2.0, (8, 16))
+    sky.powers = array(grid, wp.vec3f)
+    reflection.normal_reflectances, reflection.units = array([0.04], wp.float64), array([1.0], wp.float64)
+    reflection.surfaces = array([0], wp.int32)
+    vectors, lights = wp.zeros(SKY_RAYS, wp.vec3d, device="cpu"), wp.zeros(SKY_RAYS, wp.vec3f, device="cpu")
+    gains, none = wp.full((3, SKY_RAYS), 7.0, wp.float32, device="cpu"), wp.zeros(SKY_RAYS, wp.vec3f, device="cpu")
+    illuminated = wp.zeros(SKY_RAYS, wp.bool, device="cpu")
+    inputs = [
+        sky, table, pixels_with(frames, views, hit), array(np.zeros((SKY_RAYS, 4)), Footprint), np.eye(3), reflection,
+        0, SurfaceArrays(), Textures(), Transparency(), 0, False, array([], wp.int32), 16, 1, 0, 1, 0, SKY_RAYS // 2,
+    ]  # fmt: skip
+    launch(sky_samples.sample_sky, (2, 1), inputs, [vectors, lights, gains, none, illuminated], device="cpu")
+    light, gain = lights.numpy().astype(float), gains.numpy()
+    np.testing.assert_array_equal(vectors.numpy()[~hit], 0.0)
+    np.testing.assert_array_equal(gain[:, ~hit], 0.0)
+    bright = gain[1] > 0.0
+    np.testing.assert_array_equal(illuminated.numpy(), bright)
+    assert np.all(light[hit & ~bright, 2] < 0.01)
+    assert bright.sum() > 100
+    np.testing.assert_allclose(np.linalg.norm(light[bright], axis=1), 1.0, atol=1e-5)
+    np.testing.assert_allclose(vectors.numpy()[bright], -(light + views)[bright], atol=1e-5)
+    along = np.einsum("na,nac->nc", light, frames)[bright]
+    np.testing.assert_allclose(gain[0, bright] / gain[1, bright], sample_grid(grid, along, 0.0)[:, 0], rtol=1e-3)
+
+
+def test_the_share_of_hits_and_the_mirror_directions_are_those_of_the_rays(rng):
+    """Light from the mirror direction has u = v = 0 and w = −2 cos θ; each hit adds the share of its ray to the
+    coverage."""
+    frames, views = frames_of_rays(rng), hemisphere(rng, SKY_RAYS)
+    hit = rng.uniform(size=SKY_RAYS) < 0.7
+    vectors, gains = wp.zeros(SKY_RAYS, wp.vec3d, device="cpu"), wp.zeros(SKY_RAYS, wp.float32, device="cpu")
+    before = rng.uniform(size=SKY_RAYS)
+    colours, illuminated = array(np.ones((SKY_RAYS, 3)), wp.vec3f), array(np.ones(SKY_RAYS), wp.bool)
+    coverage = array(before, wp.float64)
+    for begins, resets in ((False, False), (False, True), (True, True)):
+        inputs = [pixels_with(frames, views, hit), 0.25, begins, resets, 0, SKY_RAYS // 2]
+        outputs = [vectors, gains, colours, coverage, illuminated]
+        launch(sky_samples.mirror_deflections, (2, 1), inputs, outputs, device="cpu")
+        np.testing.assert_allclose(vectors.numpy(), hit[:, None] * views[:, 2:] * (0.0, 0.0, -2.0), atol=1e-6)
+        np.testing.assert_array_equal(gains.numpy(), hit)
+        before = 0.25 * hit + (0.0 if begins else before)
+        np.testing.assert_allclose(coverage.numpy(), before, atol=1e-12)
+        np.testing.assert_array_equal(colours.numpy(), not resets)
+        np.testing.assert_array_equal(illuminated.numpy(), not begins)

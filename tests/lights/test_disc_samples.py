@@ -87,11 +87,15 @@ def test_weighted_directions_are_uniform_over_the_disc(diameter, towards_mirror)
     This must also hold if some samples are drawn near a mirror direction that is on the disc.
     """
     axis, radius = np.asarray(TOWARDS) / np.linalg.norm(TOWARDS), math.radians(diameter / 2.0)
-    normal = view = -axis
+    normal = view = mirror = -axis
     if towards_mirror is not None:
-        view = axis * math.cos(towards_mirror * radius) + orthonormal_pair(axis)[0] * math.sin(towards_mirror * radius)
-        normal = view
-    towards = drawn_towards(diameter, normal=normal, view=view, lobe=0.2 * radius)
+        aside = orthonormal_pair(axis)[0]
+        mirror = axis * math.cos(towards_mirror * radius) + aside * math.sin(towards_mirror * radius)
+        normal = mirror + 0.3 * orthonormal_pair(mirror)[1]
+        normal /= np.linalg.norm(normal)
+        view = 2.0 * (normal @ mirror) * normal - mirror
+    lobe = 0.2 * radius
+    towards = drawn_towards(diameter, normal=normal, view=view, lobe=lobe)
     np.testing.assert_allclose(np.linalg.norm(towards[:, :3], axis=1), 1.0, atol=1e-5)
     weights = towards[:, 3]
     inside = weights > 0.0
@@ -99,6 +103,12 @@ def test_weighted_directions_are_uniform_over_the_disc(diameter, towards_mirror)
     assert np.all(cosines >= math.cos(radius) - 1e-6)
     if towards_mirror is None:
         np.testing.assert_array_equal(weights, 1.0)
+    else:
+        # Of the directions drawn around the mirror direction, 39 % are within one standard deviation of the lobe. They
+        # are 12 % of all directions.
+        away = towards[:, :3] - mirror
+        away -= (away @ normal)[:, None] * normal
+        assert np.mean(np.linalg.norm(away, axis=1) < lobe) > 0.1
     # ``share`` is the part of the disc's solid angle that is nearer to its centre than a sample. If the weighted
     # samples are uniform, the weighted histograms of ``share`` and of the azimuth are flat.
     share = (1.0 - cosines) / (1.0 - math.cos(radius))

@@ -1,0 +1,64 @@
+"""Runs of threads: results do not depend on how the indices of a launch are divided among threads.
+
+On the CPU, one thread processes all indices of a slice. On a GPU, each thread processes one index.
+"""
+
+import numpy as np
+import trimesh
+from plain_specification import COHERENCE, WAVE, quad
+from trimesh.visual.material import PBRMaterial
+
+import warpdiff as wd
+from warpdiff.device import kernel_calls
+
+
+def in_runs_of(run):
+    """Return a replacement of ``_Recorded.run`` whose threads process ``run`` indices each."""
+
+    def launch(recorded, begin, end):
+        first, stop = begin // recorded._block, -(-end // recorded._block)
+        if not recorded._in_runs:
+            recorded._launch.set_param_at_index_from_ctype(recorded._first, first)
+            recorded._launch.set_dim(stop - first)
+            recorded._launch.launch()
+            return
+        threads = (stop - first) // run
+        for start, count, length in ((first, threads, run), (first + threads * run, 1, (stop - first) % run)):
+            if count * length:
+                recorded._launch.set_param_at_index_from_ctype(recorded._first, start)
+                recorded._launch.set_param_at_index_from_ctype(recorded._first + 1, length)
+                recorded._launch.set_dim((count, 1))
+                recorded._launch.launch()
+
+    return launch
+
+
+def scene():
+    """Return a rough metal that emits light, a matte surface, and a grating with a pigment, side by side."""
+    body = trimesh.Scene()
+    metal = PBRMaterial(
+        name="metal", baseColorFactor=[255, 200, 0, 255], metallicFactor=1.0, roughnessFactor=0.4,
+        emissiveFactor=[0.1, 0.05, 0.0],
+    )  # fmt: skip
+    matte = PBRMaterial(name="matte", baseColorFactor=[50, 100, 150, 255])
+    for x, name, own in ((-2.1, "metal", metal), (0.0, "matte", matte), (2.1, "grating", None)):
+        body.add_geometry(quad(x, own), geom_name=name)
+    return body
+
+
+def test_a_picture_does_not_depend_on_the_number_of_indices_per_thread(monkeypatch):
+    """A picture under lights of all kinds must be the same with one index and with three indices per thread."""
+    disc, point = wd.DirectionalLight((0.2, 0.1, 1.0), angular_diameter_deg=20.0), wd.PointLight((0.5, 0.5, 3.0))
+    many = [wd.DirectionalLight((0.1 * k, 0.3, 1.0), power=0.1) for k in range(-35, 35)]
+    sky = wd.Environment(0.5 + 0.4 * np.sin(np.arange(24.0)).reshape(2, 4, 3), directions=32)
+    view = wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=2.0, width=24, height=8)
+    surfaces, lights = {"grating": WAVE, "*": None}, [disc, point, *many, sky]
+    options = {"coherence": COHERENCE, "tolerance": 0.3, "strict": False}
+    plan = wd.shade(scene(), surfaces, lights, view, **options, pigment=0.5).plan
+    pictures = []
+    for run in (1, 3):
+        monkeypatch.setattr(kernel_calls._Recorded, "run", in_runs_of(run))
+        image = wd.shade(scene(), surfaces, lights, view, plan=plan, pigment=0.5)
+        pictures.append(image.xyz)
+    assert image.illuminated.sum() > 100
+    np.testing.assert_allclose(pictures[1], pictures[0], rtol=1e-5)
