@@ -16,6 +16,7 @@ from warpdiff.core import forks
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
+    from types import ModuleType
 
 # Longest time that a fork waits for OpenImageIO calls of other threads [s]. After this time, the process forks anyway,
 # and the child process cannot use the library. If doubled, such forks are delayed by another second.
@@ -98,7 +99,7 @@ class _Library:
 in_use = _Library().in_use
 
 
-def opened(oiio: Any, file: Path, formats: Sequence[str], configuration: Any = None) -> Any | None:
+def opened(oiio: ModuleType, file: Path, formats: Sequence[str], configuration: Any = None) -> Any | None:
     """Open an image file of one of the named formats; None if OpenImageIO cannot open it or it has another format.
 
     After None, the library may have an error message, which the caller reads.
@@ -130,7 +131,19 @@ def opened(oiio: Any, file: Path, formats: Sequence[str], configuration: Any = N
     return image
 
 
-def _format_of_suffix(oiio: Any, suffix: str) -> str | None:
+def error_text(source: Any) -> str:
+    """Return the last message of OpenImageIO, or of one of its objects, as one line, and clear it.
+
+    OpenImageIO prints unread messages when the process ends. A message may quote bytes of the file that are not text. A
+    fixed text is returned for such a message.
+    """
+    try:
+        return " ".join(source.geterror().split())
+    except UnicodeDecodeError:
+        return "its header is damaged"
+
+
+def _format_of_suffix(oiio: ModuleType, suffix: str) -> str | None:
     """Return OpenImageIO's name of the format of a suffix without its dot; None if the library has no such suffix."""
     for entry in oiio.get_string_attribute("extension_list").split(";"):
         name, _, suffixes = entry.partition(":")
@@ -139,7 +152,7 @@ def _format_of_suffix(oiio: Any, suffix: str) -> str | None:
     return None
 
 
-def _is_of_format(oiio: Any, file: Path, name: str) -> bool:
+def _is_of_format(oiio: ModuleType, file: Path, name: str) -> bool:
     """Whether the decoder of a format recognises the content of a file."""
     decoder = oiio.ImageInput.create(name)
     return decoder is not None and bool(decoder.valid_file(str(file)))

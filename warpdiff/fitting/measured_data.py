@@ -12,7 +12,7 @@ from warpdiff.adjoint.linearised import Linearised
 from warpdiff.adjoint.order_derivatives import order_efficiencies
 from warpdiff.adjoint.spectral_derivatives import reflectance, spectral_reflectance
 from warpdiff.adjoint.surfaces import Relief
-from warpdiff.core import validation
+from warpdiff.core import files, validation
 from warpdiff.core.angles import direction
 from warpdiff.core.wording import ArgumentValueError, ref, renaming
 from warpdiff.evaluate.orders import propagating
@@ -239,7 +239,19 @@ class Measured:
         colorimetry.check_illuminant(illuminant)
         if energy is not None:
             validation.choice(energy, "energy", get_args(Energy))
-        columns = _columns(validation.path(path, "path"))
+        file = validation.path(path, "path")
+        with files.describing(file):
+            return cls._of_columns(
+                _columns(file), illuminant=illuminant, coherence=coherence, ior=ior, material=material,
+                masking=masking, energy=energy,
+            )  # fmt: skip
+
+    @classmethod
+    def _of_columns(
+        cls, columns: dict[str, Array], *, illuminant: str | Spectrum, coherence: Coherence | None, ior: float | None,
+        material: Material | None, masking: bool, energy: Energy | None,
+    ) -> Measured:  # fmt: skip
+        """Return the measured data in the columns of a file, whose names decide the kind of the data."""
         kind = next((kind for kind, names in COLUMNS.items() if set(names) <= set(columns)), None)
         if kind is None:
             wanted_columns = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in COLUMNS.items())
