@@ -85,10 +85,13 @@ if (HERE.parent / "examples").is_dir():
                 "materials",
                 "coherence",
                 "sequences",
+                "gradients",
                 "comparison",
                 "export",
             )
-        ],
+        ]
+        # Topics that are not listed come last.
+        + ["*"],
         "within_subsection_order": "FileNameSortKey",
         "remove_config_comments": True,
         "show_memory": False,

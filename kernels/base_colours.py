@@ -1,7 +1,8 @@
-"""Base colours of textured hits, filtered by the footprints of rays. Only scenes with texture images use this module.
+"""Base colours of textured hits, filtered by the footprints of rays.
 
-Textures of other properties of a material can be sampled in the same way: ``sample_footprint`` and ``sample_point`` of
-``native/textures.h`` return RGBA of any texture of a table.
+The kernels are launched only for scenes with texture images. Textures of other properties of a material can be sampled
+in the same way: ``sample_footprint`` and ``sample_point`` of ``native/textures.h`` return RGBA of any texture of a
+table.
 """
 
 import warp as wp
@@ -28,7 +29,7 @@ def sample_base_colours(
     camera: Camera, surface: SurfaceArrays, textures: Textures, pixels: Pixels, deviation: wp.float32,
     first: wp.int32, run: wp.int32,
 ):  # fmt: skip
-    """Replace negative base colours, which ``intersect_known_faces`` writes at textured hits, by those of textures.
+    """Replace negative base colours by those of textures; ``intersect_known_faces`` writes them at textured hits.
 
     Args:
         camera: Camera in the units of the mesh.

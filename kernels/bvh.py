@@ -7,7 +7,7 @@ from warpdiff.kernels.primary_hits import UNSEEN
 from warpdiff.kernels.structs import Camera, Sampling, SurfaceArrays
 
 # Warp's intersection of rays and boxes divides by 0 and computes with infinities. The compiler flags of this project
-# keep infinities correct.
+# allow this: they keep infinities correct.
 wp.set_module_options(compile_options.options())
 
 # Length up to which a ray is followed [radii of the mesh]. The number was derived from two distances. A ray starts at
@@ -18,9 +18,9 @@ FAR = wp.constant(wp.float32(4.0))
 
 @wp.func
 def position_of(camera: Camera, sampling: Sampling, ray: wp.int32) -> wp.vec2d:
-    """Return the position of a ray in the picture, (right, down) of its upper left corner [pixels].
+    """Return the position of a ray in the picture: right and down from its upper left corner [pixels].
 
-    If the ray belongs to no pixel, the result is negative.
+    Both numbers are negative if the ray belongs to no pixel.
     """
     pixel = ray
     offset = wp.vec2d()

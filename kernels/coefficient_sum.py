@@ -6,6 +6,10 @@ patch, the amplitude at q is interpolated between coefficients instead, and the 
 interference factor of the periods. A coefficient is the scalar product of two vectors: its row in a table, and the
 values of the basis functions at κ = w/λ. All coefficients share the same basis functions. Their values are interpolated
 from a second table, so that the kernels serve any series.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal. θd is half of the angle between the directions to the
+light and to the viewer, so that cos θd = |(u, v, w)|/2.
 """
 
 import functools
@@ -19,11 +23,11 @@ from warpdiff.kernels.indices import cyclic
 OPTIONS = compile_options.options()
 FORMS = ("averaged", "centred", "source", "replicas")
 # Number of Fourier coefficients along an axis from which the amplitude at a frequency is interpolated. The value is
-# limited by time, which is proportional to it.
+# limited by computing time, which is proportional to the square of this number.
 TAPS = 8
-# The interference factor of N periods, [sin(πNt) / (N sin(πt))]², is 0/0 at its maximum, t = 0. t is the distance from
-# the nearest Fourier coefficient of the patch, in spacings of the coefficients. For |N t| below this number, a parabola
-# replaces the factor. The number was derived from the error of the parabola, which is of fourth order in N t.
+# The interference factor of N periods, [sin(πNt) / (N sin(πt))]², is 0/0 at its maximum, t = 0. Here t is the distance
+# from the nearest Fourier coefficient of the patch, in spacings of the coefficients. If |N t| is below this number, a
+# parabola replaces the factor. The number was derived from the error of the parabola, which is of fourth order in N t.
 NEAR_RESONANCE = wp.constant(wp.float32(1e-2))
 
 
@@ -35,12 +39,16 @@ class Quadrature:
     largest bandwidth of a plan. A direction uses the smallest set that suffices for its bandwidth.
     """
 
-    wavenumbers: wp.array(dtype=wp.float64)  # 1/λ of the wavelengths [1/µm], set after set
+    wavenumbers: wp.array(dtype=wp.float64)  # 1/λ of the wavelengths of all sets [1/µm], one set after the other
     weights: wp.array(dtype=wp.vec3f)
-    reflectances: wp.array2d(dtype=wp.float32)  # R of a material, by cos θd from 0 to 1 and by nm from ``least_nm`` on
+    # Reflectance R of a material. The first index is for cos θd from 0 to 1, where θd is half of the angle between
+    # light and viewer. The second index is for the wavelength, in steps of 1 nm from ``least_nm`` on.
+    reflectances: wp.array2d(dtype=wp.float32)
     least_nm: wp.float64  # first wavelength of ``reflectances`` [nm]
     firsts: wp.array(dtype=wp.int32)  # index of the first wavelength of each set, and of the end of the last set
-    subdivisions: wp.int32  # for periods: samples of the interference factor per sample of the patch
+    # For a patch that is repeated: number of wavelengths of the interference factor per wavelength at which the power
+    # of one patch is computed.
+    subdivisions: wp.int32
     per_u: wp.float32
     per_v: wp.float32
     per_w: wp.float32
@@ -75,17 +83,22 @@ class Window:
     across: wp.float32
     along: wp.float32
     slant: wp.float32
-    radius_y: wp.float32  # radius within which coefficients are summed, in coefficients
+    # Distances from q along y and x within which coefficients are summed [spacings of coefficients].
+    radius_y: wp.float32
     radius_x: wp.float32
-    shrink_y: wp.float32  # exp(−2 across) and exp(−2 along), for windows that are equal at all wavelengths
+    # exp(−2 across) and exp(−2 along). They are used only if the window has the same weights at all wavelengths.
+    shrink_y: wp.float32
     shrink_x: wp.float32
 
 
 @wp.func
 def interference_factor(position: wp.float64, periods: wp.float64) -> wp.float32:
-    """Return [sin(πNt)/(N sin(πt))]² for N periods; t is the frequency in spacings of the patch's coefficients."""
-    # Whole turns are removed from t and N t in float64 before the sines are computed: N t may exceed 1,000, and float32
-    # is too coarse for such numbers.
+    """Return the interference factor [sin(πNt)/(N sin(πt))]² of N periods, where ``position`` is t.
+
+    t is the frequency of a direction in spacings of the patch's Fourier coefficients.
+    """
+    # N t may exceed 1,000. Float32 is too coarse for such numbers. Whole turns are therefore removed from t and N t in
+    # float64 before the sines are computed.
     t = position - wp.rint(position)
     turns = t * periods
     small = wp.float32(turns)
@@ -116,25 +129,32 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
     @wp.struct
     class Table:
-        rows: wp.array(dtype=row_t)  # for each coefficient: one row of powers, or two of real and imaginary parts
-        basis: wp.array(dtype=row_t)  # basis functions at equal steps in |κ|, one before the range and two after it
+        rows: wp.array(dtype=row_t)  # for each coefficient: a row for its power, or two for its real and imaginary part
+        # Basis functions at equal steps in |κ| = |w|/λ. One entry is below the range of |κ|, and two are above it.
+        basis: wp.array(dtype=row_t)
         kappa_low: wp.float64  # |κ| of the second entry of ``basis`` [1/µm]
-        steps: wp.float64  # entries of ``basis`` per unit of |κ|
+        steps: wp.float64  # number of entries of ``basis`` per unit of |κ|
         count_y: wp.int32
         count_x: wp.int32
         origin_y: wp.int32
         origin_x: wp.int32
         length_y: wp.float64  # number of coefficients per unit of frequency [µm]
         length_x: wp.float64
-        exponent: wp.float32  # coefficients with a weight below exp(−exponent) are truncated
-        across: wp.float32  # falloff of the window, or of a source at normal incidence, at λ = 1 µm
+        exponent: wp.float32  # coefficients with a weight below exp(−exponent) are excluded
+        # Factors of the squared distances in the exponent of the Gaussian weights, along y and x, at λ = 1 µm. For a
+        # light source, they apply to normal incidence.
+        across: wp.float32
         along: wp.float32
-        taps_y: wp.array2d(dtype=wp.float32)  # for periods: polynomials of the interpolation kernel, tap by tap
-        taps_x: wp.array(dtype=taps_t)  # the same polynomials, by power and then by tap
+        # Polynomials of the weights by which coefficients are interpolated, for a patch that is repeated. `taps_y` has
+        # one row per neighbour and one column per power; `taps_x` has one vector per power and one element per
+        # neighbour.
+        taps_y: wp.array2d(dtype=wp.float32)
+        taps_x: wp.array(dtype=taps_t)
         periods_y: wp.float64
         periods_x: wp.float64
-        patch_y: wp.float64  # size of the patch [µm]
+        patch_y: wp.float64  # length of the patch along y [µm]
         patch_x: wp.float64
+        has_pitch_scales: wp.bool  # for a source: whether directions to the light have pitch scales as their lengths
 
     @wp.func
     def window_for(table: Table, to_light: wp.vec3f) -> Window:
@@ -154,6 +174,10 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
             window.along = table.along * stretch
             window.across = table.across * (tangent * tangent / stretch)
             window.slant = t_x * t_y / stretch * wp.sqrt(table.across / table.along)
+            if table.has_pitch_scales:
+                # The covariance of a dot with the pitch scale p is p² Σ. The division by ``to_light[2]``, which is
+                # p cos θ, has divided ``across`` by p² already.
+                window.along = window.along / wp.length_sq(to_light)
         else:
             window.along = table.along
             window.across = table.across
@@ -182,9 +206,9 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
     @wp.func
     def gaussian_sum(table: Table, window: Window, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
         """Return the power ⟨|P|²⟩ at one wavelength, the weighted sum of coefficients; ``wavenumber`` is 1/λ [1/µm]."""
-        # The position q, in spacings of coefficients, may be hundreds of coefficients from the zeroth order, but the
-        # Gaussian weights extend over a few coefficients only. Therefore the integer part of q is removed in float64,
-        # and the weights are computed in float32.
+        # The frequency q may be hundreds of coefficients away from the zeroth order, but the Gaussian weights extend
+        # over a few coefficients only. Therefore the integer part of the position of q is removed in float64, and the
+        # weights are computed in float32.
         qy = scattering_vector[1] * wavenumber * table.length_y
         qx = scattering_vector[0] * wavenumber * table.length_x
         iy = wp.int32(wp.rint(qy))
@@ -209,8 +233,6 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
             return total
         dy = wp.float32(first_y) - fy
         centre = fx
-        if wp.static(form == "source"):
-            centre = fx - window.slant * dy
         first_x = wp.int32(wp.ceil(centre - radius_x))
         last_x = wp.int32(wp.floor(centre + radius_x))
         if wp.static(form != "source"):
@@ -377,7 +399,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
                 g3 = patch_power(table, scattering_vector, quadrature.wavenumbers[start + 3 * divisions])
                 base = wp.int32(0)
                 for k in range(start, end):
-                    interval = wp.min((k - start) // divisions, intervals - 1)
+                    interval = (k - start) // divisions
                     if interval - 1 > base and base < intervals - 3:
                         base = base + 1
                         g0 = g1

@@ -13,6 +13,9 @@ A pixel covers a range of (u, v). As powers add, the mean colour of the pixel fo
 in angle and in ratio of radii is the same at all wavelengths. Mip levels of the table are blurred in angle, and have
 fewer azimuths. A look-up blurs in ratio by adding more rings. The spectral lines of an endless surface under a light
 source are blurred by the source in the same way.
+
+κ is w/λ. θd is half of the angle between the directions to the light and to the viewer, so that cos θd = |(u, v, w)|/2.
+s is the standard deviation of the directions to a light source.
 """
 
 import functools
@@ -35,12 +38,12 @@ HALF_TAPS = 7
 # Largest number of directions that a CPU thread looks up in one call. The value is limited by the stack, which has
 # arrays of this size.
 BATCH = 256
-# Number of directions by which memory accesses run ahead: while a direction is looked up, the rows of the direction
-# with this distance are fetched from memory. The value was chosen freely, because other numbers change only the time.
+# While a direction is looked up, the table rows of the direction with an index larger by this number are fetched from
+# memory. The value was chosen freely, because other numbers change only the computing time.
 _AHEAD = 3
-# Number of samples on each side of an azimuth that the filter from values to spline coefficients uses. The weights of
-# the filter are √2 · (−0.17)ⁿ at a distance of n samples. The value was chosen so that truncated weights are at most
-# 6e-6.
+# Number of azimuth samples on each side from which the filter computes the spline coefficient of an azimuth sample. A
+# sample at a distance of n has the weight √2 · (−0.17)ⁿ. The value was chosen so that the weights of samples farther
+# away, which are omitted, are at most 6e-6.
 FILTER_REACH = 6
 _FILTER = wp.types.vector(length=FILTER_REACH + 1, dtype=wp.float32)(
     *quadratic_spline.prefilter(FILTER_REACH)[FILTER_REACH:]
@@ -65,10 +68,16 @@ class FootprintTaps:
     variance of this Gaussian.
     """
 
-    weights: wp.array3d(dtype=wp.float32)  # weights by variance and position, (variances, fractions, 2 HALF_TAPS)
+    # Weights by variance of the Gaussian, by fraction of the position between two azimuths or rings, and by neighbour;
+    # shape (variances, fractions, 2 HALF_TAPS).
+    weights: wp.array3d(dtype=wp.float32)
     lengths: wp.array(dtype=wp.int32)  # number of weights that differ from 0, for each variance
-    per_variance: wp.float32  # number of tabulated variances per unit, which is a squared distance of azimuths or rings
-    parts: wp.array3d(dtype=wp.float32)  # for 1, 2, … parts of a footprint: variance, positions, weights of the parts
+    # Number of tabulated variances per unit of variance. The unit is the squared spacing of the azimuths, or of the
+    # rings.
+    per_variance: wp.float32
+    # For each number of parts into which a footprint is divided, from 1 on: variance, positions and weights of the
+    # parts.
+    parts: wp.array3d(dtype=wp.float32)
 
 
 @wp.func
@@ -117,35 +126,39 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
 
     @wp.struct
     class Colours:
-        rows: wp.array(dtype=row_t)  # X, Y and Z by level, octave, azimuth and ring, slowest index first
+        rows: wp.array(dtype=row_t)  # X, Y and Z by mip level, octave, azimuth and ring; the ring changes fastest
         w_basis: wp.array(dtype=w_basis_t)  # functions of w at equal steps in |w|
         least_w: wp.float32  # |w| of the first entry of ``w_basis``
-        per_w: wp.float32  # entries of ``w_basis`` per unit of |w|
-        first_rows: wp.array2d(dtype=wp.int32)  # index of the row of azimuth 0, (levels, octaves)
-        azimuths: wp.array2d(dtype=wp.int32)  # number of azimuth samples, (levels, octaves)
-        blurs: wp.array2d(dtype=wp.float32)  # standard deviation of the blur in angle [rad], (levels, octaves)
+        per_w: wp.float32  # number of entries of ``w_basis`` per unit of |w|
+        first_rows: wp.array2d(dtype=wp.int32)  # index of the row of azimuth 0, shape (levels, octaves)
+        azimuths: wp.array2d(dtype=wp.int32)  # number of azimuth samples, shape (levels, octaves)
+        # Standard deviation of the blur in angle that rows already have [rad], shape (levels, octaves).
+        blurs: wp.array2d(dtype=wp.float32)
         rings_per_octave: wp.int32
-        rings_per_log: wp.float32  # rings per unit of ln |(u, v)|
-        octaves_per_ring: wp.float32  # octaves per ring
+        rings_per_log: wp.float32  # number of rings per unit of ln |(u, v)|
+        octaves_per_ring: wp.float32  # one over the number of rings per octave
         decimation_scale: wp.float32  # large values prevent look-ups from skipping rings, see ``colour_table``
-        ring_of_one: wp.float32  # index of the ring with |(u, v)| = 1, with a fraction
+        ring_of_one: wp.float32  # fractional index of the ring at which |(u, v)| would be 1
         least_uv: wp.float32  # the spectrum is constant below this |(u, v)|
-        lobe_uv: wp.float32  # standard deviation in (u, v) of a coefficient's lobe, at a middle wavelength
-        zeroth_order: wp.array(dtype=wp.float32)  # power of the zeroth order by |κ|, which rows exclude
+        lobe_uv: wp.float32  # standard deviation in (u, v) of the lobe of one coefficient, at a middle wavelength
+        # Power of the zeroth order by |κ| = |w|/λ. The rows of the table do not contain this order.
+        zeroth_order: wp.array(dtype=wp.float32)
         least_kappa: wp.float32  # |κ| of the first entry of ``zeroth_order``
-        per_kappa: wp.float32  # entries of ``zeroth_order`` per unit of |κ|
-        lobe2: wp.float32  # variance of the zeroth order's lobe in frequency; 0 for a source
+        per_kappa: wp.float32  # number of entries of ``zeroth_order`` per unit of |κ|
+        lobe2: wp.float32  # variance of the zeroth order's lobe in frequency [1/µm²]; 0 for a source
         wavenumbers: wp.array(dtype=wp.float32)  # 1/λ for the zeroth order's integral over λ [1/µm]
         weights: wp.array(dtype=wp.vec3f)  # colour weights at ``wavenumbers``
         reflectances: wp.array2d(
             dtype=wp.float32
-        )  # R of a material at ``wavenumbers``, by cos θd from 0 to 1; empty is 1
-        line_blurs2: wp.array(dtype=wp.float32)  # for a source: variance of the lines' blur in angle [rad²], by octave
-        spread2: wp.float32  # for a source: variance s² of (u, v) across the source's direction
-        inner_radius2: wp.float32  # for a source: directions below this |(u, v)|² are not served
+        )  # R of a material at ``wavenumbers``, by cos θd from 0 to 1; R is 1 if the array is empty
+        # For a source, by octave: variance of the angular blur that spectral lines already have in the table [rad²].
+        line_blurs2: wp.array(dtype=wp.float32)
+        spread2: wp.float32  # for a source: variance s² of (u, v) perpendicular to the direction of the light
+        inner_radius2: wp.float32  # for a source: the table gives no colours for smaller |(u, v)|²
+        has_pitch_scales: wp.bool  # for a source: whether the length of a direction to the light is a pitch scale
 
-    # Kernels of this module have a second thread index, which is always 0, because Warp then compiles one variant of a
-    # kernel instead of two: see ``light_samples``.
+    # Kernels of this module have a second thread index, which is always 0. Warp then compiles one variant of a kernel
+    # instead of two, as explained in ``light_samples``.
     @wp.kernel(module="unique", module_options=_FILTER_OPTIONS)
     def interpolate(
         values: wp.array(dtype=row_t), table: Colours, level: wp.int32, octave: wp.int32, first: wp.int32,
@@ -180,7 +193,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Compute the values of a mip level at its azimuths: a Gaussian blur of a finer level.
 
-        The spline between azimuths is itself a blur, with a variance of a quarter of the squared distance of azimuths.
+        The spline that look-ups use between azimuths is itself a blur. Its variance is a quarter of the squared
+        distance between azimuths.
         """
         thread, _ = wp.tid()
         rings = table.rings_per_octave
@@ -199,8 +213,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
                 total += gaussian(wp.float32(nearest + j) - place, variance)
             for ring in range(rings):
                 values_out[azimuth * rings + ring] = row_t()
-            # Several azimuths are added in one pass over the rings, because a pass reads and writes the sums of all
-            # rings.
+            # A pass over the rings reads and writes the sums of all rings. Several azimuths are therefore added in one
+            # pass, which saves memory accesses.
             starts = starts_t()
             weights = weights_t()
             for begin in range(-half_taps, half_taps + 1, wp.static(_TAPS)):

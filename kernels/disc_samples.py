@@ -1,6 +1,9 @@
 """Disc samples: random directions to a disc light.
 
 Each sample represents a small Gaussian of directions. All samples of a ray together cover the disc of the light.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer. θi is the angle of ωi from the normal.
 """
 
 import math
@@ -14,9 +17,9 @@ from warpdiff.kernels.structs import Pixels
 
 wp.set_module_options(compile_options.options())
 
-# If the mirror direction is near the disc of the light, ``MIRROR_SHARE`` of the samples are drawn around it, because
-# surfaces are brightest there. ``REACH`` is the largest distance from the disc that counts as near
-# [standard deviations of the zeroth order]. Both values were chosen freely: other values change the noise, not the
+# If the mirror direction is near the disc of the light, the share ``MIRROR_SHARE`` of the samples is drawn around the
+# mirror direction, because surfaces are brightest there. ``REACH`` is the largest distance from the disc that counts as
+# near [standard deviations of the zeroth order]. Both values were chosen freely: other values change the noise, not the
 # mean.
 MIRROR_SHARE, REACH = wp.constant(wp.float32(0.3)), wp.constant(wp.float32(4.0))
 

@@ -3,6 +3,9 @@
 The view direction, the hit point and the shading frame are differentiated in closed form with respect to the position
 in the picture. The derivatives of (u, v) follow from these derivatives. Neighbouring pixels are not used, so that edges
 do not affect footprints.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
 """
 
 import warp as wp

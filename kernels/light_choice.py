@@ -1,4 +1,8 @@
-"""Choice of one of many distant lights for each ray, by the light that the surface is expected to scatter."""
+"""Choice of one of many distant lights for each ray, by the light that the surface is expected to scatter.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
+"""
 
 import warp as wp
 

@@ -1,4 +1,7 @@
-"""Light samples: scattering vectors, gains and footprints at hits under one light."""
+"""Light samples: scattering vectors, gains and footprints at hits under one light.
+
+ωi and ωr are the unit vectors to the light and to the viewer, in the frame of the surface.
+"""
 
 import warp as wp
 
@@ -8,9 +11,9 @@ from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
 wp.set_module_options(compile_options.options("light_samples.h", "footprints.h"))
 
-# Warp compiles every kernel with one thread index twice; the second variant, for contiguous arrays, is hardly faster.
-# Kernels with two thread indices have one variant. Therefore the kernels here have a second index, which is always 0.
-# This saves a third of the compilation time.
+# Warp compiles every kernel with one thread index twice. The second variant, for contiguous arrays, is hardly faster. A
+# kernel with two thread indices is compiled only once. Therefore the kernels here have a second index, which is always
+# 0. This saves a third of the compilation time.
 
 
 @wp.struct
@@ -20,8 +23,9 @@ class Lights:
     The fields are arrays, so that a recorded graph can be replayed with other lights.
     """
 
-    places: wp.array(dtype=wp.vec4d)  # homogeneous coordinates: the direction to a light and 0, or its position and 1
-    strengths: wp.array(dtype=wp.float64)  # power at a distance of 1
+    # Homogeneous coordinates of each light: the direction to a distant light and 0, or the position of a light and 1.
+    places: wp.array(dtype=wp.vec4d)
+    strengths: wp.array(dtype=wp.float64)  # power of each light; for a light at a position, at a distance of 1
     deviations: wp.array2d(
         dtype=wp.vec3f
     )  # two perpendicular vectors, as long as the standard deviations of directions [rad], or of a light's positions
@@ -40,14 +44,14 @@ class Reflection:
     surfaces: wp.array(dtype=wp.int32)  # surface of each finish
     normal_reflectances: wp.array(
         dtype=wp.float64
-    )  # R(0) of Schlick's approximation by finish; 1 if the integral over λ already includes R
+    )  # R(0) of Schlick's approximation, by finish; 1 if the integral over λ already includes R
     units: wp.array(dtype=wp.float64)  # factor from the colours of each finish to the unit of the picture
-    pigments: wp.array(dtype=wp.float64)  # strength of the pigment over R(0) by finish; empty if there is no pigment
+    pigments: wp.array(dtype=wp.float64)  # strength of the pigment divided by R(0), by finish; empty without pigment
     per_light_cosine: wp.array(
         dtype=wp.bool
     )  # by finish: whether gains are divided by the light's cosine, for coherence of kind "source"
     masking: wp.bool
-    transmittances: wp.array2d(dtype=wp.vec3f)  # 1 − R in linear RGB, by finish and by the angle's cosine from 0 to 1
+    transmittances: wp.array2d(dtype=wp.vec3f)  # 1 − R in linear RGB, by finish and cosine of the angle from the normal
     # Factors a of the energy normalisation by surface, tabulated by the angle from the normal and the azimuth. If the
     # array is empty, the energy of Stam's model is not normalised.
     energy: wp.array3d(dtype=wp.float32)
@@ -222,8 +226,8 @@ def add_light_rotation(
         for axis in range(2):
             step = steps[axis] * wp.vec3f(camera.axes[1 + axis])
             moved = scale * (step - (wp.dot(step, plane) / facing) * view)
-            # The surface point shifts by ``moved`` within the footprint. The direction to the light then changes by
-            # −``rotated``, and (u, v) by +``rotated``.
+            # Within the footprint, the surface point shifts by ``moved``. The unit vector to the light then changes by
+            # −``rotated``. Because (u, v) contains this vector with a negative sign, (u, v) changes by +``rotated``.
             rotated = per_distance * (moved - wp.dot(towards, moved) * towards)
             footprint[2 * axis] = footprint[2 * axis] + wp.dot(pixels.tangent[i], rotated)
             footprint[2 * axis + 1] = footprint[2 * axis + 1] + wp.dot(pixels.bitangent[i], rotated)
@@ -310,7 +314,8 @@ def add_source_extent(
         towards = per_distance * away
         covariance = covariance_of(footprints_out[i])
         for axis in range(2):
-            # A change of position changes the direction by its perpendicular part over the distance.
+            # If the position of the light changes, the direction to it changes by the perpendicular part of the
+            # displacement, divided by the distance of the light.
             deviation = lights.deviations[light_index, axis]
             across = per_distance * (deviation - wp.dot(towards, deviation) * towards)
             x = wp.dot(across, pixels.tangent[i])

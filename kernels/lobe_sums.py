@@ -1,7 +1,12 @@
-"""Sums of coefficients under Gaussian lobes in float64, their derivatives, and the transposed sum, for adjoints.
+"""Sums of Fourier coefficients with Gaussian weights (lobes) in float64, their derivatives, and the transposed sums.
 
-One thread computes one pair of a direction and a wavelength, or one coefficient of the transposed sum. No two threads
-write to the same element, so that results do not depend on the number of threads.
+A lobe belongs to a pair of a direction and a wavelength λ. The weight of a coefficient is exp(−dᵀMd), where d is the
+distance of its frequency from q = (u, v)/λ, and M a 2 × 2 matrix. A coefficient of order (s, r) is a Chebyshev series
+in x, which is κ = w/λ scaled to the range from −1 to 1. (u, v, w) is the scattering vector, and L_x and L_y are the
+lengths of the patch. The adjoint of a quantity is the derivative of a scalar loss with respect to it.
+
+One thread computes one pair, or one coefficient of the transposed sums. No two threads write to the same element, so
+that results do not depend on the number of threads.
 """
 
 import warp as wp
@@ -9,67 +14,67 @@ import warp as wp
 from warpdiff.kernels import compile_options
 
 OPTIONS = compile_options.options("lobe_sums.h", max_unroll=1)
-# Number of derivatives of a sum: by q_x, q_y, M_xx, M_xy, M_yy, x, L_x and L_y, the sums of r and of s times each term,
-# and the sum itself. Derived: the header ``lobe_sums.h`` writes as many.
+# Number of values per pair that ``differentiate_lobes`` writes: derivatives with respect to q_x, q_y, M_xx, M_xy, M_yy,
+# x, L_x and L_y, the sums of r and of s times each term, and the sum itself. The header ``lobe_sums.h`` writes as many.
 DERIVATIVES = 11
 
 
 @wp.struct
 class LobeTable:
-    """Rectangular block of coefficients, each a series of Chebyshev polynomials in κ."""
+    """Rectangular block of Fourier coefficients, each as a Chebyshev series in x."""
 
-    coefficients: wp.array(dtype=wp.float64)  # rows of ``terms`` numbers
-    places: wp.array(dtype=wp.int32)  # row of ``coefficients`` for each cell of the block
+    coefficients: wp.array(dtype=wp.float64)  # coefficients of the Chebyshev series, ``terms`` numbers per row
+    places: wp.array(dtype=wp.int32)  # row of ``coefficients`` for each Fourier coefficient of the block
     terms: wp.int32
-    rows: wp.int32  # number of rows and columns of the block
+    rows: wp.int32  # number of rows of the block (orders s); ``columns`` is its number of columns (orders r)
     columns: wp.int32
-    first_row: wp.int32  # order s of the first row, and order r of the first column
+    first_row: wp.int32  # order s of the first row; ``first_column`` is the order r of the first column
     first_column: wp.int32
-    step_y: wp.float64  # distance of neighbouring coefficients [1/µm]
+    step_y: wp.float64  # difference of frequency between neighbouring rows [1/µm]; ``step_x`` is that between columns
     step_x: wp.float64
-    exponent: wp.float64  # coefficients with a weight below exp(−exponent) are truncated
+    exponent: wp.float64  # Fourier coefficients with a weight below exp(−exponent) are neglected
 
 
 @wp.struct
 class LobePairs:
-    """Pairs of a direction and a wavelength."""
+    """Pairs of a direction and a wavelength, with the Gaussian weights of their sums."""
 
-    centres: wp.array(dtype=wp.vec2d)  # q = (u, v)/λ [1/µm]
-    forms: wp.array(dtype=wp.vec3d)  # M_xx, M_xy and M_yy [µm²]
-    places: wp.array(dtype=wp.float64)  # x, the place of κ in the range of the series, −1 to 1
-    # The remaining arrays are empty except for the transposed sum.
-    polynomials: wp.array(dtype=wp.float64)  # values of the Chebyshev polynomials at x, ``terms`` per pair
-    adjoints: wp.array(dtype=wp.float64)  # adjoints of the sums
-    begins: wp.array(dtype=wp.int32)  # for each cell, and for the end: its first pair; pairs are sorted by their cell
-    reach_y: wp.int32  # largest distance, in cells, of a coefficient from the cell of a pair that sums it
+    centres: wp.array(dtype=wp.vec2d)  # frequency q = (u, v)/λ of the maximum of each pair's weights [1/µm]
+    forms: wp.array(dtype=wp.vec3d)  # elements M_xx, M_xy and M_yy of the matrix of the weights exp(−dᵀMd) [µm²]
+    places: wp.array(dtype=wp.float64)  # argument x of the Chebyshev series for each pair, −1 to 1
+    # The following arrays are used by the transposed sums only; otherwise they are empty.
+    polynomials: wp.array(dtype=wp.float64)  # values of the Chebyshev polynomials at x, ``terms`` numbers per pair
+    adjoints: wp.array(dtype=wp.float64)  # adjoint of the sum of each pair
+    begins: wp.array(dtype=wp.int32)  # index of the first pair of each cell, and the number of pairs; sorted by cell
+    reach_y: wp.int32  # largest distance in rows of a coefficient from a pair's cell; ``reach_x``: in columns
     reach_x: wp.int32
 
 
 @wp.func_native("return warpdiff::sum_lobe(table, pairs, pair);")
 def sum_lobe(table: LobeTable, pairs: LobePairs, pair: wp.int32) -> wp.float64:
-    """Return the sum of the coefficients under the lobe of a pair."""
+    """Return the sum of the weighted Fourier coefficients of a pair."""
 
 
 @wp.func_native("warpdiff::differentiate_lobe(table, pairs, pair, derivatives_out);")
 def differentiate_lobe(
     table: LobeTable, pairs: LobePairs, pair: wp.int32, derivatives_out: wp.array2d(dtype=wp.float64)
 ):
-    """Compute the derivatives of the sum of a pair."""
+    """Compute the derivatives of the sum of a pair, and write them to the pair's row."""
 
 
 @wp.func_native("warpdiff::write_polynomials(table, pairs, pair);")
 def write_polynomials(table: LobeTable, pairs: LobePairs, pair: wp.int32):
-    """Write the polynomials of a pair for the transposed sum."""
+    """Write the values of the Chebyshev polynomials of a pair, which the transposed sums use."""
 
 
 @wp.func_native("warpdiff::spread_lobes(table, pairs, cell, rows_out);")
 def spread_lobes(table: LobeTable, pairs: LobePairs, cell: wp.int32, rows_out: wp.array2d(dtype=wp.float64)):
-    """Add the contributions of all pairs to the row of one coefficient."""
+    """Add the contributions of all pairs to the adjoint of one Fourier coefficient's series."""
 
 
 @wp.kernel(module="unique", module_options=OPTIONS)
 def sum_lobes(table: LobeTable, pairs: LobePairs, first: wp.int32, sums_out: wp.array(dtype=wp.float64)):
-    """Compute the sum of the coefficients under the lobe of each pair."""
+    """Compute the sum of the weighted Fourier coefficients of each pair."""
     pair = first + wp.tid()
     sums_out[pair] = sum_lobe(table, pairs, pair)
 
@@ -78,17 +83,17 @@ def sum_lobes(table: LobeTable, pairs: LobePairs, first: wp.int32, sums_out: wp.
 def differentiate_lobes(
     table: LobeTable, pairs: LobePairs, first: wp.int32, derivatives_out: wp.array2d(dtype=wp.float64)
 ):
-    """Compute the derivatives of the sum of each pair, in the order of ``DERIVATIVES``."""
+    """Compute the derivatives of the sum of each pair; `DERIVATIVES` lists their order."""
     differentiate_lobe(table, pairs, first + wp.tid(), derivatives_out)
 
 
 @wp.kernel(module="unique", module_options=OPTIONS)
 def evaluate_polynomials(table: LobeTable, pairs: LobePairs, first: wp.int32):
-    """Write the polynomials of each pair to ``LobePairs.polynomials``."""
+    """Write the values of the Chebyshev polynomials of each pair to ``LobePairs.polynomials``."""
     write_polynomials(table, pairs, first + wp.tid())
 
 
 @wp.kernel(module="unique", module_options=OPTIONS)
 def spread_pairs(table: LobeTable, pairs: LobePairs, first: wp.int32, rows_out: wp.array2d(dtype=wp.float64)):
-    """Add the adjoints of all pairs to the rows of the coefficients that they sum, one cell of the block per thread."""
+    """Add the adjoints of pairs to those of the coefficients in their sums, one cell of the block per thread."""
     spread_lobes(table, pairs, first + wp.tid(), rows_out)

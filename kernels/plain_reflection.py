@@ -1,14 +1,15 @@
 """Reflection and emission of plain surfaces, by the metallic-roughness model of glTF 2.0 (specification, appendix B).
 
-A plain surface has no height field. Its BRDF is f = (1 − F) c/π + F D V, with the diffuse colour c, Schlick's Fresnel
-term F, the GGX distribution D of microfacets, and V, Smith's height-correlated masking and shadowing over 4 cos θi
-cos θr. Matte materials have f = c/π; their light is that of the pigment in ``light_samples``.
+A plain surface has no height field. Its BRDF is f = (1 − F) c/π + F D V. Here c is the diffuse colour, F is Schlick's
+Fresnel term, and D is the GGX distribution of microfacets with the parameter α. V is Smith's height-correlated masking
+and shadowing, divided by 4 cos θi cos θr for the angles θi and θr of light and view from the normal. Matte materials
+have f = c/π; kernels of ``light_samples`` compute their light as that of a pigment.
 
-Footprints blur D by a Gaussian. Its covariance C is that of the slopes of half vectors within the footprint: over the
-pixel filter and over the extent of the light. The result is approximated by the sum of a GGX distribution and a
-Gaussian. The first has b = α² + tr C instead of α² (as in Tokuyoshi and Kaplanyan, Improved geometric specular
-antialiasing, 2019), the second the covariance C + α² I. The share of the first is α²/b, so that its tail is the tail of
-D, which a blur does not change.
+A footprint is the range of directions over the pixel filter and over the extent of the light. It blurs D by a Gaussian
+whose covariance C is that of the slopes of half vectors within the footprint. The blurred D is approximated by a sum of
+a GGX distribution and a Gaussian. The GGX distribution has b = α² + tr C instead of α² (as in Tokuyoshi and Kaplanyan,
+Improved geometric specular antialiasing, 2019), and the weight α²/b. With this weight its tail is the tail of D, which
+a blur does not change. The Gaussian has the covariance C + α² I and the remaining weight.
 """
 
 import math
@@ -21,48 +22,70 @@ from warpdiff.kernels.structs import Footprint, Pixels
 
 wp.set_module_options(compile_options.options())
 
-# Reflectance of a dielectric at normal incidence, for an index of refraction of 1.5 (glTF 2.0, appendix B).
+# Reflectance of a dielectric at normal incidence. It follows from an index of refraction of 1.5 (glTF 2.0, appendix B).
 DIELECTRIC = wp.constant(wp.float32(0.04))
-# Largest trace of the covariance C. Limit: footprints at silhouettes cover many normals, and would make any surface
-# rough.
+# Smallest standard deviation of the roughness within a footprint that is taken into account. The value was chosen
+# because a smaller standard deviation changes colours by less than 4 %.
+LEAST_SPREAD = wp.constant(wp.float32(0.01))
+# Largest trace of the covariance C of slopes. The trace is limited because footprints at silhouettes cover many
+# normals, and would make any surface look rough.
 MOST_ADDED = wp.constant(wp.float32(0.18))
 
 
 @wp.struct
 class PlainMaterials:
-    """Materials of plain surfaces. The last row is that of faces with a height field and of faces without material."""
+    """Materials of plain surfaces. The last row is for faces with a height field, and for faces without a material."""
 
-    rows: wp.array(dtype=wp.int32)  # row of each face in the arrays below
-    metallic_roughness: wp.array(dtype=wp.vec2f)  # metallic and perceptual roughness; a negative roughness is matte
-    is_white: wp.array(dtype=wp.bool)  # whether the base colour is white because the file states none
-    emission: wp.array(dtype=wp.vec3f)  # emitted light in linear RGB; 1 is the unit of emission
-    least_alpha: wp.float32  # least α of a smooth surface, whose highlight is as bright as a mirror of the unit
+    rows: wp.array(dtype=wp.int32)  # row of each face's material in the two arrays below
+    metallic_roughness: wp.array(dtype=wp.vec2f)  # metallic and perceptual roughness, which is negative if matte
+    emission: wp.array(dtype=wp.vec3f)  # emitted light in linear RGB; 1 is the luminance that the emission pass states
+    least_alpha: wp.float32  # smallest α, at which the highlight is as bright as a mirror in the unit of the picture
 
 
 @wp.struct
 class Gloss:
-    """Parameters of the BRDF at one hit, in the shading frame."""
+    """Parameters of a plain surface's BRDF at one hit, in the shading frame."""
 
     view: wp.vec3f  # unit vector to the viewer
-    diffuse: wp.vec3f  # diffuse colour c
-    normal_reflectance: wp.vec3f  # F at normal incidence
-    alpha2: wp.float32  # α²; 0 if the material is matte
-    spread: wp.float32  # b = α² + tr C
-    gaussian: wp.vec3f  # covariance C + α² I of the Gaussian: its entries xx, xy and yy
-    core: wp.float32  # share of the Gaussian; 0 without a footprint
+    diffuse: wp.vec3f  # diffuse colour c in linear RGB
+    normal_reflectance: wp.vec3f  # Fresnel term F at normal incidence, linear RGB
+    alpha2: wp.float32  # α² of the GGX distribution; 0 if the material is matte
+    spread: wp.float32  # parameter b = α² + tr C of the blurred GGX distribution
+    gaussian: wp.vec3f  # elements xx, xy and yy of the Gaussian's covariance C + α² I
+    core: wp.float32  # weight of the Gaussian in the blurred distribution; 0 without a footprint
 
 
 @wp.func
-def metallic_roughness_at(materials: PlainMaterials, pixels: Pixels, ray: wp.int32) -> wp.vec2f:
-    """Return metallic and perceptual roughness at the hit of a ray; the roughness is negative if it is matte."""
-    return materials.metallic_roughness[materials.rows[pixels.face[ray]]]
+def metallic_roughness_at(materials: PlainMaterials, pixels: Pixels, ray: wp.int32, deviations: wp.float32) -> wp.vec2f:
+    """Return metallic and perceptual roughness at the hit of a ray; a matte material has a negative roughness.
+
+    The roughness is the mean of the texture over the footprint plus ``deviations`` standard deviations. Metallic is
+    changed in proportion, by the covariance of metallic and roughness.
+    """
+    result = materials.metallic_roughness[materials.rows[pixels.face[ray]]]
+    # A matte material is marked by a negative roughness, which must not be multiplied by a texture.
+    if result[1] >= 0.0 and pixels.metallic_roughness.shape[0] > 0:
+        factors = pixels.metallic_roughness[ray]
+        result[0] = result[0] * wp.clamp(factors[0] + deviations * factors[3], 0.0, 1.0)
+        result[1] = result[1] * wp.clamp(factors[1] + deviations * factors[2], 0.0, 1.0)
+    return result
+
+
+@wp.func
+def has_spread(pixels: Pixels, ray: wp.int32) -> wp.bool:
+    """Return whether the roughness of the texture varies within the footprint at the hit of a ray."""
+    result = wp.bool(False)
+    if pixels.metallic_roughness.shape[0] > 0:
+        result = pixels.metallic_roughness[ray][2] > LEAST_SPREAD
+    return result
 
 
 @wp.func
 def blurred(gloss: Gloss, covariance: wp.vec3f, w: wp.float32) -> Gloss:
-    """Return the parameters of the BRDF, blurred by a footprint with a covariance of (u, v).
+    """Return the parameters of the BRDF, blurred by a footprint whose covariance of (u, v) is given.
 
-    A slope of the half vector is (u, v)/w, so that the covariance of (u, v) is divided by w².
+    The slope of the half vector is (u, v)/w for the scattering vector (u, v, w). Its covariance is therefore that of
+    (u, v), divided by w².
     """
     result = gloss
     added = covariance / (w * w)
@@ -75,16 +98,17 @@ def blurred(gloss: Gloss, covariance: wp.vec3f, w: wp.float32) -> Gloss:
 
 
 @wp.func
-def gloss_at(materials: PlainMaterials, pixels: Pixels, ray: wp.int32, view: wp.vec3f) -> Gloss:
-    """Return the parameters of the BRDF at the hit of a ray, without its footprint."""
+def gloss_at(materials: PlainMaterials, pixels: Pixels, ray: wp.int32, view: wp.vec3f, deviations: wp.float32) -> Gloss:
+    """Return the parameters of the BRDF at the hit of a ray, without its footprint in (u, v).
+
+    The roughness is the mean over the footprint plus ``deviations`` standard deviations.
+    """
     result = Gloss()
     result.view = view
-    values = metallic_roughness_at(materials, pixels, ray)
+    values = metallic_roughness_at(materials, pixels, ray, deviations)
     if values[1] < 0.0:
         return result
     base = pixels.base_colour[ray]
-    if materials.is_white[materials.rows[pixels.face[ray]]]:
-        base = wp.vec3f(1.0, 1.0, 1.0)
     metallic = values[0]
     alpha = wp.max(values[1] * values[1], materials.least_alpha)
     result.diffuse = (1.0 - metallic) * base
@@ -96,13 +120,13 @@ def gloss_at(materials: PlainMaterials, pixels: Pixels, ray: wp.int32, view: wp.
 
 @wp.func
 def stretched(alpha2: wp.float32, cosine: wp.float32) -> wp.float32:
-    """Return √(cos²θ + α² sin²θ) of a direction."""
+    """Return √(cos²θ + α² sin²θ) for a direction at the angle θ from the normal."""
     return wp.sqrt(alpha2 + (1.0 - alpha2) * cosine * cosine)
 
 
 @wp.func
 def facet_density(alpha2: wp.float32, x: wp.float32, y: wp.float32) -> wp.float32:
-    """Return the GGX distribution D of a microfacet with the slopes x and y."""
+    """Return the GGX distribution D at the microfacet whose normal has the slopes x and y."""
     square = x * x + y * y
     ratio = (1.0 + square) / (alpha2 + square)
     return wp.static(1.0 / math.pi) * alpha2 * ratio * ratio
@@ -110,10 +134,10 @@ def facet_density(alpha2: wp.float32, x: wp.float32, y: wp.float32) -> wp.float3
 
 @wp.func
 def blurred_density(gloss: Gloss, x: wp.float32, y: wp.float32) -> wp.float32:
-    """Return the distribution D of a microfacet with the slopes x and y, blurred by the footprint."""
+    """Return the distribution D, blurred by the footprint, at the microfacet whose normal has the slopes x and y."""
     result = facet_density(gloss.spread, x, y)
     if gloss.core > 1.0e-4:
-        # A density of slopes is divided by cos⁴ of the microfacet.
+        # The Gaussian is a density of slopes. Division by cos⁴ of the microfacet's angle converts it to the form of D.
         per_cosine2 = 1.0 + x * x + y * y
         matrix = gloss.gaussian
         determinant = matrix[0] * matrix[2] - matrix[1] * matrix[1]
@@ -125,10 +149,10 @@ def blurred_density(gloss: Gloss, x: wp.float32, y: wp.float32) -> wp.float32:
 
 @wp.func
 def reflected(gloss: Gloss, light: wp.vec3f, scattering_vector: wp.vec3d) -> wp.vec3f:
-    """Return π f for light from a direction, in linear RGB.
+    """Return π f for light from the direction ``light``, in linear RGB, where f is the BRDF.
 
-    The scattering vector of light and view is given in double precision, because slopes near the mirror direction are
-    differences of nearly equal numbers.
+    The scattering vector of light and view is in double precision. Near the mirror direction, slopes are differences of
+    nearly equal numbers, which would lose digits in float32.
     """
     w = -scattering_vector[2]
     x = wp.float32(scattering_vector[0] / w)
@@ -161,7 +185,7 @@ def add_plain_reflection(
         footprints: Footprints of the rays; empty for rays that show points.
         scattering_vectors: (u, v, w).
         to_lights: Directions to the light in the shading frame.
-        gains: Geometry factors, of which only the sign is used: no light arrives where they are 0.
+        gains: Geometry factors. They are only compared with 0, because no light arrives where they are 0.
         first: Index of the first thread's first ray.
         run: Number of rays per thread.
         xyz_out: Sums of colours.
@@ -174,17 +198,27 @@ def add_plain_reflection(
             continue
         light = to_lights[i]
         scattering_vector = scattering_vectors[i]
-        gloss = gloss_at(materials, pixels, i, -wp.vec3f(scattering_vector) - light)
+        view = -wp.vec3f(scattering_vector) - light
+        # The roughness varies within the footprint. Two roughnesses with the same mean and variance represent its
+        # distribution.
+        spreads = has_spread(pixels, i)
+        gloss = gloss_at(materials, pixels, i, view, wp.where(spreads, -1.0, 0.0))
         if gloss.alpha2 == 0.0:
             continue
         if footprints.shape[0] > 0:
             gloss = blurred(gloss, covariance_of(footprints[i]), -wp.float32(scattering_vector[2]))
+        factor = reflected(gloss, light, scattering_vector)
+        if spreads:
+            gloss = gloss_at(materials, pixels, i, view, 1.0)
+            if footprints.shape[0] > 0:
+                gloss = blurred(gloss, covariance_of(footprints[i]), -wp.float32(scattering_vector[2]))
+            factor = 0.5 * (factor + reflected(gloss, light, scattering_vector))
         strength = scale * wp.float64(light[2])
         if towards.shape[0] > 0:
             strength *= wp.float64(towards[i][3])
         if place[3] != wp.float64(0.0):
             strength = strength / (wp.length_sq(away_from(place, pixels.shadow_origin[i])) + wp.float64(1.0e-8))
-        rgb = wp.cw_mul(wp.vec3d(reflected(gloss, light, scattering_vector)), lights.white_rgb[light_index])
+        rgb = wp.cw_mul(wp.vec3d(factor), lights.white_rgb[light_index])
         xyz_out[i] = xyz_out[i] + wp.vec3f(strength * (lights.rgb_to_xyz * rgb))
 
 
@@ -197,8 +231,8 @@ def add_emission(
 ):  # fmt: skip
     """Add the light that plain surfaces emit.
 
-    Scattering vectors are those of light from the mirror direction. Gains are 0, because no height field scatters the
-    light.
+    The scattering vectors that are written are those of light from the mirror direction. The gains that are written are
+    0, because no height field scatters the emitted light.
 
     Args:
         pixels: Hits of the rays.
@@ -225,6 +259,8 @@ def add_emission(
         cosine = wp.float64(wp.dot(pixels.normal[i], pixels.to_view[i]))
         scattering_vectors_out[i] = wp.vec3d(wp.float64(0.0), wp.float64(0.0), -wp.float64(2.0) * cosine)
         emission = materials.emission[materials.rows[pixels.face[i]]]
+        if pixels.emission.shape[0] > 0:
+            emission = wp.cw_mul(emission, pixels.emission[i])
         if emission[0] + emission[1] + emission[2] > 0.0:
             xyz_out[i] = xyz_out[i] + weight * brightness[0] * wp.vec3f(rgb_to_xyz * wp.vec3d(emission))
             if illuminated_out.shape[0] > 0 and brightness[0] > 0.0:

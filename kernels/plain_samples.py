@@ -1,8 +1,9 @@
 """Samples of lights for plain surfaces with a roughness: of skies, of disc lights, and of many directional lights.
 
 Normals of microfacets are drawn from the distribution of visible normals (Heitz 2018), by spherical caps (Dupuy and
-Benyoub 2023). The weight of a sample is one over the sum of the densities of all kinds of samples (balance heuristic,
-Veach 1997). Random numbers are those of ``sample_sequence``.
+Benyoub 2023). Directions may be drawn in several ways. The weight of a direction is one over the sum of the densities
+of all these ways (balance heuristic, Veach 1997). Random numbers are those of ``sample_sequence``. α is the parameter
+of the GGX distribution of microfacets, and (u, v, w) the scattering vector.
 """
 
 import math
@@ -19,9 +20,11 @@ from warpdiff.kernels.plain_reflection import (
     blurred,
     facet_density,
     gloss_at,
+    has_spread,
     reflected,
     stretched,
 )
+from warpdiff.kernels.primary_hits import scramble
 from warpdiff.kernels.sample_sequence import filter_point, light_point, sample_index
 from warpdiff.kernels.shading_frames import LEAST_COSINE
 from warpdiff.kernels.sky_samples import (
@@ -38,20 +41,21 @@ from warpdiff.kernels.transparency import is_occluded
 wp.set_module_options(compile_options.options("transparency.h"))
 
 HORIZON = wp.constant(wp.float32(thresholds.HORIZON))
-# Least share of the samples that are drawn from microfacets, among those of the surface. Shares of the samples that are
-# drawn by the brightness of the sky: for a diffuse or rough surface, and for a mirror. Share of the samples of a disc
-# light that are drawn from microfacets, if their lobe is narrower than the disc and near it; ``REACH`` is the largest
-# distance from the disc that counts as near [α]. Choices: they change the noise, not the mean.
+# Fractions of the samples that are drawn in a certain way; other values would change the noise, not the mean.
+# `LEAST_OF_FACETS` is the smallest fraction drawn from microfacets, among the samples drawn by the surface. `SKY_SHARE`
+# is the fraction drawn by the brightness of the sky for a diffuse or rough surface, and `SKY_SHARE_OF_MIRROR` that for
+# a mirror. `DISC_SHARE` is the fraction of the samples of a disc light drawn from microfacets, if their lobe is
+# narrower than the disc and near the disc. `REACH` is the largest distance from the disc that counts as near [α].
 LEAST_OF_FACETS, SKY_SHARE, SKY_SHARE_OF_MIRROR = (wp.constant(wp.float32(share)) for share in (0.2, 0.5, 0.1))
 DISC_SHARE, REACH = wp.constant(wp.float32(0.5)), wp.constant(wp.float32(8.0))
-# Least cosine of the view direction by which the expected brightness under many lights is divided. Choice: it changes
-# the noise, not the mean.
+# Smallest cosine of the view direction by which the expected brightness under many lights is divided. Other values
+# would change the noise, not the mean.
 LEAST_VIEW = wp.constant(wp.float32(0.1))
 
 
 @wp.struct
 class Frame:
-    """Shading frame of a ray, and the view direction in it."""
+    """Shading frame at the hit of a ray (tangent, bitangent and normal), and the view direction in this frame."""
 
     tangent: wp.vec3f
     bitangent: wp.vec3f
@@ -72,9 +76,9 @@ def frame_at(pixels: Pixels, ray: wp.int32) -> Frame:
 
 @wp.func
 def filtered_frame(pixels: Pixels, ray: wp.int32, footprint: Footprint, random: wp.vec2f) -> Frame:
-    """Return the shading frame at a random point of a ray's filter (Box and Muller).
+    """Return the shading frame at a random point of a ray's filter, drawn by the method of Box and Muller.
 
-    The normal is rotated so that (u, v) of light from the mirror direction changes as the footprint states, as in
+    The normal is rotated. (u, v) of light from the mirror direction then changes as the footprint states, as in
     ``sky_samples.sample_sky``.
     """
     size = wp.sqrt(-2.0 * wp.log(1.0 - random[0]))
@@ -101,19 +105,19 @@ def filtered_frame(pixels: Pixels, ray: wp.int32, footprint: Footprint, random: 
 
 @wp.func
 def in_frame(frame: Frame, along: wp.vec3f) -> wp.vec3f:
-    """Return a direction of the world in a shading frame."""
+    """Convert a direction from the world frame to a shading frame."""
     return wp.vec3f(wp.dot(frame.tangent, along), wp.dot(frame.bitangent, along), wp.dot(frame.normal, along))
 
 
 @wp.func
 def in_world(frame: Frame, direction: wp.vec3f) -> wp.vec3f:
-    """Return a direction of a shading frame in the world."""
+    """Convert a direction from a shading frame to the world frame."""
     return wp.normalize(direction[0] * frame.tangent + direction[1] * frame.bitangent + direction[2] * frame.normal)
 
 
 @wp.func
 def draw_facet(gloss: Gloss, point: wp.vec2f) -> wp.vec3f:
-    """Draw a direction to the light by reflection at a visible microfacet; it may be below the horizon."""
+    """Draw a direction to the light by reflecting the view at a random microfacet; it may be below the horizon."""
     alpha = wp.sqrt(gloss.spread)
     view = gloss.view
     onto = wp.normalize(wp.vec3f(alpha * view[0], alpha * view[1], view[2]))
@@ -137,19 +141,19 @@ def density_of_facet(gloss: Gloss, light: wp.vec3f) -> wp.float32:
 
 @wp.func
 def scattering_vector_of(gloss: Gloss, light: wp.vec3f) -> wp.vec3d:
-    """Return (u, v, w) for light from a direction."""
+    """Return the scattering vector (u, v, w) for light from a direction."""
     return -(wp.vec3d(light) + wp.vec3d(gloss.view))
 
 
 @wp.func
 def mean_of(values: wp.vec3f) -> wp.float32:
-    """Return the mean of three numbers."""
+    """Return the mean of the three components of a vector."""
     return (values[0] + values[1] + values[2]) / 3.0
 
 
 @wp.func
 def specular_reflectance(gloss: Gloss) -> wp.float32:
-    """Return Schlick's reflectance of a flat surface for the view direction, as a mean of RGB."""
+    """Return Schlick's reflectance of a flat surface for the view direction, as the mean of red, green and blue."""
     rest = 1.0 - gloss.view[2]
     normal = mean_of(gloss.normal_reflectance)
     return normal + (1.0 - normal) * rest * rest * rest * rest * rest
@@ -157,7 +161,7 @@ def specular_reflectance(gloss: Gloss) -> wp.float32:
 
 @wp.func
 def share_of_facets(gloss: Gloss) -> wp.float32:
-    """Return the share of the samples of the surface that are drawn from microfacets; the others follow a cosine."""
+    """Return the fraction of the surface's samples drawn from microfacets; the others have a cosine density."""
     specular = specular_reflectance(gloss)
     diffuse = (1.0 - specular) * mean_of(gloss.diffuse)
     if diffuse <= 0.0:
@@ -203,7 +207,12 @@ def sample_plain_sky(
             continue
         index = sample_index(tiles, width, across, i, sample, samples)
         frame = filtered_frame(pixels, i, footprints[i], filter_point(index))
-        gloss = gloss_at(materials, pixels, i, frame.view)
+        # The roughness varies within the footprint. One of two roughnesses is drawn, which have the same mean and
+        # variance.
+        deviations = wp.float32(0.0)
+        if has_spread(pixels, i):
+            deviations = wp.where((scramble(index) & wp.uint32(1)) != wp.uint32(0), 1.0, -1.0)
+        gloss = gloss_at(materials, pixels, i, frame.view, deviations)
         if gloss.alpha2 == 0.0:
             continue
         of_facets = share_of_facets(gloss)
@@ -252,8 +261,8 @@ def draw_plain_disc(
 ):  # fmt: skip
     """Draw a direction to a disc light for each ray on a plain surface with a roughness.
 
-    A share of the directions is drawn from microfacets if their lobe is narrower than the disc. The arguments are those
-    of ``disc_samples.draw_disc``, whose directions this kernel replaces.
+    A fraction of the directions is drawn from microfacets if their lobe is narrower than the disc. The arguments are
+    those of ``disc_samples.draw_disc``, whose directions this kernel replaces.
     """
     place = lights.places[light_index]
     axis = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))
@@ -267,10 +276,10 @@ def draw_plain_disc(
         if pixels.hit[i] == 0:
             continue
         frame = frame_at(pixels, i)
-        gloss = gloss_at(materials, pixels, i, frame.view)
+        gloss = gloss_at(materials, pixels, i, frame.view, 0.0)
         if gloss.alpha2 == 0.0:
             continue
-        # The Gaussian source of a sample widens the lobe, as in ``light_samples.add_light_extent``.
+        # A sample counts as a small Gaussian source, which widens the lobe, as in ``light_samples.add_light_extent``.
         own = extent * extent * radius * radius
         gloss = blurred(gloss, wp.vec3f(own, 0.0, own), 2.0 * gloss.view[2])
         reach = 2.0 * wp.sqrt(gloss.spread)
@@ -300,22 +309,22 @@ def draw_plain_disc(
 
 @wp.struct
 class ChoicePoint:
-    """Values at a hit from which the brightness under many lights is estimated: frame, view and lobe."""
+    """Values at a hit from which the expected brightness under many lights is computed: frame, view and lobe."""
 
     tangent: wp.vec3f
     bitangent: wp.vec3f
     normal: wp.vec3f
     view: wp.vec3f
-    spread: wp.float32  # α² with the footprint
-    specular: wp.float32  # factor of the specular reflection, which includes cos θi
-    diffuse: wp.float32  # diffuse reflection
+    spread: wp.float32  # α² of the GGX distribution after the blur by the footprint
+    specular: wp.float32  # factor of the specular reflection, which includes the cosine of the light's angle
+    diffuse: wp.float32  # brightness of the diffuse reflection for light along the normal
 
 
 @wp.func
 def choice_point(gloss: Gloss, pixels: Pixels, ray: wp.int32) -> ChoicePoint:
-    """Return the values at a hit from which the brightness under many lights is estimated.
+    """Return the values at a hit from which the expected brightness under many lights is computed.
 
-    The Fresnel term is that of the view direction. Masking is omitted.
+    Two approximations save time: the Fresnel term is that of the view direction, and masking is omitted.
     """
     result = ChoicePoint()
     result.tangent = pixels.tangent[ray]
@@ -363,7 +372,7 @@ def choose_plain_lights(
         if pixels.hit[i] == 0:
             continue
         frame = frame_at(pixels, i)
-        gloss = gloss_at(materials, pixels, i, frame.view)
+        gloss = gloss_at(materials, pixels, i, frame.view, 0.0)
         if gloss.alpha2 == 0.0:
             continue
         gloss = blurred(gloss, covariance_of(footprints[i]), 2.0 * gloss.view[2])
@@ -376,7 +385,8 @@ def choose_plain_lights(
         for index in range(lights.places.shape[0]):
             brightness = expected_brightness(lights, index, at)
             if brightness > 0.0 and rest >= 0.0:
-                # If rounding makes the sum too small, the last light above the horizon is chosen.
+                # Rounding errors may make the sum of all probabilities too small. The last light above the horizon is
+                # then chosen.
                 place = lights.places[index]
                 weight = wp.float32(lights.strengths[index] / lights.strengths[0]) * total / brightness
                 towards_out[i] = wp.vec4f(

@@ -8,8 +8,8 @@ from warpdiff.kernels.structs import SPECIAL, Camera, Cells, Pixels, Sampling, S
 
 wp.set_module_options(compile_options.options("rasterize.h", "primary_hits.h", "shading_frames.h"))
 
-# Largest distance of a ray from its pixel's centre along an axis [pixels]. Derived: the distance at which the pixel
-# filter is truncated.
+# Largest distance of a ray from its pixel's centre along an axis [pixels]. The value was derived: it is the distance at
+# which the pixel filter is truncated.
 MOST_OFFSET = 1.5
 # Value in the array ``nearest`` for a ray that hits no face.
 UNSEEN = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
@@ -65,7 +65,7 @@ def pixel_offset(sample: wp.int32, samples: wp.int32, seed: wp.int32, pixel: wp.
     return result
 
 
-# Number of cells of a pixel at the finest level. Derived from the number of that level.
+# Number of cells of a pixel at the finest level. The value was derived from the number of that level.
 _MOST_CELLS = max(refinement_levels.rays_at(level) for level in refinement_levels.LEVELS)
 
 
@@ -107,7 +107,10 @@ def rasterize(
 
 @wp.func
 def paint(surface: SurfaceArrays, pixels: Pixels, ray: wp.int32):
-    """Write the base colour at a hit into ``pixels.base_colour``; it is negative where a texture has the colour."""
+    """Write the base colour at a hit into ``pixels.base_colour``.
+
+    The written colour is negative if a texture determines the base colour.
+    """
     colour = surface.plain_colour
     if surface.vertex_colours.shape[0] > 0:
         b0 = pixels.place[ray][0]
@@ -198,8 +201,8 @@ def make_shading_frames(
             tangent = place[0] * surface.tangents[i0] + place[1] * surface.tangents[i1] + share * surface.tangents[i2]
             tangent = tangent - wp.dot(tangent, normal) * normal
             if wp.length_sq(tangent) > LEAST_TANGENT:
-                # The perpendicular part of the tangent is computed twice, because the second projection removes the
-                # rounding errors of the first one, as in ``face_the_viewer``.
+                # The component of the tangent perpendicular to the normal is computed twice. The second projection
+                # removes the rounding errors of the first one, as in ``face_the_viewer``.
                 tangent = wp.normalize(tangent - wp.dot(tangent, normal) * normal)
             else:
                 tangent = perpendicular(normal)

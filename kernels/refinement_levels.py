@@ -1,6 +1,9 @@
 """Refinement levels: subpixel cells, the pixel filter, and the error model of refinement.
 
 The module does not import Warp, so that Python code can use these numbers without loading Warp.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
 """
 
 import math
@@ -31,8 +34,9 @@ LEAST_LEVEL_OF_POINTS = 2
 # to |(u, v)|. The numbers were fitted so that the error of 95 of 100 pixels is smaller
 # (docs/decisions/adaptive_sampling.md). Twice as large numbers refine more pixels.
 CONTRAST_BASE, CONTRAST_PER_UNEVENNESS, CONTRAST_PER_CHANGE = 0.008, 0.52, 0.55
-# Estimated error of the filter of textures in a pixel with one ray, divided by the contrast that textures cause with
-# its neighbours. Fitted to bound 95 of 100 pixels (docs/decisions/textures.md); twice as much refines more pixels.
+# Estimated error of the filter of textures in a pixel with one ray, divided by the contrast that textures cause between
+# the pixel and its neighbours. The value was fitted so that the error of 95 of 100 pixels is smaller
+# (docs/decisions/textures.md). Twice the value refines more pixels.
 CONTRAST_OF_TEXTURE = 0.2
 # A tile is a pixel that is divided into subpixel cells. The level of a tile is selected from the predicted change of
 # its colour if its cells were finer. This change is multiplied by CAUTION, and at edges also by EDGE_FACTOR. A tile is
@@ -46,17 +50,22 @@ CAUTION, EDGE_FACTOR = 2.0, 1.5
 # numbers were fitted so that the error of 95 of 100 pixels is smaller than estimated.
 ERROR_ORDER, ERROR_PER_CHANGES = 1.75, 0.6
 # Estimated error of a mean over random samples, divided by the standard deviation of the mean. The value is limited by
-# time: with twice the value, pictures under sampled lights require four times as many samples.
+# computing time: with twice the value, pictures under sampled lights require four times as many samples.
 SCATTER_FACTOR = 1.5
 # Safety factor for the random scatter that one tile (a pixel that is divided into cells) contributes to the error of a
 # pixel, when the level of the tile is raised. The factor was derived from an error that is the root sum of squares of
 # four equal contributions. It was tested on the meshes of a snake and a tube (docs/decisions/adaptive_sampling.md).
 SCATTER_CAUTION = 2.0
-# Share of the illuminated pixels that are brighter than the reference luminance Y* of refinement, which is the 99th
-# percentile of Y. The share is one minus this percentile. The Y* of reported errors may be larger than the Y* of
-# refinement, because it is also at least the luminance-weighted median of Y. Refinement is then stricter than the
-# report.
+# The reference luminance Y* of refinement is the luminance that this share of the illuminated pixels exceeds. It is the
+# 99th percentile of Y, so that the share is one minus this percentile. The Y* of reported errors may be larger, because
+# it is also at least the luminance-weighted median of Y. Refinement is then stricter than the report.
 BRIGHTEST_SHARE = 1.0 - PERCENTILE
+
+
+def share_beyond(distance: float) -> float:
+    """Return the share of a pixel's filter beyond a distance from its centre on one side of one axis [pixels]."""
+    scale = FILTER_SIGMA * math.sqrt(2.0)
+    return 0.5 - 0.5 * math.erf(distance / scale) / math.erf(FILTER_CUT / scale)
 
 
 def rays_at(level: int) -> int:

@@ -14,14 +14,15 @@ from warpdiff.kernels.structs import Pixels
 
 wp.set_module_options(compile_options.options("shadow_rays.h", "atomics.h"))
 
-# Most kernels of this module have a second thread index, which is always 0, because Warp then compiles one variant of a
-# kernel instead of two: see ``light_samples``.
+# Most kernels of this module have a second thread index, which is always 0. Warp then compiles one variant of a kernel
+# instead of two, as explained in ``light_samples``.
 
 # Number of steps per radius of the mesh to which positions are rounded. The value is limited by float32, which
 # represents all whole numbers up to 2^24.
 STEPS = wp.constant(wp.float64(16777216.0))
-# A shadow ray is traced if the cosine between the normal and the direction to the light exceeds this number, which is
-# slightly negative. The number was derived from the rounding error of cosines, which is smaller than its magnitude.
+# A shadow ray is traced if the cosine between the normal and the direction to the light exceeds this number. It is
+# slightly negative, so that no ray is omitted because of rounding: the rounding error of cosines is smaller than its
+# magnitude, from which it was derived.
 FACING_AWAY = wp.constant(wp.float32(-1.0e-5))
 
 
@@ -32,19 +33,23 @@ class ShadowGrid:
     Each cell has a list of the faces that overlap it.
     """
 
-    mesh_id: wp.uint64  # mesh with the hierarchy that is used if the grid has no lists
+    mesh_id: wp.uint64  # mesh whose bounding-volume hierarchy is used if the grid has no lists
     across: wp.vec3d  # first unit vector perpendicular to the light
     up: wp.vec3d  # second unit vector perpendicular to the light
     towards: wp.vec3d  # unit vector to the light
-    low_x: wp.float64  # corner of the first cell along ``across`` [steps]
-    low_y: wp.float64  # corner of the first cell along ``up`` [steps]
-    per_step: wp.float64  # grid cells per step of positions
+    low_x: wp.float64  # position of the first cell's corner along ``across`` [steps]
+    low_y: wp.float64  # position of the first cell's corner along ``up`` [steps]
+    per_step: wp.float64  # number of grid cells per step
     columns: wp.int32
     rows: wp.int32
     is_closed: wp.bool  # whether the mesh is closed; faces that face away from the light then need no lists
-    corners: wp.array(dtype=wp.mat33f)  # corners of each face in rows, counter-clockwise: across, up [steps], height
-    starts: wp.array(dtype=wp.int32)  # beginning of each cell's list, and end of the last list; empty without lists
-    faces: wp.array(dtype=wp.int32)  # faces in the lists, list after list
+    # For each face: a matrix with one row per corner, counter-clockwise. A row has the positions along ``across`` and
+    # ``up`` [steps], and the height, the position along ``towards``.
+    corners: wp.array(dtype=wp.mat33f)
+    # Index in ``faces`` at which the list of each cell begins, and index at which the last list ends; empty without
+    # lists.
+    starts: wp.array(dtype=wp.int32)
+    faces: wp.array(dtype=wp.int32)  # indices of the faces in the lists, one list after the other
     tops: wp.array(dtype=wp.float32)  # largest height of each listed face
 
 

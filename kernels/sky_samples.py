@@ -3,6 +3,9 @@
 The first kind of sample draws (u, v) from a table of the surface's colours. The second kind draws a direction from
 blocks of the sky, with a probability proportional to their brightness. The weight of a sample is one over the sum of
 its densities in the two kinds (balance heuristic, Veach 1997).
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer. θi is the angle of ωi from the normal.
 """
 
 import math
@@ -26,7 +29,7 @@ LEAST_LIGHT2 = wp.constant(wp.float32(thresholds.HORIZON**2 + 1.0e-6))
 class Sky:
     """Sky on a latitude-longitude grid. The top row is around +y, and the middle column is towards −z."""
 
-    powers: wp.array2d(dtype=wp.vec3f)  # power per solid angle, one component per spectrum
+    powers: wp.array2d(dtype=wp.vec3f)  # power per solid angle by direction, one component per spectrum of the sky
     turn: wp.float32  # rotation of the sky about +y, as a share of a whole turn
     whites: wp.mat33f  # colours of a white pigment under each spectrum, linear RGB in rows
 
@@ -36,15 +39,17 @@ class SkyDistribution:
     """The two probability distributions of a sky's samples: over rings and azimuths of (u, v), and over the sky."""
 
     ring_cdf: wp.array(dtype=wp.float32)  # cumulative probabilities of the rings of (u, v)
-    starts: wp.array(dtype=wp.int32)  # first azimuth sample of each ring; the last entry is the total number
+    starts: wp.array(dtype=wp.int32)  # index of each ring's first azimuth sample; then the total number of samples
     spoke_cdf: wp.array(dtype=wp.float32)  # cumulative probabilities of the azimuth samples within their ring
-    densities: wp.array(dtype=wp.float32)  # densities per ln|(u, v)| and radian; in the first ring, a disc, per area
+    # Probability densities per unit of ln|(u, v)| and per radian. The first ring is a disc, and its densities are per
+    # area.
+    densities: wp.array(dtype=wp.float32)
     least_log: wp.float32  # ln|(u, v)| at the edge of the disc of the first ring
-    per_log: wp.float32  # rings per unit of ln|(u, v)|
-    row_cdf: wp.array(dtype=wp.float32)  # cumulative probabilities of the rows of blocks
-    column_cdf: wp.array2d(dtype=wp.float32)  # cumulative probabilities of the blocks within their row
-    block_densities: wp.array2d(dtype=wp.float32)  # probability densities of the blocks per solid angle
-    sky_share: wp.float32  # share of the samples that are drawn from blocks
+    per_log: wp.float32  # number of rings per unit of ln|(u, v)|
+    row_cdf: wp.array(dtype=wp.float32)  # cumulative probabilities of the rows of blocks of the sky
+    column_cdf: wp.array2d(dtype=wp.float32)  # cumulative probabilities of the sky's blocks within their row
+    block_densities: wp.array2d(dtype=wp.float32)  # probability densities of the sky's blocks per solid angle
+    sky_share: wp.float32  # share of the samples that are drawn from the blocks of the sky
 
 
 @wp.func
@@ -264,9 +269,9 @@ def sample_sky(
         index = sample_index(tiles, width, across, i, sample, samples)
         point = light_point(index)
         within = filter_point(index)
-        # Draw a point of the pixel filter (Box and Muller), and rotate the normal so that (u, v) changes as the
-        # footprint states. If the normal rotates by an angle, (u, v) of light from the mirror direction changes by 2
-        # cos θ times the angle.
+        # Draw a point of the pixel filter (Box and Muller). Then rotate the normal until (u, v) has changed as much as
+        # between the centre of the footprint and this point. If the normal rotates by an angle, (u, v) of light from
+        # the mirror direction changes by 2 cos θ times the angle.
         size = wp.sqrt(-2.0 * wp.log(1.0 - within[0]))
         angle = wp.static(2.0 * math.pi) * within[1]
         right = size * wp.cos(angle)

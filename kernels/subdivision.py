@@ -1,4 +1,4 @@
-"""Adaptive subdivision: kernels that estimate errors, add subpixel cells to pixels, and select levels of tiles."""
+"""Adaptive subdivision: kernels that add subpixel cells to pixels, estimate errors, and select levels of tiles."""
 
 import warp as wp
 
@@ -6,10 +6,6 @@ from warpdiff.kernels import compile_options, refinement_levels
 
 wp.set_module_options(compile_options.options("cell_splats.h"))
 
-# Marks of pixels. ``ACTIVE`` pixels are subdivided into cells. ``SHARED`` pixels use the cells of neighbouring pixels.
-# A pixel with the mark 0 keeps the colour of its one ray.
-ACTIVE = wp.constant(wp.uint8(1))
-SHARED = wp.constant(wp.uint8(2))
 # Bits that describe the cells of a tile (a subdivided pixel), as in kernels/native/cell_splats.h. LIT is set if at
 # least one cell is illuminated. UNLIT is set if at least one cell hits the mesh but is dark. MISSED is set if at least
 # one cell does not hit the mesh.
@@ -24,139 +20,7 @@ EDGE_FACTOR = wp.constant(wp.float32(refinement_levels.EDGE_FACTOR))
 LEVEL_OF_OWN_SCATTER = wp.constant(wp.int32(3))
 SCATTER_CAUTION = wp.constant(wp.float32(refinement_levels.SCATTER_CAUTION))
 SCATTER_FACTOR = wp.constant(wp.float32(refinement_levels.SCATTER_FACTOR))
-CONTRAST_BASE = wp.constant(wp.float32(refinement_levels.CONTRAST_BASE))
-CONTRAST_PER_UNEVENNESS = wp.constant(wp.float32(refinement_levels.CONTRAST_PER_UNEVENNESS))
-CONTRAST_PER_CHANGE = wp.constant(wp.float32(refinement_levels.CONTRAST_PER_CHANGE))
-CONTRAST_OF_TEXTURE = wp.constant(wp.float32(refinement_levels.CONTRAST_OF_TEXTURE))
-TINY = wp.constant(wp.float32(1.0e-30))
 FILTER_SHARES = wp.constant(wp.vec3f(*refinement_levels.FILTER_SHARES))
-ASLANT = wp.constant(wp.float32(refinement_levels.FILTER_SHARES[0] / refinement_levels.FILTER_SHARES[1]))
-
-
-@wp.func
-def signal_difference(scattering_vectors: wp.array(dtype=wp.vec3d), own: wp.int32, other: wp.int32) -> wp.vec2f:
-    """Return the difference of (u, v) between the hits of two pixels."""
-    moved = scattering_vectors[other] - scattering_vectors[own]
-    return wp.vec2f(wp.float32(moved[0]), wp.float32(moved[1]))
-
-
-@wp.func
-def contrast_weight(scattering_vectors: wp.array(dtype=wp.vec3d), pixel: wp.int32, width: wp.int32) -> wp.float32:
-    """Return the expected error of a pixel, divided by the contrast to its neighbours, from the changes of (u, v)."""
-    left = signal_difference(scattering_vectors, pixel, pixel - 1)
-    right = signal_difference(scattering_vectors, pixel, pixel + 1)
-    above = signal_difference(scattering_vectors, pixel, pixel - width)
-    below = signal_difference(scattering_vectors, pixel, pixel + width)
-    along = wp.max(wp.length_sq(left), wp.length_sq(right)) + TINY
-    down = wp.max(wp.length_sq(above), wp.length_sq(below)) + TINY
-    # Unevenness is the second difference of (u, v) along rows, columns and diagonals, relative to the larger of the two
-    # first differences.
-    aslant2 = wp.max(
-        wp.max(
-            wp.length_sq(signal_difference(scattering_vectors, pixel, pixel - width - 1) - left - above),
-            wp.length_sq(signal_difference(scattering_vectors, pixel, pixel - width + 1) - right - above),
-        ),
-        wp.max(
-            wp.length_sq(signal_difference(scattering_vectors, pixel, pixel + width - 1) - left - below),
-            wp.length_sq(signal_difference(scattering_vectors, pixel, pixel + width + 1) - right - below),
-        ),
-    )
-    most = wp.max(along, down)
-    uneven2 = wp.max(wp.max(wp.length_sq(left + right) / along, wp.length_sq(above + below) / down), aslant2 / most)
-    own = scattering_vectors[pixel]
-    uv2 = wp.max(wp.float32(own[0] * own[0] + own[1] * own[1]), 1.0e-6)
-    return wp.min(
-        CONTRAST_BASE + CONTRAST_PER_UNEVENNESS * wp.sqrt(uneven2) + CONTRAST_PER_CHANGE * wp.sqrt(most / uv2), 1.0
-    )
-
-
-@wp.func
-def base_colour_change(
-    base_colours: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32), row: wp.int32, column: wp.int32,
-    width: wp.int32, height: wp.int32,
-) -> wp.float32:  # fmt: skip
-    """Return the largest difference of base colour between a pixel and its neighbours, relative to its base colour."""
-    own = base_colours[row * width + column]
-    change2 = wp.float32(0.0)
-    for y in range(wp.max(row - 1, 0), wp.min(row + 2, height)):
-        for x in range(wp.max(column - 1, 0), wp.min(column + 2, width)):
-            if hit[y * width + x] != 0:
-                change2 = wp.max(change2, wp.length_sq(base_colours[y * width + x] - own))
-    return wp.sqrt(change2 / wp.max(wp.length_sq(own), TINY))
-
-
-@wp.kernel
-def estimate_errors(
-    colours: wp.array(dtype=wp.vec3f), scattering_vectors: wp.array(dtype=wp.vec3d), hit: wp.array(dtype=wp.int32),
-    base_colours: wp.array(dtype=wp.vec3f), width: wp.int32, floor: wp.array(dtype=wp.float32), bound: wp.float32,
-    all_pixels: wp.bool, subdivides_silhouettes: wp.bool, first: wp.int32, run: wp.int32,
-    errors_out: wp.array(dtype=wp.float32), marks_out: wp.array(dtype=wp.uint8),
-):  # fmt: skip
-    """Estimate the errors ‖ΔXYZ‖ of pixels with one ray each, and mark the pixels to subdivide.
-
-    The contrast of a pixel is the largest difference of its colour from the colour of a neighbouring pixel. Pixels that
-    do not hit the mesh do not count as neighbours.
-
-    Args:
-        colours: Colours of the pixels of the picture, row by row.
-        scattering_vectors: Scattering vectors of the pixels, (u, v, w).
-        hit: Whether the pixels hit the mesh.
-        base_colours: Base colours of the pixels, linear RGB; empty without textures.
-        width: Number of pixels per row.
-        floor: Lower limit of ‖XYZ‖ in the denominator of relative errors.
-        bound: Relative error above which pixels are subdivided. With a negative bound, all pixels that hit the mesh are
-            subdivided, and all pixels next to them.
-        all_pixels: Whether all pixels of the picture are subdivided, because a cell may hit the mesh although the ray
-            of the pixel does not.
-        subdivides_silhouettes: Whether pixels are subdivided if the ray of only one of two neighbours hits the mesh.
-        first: Index of the first pixel of the first thread.
-        run: Number of pixels per thread.
-        errors_out: Estimated errors; 0 where a pixel does not hit the mesh.
-        marks_out: ``ACTIVE`` for pixels to subdivide, otherwise 0.
-    """
-    thread, _ = wp.tid()
-    height = hit.shape[0] // width
-    for pixel in range(first + thread * run, first + (thread + 1) * run):
-        if hit[pixel] == 0 and not subdivides_silhouettes and not all_pixels:
-            errors_out[pixel] = 0.0
-            marks_out[pixel] = wp.uint8(0)
-            continue
-        row = pixel // width
-        column = pixel - row * width
-        own = wp.where(hit[pixel] != 0, colours[pixel], wp.vec3f())
-        around = wp.int32(0)
-        met = wp.int32(0)
-        beside = wp.int32(0)
-        contrast2 = wp.float32(0.0)
-        for line in range(-1, 2):
-            for side in range(-1, 2):
-                y = row + line
-                x = column + side
-                if y >= 0 and y < height and x >= 0 and x < width:
-                    other = y * width + x
-                    around += 1
-                    if hit[other] != 0:
-                        met += 1
-                        if line * side == 0 and line != side:
-                            beside += 1
-                        # Diagonal neighbours are included: the weight of a diagonal neighbour in the pixel filter is
-                        # small, but the neighbour may be far brighter.
-                        share = wp.where(line * side == 0, 1.0, ASLANT)
-                        contrast2 = wp.max(contrast2, share * share * wp.length_sq(colours[other] - own))
-        if beside == 0:
-            # If no neighbour hits the mesh, the pixel's own colour replaces the contrast.
-            contrast2 = wp.length_sq(own)
-        weight = wp.float32(1.0)
-        if met == 9:
-            weight = contrast_weight(scattering_vectors, pixel, width)
-        error = weight * wp.sqrt(contrast2)
-        if base_colours.shape[0] > 0 and met > 1:
-            change = base_colour_change(base_colours, hit, row, column, width, height)
-            error = wp.max(error, CONTRAST_OF_TEXTURE * wp.sqrt(wp.min(contrast2, change * change * wp.length_sq(own))))
-        errors_out[pixel] = wp.where(hit[pixel] != 0, error, 0.0)
-        is_silhouette = met < around and subdivides_silhouettes
-        is_active = met > 0 and (is_silhouette or error > bound * wp.max(wp.length(own), floor[0]))
-        marks_out[pixel] = wp.where(is_active or all_pixels, ACTIVE, wp.uint8(0))
 
 
 @wp.func_native(
@@ -325,8 +189,8 @@ def select_levels(
                 quadrant_at(sums, levels_out, y, x + 1, width, height),
             )  # fmt: skip
         # The variable ``second`` is half the root mean square of the second differences of colour at the four
-        # quadrants. The change from the colour by one ray may be small by chance; the change is therefore limited to
-        # the range from half of ``second`` to ``second``.
+        # quadrants. The difference from the colour by one ray may be small by chance. It is therefore limited to the
+        # range from half of ``second`` to ``second``.
         second = 0.5 * wp.sqrt(0.25 * square)
         change = wp.clamp(changes_out[rank], 0.5 * second, second)
         need = wp.float32(0.0)
@@ -347,8 +211,8 @@ def select_levels(
             change = change * EDGE_FACTOR
         changes_out[rank] = change
         # To select a level, errors are assumed to be proportional to n⁻², where n is the number of cells along an axis.
-        # For reported errors, n^−ERROR_ORDER is assumed, which is more cautious. The level is rounded to a whole
-        # number.
+        # For reported errors, a proportionality to n^−ERROR_ORDER is assumed, which predicts larger errors. The level
+        # is rounded to a whole number.
         cells = 2.0 * wp.sqrt(CAUTION * need * change / tolerance)
         level = wp.clamp(wp.int32(wp.floor(wp.log2(wp.max(cells, 1.0)) + 0.5)), base, most)
         if (lighting & MISSED) != wp.uint8(0) and (lighting & (LIT | UNLIT)) != wp.uint8(0):

@@ -4,13 +4,13 @@ import warp as wp
 
 from warpdiff.kernels import compile_options, refinement_levels, thresholds
 from warpdiff.kernels.atomics import atomic_increment
-from warpdiff.kernels.subdivision import SHARED
+from warpdiff.kernels.pixel_contrast import SHARED
 
 wp.set_module_options(compile_options.options("atomics.h"))
 
-# Histogram of luminances. A bin ignores the BELOW lower bits of a luminance in float32. The index of a bin is therefore
-# the upper half of these bits: sign, exponent and seven bits of the fraction. The histogram has GROUPS groups of BINS
-# bins each. Counts of groups are also stored, so that one thread finds a percentile in few steps.
+# The histogram of luminances has GROUPS groups of BINS bins each. The index of a bin is the upper half of the bits of a
+# luminance in float32: sign, exponent and seven bits of the fraction. The BELOW lower bits are ignored. Counts of
+# groups are also stored, so that one thread finds a percentile in few steps.
 BELOW = wp.constant(wp.uint32(16))
 GROUPS = wp.constant(512)
 BINS = wp.constant(64)

@@ -1,8 +1,9 @@
 """Rays that pass through transparent points of faces: cut-outs, and faces that are blended with their background.
 
-A point of a face lets a ray pass if its alpha is below a threshold. The threshold of a cut-out is the cut-off of its
-material. That of a blended face differs from ray to ray, such that a share of the rays hits the face that is equal to
-alpha (stochastic transparency, Enderton et al. 2011). Only scenes with transparent faces launch the kernels here.
+A ray passes a face at points whose alpha is below a threshold. For a cut-out, the threshold is the cut-off of its
+material. For a blended face, the threshold differs from ray to ray. The fraction of rays that hit the face is then
+equal to alpha (stochastic transparency, Enderton et al. 2011). The kernels are launched only for scenes with such
+faces.
 """
 
 import warp as wp
@@ -15,13 +16,14 @@ from warpdiff.kernels.structs import Camera, Pixels, Sampling, SurfaceArrays, Te
 
 wp.set_module_options(compile_options.options("transparency.h"))
 
-# Largest number of transparent faces that a ray passes; the next face counts as opaque. Limit: time.
+# Largest number of transparent faces that a ray passes; the next face counts as opaque. The value is limited by time,
+# which is proportional to the number of faces.
 MOST_LAYERS = wp.constant(64)
-# Distance by which a ray continues behind a face [radii of the mesh]. Derived: that of shadow rays from a surface.
-# Faces that are closer together count as one.
+# Distance by which a ray continues behind a face before it is traced further [radii of the mesh]. It is the distance at
+# which shadow rays start from a surface. Faces that are closer together count as one face.
 GAP = wp.constant(wp.float32(1.0e-5))
-# Increments of the R3 sequence (Roberts 2018), one for each of the first three blended faces along a ray: thresholds
-# of different faces are independent of each other, and evenly distributed over the cells of a pixel.
+# Increments of the R3 sequence (Roberts 2018), one for each of the first three blended faces along a ray. With them,
+# the thresholds of different faces are independent of each other, and are evenly distributed over the cells of a pixel.
 R3 = wp.constant(wp.vec3f(0.8191725134, 0.6710436067, 0.5497004779))
 
 
@@ -35,11 +37,11 @@ def alpha_at(
 
 @wp.func
 def cutoff_of(textures: Textures, transparency: Transparency, face: wp.int32) -> wp.float32:
-    """Return the cut-off of a face's material: 0 if it is opaque, and negative if it is blended."""
-    material = textures.materials[face]
+    """Return the cut-off of a face's material: it is 0 if the material is opaque, and negative if it is blended."""
+    row = textures.rows[face]
     result = wp.float32(0.0)
-    if material >= 0:
-        result = transparency.cutoffs[material]
+    if row >= 0:
+        result = transparency.cutoffs[row]
     return result
 
 
@@ -64,7 +66,7 @@ def first_opaque(
     surface: SurfaceArrays, textures: Textures, transparency: Transparency, mesh_id: wp.uint64, start: wp.vec3f,
     along: wp.vec3f, far: wp.float32, seed: wp.uint32, index: wp.int32,
 ) -> wp.int32:  # fmt: skip
-    """Return the first face that a ray hits and does not pass; −1 if there is none up to a distance."""
+    """Return the first face that a ray hits and does not pass; −1 if there is no such face up to a distance."""
     travelled = wp.float32(0.0)
     layer = wp.int32(0)
     for step in range(MOST_LAYERS + 1):
@@ -89,10 +91,10 @@ def is_occluded(
     surface: SurfaceArrays, textures: Textures, transparency: Transparency, mesh_id: wp.uint64, origin: wp.vec3f,
     along: wp.vec3f, far: wp.float32,
 ) -> wp.bool:  # fmt: skip
-    """Return whether a shadow ray hits a face that it does not pass."""
+    """Return whether a shadow ray hits a face that it does not pass, so that the light is occluded."""
     result = wp.mesh_query_ray_anyhit(mesh_id, origin, along, far)
     if result and transparency.cutoffs.shape[0] > 0:
-        # Thresholds follow from the origin of the ray, so that pictures do not depend on the order of rays.
+        # The thresholds are computed from the origin of the ray, so that pictures do not depend on the order of rays.
         seed = scramble(wp.cast(origin[0], wp.uint32))
         seed = scramble(seed ^ wp.cast(origin[1], wp.uint32))
         seed = scramble(seed ^ wp.cast(origin[2], wp.uint32))
@@ -106,7 +108,7 @@ def pass_transparent(
     first: wp.int32, run: wp.int32,
     nearest_out: wp.array(dtype=wp.uint64),
 ):  # fmt: skip
-    """Replace nearest faces that rays pass by the first faces behind that they do not pass.
+    """For each ray whose nearest face lets it pass, write the index of the first face behind that does not.
 
     Args:
         camera: Camera in the units of the mesh.
@@ -146,7 +148,7 @@ def trace_shadow_rays_through(
     light_index: wp.int32, directions: wp.array(dtype=wp.vec4f), pixels: Pixels, first: wp.int32, run: wp.int32,
     occluded_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Trace shadow rays as :func:`~warpdiff.kernels.shadow_rays.trace_shadow_rays` does, through transparent faces."""
+    """Trace shadow rays through transparent faces, as :func:`~warpdiff.kernels.shadow_rays.trace_shadow_rays`."""
     place = places[light_index]
     towards = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))
     thread, _ = wp.tid()

@@ -3,6 +3,8 @@
 A real parameter p becomes p + i·STEP, and the derivative is the imaginary part of the result over STEP, exact up to
 rounding. Complex quantities of the physics are pairs of numbers (real part, imaginary part), because the imaginary unit
 belongs to the step.
+
+κ is w/λ, the normal component w of the scattering vector divided by the wavelength.
 """
 
 import numpy as np
@@ -34,7 +36,7 @@ def quotient(a, b):
 
 
 def root(a):
-    """Return the square root with a positive real part."""
+    """Return the square root of a complex number, given as a pair. The real part of the root is positive."""
     size = np.sqrt(a[0] ** 2 + a[1] ** 2)
     real = np.sqrt((size + a[0]) / 2)
     return real, a[1] / (2 * real)
@@ -68,7 +70,11 @@ def schlick(cosine, ior):
 
 
 def film_reflectance(cosine, indices, film_nm, wavelength_nm):
-    """Return the unpolarised reflectance of media with indices (pairs), of which the first is air."""
+    """Return the unpolarised reflectance of a material, with or without a film, in air.
+
+    ``indices`` are the indices of refraction of the film, if there is one, and of the material, as pairs (real part,
+    imaginary part).
+    """
     along2 = 1 - cosine * cosine
     media = [(1.0 + 0 * cosine, 0 * cosine), *indices]
     angles = [(cosine, 0 * cosine)]
@@ -96,7 +102,11 @@ def film_reflectance(cosine, indices, film_nm, wavelength_nm):
 
 
 def amplitudes(heights, kappa, s, r):
-    """Return (1/N) Σ exp(2πiκh) exp(2πi(sj/ny + rk/nx)), for all pairs of s and r, as a pair of matrices."""
+    """Return the Fourier coefficients of exp(2πiκh) for heights h of ny × nx samples, as a pair of matrices.
+
+    A coefficient is (1/N) Σ exp(2πiκh) exp(2πi(sj/ny + rk/nx)). The sum is over the N samples with row j and column k.
+    The matrices have one row for each value in ``s`` and one column for each value in ``r``.
+    """
     ny, nx = heights.shape
     along_y = phase(2 * np.pi * (np.outer(s, np.arange(ny)) % ny) / ny)
     along_x = phase(2 * np.pi * (np.outer(np.arange(nx), r) % nx) / nx)
@@ -111,7 +121,10 @@ def reflectance_of(optics, cosine, wavelength_nm):
 
 
 def spectral_reflectance(p, kind, wavelength_nm, *, masking, widths=11.0):
-    """Return ρ for the parameters ``p`` at one wavelength: a sum over all coefficients within ``widths`` deviations."""
+    """Return the relative reflectance ρ at one wavelength for the parameters ``p`` of the surface and the directions.
+
+    The result is a sum over all coefficients within ``widths`` standard deviations of the lobe around the direction.
+    """
     heights = p["heights_um"] * p.get("height_scale", 1.0)
     ny, nx = heights.shape
     pitch = p["pitch_um"]
@@ -173,7 +186,11 @@ def rise(cosine):
 
 
 def order_efficiencies(p, orders, wavelength_nm, *, normalised):
-    """Return the efficiencies of orders (m_y, m_x) that all propagate; normalised ones by 3,000 alternate scalings."""
+    """Return the efficiencies of orders (m_y, m_x), all of which propagate.
+
+    Normalised efficiencies are computed by 3,000 alternate scalings of the rows and the columns of the matrix of
+    efficiencies.
+    """
     heights = p["heights_um"] * p.get("height_scale", 1.0)
     ny, nx = heights.shape
     size = ny * p["pitch_um"][0], nx * p["pitch_um"][1]
@@ -220,7 +237,7 @@ def order_efficiencies(p, orders, wavelength_nm, *, normalised):
 
 
 def derivative(function, p, name, index=None):
-    """Return the derivative of ``function(p)`` by one element of the parameter ``name``."""
+    """Return the derivative of ``function(p)`` with respect to one element of the parameter ``name``."""
     changed = dict(p)
     if index is None:
         changed[name] = p[name] + 1j * STEP

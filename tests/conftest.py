@@ -27,6 +27,13 @@ def _data_file(name: str) -> Path:
     return path
 
 
+def public_members(kind: type) -> dict[str, object]:
+    """Return the public members of a class by name. `HeightField` inherits some from classes of its package."""
+    owners = [owner for owner in kind.__mro__ if owner is kind or owner.__module__.startswith("warpdiff.heightfield.")]
+    names = {name: value for owner in reversed(owners) for name, value in vars(owner).items()}
+    return {name: value for name, value in names.items() if not name.startswith("_")}
+
+
 @pytest.fixture(scope="session")
 def scan_path() -> Path:
     """Return the path of an atomic force microscope scan of snake skin; skip the test without that file."""
@@ -142,10 +149,10 @@ def hemisphere(rng: np.random.Generator, count: int, lowest: float = 0.05) -> np
 
 
 def launch(kernel, dim, inputs=(), outputs=(), *, device="cpu") -> None:
-    """Launch a kernel, which the threads of the library compile.
+    """Compile a kernel by the threads of the library, and launch it.
 
-    Each thread that compiles first reads Warp's headers, which takes 1 to 2 s of processor time. Without this function,
-    the main thread would be one more such thread.
+    Each thread that compiles first reads Warp's headers, which takes 1 to 2 s of processor time. If the main thread
+    compiled the kernel, it would have to read the headers, too.
     """
     import warp as wp
 

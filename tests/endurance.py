@@ -30,7 +30,9 @@ def count(in_tests: int, in_soak: int) -> int:
 
 
 def begin(shares: int, shares_left: int) -> None:
-    """Set the end time of the next test. Time that earlier tests did not use is divided among the remaining ones."""
+    """Set the end time of the test that runs next. Time that earlier tests did not use is divided among all remaining
+    tests.
+    """
     global _until  # noqa: PLW0603 (each process runs one test at a time)
     _until = time.time() + (_END - time.time()) * shares / shares_left
 
@@ -56,7 +58,11 @@ class Tries:
 
 
 def examples(in_tests: int, in_soak: int) -> Callable[[_F], _F]:
-    """Return a Hypothesis decorator: soak tests draw new examples; other runs do so only when the package changes."""
+    """Return a decorator that sets the number of examples of a Hypothesis test.
+
+    A soak test draws new random examples. Other test runs draw the same examples until a source file of the package
+    changes.
+    """
     chosen = settings(
         max_examples=count(in_tests, in_soak), deadline=None, database=None, suppress_health_check=list(HealthCheck)
     )
@@ -66,7 +72,7 @@ def examples(in_tests: int, in_soak: int) -> Callable[[_F], _F]:
 
 @functools.cache
 def _of_the_sources() -> int:
-    """Return a checksum of the package's source files, used as random seed."""
+    """Return a checksum of the package's source files. It is the random seed of test runs that are not soak tests."""
     root = Path(__file__).resolve().parents[1]
     sources = sorted(path for folder in ("warpdiff", "kernels") for path in (root / folder).rglob("*.py"))
     return zlib.crc32(b"".join(path.read_bytes() for path in sources))

@@ -2,6 +2,9 @@
 
 The native look-ups in ``native/point_lookup.h`` and ``native/footprint_lookup.h`` compute the same results for several
 pixels at once, with series instead of logarithms, exponentials and arc tangents.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer. w is its component along the normal.
 """
 
 import functools
@@ -15,7 +18,7 @@ from warpdiff.kernels.compile_options import options
 from warpdiff.kernels.indices import cyclic
 from warpdiff.kernels.structs import Footprint
 
-# Numbers in the rules by which footprints are approximated. ``kernels/native/footprint_lookup.h`` has equal values and
+# Constants of the rules that approximate footprints. ``kernels/native/footprint_lookup.h`` has equal constants and
 # explains them.
 WIDE = wp.constant(wp.float32(0.25))
 MOST_TURN = wp.constant(wp.float32(0.1))
@@ -26,7 +29,7 @@ MOST_APART = wp.constant(wp.float32(1.5))
 CURVES = wp.constant(wp.float32(0.047))
 DEVIATIONS = wp.constant(wp.float32(colour_lookup.DEVIATIONS))
 CUT_PER_VARIANCE = wp.constant(wp.float32(1.0 / colour_lookup.variance_before(colour_lookup.DEVIATIONS)))
-# Numbers in the rules by which rings are added. ``kernels/native/ring_sum.h`` has equal values and explains them.
+# Constants of the rules that add rings. ``kernels/native/ring_sum.h`` has equal constants and explains them.
 OUTWARDS, INWARDS = wp.constant(wp.float32(3.2)), wp.constant(wp.float32(4.5))
 RINGS_APART, RINGS_PER_DEVIATION = wp.constant(wp.float32(0.1)), wp.constant(wp.float32(1.2))
 WITHIN = wp.constant(wp.float32(0.5))
@@ -82,7 +85,10 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
 
     @wp.func
     def colour_of(table: Colours, row_sum: row_t, w: wp.float32) -> wp.vec3f:
-        """Return XYZ of a sum of table rows at w. Slightly negative results, which splines can have, become 0."""
+        """Return XYZ of a sum of table rows at the component w of the scattering vector.
+
+        Splines can give slightly negative results, which become 0.
+        """
         at_w = w_basis_at(table, w)
         result = wp.vec3f()
         for c in range(3):
@@ -182,14 +188,15 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         table: Colours, taps: FootprintTaps, u: wp.float32, v: wp.float32, w: wp.float32, polar: wp.mat22f
     ) -> wp.vec3f:
         """Return the mean colour over a Gaussian in ln |(u, v)| and azimuth, which may be correlated."""
-        # For wide footprints, the approximation by a Gaussian in ln |(u, v)| and azimuth is inaccurate. Their standard
-        # deviations are therefore limited.
+        # For wide footprints, the approximation by a Gaussian in ln |(u, v)| and azimuth is inaccurate. The two
+        # standard deviations of this Gaussian are therefore limited.
         turn_share = wp.min(WIDEST_ANGLE / wp.sqrt(wp.max(polar[0, 0], 1.0e-12)), 1.0)
         ratio_share = wp.min(WIDEST_RATIO / wp.sqrt(wp.max(polar[1, 1], 1.0e-12)), 1.0)
         angle2 = polar[0, 0] * turn_share * turn_share
         ratio2 = polar[1, 1] * ratio_share * ratio_share
         both = polar[0, 1] * turn_share * ratio_share
-        # The centre of the footprint is the mean of ln |(u, v)|, to second order in the standard deviations.
+        # The centre of the footprint is the mean of ln |(u, v)|, correct to second order in the standard deviations of
+        # the footprint.
         place = ring_of(table, u, v) + 0.5 * (angle2 - ratio2) * table.rings_per_log
         variance = ratio2 * table.rings_per_log * table.rings_per_log + 0.25
         deviation = wp.sqrt(variance)
@@ -247,11 +254,10 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         table: Colours, ring: wp.int32, level: wp.int32, from_middle: wp.vec2f, inverse: wp.mat22f,
         most_blur2: wp.float32,
     ) -> row_w_t:  # fmt: skip
-        """Return the sum of a ring's rows, weighted by a Gaussian of (u, v).
+        """Return the sum of the table rows of one ring, weighted by a Gaussian of (u, v).
 
-        The variance of the blur that the rows already have is subtracted from that of the Gaussian along the ring.
-
-        The last element of the result is the sum of the weights.
+        The rows are blurred along the ring already. The variance of this blur is subtracted from the variance of the
+        Gaussian along the ring. The last element of the result is the sum of the weights.
         """
         octave = ring // table.rings_per_octave
         radius = wp.exp((wp.float32(ring) - table.ring_of_one) / table.rings_per_log)
@@ -259,7 +265,8 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         azimuths = table.azimuths[level, octave]
         spacing = 2.0 * wp.PI / wp.float32(azimuths)
         blur = table.blurs[level, octave]
-        # Rows are spline coefficients, which are sharper than the values of the spline, so their blur is smaller.
+        # Table rows are spline coefficients, which are sharper than the values of the spline. Their blur therefore has
+        # a smaller variance than that of the values.
         blur2 = wp.min(blur * blur - 0.25 * spacing * spacing, most_blur2)
         result = row_w_t()
         for azimuth in range(azimuths):
@@ -334,11 +341,11 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
     def is_unserved(
         table: Colours, u: wp.float32, v: wp.float32, polar: wp.mat22f, within: wp.float32, parts: wp.int32
     ) -> wp.bool:
-        """Return whether the table cannot serve a direction.
+        """Return whether the table cannot give the colour of a direction.
 
-        This is the case within the inner radius of the table, and if the footprint is narrower than the blur that the
-        line spectrum gives to the table. A footprint may be split into ``parts``; ``within`` is the share of its
-        variance that each of them has.
+        It cannot if the direction is within the inner radius of the table, or if the footprint is narrower than the
+        blur that the line spectrum gives to the table. A footprint may be split into ``parts``. Each part has the share
+        ``within`` of the footprint's variance along the azimuth.
         """
         octave = wp.int32(ring_of(table, u, v) * table.octaves_per_ring)
         octave = wp.clamp(octave, 0, table.azimuths.shape[1] - 1)
@@ -359,7 +366,8 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         taps: FootprintTaps,
         run: wp.int32,
         first: wp.int32,
-        # Sums over the directions, written by this kernel: gains that the table cannot serve, and XYZ.
+        # Sums over the directions, written by this kernel: the gain of directions whose colour the table cannot give,
+        # and XYZ.
         unserved_gain: wp.array(dtype=wp.float32),
         xyz_out: wp.array(dtype=wp.vec3f),
     ):

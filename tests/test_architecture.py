@@ -21,6 +21,8 @@ SOURCES = {
     for package, folder in {"warpdiff": "warpdiff", "warpdiff.kernels": "kernels"}.items()
     for path in sorted((ROOT / folder).rglob("*.py"))
 }
+# Largest number of lines of a Python file. Longer files have several topics; docs/contributing/style.md has the rule.
+MOST_LINES = 500
 # Packages that must not import Warp, neither directly nor through other packages.
 WITHOUT_WARP = ("core", "datasets", "diffraction", "heightfield", "image", "optics", "profiles", "samples")
 # Pattern that finds attributes of Warp's objects which Warp's reference does not document.
@@ -39,7 +41,10 @@ def test_import_linter_finds_no_broken_contract():
 
 
 def test_kernels_import_only_kernels_and_packages_below_apps_no_public_names():
-    """Check imports of ``warpdiff.kernels`` here: in an editable install import-linter treats it as ``warpdiff``."""
+    """Kernels may import only kernels, and packages below ``apps`` may not import public names.
+
+    import-linter cannot check this, because in an editable install it treats ``warpdiff.kernels`` as ``warpdiff``.
+    """
     for name, path in SOURCES.items():
         nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
         imported = {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
@@ -57,6 +62,22 @@ def test_packages_without_warp_do_not_load_it():
 def test_only_the_device_package_uses_undocumented_parts_of_warp():
     users = {name for name, path in SOURCES.items() if re.search(UNDOCUMENTED, path.read_text(encoding="utf-8"))}
     assert {name.rpartition(".")[0] for name in users} == {"warpdiff.device"}
+
+
+def python_files():
+    """Return all Python files of the repository that belong to it, without environments, builds and generated pages."""
+    folders = ("warpdiff", "kernels", "bench", "tests", "examples", "docs/extensions")
+    files = [*ROOT.glob("*.py"), *ROOT.glob("docs/*.py")]
+    return [*files, *(path for folder in folders for path in sorted((ROOT / folder).rglob("*.py")))]
+
+
+def test_python_files_have_at_most_500_lines():
+    # The body of the sample snake is one table of measures and the functions that use it.
+    exempt = ROOT / "warpdiff" / "samples" / "corn_snake.py"
+    lines = {path.relative_to(ROOT): len(path.read_text(encoding="utf-8").splitlines()) for path in python_files()}
+    assert len(lines) > 400
+    too_long = {str(path): count for path, count in lines.items() if count > MOST_LINES and ROOT / path != exempt}
+    assert not too_long, f"split these files by topic: {too_long}"
 
 
 def test_file_names_are_unique():
@@ -133,7 +154,7 @@ called = {
     "reflectance_map": wd.reflectance_map(heightfield, up, size=4, **settings),
     "reflectance_spectra": wd.reflectance_spectra(heightfield, up, up, 550.0, **settings),
     "to_srgb": wd.to_srgb([0.1, 0.2, 0.3]),
-    "register_mitsuba_bsdf": wd.register_mitsuba_bsdf,
+    "measure_layout": wd.measure_layout, "register_mitsuba_bsdf": wd.register_mitsuba_bsdf,
     "sequence": wd.sequence(renderer, wd.turntable(light, view, count=2), folder.name + "/turn"),
     "shade": wd.shade(disc, heightfield, light, view, **settings).rgb,
     "spectral_reflectance": wd.spectral_reflectance(heightfield, up, up, 550.0, **settings),
@@ -142,7 +163,11 @@ called = {
 trapezoid = wd.profiles.Trapezoid(0.1, 0.5, 0.02, 2.0)
 orders = wd.Measured.orders(up, 550.0, [(0, m) for m in range(-2, 3)], [0.0, 0.01, 0.02, 0.01, 0.0])
 fitted = wd.fit(trapezoid, orders, sd=1e-3, starts=1)
+target = wd.Target.equal([(0, -1), (0, 1)], up, 550.0)
+designed = wd.design(wd.profiles.Pixels(0.5, np.zeros((1, 4))), target, starts=1)
 called |= {
+    "RigorousEfficiencies": wd.RigorousEfficiencies, "rigorous_order_efficiencies": wd.rigorous_order_efficiencies,
+    "Design": designed, "Target": target, "design": designed,
     "adjoint": wd.adjoint.order_efficiencies(heightfield, up, 550.0).value, "profiles": trapezoid, "fit": fitted,
     "Fit": fitted, "Measured": orders, "Minimum": fitted.minima[0], "Surface": wd.Surface(heightfield),
 }
@@ -150,7 +175,7 @@ lights = {name for name in wd.__all__ if isinstance(value := getattr(wd, name), 
 assert {"DirectionalLight", "Environment", "PointLight"} <= lights
 assert set(called) ^ lights == set(wd.__all__), set(called) ^ lights ^ set(wd.__all__)
 classes = "BakedLobes", "BakedSpectrum", "Comparison", "Image", "OrderEfficiencies", "Period", "Periods", "Plan"
-classes += ("Fit", "Measured", "Minimum")
+classes += ("Design", "Fit", "Measured", "Minimum", "Target")
 for name in (*classes, "ReflectanceSpectra", "Report", "Roughness", "ScanReport", "Table"):
     assert type(called[name]) is getattr(wd, name)
 """

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from conftest import public_members
 from small_pictures import draw_reports_roughly
 
 import warpdiff as wd
@@ -39,9 +40,8 @@ def members(name: str) -> Iterator[tuple[str, object]]:
         value = getattr(value, part)
     yield name, value
     if isinstance(value, type):
-        for key, member in vars(value).items():
-            if not key.startswith("_"):
-                yield f"{name}.{key}", getattr(member, "__func__", member)
+        for key, member in public_members(value).items():
+            yield f"{name}.{key}", getattr(member, "__func__", member)
 
 
 def examples(name: str, value: object) -> doctest.DocTest:
@@ -60,7 +60,7 @@ def test_public_name_has_an_example(name):
 
 @pytest.mark.parametrize("name", public_names())
 def test_examples_run(name, tmp_path, monkeypatch):
-    """Run the examples of a name and of its methods in a temporary folder, and compare the printed output."""
+    """The examples of a name and of its methods must print the stated output. They run in a temporary folder."""
     monkeypatch.chdir(tmp_path)
     draw_reports_roughly(monkeypatch)
     runner = doctest.DocTestRunner(optionflags=OPTIONS, verbose=False)

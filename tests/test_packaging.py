@@ -15,6 +15,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from conftest import public_members
 
 import warpdiff as wd
 
@@ -98,9 +99,9 @@ def install(wheel: Path, target: Path) -> Path:
 
 
 def check_installed(target: Path, source: Path, outside: Path, method: str) -> None:
-    """Import and use the package installed in ``target`` from another folder; its files must be in ``source``.
+    """Import and use the package that is installed in ``target``; its files must be in ``source``.
 
-    The ``method`` "auto" compiles kernels. The other folder contains an empty folder
+    The ``method`` "auto" compiles kernels. Python runs in the folder ``outside``. This folder contains an empty folder
     ``warpdiff``, such as a clone has, which must not be imported instead.
     """
     (outside / "warpdiff" / "kernels").mkdir(parents=True)
@@ -185,7 +186,7 @@ def test_the_editable_install_uses_the_source_tree(tree, tmp_path):
     # The editable wheel has no install scripts, so unpacking it installs it.
     with zipfile.ZipFile(build("editable", tree, tmp_path / "dist")) as wheel:
         wheel.extractall(tmp_path / "target")
-    # The tests themselves compile kernels of a source tree, so nothing is compiled here.
+    # With the method "direct", nothing is compiled here. The other tests compile kernels of a source tree already.
     check_installed(tmp_path / "target", tree, tmp_path / "outside", "direct")
 
 
@@ -213,14 +214,14 @@ def test_declared_dependencies_equal_the_imported_packages():
     declared = {re.split(r"[<>=~! \[]", requirement)[0] for requirement in PROJECT["dependencies"]}
     # Packages that only single commands require are optional dependencies.
     extras = PROJECT["optional-dependencies"]
-    commands = ("view", "data", "dask", "mitsuba", "plot", "scans", "gltf")
+    commands = ("view", "data", "dask", "mitsuba", "plot", "scans", "gltf", "lithography", "jax", "torch", "rigorous")
     optional = {re.split(r"[<>=~! \[]", each)[0] for name in commands for each in extras[name]}
     assert declared == used - optional
     assert optional <= used
 
 
 def test_kernels_are_never_imported_by_their_folder():
-    # Parsing all tests would require two seconds, so the text is searched.
+    # The test searches for import statements in the text of the files. Parsing all tests would require two seconds.
     by_folder = re.compile(r"^\s*(from|import) kernels\b", re.MULTILINE)
     assert by_folder.search("import os\n    from kernels.bvh import trace_bvh\n")
     for folder in SOURCES:
@@ -229,7 +230,8 @@ def test_kernels_are_never_imported_by_their_folder():
 
 
 def test_importing_the_package_loads_no_slow_packages():
-    # Code that needs no device must not import Warp. No plain import may load packages that only some calls require.
+    # Code that needs no device must not import Warp. Packages that only some calls require must not be loaded by a
+    # plain import.
     slow = {"trimesh", "colour", "OpenImageIO", "PIL", "scipy", "matplotlib", "DracoPy", "mapbox_earcut"}
     light = "gratings", "meshes", "HeightField", "Coherence", "DirectionalLight", "View", "Image", "Plan", "plot"
     steps = ("import sys, warpdiff", f"from warpdiff import {', '.join(light)}; from warpdiff.apps import cli",
@@ -247,10 +249,12 @@ def test_public_names_exist_and_are_documented():
     for name in wd.__all__:
         public = getattr(wd, name)
         assert inspect.getdoc(public), f"warpdiff.{name} has no docstring"
-        members = vars(public).items() if inspect.isclass(public) or inspect.ismodule(public) else ()
-        for member, value in members:
+        members = public_members(public) if inspect.isclass(public) else {}
+        if inspect.ismodule(public):
+            members = {member: value for member, value in vars(public).items() if not member.startswith("_")}
+        for member, value in members.items():
             own = getattr(value, "__module__", "").startswith("warpdiff") or isinstance(value, (property, classmethod))
-            if not member.startswith("_") and callable(getattr(public, member)) and own:
+            if callable(getattr(public, member)) and own:
                 assert inspect.getdoc(value), f"warpdiff.{name}.{member} has no docstring"
 
 

@@ -52,8 +52,7 @@ def frame_times(mesh: Any, surface: wd.HeightField, device: str, frames: int, **
     begin = time.perf_counter()
     renderer = wd.Renderer(mesh, surface, *moved(mesh, 0), device=device, pigment=0.0, **options)
     for index in range(frames + 1):
-        # A GPU works asynchronously. If the script did not wait for it, the measured time would end before the frame is
-        # complete.
+        # A GPU works asynchronously. Without this wait, the measured time would end before the frame is complete.
         wp.synchronize_device(renderer.draw(*moved(mesh, index)).device)
         end = time.perf_counter()
         seconds.append(end - begin)

@@ -18,13 +18,13 @@ import inspect
 import re
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import warpdiff as wd
 from warpdiff.apps import cli
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from types import ModuleType
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -69,7 +69,7 @@ def _of_module(prefix: str, module: ModuleType) -> Iterator[str]:
         yield from _of(f"{prefix}.{name}", getattr(module, name))
 
 
-def _of(name: str, value: Any) -> Iterator[str]:
+def _of(name: str, value: object) -> Iterator[str]:
     """Yield the line of a public object and those of its members."""
     if not inspect.isclass(value):
         yield f"{name}{_signature(value)}" if callable(value) else f"{name} = {_plain(repr(value))}"
@@ -93,7 +93,7 @@ def _of(name: str, value: Any) -> Iterator[str]:
         yield from _of_member(f"{name}.{member}", static, getattr(value, member))
 
 
-def _of_member(name: str, static: Any, value: Any) -> Iterator[str]:
+def _of_member(name: str, static: object, value: object) -> Iterator[str]:
     if isinstance(static, (classmethod, staticmethod)):
         yield f"{name}{_signature(value)}: {type(static).__name__}"
     elif inspect.isfunction(static):
@@ -104,7 +104,7 @@ def _of_member(name: str, static: Any, value: Any) -> Iterator[str]:
         yield f"{name} = {_plain(repr(static))}"
 
 
-def _signature(value: Any) -> str:
+def _signature(value: Callable[..., object]) -> str:
     """Return names, kinds and defaults of arguments. Annotations are excluded: their texts differ between Pythons."""
     try:
         signature = inspect.signature(value)

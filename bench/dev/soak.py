@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 ROOT = Path(__file__).resolve().parents[2]
-# Time after the planned end for which tests may still be running [s]. The value was chosen: a test that is still
-# running after this time counts as hanging.
+# Time after the planned end for which tests may still be running [s]. A test that is still running after this time
+# counts as hanging. The value was chosen; if doubled, a hanging test is reported later.
 GRACE_S = 900.0
 
 

@@ -45,11 +45,11 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[2]
 CLOCKS = ("wall", "cpu")
-# Least number of rounds for which order statistics give a confidence interval of 95 %. The number is derived: with the
-# probability 2 · 0.5⁶ < 5 %, all of 6 values lie on the same side of the median.
+# Least number of rounds for which order statistics give a confidence interval of 95 %. The number was derived: all
+# of 6 values lie on the same side of the true median with the probability 2 · 0.5⁶, which is less than 5 %.
 FEWEST_ROUNDS = 6
-# Time that all calls of one wheel should take together per task and round [s], and smallest and largest number of these
-# calls.
+# Time that the calls of one task with one wheel should take together in a round [s], and the smallest and largest
+# number of these calls.
 SECONDS_PER_ROW, FEWEST_CALLS, MOST_CALLS = 0.6, 3, 25
 # Number of directions of a timed call.
 DIRECTIONS = 100_000

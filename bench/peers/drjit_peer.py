@@ -88,7 +88,7 @@ def _aligned(values: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 def _integral(made: Series, tables: list[Any], u: Any, v: Any, w: Any) -> tuple[Any, Any, Any]:
-    """Return XYZ of directions without geometry factors (gains), as Dr.Jit arrays."""
+    """Return XYZ of directions before multiplication by geometry factors (gains), as Dr.Jit arrays."""
     import drjit as dr
     from drjit.llvm import ArrayXf, Float, Int, UInt
 

@@ -11,6 +11,9 @@ and these powers are computed once per direction. The positions of the square bl
 each block are computed for all wavelengths at once. The other weights of a block follow by recurrence. For a centred
 window, coefficients are weighted and summed before multiplication by the basis. Coefficients are prefetched four
 wavelengths before their use. Without prefetching, half of the time would be spent on waiting for memory.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
 """
 
 from __future__ import annotations
@@ -40,10 +43,10 @@ __all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
 
 # Number of floats per cache line, and per AVX-512 register.
 LANES = 16
-# Smallest exponent whose exponential is a normal float32. The number is derived: ln(1.2e-38) = −87.3.
+# Smallest exponent whose exponential is a normal float32. The number was derived from ln(1.2e-38) = −87.3.
 LEAST_EXPONENT = -87.0
-# Number of directions that one thread computes in succession with the same temporary memory. The value was chosen: with
-# larger numbers, threads finish at different times.
+# Number of directions that one thread computes in succession with the same temporary memory. The value was chosen
+# because with larger numbers, threads finish at different times.
 SLICE = 16
 # Number of wavelengths between the prefetch of Fourier coefficients and their use. The value was chosen for the latency
 # of the memory.

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 __all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
 
-# Number of directions that a thread evaluates at once. The value was chosen: larger arrays exceed the caches, and for
-# smaller ones the interpreter's overhead dominates.
+# Number of directions that a thread evaluates at once. The value was chosen because larger arrays exceed the
+# caches of the processor, and for smaller ones the overhead of the Python interpreter dominates.
 CHUNK = 512
 
 
@@ -61,7 +61,7 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
 
 
 def _chunk(made: Series, scattering_vectors: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return XYZ of one chunk of directions, without geometry factors (gains)."""
+    """Return XYZ of one chunk of directions, before multiplication by geometry factors (gains)."""
     terms = made.rows.shape[2]
     # Arrays of positions and weights of Fourier coefficients have the shape (directions, wavelengths, coefficients
     # along one axis).

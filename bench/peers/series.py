@@ -3,6 +3,9 @@
 The programs in NumPy, Numba and Dr.Jit compute the same sum (Single 2014, eqs. 3.8, 3.20 and 3.24). Wavelengths are
 equally spaced. At each wavelength the series is evaluated for a square block of Fourier coefficients around the
 frequency (u, v)/λ. A Gaussian weights these coefficients. The integral over λ is a rectangle rule.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
 """
 
 from __future__ import annotations

@@ -15,6 +15,8 @@ has two forms.
 With q = u/λ, order n contributes |H_n0|² λ²/(2√π σ|u|) exp(−(2πσv/λ)²) to the integral over λ. This is the integral of
 the averaged window's Gaussian exp(−(2πσ(q − n/d))²) with dλ = λ² dq/|u|. The order 0 reflects all wavelengths in the
 same direction, and is summed at eight wavelengths.
+
+H_n0 is the Fourier coefficient of order n of exp(2πiκh), with the heights h and κ = w/λ.
 """
 
 from __future__ import annotations

@@ -6,6 +6,8 @@ reference with 64 × 64 points shows whether the first reference has converged. 
 ‖XYZ‖, or to a floor f if that is larger. The floor is that of the whole picture. Errors are evaluated on interior
 pixels, whose points all hit the body and are illuminated. Such pixels may contain edges between parts of a body, and
 may lie at the border of the crop. Use a seed that was not used to develop the code.
+
+Y* is the reference luminance of the whole picture, about the luminance of its brightest pixels.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ import trimesh
 
 import warpdiff as wd
 from bench import inputs
-from bench.truth import reference
+from bench.truth import pixel_reference
 from bench.truth.brute_force import intersect, pixel_rays
 from bench.truth.errors import FLOOR, colour_difference, reference_luminance
 from bench.truth.pictures import finer, scaled
@@ -153,7 +155,7 @@ def crop(
     pixel = rng.choice(np.flatnonzero(image.illuminated & (image.coverage > 0.999) & (luminance >= least * white)))
     size = {"width": width, "height": height, "fov_y_deg": FOV_DEG, "extent_y": None}
     origins, directions = (vectors[[pixel]] for vectors in pixel_rays(view.eye, view.target, view.up, **size))
-    body = reference.Body.of(prepare_surface(mesh))
+    body = pixel_reference.Body.of(prepare_surface(mesh))
     away = intersect(origins, directions, body.vertices, body.faces, 1)[0]
     target = (origins + away[:, None] * directions)[0]
     eye = target + distance * (eye - target)
@@ -169,7 +171,7 @@ def truth(area: Crop, tolerance: float) -> Truth:
 
 
 def filtered(area: Crop, tolerance: float, points: int) -> Truth:
-    """Return means over ``points`` × ``points`` points per pixel of a small picture, weighted by the pixel filter."""
+    """Return pixels of a small picture: means over ``points``² points per pixel, weighted by the pixel filter."""
     view = finer(area.view, points, MARGIN)
     image = wd.shade(
         area.mesh, area.heightfield, area.light, view, tolerance=max(OF_POINTS * tolerance, 1e-5), footprint=False,

@@ -1,28 +1,38 @@
-"""Cost of exact gradients, coverage of fits of synthetic gratings, and depths fitted to rigorous solutions.
+"""Cost and errors of exact gradients, coverage of fits of synthetic gratings, depths fitted to rigorous solutions.
 
 ::
 
     python -m bench.reproduce.gradients --cost path/to/scan.png
+    python -m bench.reproduce.gradients --errors 200
     python -m bench.reproduce.gradients --fits 1000
+    python -m bench.reproduce.gradients --fits 50 --starts 8
     python -m bench.reproduce.gradients --depths
 
-Costs are seconds of processor time of all threads, the least of three calls, so that other processes have little
-influence. The value alone has no variables. The gradient is by all heights, the pitch, σ and all directions. "Library"
-is the plain function on a new surface, and again on the same surface.
+``--cost`` measures the processor time of all threads [s]. Each time is the least of three calls, so that other
+processes have little influence. The column "value" is a call without variables. The gradient is by all heights, the
+pitch, σ and all directions. The column "library" has the time of the function without derivatives for a new surface,
+and in parentheses the time of a second call for the same surface.
+
+Errors are those of random surfaces, directions and optics, compared with complex steps of explicit sums that share no
+code with the library (``tests/complex_step.py``). They are relative to the largest derivative by the same variable.
 
 Fits have the orders −2 to 2 of a trapezoid at three wavelengths and two angles of a perfect mirror, with noise of 1 %
-and 5e-4. One start, 10 % away in depth and 5 % in duty; a fit that ends at the duty 1 − duty counts as right.
+and 5e-4. The first start is 10 % away in depth and 5 % in duty; a fit that ends at the duty 1 − duty counts as right.
 
-Depths are those of ``bench/suite/rigorous.json``, perfect mirrors, at 0°, 30° and 60°.
+``--depths`` fits the depths of the perfect mirrors in ``bench/suite/rigorous.json``, at 0°, 30° and 60°.
 """
 
 from __future__ import annotations
 
 import argparse
+import collections
+import importlib
 import json
 import math
+import sys
 import time
 import warnings
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,9 +46,10 @@ if TYPE_CHECKING:
 # Parameters of the synthetic grating: depth [µm], duty, wall, period [µm].
 TRUE = np.array([0.14, 0.42, 0.04, 2.0])
 VARIABLES = ("heights_um", "pitch_um", "sigma_um", "to_light", "to_view")
-# Angles of incidence of the rigorous solutions [degrees].
+# Angles of incidence for which rigorous solutions are stored [degrees].
 ANGLES = (0.0, 30.0, 60.0)
-# Rigorous cases: generator, least period and largest depth in wavelengths, and largest error of the fitted depth.
+# Gratings with rigorous solutions, by title. Each entry has the function that makes the height field, the least period
+# and the largest depth [wavelengths], and the largest accepted relative error of the fitted depth.
 CASES = {
     "Sine, perfect mirror": (wd.gratings.sinusoidal, 1.0, 0.3, 0.03),
     "Square grooves, perfect mirror": (wd.gratings.lamellar, 2.0, 0.15, 0.025),
@@ -61,7 +72,7 @@ def hemisphere(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def cost(path: str) -> None:
-    """Print the cost of value and gradient of the scan, relative to the value alone."""
+    """Print the processor time of reflectances and their gradients, relative to the time of the reflectances alone."""
     scan = wd.HeightField.load(path, extent_um=65.0, height_range_um=0.375).levelled(order=2)
     rng, wavelengths = np.random.default_rng(1), np.linspace(380.0, 780.0, 81)
     small = wd.gratings.fingers(size_um=3.2, pitch_um=0.1)
@@ -95,8 +106,37 @@ def cost(path: str) -> None:
         )
 
 
+def errors(count: int) -> None:
+    """Print the largest relative error of derivatives by each variable, of ``count`` random calls of each kind."""
+    folder = Path(__file__).parents[2] / "tests"
+    sys.path[:0] = [str(folder), str(folder / "adjoint")]
+    tests = importlib.import_module("test_against_complex_steps")
+    largest: dict[str, float] = collections.defaultdict(float)
+    plain = tests.error_of
+
+    def recorded(kind: str) -> Callable[..., float]:
+        def error_of(*arguments: object) -> float:
+            error = float(plain(*arguments))
+            # The test has a narrower limit for heights. Its local variable names the variable.
+            name = sys._getframe(1).f_locals["name"]
+            largest[f"{kind}: {name}"] = max(largest[f"{kind}: {name}"], error)
+            return error
+
+        return error_of
+
+    for seed in range(count):
+        for kind in tests.KINDS:
+            tests.error_of = recorded(kind)
+            tests.test_spectral_derivatives(kind, seed)
+        for energy in ("stam", "normalised"):
+            tests.error_of = recorded(f"orders, {energy}")
+            tests.test_derivatives_of_orders(energy, seed)
+    for name, error in largest.items():
+        print(f"{name}: {error:.1e}")
+
+
 def measured(values: np.ndarray | None = None) -> wd.Measured:
-    """Return the orders of the synthetic grating as measured data; without values they are 0."""
+    """Return measured data with the orders of the synthetic grating. Their values are 0 if no values are given."""
     wavelengths, orders = (450.0, 550.0, 650.0), [(0, m) for m in (-2, -1, 0, 1, 2)]
     lights = np.repeat(wd.direction([10.0, 40.0]), 15, axis=0)
     values = np.zeros(30) if values is None else values
@@ -105,28 +145,35 @@ def measured(values: np.ndarray | None = None) -> wd.Measured:
     )
 
 
-def fits(count: int) -> None:
-    """Print the share of parameters within two standard errors, and the mean χ² per degree of freedom."""
+def fits(count: int, starts: int) -> None:
+    """Print the share of parameters within two standard errors, χ² per degree of freedom, and listed duty cycles."""
     grating, guess = wd.profiles.Trapezoid(*TRUE), wd.profiles.Trapezoid(*(TRUE * [1.1, 0.95, 1.2, 1.0]))
     exact, rng = measured().predict(grating.surface(TRUE)).value, np.random.default_rng(0)
     sd = 0.01 * exact + 5e-4
-    within, chi2, evaluations = [], [], []
+    within, chi2, evaluations, converged, both = [], [], [], [], []
     start = time.process_time()
-    for _ in range(count):
-        result = wd.fit(guess, measured(exact + sd * rng.normal(size=30)), sd=sd, starts=1)
+    for seed in range(count):
+        result = wd.fit(guess, measured(exact + sd * rng.normal(size=30)), sd=sd, starts=starts, seed=seed)
         off = [np.abs(result.values - other) for other in (TRUE, *grating.equivalents(TRUE))]
         within.append(np.minimum(*off) <= 2.0 * result.standard_errors)
         chi2.append(result.chi2 / result.degrees_of_freedom)
         evaluations.append(result.evaluations)
+        converged.append(result.minima[0].has_converged)
+        duties = np.array([minimum.values[1] for minimum in result.minima])
+        both.append(all(np.any(np.abs(duties - duty) < 0.01) for duty in (TRUE[1], 1.0 - TRUE[1])))
     shares = dict(zip(grating.names, np.mean(within, axis=0).round(3).tolist(), strict=True))
     print(f"{count} fits, {(time.process_time() - start) / count:.2f} s each, {np.mean(evaluations):.1f} evaluations")
     print(f"within two standard errors: {np.mean(within):.3f} pooled, {shares}")
-    print(f"χ² per degree of freedom: {np.mean(chi2):.3f}")
+    print(f"χ² per degree of freedom: {np.mean(chi2):.3f}; converged: {np.mean(converged):.3f}")
+    print(f"fits that list duty and 1 - duty: {np.mean(both):.3f}")
     compare_minimisers(guess, exact + sd * rng.normal(size=30), sd)
 
 
 def compare_minimisers(guess: wd.profiles.Trapezoid, values: np.ndarray, sd: np.ndarray) -> None:
-    """Print the numbers of evaluations of a fit, of least squares by differences, and of Nelder and Mead's method."""
+    """Print how often three methods evaluate the model for the same fit.
+
+    The methods are the fit of the library, least squares with finite differences, and the method of Nelder and Mead.
+    """
     from scipy.optimize import least_squares, minimize
 
     counted, (low, high) = measured(values), guess.bounds.T
@@ -147,7 +194,7 @@ def compare_minimisers(guess: wd.profiles.Trapezoid, values: np.ndarray, sd: np.
 
 
 class Depth(wd.profiles.ScanModes):
-    """Scale of a height field as the only parameter."""
+    """Surface whose only parameter is a factor of all heights of a height field."""
 
     def __init__(self, heightfield: wd.HeightField) -> None:
         super().__init__(heightfield)
@@ -186,14 +233,18 @@ def main() -> None:
     """Run the chosen measurement."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cost", metavar="SCAN")
+    parser.add_argument("--errors", type=int, default=0)
     parser.add_argument("--fits", type=int, default=0)
+    parser.add_argument("--starts", type=int, default=1)
     parser.add_argument("--depths", action="store_true")
     arguments = parser.parse_args()
     warnings.simplefilter("ignore", wd.WarpdiffWarning)
     if arguments.cost:
         cost(arguments.cost)
     if arguments.fits:
-        fits(arguments.fits)
+        fits(arguments.fits, arguments.starts)
+    if arguments.errors:
+        errors(arguments.errors)
     if arguments.depths:
         depths()
 

@@ -29,7 +29,7 @@ from bench.peers import numba_published
 from bench.suite import pareto
 from bench.suite.scenes import Directions, Scene, scenes
 from bench.suite.timing import interleaved
-from bench.truth import errors, reference
+from bench.truth import errors, pixel_reference, reference
 from warpdiff.device.devices import resolve_device, resolve_threads
 
 if TYPE_CHECKING:
@@ -135,7 +135,8 @@ def compare(scene: Scene, coherence: wd.Coherence, pixels: int) -> None:
     whole, _ = scene.directions(coherence, WIDTH)
     every = np.ones(len(whole.gains), dtype=bool)
     few, many = (
-        Directions(*(part[np.sort(reference.stratified(every, count))] for part in whole)) for count in (pixels, TIMED)
+        Directions(*(part[np.sort(pixel_reference.stratified(every, count))] for part in whole))
+        for count in (pixels, TIMED)
     )
     exact = few.gains[:, None] * reference.colours(
         heightfield, few.scattering_vectors, few.to_lights, coherence, tolerance=TRUTH

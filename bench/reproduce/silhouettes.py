@@ -23,14 +23,15 @@ if TYPE_CHECKING:
 
 # Samples of the reference along each side of a pixel.
 SAMPLES = 64
-# Width and height of the pictures [pixels]. Choice: Pillow then fills a mask of 300 million samples.
+# Width and height of the pictures [pixels]. The values are limited by the time of the reference: Pillow fills a mask of
+# 300 million samples for them.
 SIZE = (320, 180)
-# Coverage from which, and up to which, a pixel counts as being at a silhouette.
+# Least and largest coverage with which a pixel counts as being at a silhouette.
 LEAST, MOST = 0.02, 0.98
 
 
 def coverage_of(mesh: trimesh.Trimesh, view: wd.View) -> NDArray[np.float64]:
-    """Return the share of the filter of each pixel that a mesh covers, shape (height, width)."""
+    """Return, for each pixel, the share of the pixel filter that a mesh covers, shape (height, width)."""
     frame = view.frame()
     away = np.asarray(mesh.vertices) - frame.origin
     depth = -(away @ frame.back)

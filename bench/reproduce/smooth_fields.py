@@ -20,7 +20,7 @@ from warpdiff.scene.mesh_import import Surface, prepare_surface
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Largest number of faces of a file. Limit: larger files need minutes.
+# Largest number of faces of a tested file. The value is limited by computing time: larger files need minutes.
 MOST_FACES = 60_000
 
 

@@ -8,6 +8,9 @@
   swapped halves, which has the seam in its middle.
 
 The module uses NumPy. The series of the coefficients are truncated, which causes errors of at most 1e-6.
+
+H_rs is the Fourier coefficient of exp(2πiκh) at the frequency (r/Lx, s/Ly), with the heights h and κ = w/λ. C is the
+geometry factor, and ρ the reflectance relative to a flat mirror.
 """
 
 from __future__ import annotations

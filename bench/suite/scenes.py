@@ -12,7 +12,7 @@ import warpdiff as wd
 from bench import inputs
 from warpdiff import meshes
 from warpdiff.device.devices import resolve_device, resolve_threads
-from warpdiff.lights.light_pass import SurfaceOptics
+from warpdiff.lights.surface_optics import SurfaceOptics
 from warpdiff.optics import reflectance_factors
 from warpdiff.render.picture import Picture
 from warpdiff.scene.mesh_import import prepare_surface

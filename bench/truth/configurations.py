@@ -3,6 +3,9 @@
 Combinations of coherence and tolerance occur in a fixed cycle: ``len(STRATA)`` consecutive indices contain each
 combination once. All other parameters are random. Calls are lists of directions (few and many, shuffled and sorted),
 grids of directions in row order, reflectance maps, and frames of a mesh. ``bench.truth.judge`` evaluates their errors.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
 """
 
 from __future__ import annotations
@@ -46,8 +49,8 @@ MOST_REPLICAS = 8_192
 # Largest angle of directions from the normal [degrees], and the cosine of this angle.
 STEEPEST_DEG = 85.0
 LOWEST = math.cos(math.radians(STEEPEST_DEG))
-# Largest sample spacing [µm] of resampled surfaces. The value is derived: slightly below 95 nm, which is half of the
-# period of 190 nm whose first order at 380 nm has |(u, v)| = 2.
+# Largest sample spacing [µm] of resampled surfaces. The value is slightly below 95 nm. It was derived: the largest
+# |(u, v)| is 2, and at 380 nm the first order of a period of 190 nm has this value. A period requires two samples.
 COARSEST_PITCH_UM = 0.0945
 # Largest number of samples of a replicated patch, and largest total length of its periods [µm]. The values are limited
 # by the time of the reference, which sums every sample and resolves every lobe in the wavelength.

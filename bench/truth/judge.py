@@ -3,6 +3,9 @@
 A call with fewer directions than ``configurations.FEW`` is evaluated on all illuminated directions. For a larger call,
 about ``COUNT`` illuminated directions are sampled, none of which the planner's trials used. If bright directions are
 rare in the call, they are sampled more often and have smaller weights.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
 """
 
 from __future__ import annotations

@@ -3,6 +3,10 @@
 The methods are series expansions in float32 and float64, sums over wavelengths at fixed steps, and sums over fixed
 numbers of neighbouring Fourier coefficients. The coefficients are computed by ``fourier_coefficients`` and
 ``phase_series`` of ``warpdiff.diffraction``. The sums over coefficients are computed here, in NumPy.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal, and κ is w/λ. |P|² is the power that the surface diffracts
+into a direction, relative to a flat mirror in its mirror direction.
 """
 
 from __future__ import annotations
@@ -14,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 import warpdiff as wd
-from bench.truth import reference
+from bench.truth import coherent_sums, reference
 from bench.truth.errors import FLOOR, reference_luminance
 from warpdiff.diffraction import fourier_coefficients
 from warpdiff.diffraction.phase_series import EXPANSIONS, MAX_TERMS
@@ -24,8 +28,8 @@ SERIES = ("taylor-uncentred", "taylor", "jacobi-anger")
 METHODS = (*SERIES, "power", "low-rank")
 # Number of terms of the Taylor series in the publication (Single 2014), n = 0 … 36.
 PUBLISHED_TERMS = 37
-# Exponent at which the Gaussian of a coherence window is truncated. The value is derived: exp(−36) = 2e-16 is the
-# rounding error of float64.
+# Exponent at which the Gaussian of a coherence window is truncated. The value was derived from the rounding error
+# of float64, because exp(−36) is 2e-16.
 DEPTH = 36.0
 # Luminance, relative to that of a mirror, below which the library treats a direction as dark.
 DARK = 1e-10
@@ -203,8 +207,8 @@ def rows_for(heightfield, method, terms, *, kappas, dtype=np.float64):
     # there are so many nodes that interpolation errors are rounding errors.
     middle, half = (kappas[0] + kappas[1]) / 2.0, max((kappas[1] - kappas[0]) / 2.0, 1e-9)
     argument = math.pi * half * heightfield.height_range_um * (1.0 if method == "exact" else 2.0)
-    count = terms if method == "power" else reference.chebyshev_terms(argument) + 6
-    nodes = reference.chebyshev_nodes(count)
+    count = terms if method == "power" else coherent_sums.chebyshev_terms(argument) + 6
+    nodes = coherent_sums.chebyshev_nodes(count)
     values = np.stack(
         [np.fft.ifft2(np.exp(2j * np.pi * (middle + half * x) * heightfield.heights_um)) for x in nodes], axis=-1
     )
@@ -288,7 +292,7 @@ def most_terms(heightfield, method, kappa, tolerance=1e-13):
     if method in SERIES:
         expansion = EXPANSIONS[method]
         return expansion.term_count(2.0 * math.pi * kappa * expansion.offset_and_scale(heightfield)[1], tolerance)
-    return min(reference.chebyshev_terms(math.pi * kappa * heightfield.height_range_um) + 6, MAX_TERMS)
+    return min(coherent_sums.chebyshev_terms(math.pi * kappa * heightfield.height_range_um) + 6, MAX_TERMS)
 
 
 def single_precision(heightfield, lights, views, wavelengths_um, *, sigma):
@@ -331,7 +335,7 @@ def unforeshortened_colour(heightfield, lights, views, source):
     an ellipse.
     """
     wavelengths, weights = fixed_steps(1.0)
-    sums = reference.sum_for(heightfield, source, -(lights + views), 0.38, 0.78)
+    sums = coherent_sums.sum_for(heightfield, source, -(lights + views), 0.38, 0.78)
     up = np.array([0.0, 0.0, 1.0])
     powers = np.array([sums.power(scattering_vector, up, 1e3 / wavelengths) for scattering_vector in -(lights + views)])
     return reference.gain(lights, views, source=True)[:, None] * (powers @ weights)
@@ -347,7 +351,7 @@ def order_wise_colour(heightfield, lights, views, *, sigma):
     table = reference.products("D65")
     scattering_vectors = -(lights + views)
     kappas = np.outer(
-        [scattering_vectors[:, 2].min(), scattering_vectors[:, 2].max()], [reference.BLUEST, reference.REDDEST]
+        [scattering_vectors[:, 2].min(), scattering_vectors[:, 2].max()], [coherent_sums.BLUEST, coherent_sums.REDDEST]
     )
     rows = rows_for(heightfield, "exact", None, kappas=(kappas.min(), kappas.max()))
     gains, result = reference.gain(lights, views), np.zeros((len(lights), 3))
@@ -368,7 +372,8 @@ def order_wise_colour(heightfield, lights, views, *, sigma):
         qy, qx = s / heightfield.size_um[0], r / heightfield.size_um[1]
         tau = (qx * u + qy * v) / square
         across = qx**2 + qy**2 - tau**2 * square
-        use = (tau >= reference.REDDEST) & (tau <= reference.BLUEST) & (4.0 * (math.pi * sigma) ** 2 * across < DEPTH)
+        is_visible = (tau >= coherent_sums.REDDEST) & (tau <= coherent_sums.BLUEST)
+        use = is_visible & (4.0 * (math.pi * sigma) ** 2 * across < DEPTH)
         if not use.any():
             continue
         s, r, tau, across = s[use], r[use], tau[use], across[use]

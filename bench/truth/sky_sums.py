@@ -8,6 +8,9 @@ direction (multiple importance sampling with the balance heuristic). Shadow rays
 mesh that is built here. An element dω of solid angle with the radiance L adds 4πσ²/λ² · ρ L dω to a colour. Here ρ is
 the reflectance and σ the standard deviation of the coherence window. The spectrum of L is derived from the RGB of the
 sky under D65 (Mallett and Yuksel 2019).
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
 """
 
 from __future__ import annotations
@@ -34,7 +37,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 # Number of traced rays along each axis of a pixel. Samples of the pixel filter use the nearest traced ray. The value
-# was chosen; a smaller number distorts the filter.
+# was chosen; with a smaller number, the sampled filter would differ from the true one.
 _ACROSS = 16
 # Half of the directions to the light are drawn around the mirror direction. The number is the share of these directions
 # for which |(u, v)| is within the first value of `_mirror`, a radius within which the density is uniform. The mean of
@@ -42,7 +45,8 @@ _ACROSS = 16
 _CORE = 0.25
 # Number of directions whose colours are computed in one call. The value is limited by memory.
 _DIRECTIONS = 1 << 17
-# Length of shadow rays [mesh radii]. The value is derived: it is larger than any distance between two points of a mesh.
+# Length of shadow rays [mesh radii]. The value was derived: it is twice the largest distance between two
+# points of a mesh.
 _FAR = 4.0
 
 

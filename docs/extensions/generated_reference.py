@@ -26,21 +26,27 @@ SETTINGS = {
 }
 LIGHTS = [name for name in wd.__all__ if inspect.isclass(kind := getattr(wd, name)) and issubclass(kind, Light)]
 GROUPS = {
-    "Surfaces": ["HeightField", "Surface", "Period", "Periods", "Roughness", "gratings", "datasets"],
+    "Surfaces": [
+        "HeightField", "Surface", "GratingMap", "hidden_pictures", "Period", "Periods", "Roughness", "gratings",
+        "datasets",
+    ],
     "Bodies and cameras": ["meshes", "View"],
     "Lights": [*LIGHTS, "Spectrum"],
     "Materials and coherence": ["Material", "Coherence"],
     "Pictures": ["shade", "Renderer", "Image", "Report", "compare", "Comparison"],
     "Reflectance without a picture": [
         "reflectance", "spectral_reflectance", "reflectance_spectra", "ReflectanceSpectra", "brdf", "reflectance_map",
-        "order_efficiencies", "OrderEfficiencies", "order_angles", "direction",
+        "order_efficiencies", "OrderEfficiencies", "order_angles", "direction", "rigorous_order_efficiencies",
+        "RigorousEfficiencies",
     ],
     "Gradients and fits": ["adjoint", "profiles", "fit", "Fit", "Minimum", "Measured"],
+    "Design": ["design", "Target", "Design"],
     "Plots, tables and reports": ["plot", "Table", "to_srgb", "report", "ScanReport"],
     "Plans and errors": ["plan", "Plan", "ToleranceError", "WarpdiffWarning"],
     "Sequences": ["sequence", "Shot", "turntable", "light_sweep", "camera_path"],
     "Export": [
         "export_html", "bake", "BakedLobes", "bake_spectrum", "BakedSpectrum", "register_mitsuba_bsdf",
+        "measure_layout",
     ],
 }  # fmt: skip
 

@@ -2,28 +2,29 @@
 Metals and glossy surfaces next to a grating
 ============================================
 
-A compact disc, two metal balls and a glowing ball on a glossy table. The disc has a height field. All other parts are
-plain: they have the metallic-roughness model of glTF, and the small ball emits light.
+A compact disc, two metal balls and a glowing ball on a glossy table. All parts except the disc are plain.
 """
 
+import numpy as np
 import trimesh
 
 import warpdiff as wd
 
 
 def part(body, place, **values):
-    """Return a moved body with a material of the metallic-roughness model."""
+    """Return a moved body with a material. The faces of a body of few faces have normals of their own."""
     body.apply_translation(place)
-    material = trimesh.visual.material.PBRMaterial(**values)
-    normals = body.vertex_normals if len(body.faces) > 100 else None
+    material, normals = trimesh.visual.material.PBRMaterial(**values), body.vertex_normals
+    if len(body.faces) < 100:
+        body.unmerge_vertices()
+        normals = np.repeat(body.face_normals, 3, axis=0)
     visual = trimesh.visual.TextureVisuals(uv=body.vertices[:, [0, 2]], material=material)
     return trimesh.Trimesh(body.vertices, body.faces, vertex_normals=normals, visual=visual, process=False)
 
 
-disc, ball = wd.meshes.disc(), trimesh.creation.icosphere
+disc, table, ball = wd.meshes.disc(), trimesh.creation.box((9.0, 0.1, 6.0)), trimesh.creation.icosphere
 disc.apply_transform(trimesh.transformations.rotation_matrix(-1.15, (1, 0, 0)))
 disc.apply_translation((0.0, 0.95, -0.7))
-table = trimesh.creation.box((9.0, 0.1, 6.0))
 wood = {"baseColorFactor": [70, 25, 12, 255], "metallicFactor": 0.0, "roughnessFactor": 0.25}
 gold = {"baseColorFactor": [255, 196, 86, 255], "metallicFactor": 1.0, "roughnessFactor": 0.3}
 steel = {"baseColorFactor": [150, 145, 135, 255], "metallicFactor": 1.0, "roughnessFactor": 0.5}

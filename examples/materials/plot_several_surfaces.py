@@ -6,6 +6,7 @@ A compact disc of aluminium and a snake on a plain table. Each part of the scene
 surfaces share one unit of brightness.
 """
 
+import numpy as np
 import trimesh
 
 import warpdiff as wd
@@ -15,9 +16,13 @@ disc, snake, table = wd.meshes.disc(), wd.meshes.snake(), trimesh.creation.box((
 disc.apply_transform(trimesh.transformations.rotation_matrix(-1.2, (1, 0, 0)))
 disc.apply_translation((1.4, 0.95, -1.0))
 table.apply_translation((0.0, -0.2, 0.0))
-table.visual = trimesh.visual.TextureVisuals(
-    uv=table.vertices[:, [0, 2]], material=trimesh.visual.material.PBRMaterial(baseColorFactor=[130, 110, 95, 255])
-)
+# Each face of the table has vertices and a normal of its own, so that the table has sharp edges.
+table.unmerge_vertices()
+paint = trimesh.visual.material.PBRMaterial(baseColorFactor=[130, 110, 95, 255])
+table = trimesh.Trimesh(
+    table.vertices, table.faces, vertex_normals=np.repeat(table.face_normals, 3, axis=0), process=False,
+    visual=trimesh.visual.TextureVisuals(uv=table.vertices[:, [0, 2]], material=paint),
+)  # fmt: skip
 for name, body in (("disc", disc), ("snake", snake), ("table", table)):
     scene.add_geometry(body, geom_name=name)
 surfaces = {

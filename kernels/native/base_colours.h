@@ -1,4 +1,4 @@
-// Base colours at hits: look-ups of textures, filtered by the footprint of each ray on the face that it hits.
+// Base colours at hits: look-ups of textures, filtered by the footprint of each ray on the face that the ray hits.
 
 #pragma once
 
@@ -7,12 +7,13 @@
 
 namespace warpdiff {
 
-// Footprint of a ray in texture coordinates: their changes over one standard deviation of the ray's filter, along rows
-// and then along columns of the picture.
+// Footprint of a ray in texture coordinates: the changes of (u, v) over one standard deviation of the ray's filter. The
+// first two numbers are the change along rows of the picture, and the last two the change along columns.
 struct UvFootprint {
     float changes[4];
 
-    // Differentiate the texture coordinates of a hit on a face. `place` has the barycentric coordinates of the hit.
+    // Compute the changes of the texture coordinates at a hit on a face. `place` has the barycentric coordinates of the
+    // hit.
     WARPDIFF_INLINE UvFootprint(const float* positions, const float* uvs, const int* corners, const float* place,
         const float* to_view, const FilterSteps& filter, float least_facing)
     {
@@ -56,8 +57,8 @@ WARPDIFF_INLINE void look_up_base_colours(const Camera& camera, const Surface& s
     for (int ray = begin; ray < end; ++ray) {
         float* const colour = numbers<float>(pixels.base_colour) + 3LL * ray;
         if (hit[ray] == 0 || !(colour[0] < 0.0f)) continue;
-        const int material = numbers<const int>(textures.materials)[face[ray]];
-        const int number = material < 0 ? -1 : numbers<const int>(textures.of_base_colour)[material];
+        const int row = numbers<const int>(textures.rows)[face[ray]];
+        const int number = row < 0 ? -1 : numbers<const int>(textures.of_base_colour)[row];
         if (number < 0) {
             colour[0] = colour[1] = colour[2] = 0.0f;
             continue;

@@ -20,9 +20,10 @@ struct CellSums {
     unsigned char lighting = 0;
 };
 
-// Return the estimated standard deviation ‖ΔXYZ‖ of the mean of `across` × `across` cells with random directions to the
-// light. The estimate uses differences of colour within squares of four cells. Slow changes of colour over the pixel
-// therefore do not count as scatter. Cells that hit nothing are black without noise, and do not contribute.
+// Return the estimated standard deviation ‖ΔXYZ‖ of the mean colour of `across` × `across` subpixel cells, if each cell
+// has a random direction to the light. The estimate uses only differences between the colours of 2 × 2 neighbouring
+// cells. Slow changes of colour over the pixel therefore do not count as noise. Cells that miss the mesh are black
+// without noise, and do not contribute.
 WARPDIFF_INLINE float scatter_of(const float* colours, const int* hit, int across)
 {
     float sum = 0.0f;
@@ -63,8 +64,8 @@ WARPDIFF_INLINE CellSums sum_cells(
                 continue;
             }
             const float value[4] = {colours[3 * cell], colours[3 * cell + 1], colours[3 * cell + 2], 1.0f};
-            // If directions to the light are random, a cell that is black in its direction may be illuminated from
-            // another direction. All cells that hit the mesh then count as illuminated.
+            // Directions to the light may be random. A cell that is black for its random direction may then be
+            // illuminated from another direction. All cells that hit the mesh therefore count as illuminated.
             sums.lighting |= is_sampled || value[0] + value[1] + value[2] > 0.0f ? LIT : UNLIT;
             float* const quadrant = sums.quadrants[row / half * 2 + column / half];
             for (int c = 0; c < 3; ++c) quadrant[c] += value[c] / (float)(half * half);
@@ -78,11 +79,12 @@ WARPDIFF_INLINE CellSums sum_cells(
     return sums;
 }
 
-// Sum the subpixel cells of the subdivided pixels with numbers from `begin` to `end`, and store the sums; the index −1
-// marks no pixel. If directions to the light are random, `changes_out` receives the random scatter of the colours. If
-// they are not random, `changes_out` and `quadrants_out` are written only if `is_base`. The base level is the level
-// from whose cells the final level of a pixel is selected. `changes_out` then receives the change from the pixel's
-// colour before its subdivision, `colours_before`. `quadrants_out` receives the mean colours of the pixel's quadrants.
+// Sum the subpixel cells of the subdivided pixels with numbers from `begin` to `end`, and store the sums. The index −1
+// marks no pixel. If each cell has a random direction to the light, `changes_out` receives the standard deviation of
+// the mean colour of each pixel. Otherwise `changes_out` and `quadrants_out` are written only if `is_base`: the base
+// level is the level from whose cells the final level of a pixel is selected. `changes_out` then receives the change
+// from the pixel's colour before its subdivision, `colours_before`. `quadrants_out` receives the mean colours of the
+// pixel's quadrants.
 template <class Colours, class Hits, class Numbers, class Sums, class Quadrants, class Bytes>
 WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const Hits& pixels,
     const Colours& colours_before, const Hits& ranks, const Numbers& weights, int level, bool is_base, bool is_sampled,

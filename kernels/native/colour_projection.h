@@ -1,6 +1,9 @@
 // Computation of the colours in a table from the power spectrum. The integral over λ is a weighted sum over rings,
 // because (u, v)/λ moves from ring to ring as λ changes. The spectrum is stored as one row per ring and azimuth. A few
 // azimuths are processed together.
+//
+// (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+// light and to the viewer.
 
 #pragma once
 
@@ -9,7 +12,8 @@
 
 namespace warpdiff {
 
-// Buffer of `length` rows of the spectrum along one azimuth, one row per ring. Colours are computed from these rows.
+// Buffer for the rows of the spectrum along one azimuth, from which colours are computed. It has `length` rows, one per
+// ring.
 template <int TERMS>
 struct AzimuthRows {
     typedef typename Row<TERMS>::Vector Vector;

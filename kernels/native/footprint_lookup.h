@@ -6,6 +6,9 @@
 // The colour at a ring is a weighted sum over azimuths. It uses the widest mip level whose blur does not exceed the
 // blur of the footprint. The CPU processes batches of pixels stage by stage, with arrays between the stages, so that
 // compilers vectorise the loops. A GPU thread processes one pixel, part and segment at a time.
+//
+// (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+// light and to the viewer.
 
 #pragma once
 
@@ -17,15 +20,15 @@
 namespace warpdiff {
 
 // Number of pixels, or of parts of footprints, that a vectorised loop processes at a time. Loops always process a
-// multiple of this number. Otherwise the compiler would round differently for the last few elements, which do not fill
-// a vector.
+// multiple of this number, so that no vector is filled only in part. The compiler would round differently for the
+// elements of such a vector.
 constexpr int ABREAST = batch_of(8);
-// Largest number of rings per segment, a group of rings that is processed together. On the CPU, the value is limited by
-// the local arrays in which the weights and rows of all rings are stored. A GPU does not store them.
+// Largest number of rings per segment, which is a group of rings that are processed together. On the CPU, the value is
+// limited by local arrays, in which the weights and table rows of all rings are stored. A GPU needs no such arrays.
 constexpr int SEGMENT_RINGS = ON_GPU ? 1 << 20 : 4;
-// Standard deviation of a footprint, relative to |(u, v)|, above which the footprint counts as wide. `ring_sum.h`
-// computes the colours of wide footprints. This applies only to tables for a coherence window. The value was fitted to
-// the time of pictures: with 0.15, pictures require 5 to 10 % more time than with 0.25.
+// A footprint counts as wide if its standard deviation exceeds this share of |(u, v)|. `ring_sum.h` computes the
+// colours of wide footprints. Only tables for a coherence window distinguish wide footprints. The value was fitted to
+// the computing time of pictures: with 0.15, pictures require 5 to 10 % more time than with 0.25.
 constexpr float WIDE = 0.25f;
 // If the standard deviation of the polar angle of (u, v) exceeds `MOST_TURN` [rad], a footprint is split into parts;
 // within a part, the curvature of the rings is ignored. `WIDEST_ANGLE` [rad] and `WIDEST_RATIO` are upper limits for
@@ -33,10 +36,10 @@ constexpr float WIDE = 0.25f;
 // direction, and polar coordinates do not describe such footprints.
 constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
 // The weights of rings are tabulated for blurs with a variance of at most `MOST_TABULATED` [rings²]. For larger
-// variances, the weights are values of a Gaussian. Wide blurs do not require all rings. `MOST_APART` is the largest
-// distance of the rings that are added, in units of 1/√(1/σ₁² + 1/σ₂² + …). Each σ is the standard deviation of the
-// blur, or of a feature of the colours over rings, so that the smallest σ counts most. `CURVES` is the standard
-// deviation σ of the narrowest colour curve over ln λ. A colour curve is the product of illuminant, colour-matching
+// variances, the weights are values of a Gaussian, and not all rings are required. `MOST_APART` is the largest distance
+// between rings that are added, in units of 1/√(1/σ₁² + 1/σ₂² + …). Each σ is the standard deviation of the blur, or of
+// a feature of the colours over rings, so that the smallest σ has the largest influence. `CURVES` is the standard
+// deviation of the narrowest colour curve over ln λ. A colour curve is the product of illuminant, colour-matching
 // function and reflectance.
 constexpr float MOST_TABULATED = 1.5f, MOST_APART = 1.5f, CURVES = 0.047f;
 
@@ -51,10 +54,14 @@ template <int N>
 struct Footprints {
     Batch<N> u, v, w;
     Batch<N> light_x, light_y, light_z;        // direction to the light source, in the surface's frame
-    Batch<N> row_u, row_v, column_u, column_v; // changes of (u, v) by one standard deviation of the filter
-    Batch<N> xx, xy, yy, source2;              // covariance of (u, v); for a source, √ of its determinant
-    Batch<N> angle2, ratio2, both;             // covariance of the angle and of ln |(u, v)|
-    Batch<N> along_u, along_v, parts;          // change of (u, v) with one standard deviation of the angle
+    Batch<N> row_u, row_v, column_u, column_v; // changes of (u, v) by one standard deviation of the pixel filter
+    // `xx`, `xy` and `yy` are the covariance of (u, v). `source2` is the square root of the determinant of the
+    // covariance that a light source causes. `angle2` and `ratio2` are the variances of the polar angle and of ln |(u,
+    // v)|, and `both` is their covariance. (`along_u`, `along_v`) is the change of (u, v) by one standard deviation of
+    // the polar angle. `parts` is the number of parts into which a footprint is divided.
+    Batch<N> xx, xy, yy, source2;
+    Batch<N> angle2, ratio2, both;
+    Batch<N> along_u, along_v, parts;
     AtW<N> at_w;
 };
 
@@ -65,7 +72,9 @@ struct Parts {
     int count;
     Batch<N, int> pixel;
     Batch<N> share, u, v, angle2, ratio2, both;
-    Batch<N> turns, place, deviation, skew; // angle and ring of the centre; deviation and skew [rings]
+    // `turns` and `place` are the polar angle [turns] and the index of the ring at the centre of a part. `deviation`
+    // and `skew` are the standard deviation and the skewness of a part across the rings.
+    Batch<N> turns, place, deviation, skew;
     Batch<N> turn_per_ring, aside2, half_ratio2, spacing;
     Batch<N, int> apart, step, taps, begin, end, first_weight;
 };
@@ -134,21 +143,33 @@ WARPDIFF_INLINE void load_footprints(
             pixels.row_u[i] = pixels.row_v[i] = pixels.column_u[i] = pixels.column_v[i] = 0.0f;
 }
 
+// Return the squared length of a pixel's direction to the light. It is 1, unless directions have pitch scales as their
+// lengths.
+template <int N, class Table>
+WARPDIFF_INLINE float squared_length(const Table& table, const Footprints<N>& pixels, int i)
+{
+    const float x = pixels.light_x[i], y = pixels.light_y[i], z = pixels.light_z[i];
+    return table.has_pitch_scales ? x * x + y * y + z * z : 1.0f;
+}
+
 // Compute the covariances of footprints, in (u, v) and in polar coordinates, and the number of parts of each footprint.
-template <bool SOURCE, int MOST_PARTS, int N, class Table>
+// `SCALED` is for tables whose directions to the light have pitch scales as their lengths.
+template <bool SOURCE, bool SCALED, int MOST_PARTS, int N, class Table>
 WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels, int count)
 {
     for (int from = 0; from < count; from += ABREAST)
         for (int i = from; i < from + ABREAST; ++i) {
             // The covariance of (u, v) over a light source of spread s is Σs = s² (I − t tᵀ). I is the unit matrix, and
-            // the vector t is the projection of the direction to the light onto the surface.
+            // the vector t is the projection of the direction to the light onto the surface. If directions to the light
+            // have the pitch scales p of dots as their lengths, the covariance is p² Σs = s² (p² I − (p t) (p t)ᵀ).
             const float spread2 = SOURCE ? table.spread2 : 0.0f, t0 = pixels.light_x[i], t1 = pixels.light_y[i];
+            const float length2 = SCALED ? squared_length(table, pixels, i) : 1.0f;
             const float row_u = pixels.row_u[i], row_v = pixels.row_v[i];
             const float column_u = pixels.column_u[i], column_v = pixels.column_v[i];
-            pixels.source2[i] = spread2 * pixels.light_z[i];
-            pixels.xx[i] = spread2 * (1.0f - t0 * t0) + (row_u * row_u + column_u * column_u);
+            pixels.source2[i] = spread2 * pixels.light_z[i] * (SCALED ? wp::sqrt(length2) : 1.0f);
+            pixels.xx[i] = spread2 * (length2 - t0 * t0) + (row_u * row_u + column_u * column_u);
             pixels.xy[i] = -spread2 * t0 * t1 + (row_u * row_v + column_u * column_v);
-            pixels.yy[i] = spread2 * (1.0f - t1 * t1) + (row_v * row_v + column_v * column_v);
+            pixels.yy[i] = spread2 * (length2 - t1 * t1) + (row_v * row_v + column_v * column_v);
             pixels.at_w.set(i, table, pixels.w[i]);
             const PolarCovariance polar =
                 to_polar(table, pixels.u[i], pixels.v[i], pixels.xx[i], pixels.xy[i], pixels.yy[i]);
@@ -165,10 +186,11 @@ WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels,
         }
 }
 
-// Return whether the table of a light source cannot serve a pixel: near the mirror direction, or where the blur by the
-// source is narrower than the blur that the rows already have. If the footprint is split into parts, the different
-// angles of the parts account for the share `cut` of the footprint's variance in angle. The remaining share `within` is
-// the variance within each part. Only this variance is compared with the blur of the rows.
+// Return whether the table of a light source cannot give the colour of a pixel. This is so near the mirror direction,
+// and if the blur by the source is narrower than the blur that the rows of the table already have. A footprint may be
+// split into parts. The different angles of the parts then account for the share `cut` of the footprint's variance in
+// angle. The remaining share `within` is the variance within each part. Only this variance is compared with the blur of
+// the rows.
 template <int N, class Table>
 WARPDIFF_INLINE bool is_unserved(const Table& table, const Footprints<N>& pixels, int i, float within, float cut)
 {
@@ -179,7 +201,7 @@ WARPDIFF_INLINE bool is_unserved(const Table& table, const Footprints<N>& pixels
     const int octave =
         wp::clamp((int)((at.log2 * (float)table.rings_per_octave + table.ring_of_one) * table.octaves_per_ring), 0,
             (int)table.azimuths.shape[1] - 1);
-    return u * u + v * v < table.inner_radius2
+    return u * u + v * v < table.inner_radius2 * squared_length(table, pixels, i)
         || (within * pixels.angle2[i] - numbers<const float>(table.line_blurs2)[octave]) * over2
         < within * within * both * both;
 }
@@ -197,9 +219,10 @@ struct NextPart {
     int pixel, part;
 };
 
-// Fill a batch with the next parts of footprints: the (u, v), the covariance, and the share of the pixel's colour of
-// each part. Pixels with wide footprints get no parts: their colours are computed and added by this function. The
-// function also adds the zeroth order for all pixels.
+// Divide footprints into parts, until all footprints are divided or the batch of parts is full. Store the (u, v) and
+// the covariance of each part, and the fraction that it contributes to the colour of its pixel. Pixels with wide
+// footprints get no parts: their colours are computed and added by this function. The function also adds the zeroth
+// order for all pixels.
 template <bool SOURCE, int MOST_PARTS, int WIDTH, int N, class Table, class UnservedGain>
 WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const float* gains,
     const Footprints<N>& pixels, int begin, int count, NextPart& next, Parts<N>& parts, UnservedGain& unserved_gain,
@@ -261,8 +284,8 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
     }
 }
 
-// Compute the positions of parts of footprints in the table, and the blurs of each part across rings and across
-// azimuths.
+// Compute the position of each part of a footprint in the table, and its standard deviations: one across the rings of
+// the table, the other across the azimuths.
 template <int N, class Table>
 WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
 {
@@ -305,18 +328,18 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
     const int octaves = table.azimuths.shape[1], fractions = taps.weights.shape[1], most_taps = taps.weights.shape[2];
     const int all_rings = octaves * table.rings_per_octave;
     const float per_log = table.rings_per_log, per_curves2 = 1.0f / (CURVES * CURVES * per_log * per_log);
-    // Values at computed indices are read in a loop of their own, because compilers do not vectorise loops that contain
-    // such reads and have several outputs.
+    // This loop only reads values at computed indices. It is separate from the other loops, because compilers do not
+    // vectorise a loop that contains such reads and has several outputs.
     for (int from = 0; from < parts.count; from += ABREAST)
         for (int k = from; k < from + ABREAST; ++k)
             parts.spacing[k] = numbers<const float>(
                 table.blurs)[octaves + wp::clamp((int)(parts.place[k] * table.octaves_per_ring), 0, octaves - 1)];
     for (int from = 0; from < parts.count; from += ABREAST)
         for (int k = from; k < from + ABREAST; ++k) {
-            // `across2` is the variance in angle over which colours are smooth. In tables for a coherence window, it is
+            // `across2` is a variance in angle over which colours are smooth. In tables for a coherence window, it is
             // the variance of the footprint plus the squared distance between azimuth samples. In tables of a light
-            // source nothing is added. A footprint that such a table serves is wider than the blur of the spectral
-            // lines, which is proportional to the distance between azimuth samples.
+            // source, the distance is not added: a footprint that such a table serves is wider than the blur of the
+            // spectral lines, which is proportional to this distance.
             const float across2 = parts.aside2[k] + (SOURCE ? 1.0e-12f : parts.spacing[k] * parts.spacing[k]);
             const float variance = parts.deviation[k] * parts.deviation[k], turn = parts.turn_per_ring[k];
             const float sharp = wp::sqrt(per_curves2 + turn * turn / across2 + 1.0f / variance);
@@ -350,7 +373,8 @@ struct NextRing {
     int part, ring;
 };
 
-// Fill a batch with the next segments. A segment has consecutive rings of a part of a footprint, within one octave.
+// Divide parts of footprints into segments, until all parts are divided or the batch of segments is full. A segment has
+// consecutive rings of a part of a footprint, within one octave.
 template <int N, class Table>
 WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, NextRing& next, Segments<N>& segments)
 {
@@ -555,7 +579,10 @@ WARPDIFF_INLINE void look_up_footprints(const Table& table, const Taps& taps, Cu
     load_footprints<SOURCE>(pixels, numbers<const double>(scattering_vectors) + 3LL * begin,
         numbers<const float>(to_lights) + 3LL * begin,
         is_empty(footprints) ? nullptr : numbers<const float>(footprints) + 4LL * begin, count);
-    find_covariances<SOURCE, MOST_PARTS>(table, pixels, count);
+    if (SOURCE && table.has_pitch_scales)
+        find_covariances<SOURCE, SOURCE, MOST_PARTS>(table, pixels, count);
+    else
+        find_covariances<SOURCE, false, MOST_PARTS>(table, pixels, count);
     WeighedRows<WIDTH> sum;
     sum.clear();
     for (NextPart next_part = {0, 0};;) {

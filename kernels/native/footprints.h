@@ -11,7 +11,7 @@ namespace warpdiff {
 
 struct FootprintLimits {
     float least_cosine; // least cosine between a shading normal and the view direction
-    float least_facing; // least cosine between the view direction and a face; smaller ones are replaced by it
+    float least_facing; // least cosine between the view direction and a face's normal; smaller ones are replaced by it
 };
 
 // Displacements of a camera ray in the picture plane by one standard deviation of the pixel filter, to the right and
@@ -64,8 +64,9 @@ struct HitDifferentials {
     float view[3], of_share1[3], of_share2[3], across[3];
     float slide1, slide2, scale, per_unit, facing;
 
-    // Differentiate a hit on a face with two edges from its first corner. `view` is the direction to the viewer, and
-    // `away` is the vector from the hit point to the eye.
+    // Compute the derivatives of a hit on a face. `edge1` and `edge2` are the edges of the face from its first corner
+    // to the other two. `away` is the vector from the hit point to the eye. The member `view`, the unit vector to the
+    // viewer, is set before.
     WARPDIFF_INLINE void differentiate(
         const float* edge1, const float* edge2, const float* away, const FilterSteps& filter, float least_facing)
     {

@@ -1,4 +1,8 @@
 // Random choice of one of many distant lights, by the light that the surface is expected to scatter.
+//
+// (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+// light and to the viewer. The component w is along the normal. Its magnitude |w| is the sum of the cosines of light
+// and view.
 
 #pragma once
 

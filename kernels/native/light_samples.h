@@ -1,5 +1,9 @@
 // Scattering vectors, directions to the light and gains of pixels. Sums of coverage and illumination over several
 // samples are updated, too.
+//
+// (u, v, w) is the scattering vector −ωi − ωr in the shading frame, where ωi and ωr are the unit vectors to the light
+// and to the viewer. |P|² is the power that the surface diffracts into a direction, relative to a flat mirror in its
+// mirror direction. ρ is the reflectance relative to a flat mirror.
 
 #pragma once
 
@@ -43,11 +47,16 @@ struct LightPlace {
 // mesh, or if there are fewer than N pixels.
 template <int N>
 struct ScatteringBatch {
-    Batch<N> frame[3][3], to_view[3], origin[3]; // by axis: tangent, bitangent, normal; start of the shadow ray
-    Batch<N> towards[4];                         // direction to the light and weight, if each pixel has its own
-    Batch<N, double> light[3], uvw[3];           // in the shading frame: direction to the light, scattering vector
-    Batch<N, double> beyond_normal, unit;        // 1/R(0) − 1, and the factor to the unit of the picture
-    Batch<N, bool> per_cosine;                   // whether the gain is divided by the light's cosine
+    // `frame` has the tangent, the bitangent and the normal, and `origin` is the origin of the shadow ray. `towards` is
+    // the direction to the light and its weight, if each pixel has a light direction of its own. `light` and `uvw` are
+    // the direction to the light and the scattering vector in the shading frame. `beyond_normal` is 1/R(0) − 1. `unit`
+    // is the factor that converts colours to the unit of the picture. `per_cosine` tells whether the gain is divided by
+    // the cosine of the angle between light and normal.
+    Batch<N> frame[3][3], to_view[3], origin[3];
+    Batch<N> towards[4];
+    Batch<N, double> light[3], uvw[3];
+    Batch<N, double> beyond_normal, unit;
+    Batch<N, bool> per_cosine;
     Batch<N> gain;
 
     template <class Pixels>

@@ -1,8 +1,10 @@
 // Sums of Fourier coefficients under Gaussian lobes in float64, their derivatives, and the transposed sum.
 //
-// A coefficient is a series of Chebyshev polynomials in x, one row of `terms` numbers. Here x is κ, scaled to the range
-// from −1 to 1. A pair of a direction and a wavelength has a centre q [1/µm], a positive definite matrix M [µm²], and
-// its x. The weight of the coefficient at the frequency q_rs is exp(−dᵀMd) with d = q − q_rs.
+// A Fourier coefficient of order (s, r) is a series of Chebyshev polynomials in x, one row of `terms` numbers. Here x
+// is κ = w/λ, scaled to the range from −1 to 1, for the wavelength λ and the scattering vector (u, v, w). A pair of a
+// direction and a wavelength has a centre q = (u, v)/λ [1/µm], a positive definite matrix M [µm²], and its x. The
+// weight of the coefficient at the frequency q_rs is exp(−dᵀMd) with d = q − q_rs. L_x and L_y are the lengths of the
+// patch. The adjoint of a quantity is the derivative of a scalar loss with respect to it.
 
 #pragma once
 
@@ -10,13 +12,13 @@
 
 namespace warpdiff {
 
-// Number of derivatives of a sum: by q_x, q_y, M_xx, M_xy, M_yy, x, L_x and L_y, sums of r and of s times the terms,
-// and the sum itself.
+// Number of values that `differentiate_lobe` writes per pair: derivatives with respect to q_x, q_y, M_xx, M_xy, M_yy,
+// x, L_x and L_y, the sums of r and of s times the terms, and the sum itself.
 constexpr int LOBE_DERIVATIVES = 11;
-// Largest number of terms of a series. Limit: the polynomials of a pair are on the stack.
+// Largest number of terms of a series. The value is limited by the stack, which has the polynomials of a pair.
 constexpr int MOST_LOBE_TERMS = 1024;
 
-// Compute the Chebyshev polynomials at x.
+// Compute the first `count` Chebyshev polynomials at x.
 WARPDIFF_INLINE void chebyshev_polynomials(double x, int count, double* values)
 {
     double now = 1.0, after = x;
@@ -28,7 +30,7 @@ WARPDIFF_INLINE void chebyshev_polynomials(double x, int count, double* values)
     }
 }
 
-// Compute the derivatives k U_{k−1} of the Chebyshev polynomials at x.
+// Compute the derivatives k U_{k−1} of the first `count` Chebyshev polynomials at x. U are those of the second kind.
 WARPDIFF_INLINE void chebyshev_slopes(double x, int count, double* values)
 {
     double now = 0.0, after = 1.0;
@@ -40,7 +42,7 @@ WARPDIFF_INLINE void chebyshev_slopes(double x, int count, double* values)
     }
 }
 
-// The Gaussian weights of one pair.
+// Gaussian weights of one pair, and the rows and columns of the block in which they are not negligible.
 struct Lobe {
     double qx, qy, xx, xy, yy, step_x, step_y, exponent;
     int first_row, last_row, first_column, last_column;
@@ -54,11 +56,11 @@ struct Lobe {
         step_x = table.step_x, step_y = table.step_y, exponent = table.exponent;
     }
 
-    // Find the rows and columns of the block that contain the coefficients under the lobe.
+    // Find the rows and columns of the block that contain coefficients with weights that are not negligible.
     template <class Table>
     WARPDIFF_INLINE void find_range(const Table& table)
     {
-        // The ellipse dᵀMd = exponent extends to √(exponent · (M⁻¹)_xx) along x.
+        // Weights are not negligible inside the ellipse dᵀMd = exponent. It extends to √(exponent · (M⁻¹)_xx) along x.
         const double scale = exponent / (xx * yy - xy * xy);
         const double reach_x = wp::sqrt(scale * yy) / step_x, reach_y = wp::sqrt(scale * xx) / step_y;
         first_column = within(qx / step_x - reach_x, table.first_column, table.columns, 1);
@@ -67,8 +69,9 @@ struct Lobe {
         last_row = within(qy / step_y + reach_y, table.first_row, table.rows, 0);
     }
 
-    // Return a position in the block, rounded up or down to a coefficient, as an index from 0 to `count` − 1. A lower
-    // end beyond the block becomes `count`, and an upper end before it −1, so that the range is empty.
+    // Round a position up or down to a coefficient, and return its index in the block, from 0 to `count` − 1. If the
+    // lower end of a range is beyond the block, it becomes `count`. If the upper end is before the block, it becomes
+    // −1. The range is then empty.
     static WARPDIFF_INLINE int within(double position, int first, int count, int up)
     {
         const double index = (up ? wp::ceil(position) : wp::floor(position)) - (double)first;
@@ -76,8 +79,8 @@ struct Lobe {
             int)(up ? wp::min(wp::max(index, 0.0), (double)count) : wp::max(wp::min(index, (double)count - 1.0), -1.0));
     }
 
-    // Return the weight of the coefficient in a row and a column, with its distances from the centre; 0 beyond the
-    // ellipse within which coefficients are summed.
+    // Return the weight of the coefficient in a row and a column, and set `dx` and `dy` to its distances from the
+    // centre. The weight is 0 outside of the ellipse in which coefficients are summed.
     template <class Table>
     WARPDIFF_INLINE double weight(const Table& table, int row, int column, double& dx, double& dy) const
     {
@@ -102,7 +105,7 @@ WARPDIFF_INLINE const double* coefficient_row(const Table& table, int row, int c
     return numbers<const double>(table.coefficients) + (long long)place * table.terms;
 }
 
-// Return the sum of the coefficients under the lobe of a pair.
+// Return the sum of the weighted Fourier coefficients of a pair.
 template <class Table, class Pairs>
 WARPDIFF_INLINE double sum_lobe(const Table& table, const Pairs& pairs, int pair)
 {
@@ -119,7 +122,7 @@ WARPDIFF_INLINE double sum_lobe(const Table& table, const Pairs& pairs, int pair
     return sum;
 }
 
-// Compute the derivatives of the sum of a pair.
+// Compute the derivatives of the sum of a pair, in the order of `LOBE_DERIVATIVES`.
 template <class Table, class Pairs, class Values>
 WARPDIFF_INLINE void differentiate_lobe(const Table& table, const Pairs& pairs, int pair, Values& derivatives_out)
 {
@@ -145,7 +148,7 @@ WARPDIFF_INLINE void differentiate_lobe(const Table& table, const Pairs& pairs, 
             sums[3] -= 2.0 * dx * dy * value;
             sums[4] -= dy * dy * value;
             sums[5] += weight * dot_rows(coefficient, slopes, table.terms);
-            // The coefficient is at r/L_x, so that d_x grows by r/L_x² per unit of L_x.
+            // The coefficient is at the frequency r/L_x, so that d_x grows by r/L_x² per unit of L_x.
             sums[6] += along_x * r * lobe.step_x * lobe.step_x;
             sums[7] += along_y * s * lobe.step_y * lobe.step_y;
             sums[8] += r * value;
@@ -156,7 +159,7 @@ WARPDIFF_INLINE void differentiate_lobe(const Table& table, const Pairs& pairs, 
     for (int k = 0; k < LOBE_DERIVATIVES; ++k) out[k] = sums[k];
 }
 
-// Write the polynomials of a pair for `spread_lobes`.
+// Write the values of the Chebyshev polynomials of a pair, which `spread_lobes` uses.
 template <class Table, class Pairs>
 WARPDIFF_INLINE void write_polynomials(const Table& table, const Pairs& pairs, int pair)
 {
@@ -164,7 +167,7 @@ WARPDIFF_INLINE void write_polynomials(const Table& table, const Pairs& pairs, i
     chebyshev_polynomials(numbers<const double>(pairs.places)[pair], table.terms, out);
 }
 
-// Add to the row of a coefficient what the adjoints of all pairs near it contribute: the transpose of `sum_lobe`.
+// Add the contributions of all pairs near a coefficient to the adjoint of its series: the transpose of `sum_lobe`.
 //
 // Pairs are sorted by the cell of the block that contains their centre, and `begins` has the first pair of each cell.
 // Cells that are at most `reach_y` and `reach_x` away are searched.

@@ -10,7 +10,7 @@ namespace warpdiff {
 template <int N>
 struct PixelBatch {
     Batch<N, bool> met;
-    Batch<N> position[3][3], normal[3][3], tangent[3][3]; // of the corners of the face, by corner and axis
+    Batch<N> position[3][3], normal[3][3], tangent[3][3]; // vertex attributes of the face, by corner and axis
     Batch<N> share0, share1;                              // barycentric coordinates of the first two corners
     Batch<N> to_view[3];
 

@@ -13,10 +13,12 @@ namespace warpdiff {
 template <int N>
 struct Points {
     Batch<N> u = {}, v = {}, w = {};
-    Batch<N> turns, place; // angle [turns] and position among the rings [rings]
+    Batch<N> turns, place; // polar angle [turns], and position as a fractional index of a ring
     AtW<N> at_w;
-    Batch<N, const float*> first_row; // row of the first of three rings on the first of three azimuths
-    Batch<N> aside;                   // distance from the middle azimuth [azimuths]
+    // A look-up interpolates between the rows of three rings and three azimuths. `first_row` is the row of the first
+    // ring on the first azimuth. `aside` is the distance of the point from the middle azimuth [spacings of azimuths].
+    Batch<N, const float*> first_row;
+    Batch<N> aside;
     Batch<N, int> first_ring, octave;
 };
 

@@ -33,9 +33,9 @@ WARPDIFF_INLINE void load_corners(const Surface& surface, const KnownHits<N>& hi
     }
 }
 
-// Compute the barycentric coordinates of hits by the method of Möller and Trumbore, and the directions to the viewer.
-// Hits outside of the face by rounding are moved to its edge. The computation uses float64, because the eye may be
-// thousands of mesh radii away.
+// Compute barycentric coordinates of hits by the method of Möller and Trumbore, and directions to the viewer. A hit
+// that is outside of its face by rounding is moved to the edge of the face. The computation uses float64, because the
+// eye may be thousands of mesh radii away from the mesh.
 template <int N, class Camera>
 WARPDIFF_INLINE void intersect(const Camera& camera, const KnownHits<N>& hits, Intersections<N>& intersections)
 {
@@ -101,8 +101,8 @@ WARPDIFF_INLINE void intersect_known_faces(
     KnownHits<batch_of(BATCH)> hits;
     for (int ray = begin; ray < end;) {
         const int pixel = of_tiles ? tiles[ray / of_tile] : ray, row = pixel / width, column = pixel % width;
-        // Number of rays, beginning with `ray`, that are processed in this round: the rays up to the end of the picture
-        // row, or those of the remaining cells of the pixel, but none beyond `end`.
+        // Number of rays that are processed in this round, beginning with `ray`. The round ends at the end of the
+        // picture row, or after the last cell of the pixel, or at the ray `end`.
         int count = of_tiles ? of_tile - ray % of_tile : width - column;
         count = count < end - ray ? count : end - ray;
         for (int k = 0; k < count; ++k) {

@@ -6,8 +6,8 @@
 
 namespace warpdiff {
 
-// Pole of the recursive filter that converts samples to coefficients of the spline through these samples: the factor
-// from each result of the filter to the next. It was derived as 2√2 − 3.
+// Pole of the recursive filter that converts samples to coefficients of the spline through these samples. Each result
+// of the filter contains the result before it, times this factor. The value was derived as 2√2 − 3.
 constexpr float SPLINE_POLE = -0.171572875f;
 
 // Compute the weights of three neighbouring coefficients of the spline, for a point at the distance `away` from the

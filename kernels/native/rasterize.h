@@ -19,13 +19,15 @@ WARPDIFF_INLINE void rasterize_faces(const Arguments&...)
 
 #else
 
-// Number of steps per pixel to which the corners of faces are rounded after projection into the picture. Derived: with
-// 2^14, products of positions are exact in float64, and no ray passes between two adjacent faces.
+// After projection into the picture, corners of faces are rounded to this number of steps per pixel. The number was
+// derived from float64: with 2^14, products of positions are exact, so that no ray passes between two adjacent faces.
+// With larger numbers, products would be rounded.
 constexpr double PER_PIXEL = 1 << 14;
 // Distance of the near plane from the eye [radii of the mesh]. The camera shows only parts of faces beyond this plane;
 // the other parts are cut off.
 constexpr double NEAR_PLANE = 1.0e-9;
-// Number of faces and number of cells per batch. Limits: lanes of SIMD vectors, number of registers.
+// Number of faces per batch, and number of cells per batch. `FACES` is limited by the lanes of SIMD vectors, and
+// `CELLS` by the number of registers.
 constexpr int FACES = 16, CELLS = 8;
 
 WARPDIFF_INLINE double lesser(double a, double b)
@@ -45,10 +47,10 @@ struct Raster {
     bool orthographic;
     int width, height;
     double per_width, per_height;
-    // Distance from the eye to the sphere around the mesh. It is subtracted from stored distances: without this, a
-    // remote eye would have the same distance, in float32, to different faces.
+    // Distance from the eye to the sphere around the mesh, which is subtracted from stored distances. If the eye is far
+    // away, float32 could not distinguish the distances of different faces without this subtraction.
     double before;
-    const double* offsets; // offset of each pixel's ray from the pixel centre; null: no offsets
+    const double* offsets; // offset of each pixel's ray from the pixel centre; null if rays are at the centres
     // Pixels that are subdivided into cells. `marks` has one bit per pixel of the picture, in words of 64 bits. `ranks`
     // has the number of each subdivided pixel among all subdivided ones. `aside` and `below` are the offsets of the
     // cells from the pixel centre [pixels].
@@ -56,7 +58,8 @@ struct Raster {
     const int* ranks;
     int cells;
     float aside[MOST_CELLS], below[MOST_CELLS];
-    double max_cell_offset, max_offset; // largest offset of a cell, and of any ray, along an axis [pixels]
+    // Largest distance of a cell, and of any ray, from the pixel centre along x or y [pixels].
+    double max_cell_offset, max_offset;
     unsigned long long* nearest;
 
     template <class Camera, class Sampling, class Cells, class Nearest>
@@ -127,8 +130,8 @@ WARPDIFF_INLINE void set_up(const Picture& picture, Triangles& triangles)
         triangles.low_row[i] = greater(wp::ceil(lesser(y0, lesser(y1, y2)) - slack - 0.5), 0.0);
         triangles.high_row[i] = lesser(wp::floor(greater(y0, greater(y1, y2)) + slack - 0.5), picture.height - 1.0);
     }
-    // The stored start of an edge is its vertex with the smaller index, also where `rises` is false and the edge of
-    // this triangle runs the other way. Adjacent faces therefore compute the same value for their common edge, with
+    // The stored start of an edge is its vertex with the smaller index. If `rises` is false, the edge of this triangle
+    // runs in the opposite direction. Two adjacent faces therefore compute the same number for their common edge, with
     // opposite signs.
     for (int k = 0; k < 3; ++k) {
         const int one = (k + 1) % 3, other = (k + 2) % 3;
@@ -318,8 +321,8 @@ WARPDIFF_INLINE void add_clipped(const Picture& picture, const ClippedFace& clip
             const double* const corner = clipped.corner[which[c]];
             project_corner(picture, corner[0], corner[1], corner[2], triangles, c, i);
         }
-        // `rises` of a triangle's edges is stored by the opposite corner. The two triangles have opposite values for
-        // their common edge, the diagonal.
+        // Each entry of `rises` is that of the edge opposite to a corner. The diagonal is an edge of both triangles,
+        // which run along it in opposite directions and therefore have opposite values.
         triangles.rises[0][i] = clipped.rises[k - 1];
         triangles.rises[1][i] = k == clipped.count - 1 ? clipped.rises[k] : false;
         triangles.rises[2][i] = k == 2 ? clipped.rises[0] : true;

@@ -48,8 +48,9 @@ struct RingLevel {
 };
 
 // Return the value of a Gaussian at a point of a ring, or 0 beyond `cutoff` standard deviations. The direction of the
-// point is (x, y). Along the ring, the variance of the Gaussian is reduced by `blur2`. For this reduction, the
-// logarithm of the Gaussian along the ring is approximated by a parabola.
+// point is (x, y). The rows of the table are blurred along the ring with the variance `blur2`. The variance of the
+// Gaussian along the ring is therefore reduced by `blur2`. For this reduction, the logarithm of the Gaussian along the
+// ring is approximated by a parabola.
 WARPDIFF_INLINE float weight_on_ring(
     const Gaussian2& gaussian, float x, float y, float radius, float blur2, float cutoff)
 {
@@ -74,9 +75,8 @@ WARPDIFF_INLINE RingLevel ring_level(const Table& table, int level, int octave)
 }
 
 // Replace `widest` by the most blurred mip level in `octave` that the variance of the Gaussian along the ring permits.
-// Rings are processed from the outside to the inside. In a new octave the blur of a level [rad] may be twice the blur
-// in the previous octave. The search therefore starts with the level that is one step less blurred than the present
-// level.
+// Rings are processed from the outermost ring inwards. In the next octave inwards, the same level may have twice the
+// blur [rad]. The search therefore starts with the level that is one step less blurred than the present level.
 template <class Table>
 inline void widen(const Table& table, RingLevel& widest, int octave, float variance)
 {
@@ -139,8 +139,8 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
     const float aside = u * x + v * y, along = v * x - u * y;
     const Gaussian2 gaussian = {u, v, x * x / narrow2 + y * y / widest2, x * y * (1.0f / narrow2 - 1.0f / widest2),
         y * y / narrow2 + x * x / widest2};
-    // Distance of the rings that are added, a multiple of the distance of rings in the table. The distance is limited
-    // by the width of the Gaussian along (u, v).
+    // Distance between the rings that are added, a multiple of the distance between rings in the table. It is limited
+    // by the width of the Gaussian in the direction of (u, v).
     const float steepness = wp::sqrt(aside * aside / narrow2 + along * along / widest2);
     const float distance = smaller(RINGS_APART, RINGS_PER_DEVIATION / larger(steepness, 1.0e-20f));
     const int octaves = table.azimuths.shape[1], apart = wp::max((int)(distance * table.rings_per_log), 1);
@@ -156,7 +156,8 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
     // The octave −1 means that no mip level has been selected yet.
     RingLevel level = {-1};
     while (ring >= 0 && radius > innermost) {
-        // Nearer to the mirror direction, the Gaussian covers a larger part of each ring, and wider mip levels suffice.
+        // The nearer a ring is to the mirror direction, the larger is the angle that the Gaussian covers on it. Wider
+        // mip levels then suffice.
         const int octave = (int)((float)ring * table.octaves_per_ring);
         const float variance = narrow2 / (radius * larger(radius, middle));
         if (octave != level.octave || variance >= level.until) widen(table, level, octave, variance);
@@ -164,9 +165,9 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
         const float* const rows = numbers<const float>(table.rows)
             + (long long)(level.first_row + ring - octave * table.rings_per_octave) * WIDTH;
         const long long stride = (long long)table.rings_per_octave * WIDTH;
-        // On a ring, the Gaussian covers an arc around the direction of (u, v). A long and narrow Gaussian also lies
-        // within at most two arcs around the directions of its long axis. These arcs are used instead if they are
-        // shorter.
+        // On a ring, the Gaussian covers an arc around the direction of (u, v). The points of a long and narrow
+        // Gaussian are also within two arcs around the directions of its long axis. These two arcs are used instead if
+        // they are shorter.
         const float cutoff = radius < middle ? INWARDS : OUTWARDS, furthest = cutoff * widest, beside = cutoff * narrow;
         const float around = turns_of_cosine(
             (radius * radius + middle * middle - furthest * furthest) / larger(2.0f * radius * middle, 1.0e-20f));
@@ -177,8 +178,8 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
         }
         const bool is_coarse = radius < WITHIN * narrow, is_streak = to - from < around;
         const float size = (is_coarse ? 2.0f : 1.0f) * radius * radius * level.spacing, all = (float)level.azimuths;
-        // The positions of arcs are rounded to 1/64 of the distance of azimuths. If two arcs touch, each azimuth is
-        // therefore in exactly one of both arcs, in spite of the rounding errors of float32.
+        // The positions of arcs are rounded to 1/64 of the distance between azimuths. If two arcs touch, each azimuth
+        // is therefore in exactly one of them, in spite of the rounding errors of float32.
         const float place = wp::rint(64.0f * all * (is_streak ? across : turns)) * (1.0f / 64.0f);
         for (int side = 0; side < (is_streak ? 2 : 1); ++side) {
             const float first = !is_streak ? -around : side == 0 ? from : -to;

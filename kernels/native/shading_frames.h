@@ -10,8 +10,8 @@ namespace warpdiff {
 
 struct FrameLimits {
     float least_cosine;   // least cosine between the normal and the view direction
-    float least_tangent2; // least square of the tangent's component perpendicular to the normal
-    float lift;           // height of shadow rays' start points above the surface [radii]
+    float least_tangent2; // least squared length of the tangent's component perpendicular to the normal
+    float lift;           // height of the origins of shadow rays above the surface [radii of the mesh]
 };
 
 // Shading frames of N pixels, by axis. In special pixels, the normal must be rotated towards the viewer, or the tangent

@@ -31,8 +31,8 @@ struct ShadowPoints {
             const long long k = from + (i < count ? i : 0), at = 3 * k;
             const bool asks = i < count && hit[k] != 0
                 && normals[at] * towards[0] + normals[at + 1] * towards[1] + normals[at + 2] * towards[2] > facing_away;
-            // Pixels that require no test get the point (0, 0, 0) instead of their own point, which may be infinite or
-            // NaN.
+            // A pixel that requires no shadow test may have a point that is infinite or NaN. The point (0, 0, 0) is
+            // used instead.
             const double p0 = asks ? origins[at] : 0.0f, p1 = asks ? origins[at + 1] : 0.0f;
             const double p2 = asks ? origins[at + 2] : 0.0f;
             x[i] = rint((p0 * grid.across[0] + p1 * grid.across[1] + p2 * grid.across[2]) * steps);
@@ -60,9 +60,8 @@ struct ShadowPoints {
             const double e2 = (x1 - x0) * (y[j] - y0) - (y1 - y0) * (x[j] - x0);
             const int below =
                 (e0 >= 0.0) & (e1 >= 0.0) & (e2 >= 0.0) & (z0 * e0 + z1 * e1 + z2 * e2 > z[j] * (e0 + e1 + e2));
-            // A face occludes a point only if the highest corner of the face is above the point. Without this
-            // condition, rounding errors could let a neighbour of the point's own face occlude the point although this
-            // neighbour is lower.
+            // A face occludes a point only if its highest corner is above the point. This prevents an error by
+            // rounding: a lower face next to the face of the point could otherwise occlude the point.
             occluded[j] |= below & (cell[j] == here) & (top > z[j]);
         }
     }

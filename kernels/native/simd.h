@@ -39,7 +39,7 @@ struct Batch {
     }
 };
 
-// Vector of LANES floats. It needs no alignment in memory beyond the alignment of a float.
+// Vector of LANES floats. In memory it needs only the alignment of a single float.
 template <int LANES>
 struct FloatVector;
 template <>

@@ -14,8 +14,8 @@ namespace warpdiff {
 constexpr int TAPS = 16, KNOWN_ROWS = 64;
 
 // Range of the Fourier coefficients that contribute to a point of the frequency plane, relative to the coefficient
-// nearest to the point. The same range is used for all points. The range is therefore large enough for any position of
-// a point around its nearest coefficient.
+// nearest to the point. All points use the same range. It is therefore large enough for every position of a point
+// relative to its nearest coefficient.
 struct Neighbours {
     int reach_y, reach_x, on_row[KNOWN_ROWS];
     // Row and column of the zeroth order if it is excluded from the sums; −1 otherwise.
@@ -75,8 +75,8 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_neighbours(
 template <int WIDTH, class Table>
 WARPDIFF_INLINE Row<WIDTH> sample_spectrum(const Table& table, const Neighbours& around, double qy, double qx)
 {
-    // The integer part of the position is subtracted in float64: for positions hundreds of coefficients from the zeroth
-    // order, float32 would be too coarse.
+    // A point may be hundreds of coefficients away from the zeroth order, where float32 is too coarse. The integer part
+    // of its position is therefore subtracted in float64.
     const int nearest_y = (int)(qy + (qy < 0.0 ? -0.5 : 0.5)), nearest_x = (int)(qx + (qx < 0.0 ? -0.5 : 0.5));
     const float fy = (float)(qy - (double)nearest_y), fx = (float)(qx - (double)nearest_x);
     const int reach_y = around.reach_y, reach_x = around.reach_x;

@@ -12,14 +12,18 @@ namespace warpdiff {
 
 // Continuation of a texture outside of its image along an axis: repeated, clamped to the edge, or mirrored.
 constexpr int REPEAT = 0, CLAMP = 1, MIRROR = 2;
-// Largest number of probes along the long axis of a footprint; longer footprints are blurred across, too. Fitted
-// (docs/decisions/textures.md): with 8, errors of long footprints are 1.4 times as large.
+// Largest number of probes along the long axis of a footprint. A longer footprint is also blurred along its short axis.
+// The value was fitted (docs/decisions/textures.md): with 8, errors of long footprints are 1.4 times as large.
 constexpr int MOST_PROBES = 12;
 // Largest distance of probes along the long axis, in standard deviations of the blur of the level and of bilinear
-// interpolation. Fitted (docs/decisions/textures.md): twice the distance leaves gaps between the probes.
+// interpolation. The value was fitted (docs/decisions/textures.md): twice the distance leaves gaps between the probes.
 constexpr float PROBE_SPACING = 1.5f;
-// Range of probes along the long axis [standard deviations of the footprint]. Limit: the Gaussian beyond is omitted.
+// Range of probes on both sides along the long axis [standard deviations of the footprint]. The Gaussian beyond this
+// range is neglected.
 constexpr float PROBE_RANGE = 2.0f;
+// Smallest variance of a footprint that counts as covering the whole image [texels²]. The value is limited because
+// squares of larger numbers exceed the range of float32.
+constexpr float MOST_VARIANCE = 1.0e30f;
 
 struct Rgba {
     float channels[4] = {};
@@ -31,7 +35,7 @@ struct TextureLevel {
     int width, height;
 };
 
-// Texture of a table. `row` has the index of its first level, the number of its levels, and its continuations.
+// Texture of a table. `row` has the index of its first level, the number of its levels, and its wrap mode on both axes.
 template <class Textures>
 struct Texture {
     const float* texels;
@@ -55,7 +59,7 @@ struct Texture {
     }
 };
 
-// Return the position in the image that a texture coordinate addresses, 0 to 1.
+// Return the position in the image, 0 to 1, of a texture coordinate, which may be outside of the image.
 WARPDIFF_INLINE float wrapped(float coordinate, int wrap)
 {
     if (wrap == CLAMP) return wp::min(wp::max(coordinate, 0.0f), 1.0f);
@@ -64,7 +68,7 @@ WARPDIFF_INLINE float wrapped(float coordinate, int wrap)
     return coordinate - 2.0f * wp::floor(0.5f * coordinate) < 1.0f ? fraction : 1.0f - fraction;
 }
 
-// Return the index of a texel in the image, for an index of −1 to `size`.
+// Return the index of a texel in the image, for an index from −1 to `size`, which may be just outside of the image.
 WARPDIFF_INLINE int wrapped_index(int index, int size, int wrap)
 {
     if (index < 0) return wrap == REPEAT ? size - 1 : 0;
@@ -72,13 +76,14 @@ WARPDIFF_INLINE int wrapped_index(int index, int size, int wrap)
     return index;
 }
 
-// Four texels around a position in an image, and the position between them, 0 to 1. Texel centres are half a texel from
-// the edges. Row 0 is at the top.
+// Four texels around a position in an image, and the position relative to them, 0 to 1. Texel centres are half a texel
+// from the edges of the image. Row 0 is at the top.
 struct TexelSquare {
     const float *upper_left, *upper_right, *lower_left, *lower_right;
     float right, down;
 
-    // Find the texels around a position in texels, `x` from the left edge and `y` from the top edge, minus 0.5.
+    // Find the four texels around a position. `x` is its distance from the left edge and `y` from the top edge
+    // [texels], minus 0.5.
     WARPDIFF_INLINE TexelSquare(const TextureLevel& level, const int* wrap, float x, float y)
     {
         const float column = wp::floor(x), row = wp::floor(y);
@@ -97,7 +102,7 @@ struct TexelSquare {
     }
 };
 
-// Add a factor times the colour at (u, v) by bilinear interpolation between texel centres.
+// Add `factor` times the colour of a level at (u, v) to `result`, by bilinear interpolation between texel centres.
 WARPDIFF_INLINE void add_bilinear(
     const TextureLevel& level, const int* wrap, float u, float v, float factor, Rgba& result)
 {
@@ -112,14 +117,14 @@ WARPDIFF_INLINE void add_bilinear(
             + lower_left * texels.lower_left[c] + lower_right * texels.lower_right[c];
 }
 
-// Texture coordinates of a point. `v_again` is v with another rounding error.
+// Texture coordinates (u, v) of a point. `v_again` is v with a different rounding error.
 struct PointUv {
     float u, v, v_again;
 
     // Interpolate between the texture coordinates of three corners of a face, by barycentric coordinates.
     //
-    // Here and in `sample_point`, operations and roundings have the order that a compiler once chose for them, so that
-    // pictures that show points do not change with the compiler or its options.
+    // In this constructor and in `sample_point`, operations and roundings have a fixed order. It is the order that a
+    // compiler once chose. Pictures that show points therefore do not change with the compiler or its options.
     WARPDIFF_INLINE PointUv(const float* uvs, const int* corners, const float* place)
     {
 #if defined(__clang__)
@@ -162,8 +167,8 @@ WARPDIFF_INLINE Rgba sample_point(const Textures& textures, int number, const Po
     return result;
 }
 
-// Return the mean colour of a texture over a footprint around (u, v). `footprint` has the changes of (u, v) over one
-// standard deviation along the two axes of the picture; zeros are no footprint.
+// Return the mean colour of a texture over a Gaussian footprint around (u, v). `footprint` has the changes of (u, v)
+// over one standard deviation along rows and along columns of the picture. If all are zero, there is no footprint.
 template <class Textures>
 WARPDIFF_INLINE Rgba sample_footprint(const Textures& textures, int number, float u, float v, const float* footprint)
 {
@@ -177,15 +182,19 @@ WARPDIFF_INLINE Rgba sample_footprint(const Textures& textures, int number, floa
     const float mean = 0.5f * (xx + yy), half = 0.5f * (xx - yy), root = wp::sqrt(half * half + xy * xy);
     const float longest = mean + root, shortest = wp::max(mean - root, 0.0f);
     Rgba result;
-    if (!(longest > 1.0e-6f)) {
+    if (!(longest < MOST_VARIANCE)) {
+        add_bilinear(texture.level(texture.count - 1), texture.wrap, u, v, 1.0f, result);
+        return result;
+    }
+    if (longest <= 1.0e-6f) {
         add_bilinear(whole, texture.wrap, u, v, 1.0f, result);
         return result;
     }
-    // Level n of a pyramid adds the variance (4ⁿ − 1)/4 along each axis [texels²]: that of the box filter, and that of
-    // bilinear interpolation between its wider texels. The coarsest level is used whose blur is at most the
-    // footprint's variance along the short axis. Probes add the rest.
-    // Where the footprint is too long for its probes, the level is coarser: `limited` is the variance with which their
-    // distance is the largest one.
+    // Level n of a pyramid adds the variance (4ⁿ − 1)/4 along each axis [texels²]: the variance of the box filter, and
+    // that of bilinear interpolation between its wider texels. The chosen level is the coarsest one whose blur is at
+    // most the footprint's variance along the short axis. Probes add the remaining variance. If the footprint is too
+    // long for the largest number of probes, the level is coarser. `limited` is then the variance of the blur with
+    // which the distance of the probes is the largest permitted one.
     constexpr float PROBES = MOST_PROBES * PROBE_SPACING / (2.0f * PROBE_RANGE);
     const float limited = (longest - 0.25f * PROBES * PROBES) / (1.0f + PROBES * PROBES);
     const float variance = wp::max(shortest, limited);
@@ -194,7 +203,7 @@ WARPDIFF_INLINE Rgba sample_footprint(const Textures& textures, int number, floa
     for (; chosen < texture.count - 1 && 4.0f * power <= 1.0f + 4.0f * variance; ++chosen) power *= 4.0f;
     const TextureLevel level = texture.level(chosen);
     const float blur = 0.25f * (power - 1.0f);
-    // Unit vector of the long axis [texels].
+    // Unit vector along the long axis of the footprint, in the coordinates of texels.
     float along_x = xx >= yy ? longest - yy : xy, along_y = xx >= yy ? xy : longest - xx;
     const float length2 = along_x * along_x + along_y * along_y;
     const float per_length = length2 > 0.0f ? 1.0f / wp::sqrt(length2) : 0.0f;

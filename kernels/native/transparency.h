@@ -1,4 +1,4 @@
-// Alpha of faces, by which rays pass through them.
+// Alpha of faces. Rays pass through a face where its alpha is below a threshold.
 
 #pragma once
 
@@ -6,8 +6,8 @@
 
 namespace warpdiff {
 
-// Return the alpha at a point of a face: that of its texture times that of its vertices. `share0` and `share1` are
-// barycentric coordinates of the first two corners.
+// Return the alpha at a point of a face: the product of the alpha of its texture and the alpha of its vertices.
+// `share0` and `share1` are the barycentric coordinates of the first two corners.
 template <class Surface, class Textures, class Transparency>
 WARPDIFF_INLINE float alpha_at(const Surface& surface, const Textures& textures, const Transparency& transparency,
     int face, float share0, float share1)
@@ -19,7 +19,7 @@ WARPDIFF_INLINE float alpha_at(const Surface& surface, const Textures& textures,
         const float* const at = numbers<const float>(transparency.vertex_alphas);
         alpha = share0 * at[corners[0]] + share1 * at[corners[1]] + (1.0f - share0 - share1) * at[corners[2]];
     }
-    const int number = numbers<const int>(textures.of_base_colour)[numbers<const int>(textures.materials)[face]];
+    const int number = numbers<const int>(textures.of_base_colour)[numbers<const int>(textures.rows)[face]];
     if (number < 0) return alpha;
     return alpha
         * sample_point(textures, number, PointUv(numbers<const float>(surface.uvs), corners, place)).channels[3];

@@ -1,9 +1,11 @@
-"""``wd.adjoint``: transposes, agreement with the plain functions, and errors instead of silent zeros."""
+"""``wd.adjoint``: vjp is the transpose of jvp, values equal those of plain functions, and wrong names raise errors."""
 
+import functools
 import math
 
 import numpy as np
 import pytest
+import trimesh
 from conftest import coherence_of, hemisphere, noise
 
 import warpdiff as wd
@@ -33,7 +35,10 @@ def changes_for(adjoints, rng):
 
 
 def check_transpose(linearised, rng):
-    """Check ⟨y, J x⟩ = ⟨Jᵀ y, x⟩ for each variable alone and for all of them together."""
+    """Check ⟨y, J x⟩ = ⟨Jᵀ y, x⟩ for random x and y, where jvp gives J x and vjp gives Jᵀ y.
+
+    The check is made for each variable alone, and for all variables together.
+    """
     y = rng.normal(size=linearised.value.shape)
     adjoints = linearised.vjp(y)
     changes = changes_for(adjoints, rng)
@@ -149,7 +154,10 @@ def test_truncation_is_the_largest_relative_error(kind, truncation, rng):
 
 @pytest.mark.parametrize("depth_um", [1e-4, 1.0, 10.0, 30.0])
 def test_series_are_long_enough_for_any_depth(depth_um):
-    """Rounding errors of Bessel functions once ended the series of deep gratings after two terms."""
+    """Efficiencies must be accurate for any depth.
+
+    Rounding errors of Bessel functions once ended the series of deep gratings after two terms.
+    """
     grating = wd.gratings.sinusoidal(40.0, depth_um, samples=512)
     value = wd.adjoint.order_efficiencies(grating, (0.3, 0.0, 1.0), [450.0, 600.0], wrt=()).value
     exact = wd.order_efficiencies(grating, (0.3, 0.0, 1.0), [450.0, 600.0]).efficiencies
@@ -157,7 +165,7 @@ def test_series_are_long_enough_for_any_depth(depth_um):
 
 
 def test_gradients_by_heights_and_by_their_scale_agree(rng):
-    """Heights that grow in proportion change the value as a growing scale does."""
+    """If heights change in proportion to themselves, the value must change as it does with ``height_scale``."""
     result = wd.adjoint.reflectance(FIELD, *directions(rng), wrt=("heights_um", "height_scale"))
     adjoints = result.vjp(rng.normal(size=result.value.shape))
     assert np.sum(adjoints["heights_um"] * FIELD.heights_um) == pytest.approx(adjoints["height_scale"], rel=1e-6)
@@ -167,7 +175,7 @@ def test_flat_surfaces_have_derivatives():
     flat = wd.HeightField(np.zeros((4, 4)), 0.5)
     value, vjp, _ = wd.adjoint.spectral_reflectance(flat, (0.1, 0.0, 1.0), (-0.1, 0.0, 1.0), 500.0)
     assert value[0] > 0.5
-    # A flat surface is a stationary point of the power of its mirror order.
+    # For a flat surface, small changes of heights change the power of the mirror order only to second order.
     np.testing.assert_allclose(vjp([1.0])["heights_um"], 0.0, atol=1e-9)
 
 
@@ -252,18 +260,29 @@ def test_arguments_are_checked(rng):
 
 
 OUTLINE = wd.profiles.Outline([0.0, 0.3, 0.6], [0.0, 0.1, 0.05], 1.3)
-# Arguments with which each variable has a derivative, unless the defaults have one.
+# Arguments that a function requires to have a derivative with respect to a variable, by the name of the variable. For
+# other variables, the default arguments suffice.
 NEEDED = {
     "angular_diameter_deg": {"coherence": coherence("source")}, "sigma_um": {"coherence": coherence("centred")},
     "n": {"material": FILM}, "k": {"material": FILM}, "film_nm": {"material": FILM},
 }  # fmt: skip
 
 
+@functools.cache
+def picture():
+    """Return a renderer of a flat square."""
+    corners = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
+    visual = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]])
+    mesh = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False)
+    view, light = wd.View((0.0, 0.0, 3.0), (0.0, 0.0, 0.0), width=4, height=3), wd.DirectionalLight((0.0, 0.1, 1.0))
+    return wd.Renderer(mesh, noise((8, 9), (0.09, 0.09)), light, view, footprint=False, refine=False)
+
+
 @pytest.mark.parametrize("name", variables.VARIABLES)
 def test_the_table_of_derivatives_is_true(name):
-    """Each function accepts the variables of its column of the table, and refuses all others."""
+    """Each function must accept the variables for which the table says "yes" in its column, and refuse all others."""
     row = next(line for line in variables.table().splitlines() if f"| `{name}` |" in line)
-    marks = [cell.strip() == "yes" for cell in row.split("|")[2:5]]
+    marks = [cell.strip() == "yes" for cell in row.split("|")[2:6]]
     surface = OUTLINE if name in ("vertices", "period_um") else FIELD
     light, view = (0.0, 0.1, 1.0), (0.1, 0.0, 1.0)
     needed = NEEDED.get(name, {})
@@ -272,6 +291,7 @@ def test_the_table_of_derivatives_is_true(name):
         lambda: wd.adjoint.order_efficiencies(surface, light, 500.0, wrt=(name,), **optics),
         lambda: wd.adjoint.spectral_reflectance(surface, light, view, 500.0, wrt=(name,), **needed),
         lambda: wd.adjoint.reflectance(surface, light, view, wrt=(name,), **needed),
+        lambda: wd.adjoint.pixels(picture(), surface, wd.DirectionalLight(light), wrt=(name,)),
     ]
     for has_derivative, call in zip(marks, calls, strict=True):
         if has_derivative:
@@ -291,7 +311,7 @@ def test_normalised_orders_have_derivatives_up_to_600_orders():
 
 
 def test_too_much_memory_is_refused_before_work_starts(monkeypatch):
-    monkeypatch.setattr(memory, "available", lambda: 1e6)
+    monkeypatch.setattr(memory, "available", lambda: 1e4)
     with pytest.raises(MemoryError, match="GB are free"):
         wd.adjoint.spectral_reflectance(FIELD, (0, 0.1, 1), (0.2, 0, 1), 500.0)
     with pytest.raises(MemoryError, match="GB are free"):
@@ -303,10 +323,14 @@ def test_kinks_give_one_warning_with_their_number():
     with pytest.warns(wd.WarpdiffWarning, match="1 of 3 pairs of directions are at the kink"):
         wd.adjoint.spectral_reflectance(FIELD, (0.9, 0.1e-12, 0.4), views, 500.0, wrt=("to_view",))
     period = 1.0
-    # The first order leaves along the horizon where λ equals the period.
+    # At normal incidence, the first order propagates along the horizon if the wavelength λ equals the period.
     grating = wd.gratings.sinusoidal(period, 0.1)
-    with pytest.warns(wd.WarpdiffWarning, match="1 of 2 sets of orders have an order at the horizon"):
-        wd.adjoint.order_efficiencies(grating, (0, 0, 1), [1e3 * period * (1.0 - 1e-8), 600.0])
+    for side in (-1e-8, 1e-8):
+        with pytest.warns(wd.WarpdiffWarning, match="1 of 2 sets of orders have an order at the horizon"):
+            wd.adjoint.order_efficiencies(grating, (0, 0, 1), [1e3 * period * (1.0 + side), 600.0], wrt=("pitch_um",))
+    # With respect to heights, efficiencies are smooth even if an order is at the horizon, so that no warning is
+    # expected.
+    wd.adjoint.order_efficiencies(grating, (0, 0, 1), [1e3 * period * (1.0 - 1e-8), 600.0])
     aluminium = wd.Material.metal("Al")
     node = float(np.asarray(aluminium.wavelengths_nm)[5])
     with pytest.warns(wd.WarpdiffWarning, match="1 of 1 wavelengths are entries of the table"):

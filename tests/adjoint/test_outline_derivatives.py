@@ -1,4 +1,4 @@
-"""Outlines: coefficients and derivatives equal those of numerical integrals along their segments."""
+"""Outlines: coefficients and derivatives must equal those of numerical integrals along the segments of the outline."""
 
 import math
 
@@ -11,12 +11,16 @@ import warpdiff as wd
 LIGHT, WAVELENGTH_NM = (0.3, 0.0, 1.0), 500.0
 POSITIONS, HEIGHTS = np.array([0.02, 0.11, 0.4, 0.4, 0.83]), np.array([0.0, 0.13, 0.16, 0.05, 0.02])
 PERIOD = 2.3
-# Nodes of Gauss-Legendre quadrature per segment: enough for rounding errors of phases of a few turns.
+# Nodes and weights of Gauss-Legendre quadrature for each segment. With 40 nodes, the integral of a phase of a few turns
+# has only rounding errors.
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(40)
 
 
 def integral(positions, heights, kappa, r):
-    """Return ∫ exp(2πi(κh + ru)) du over one period as a pair of numbers, by quadrature along each segment."""
+    """Return ∫ exp(2πi(κh + ru)) du of order r over one period, by quadrature along each segment.
+
+    u is the position in periods, and h the height. The complex result is a pair of real numbers.
+    """
     ends, tops = np.append(positions, positions[0] + 1.0), np.append(heights, heights[0])
     share = (NODES[:, None] + 1.0) / 2.0
     u, h = (values[:-1] + share * np.diff(values) for values in (ends, tops))

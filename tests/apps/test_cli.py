@@ -9,17 +9,11 @@ import sys
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
 import pytest
-import trimesh
 from conftest import slow, write_image
-from small_pictures import rough
 
 import warpdiff as wd
-from warpdiff import gratings
-from warpdiff.apps import cli, cli_inputs, cli_progress, demo
-from warpdiff.apps.cli_options import given, with_joined_tangents
+from warpdiff.apps import cli, cli_inputs, cli_progress
 from warpdiff.core import disk_cache
-from warpdiff.core.options import describe
-from warpdiff.request.settings import PictureSettings, SinglePictureSettings
 
 BRDF = "brdf --heightfield blazed -o x.png"
 SMALL = ["--tolerance", "0.1", "--sigma-um", "5"]
@@ -100,7 +94,7 @@ def test_a_sequence_is_written_and_resumed(tmp_path, capsys):
      (["--light-to", 0, 1, 1], lambda lights, view: wd.light_sweep(lights, view, (0, 1, 1), count=4))],
 )  # fmt: skip
 def test_sequences_accept_every_kind_of_light(words, expected, monkeypatch, capsys):
-    """The shots of a command-line sequence equal those of the library's functions."""
+    """The shots of a sequence from the command line must equal those that the library's functions return."""
     drawn = []
     monkeypatch.setattr(wd, "Renderer", lambda *_, **__: argparse.Namespace(plan="plan"))
     monkeypatch.setattr(wd, "sequence", lambda _, shots, *__, **___: drawn.extend(shots) or [])
@@ -137,7 +131,8 @@ def test_sequences_accept_every_kind_of_light(words, expected, monkeypatch, caps
      ["--environment", "no.exr"], ["--environment", __file__]],
 )  # fmt: skip
 def test_a_viewer_that_cannot_start_reports_the_reason(arguments, monkeypatch, capsys):
-    # The drawing thread outlives the command. Without this replacement, it would draw during later tests.
+    # The viewer's drawing thread would outlive the command and would draw during later tests. The method with which
+    # this thread prepares its work is therefore replaced by a function that does nothing.
     monkeypatch.setattr("warpdiff.apps.viewer.session.Studio._prepare", lambda _: None)
     assert cli.main(["view", "--no-browser", *arguments]) in (1, 2)
     error = capsys.readouterr().err.splitlines()[-1]
@@ -271,138 +266,6 @@ def test_render_writes_layers_and_spectra(tmp_path):
     assert image.wavelengths_nm.tolist() == [450.0, 550.0]
 
 
-def test_a_mesh_without_texture_coordinates_is_rendered_with_directions_by_a_rule(tmp_path, capsys):
-    mesh, output = tmp_path / "ball.ply", tmp_path / "ball.exr"
-    trimesh.creation.icosphere(subdivisions=2).export(mesh)
-    words = ["render", mesh, *["--heightfield", "blazed", "--width", "16", "--height", "9"], *SMALL, "-o", output]
-    assert run(*words) == 2
-    message = "has neither texture coordinates nor tangents; give --tangents smooth, another rule (x, y, "
-    assert message in capsys.readouterr().err
-    assert run(*words, "--tangents", "smooth") == 0
-    assert wd.Image.load(output).xyz.max() > 0.0
-
-
-@pytest.mark.parametrize(
-    ("words", "tangents"),
-    [("smooth", "smooth"), ("around-z", "around-z"), ("1 0 0", (1, 0, 0)), ("-1e-3 -0 -.5", (-1e-3, 0, -0.5))],
-)
-def test_a_mesh_after_the_words_of_tangents_is_the_mesh(words, tangents):
-    for line in (
-        "render --tangents {} ball.ply -o a.png --heightfield blazed",
-        "sequence -o a ball.ply --heightfield blazed --tangents {}", "export-html a.html --tangents {} ball.ply",
-    ):  # fmt: skip
-        arguments = with_joined_tangents(line.format(words).split())
-        options = cli._parser(arguments).parse_args(arguments)
-        assert options.mesh == "ball.ply"
-        assert given(options, describe(PictureSettings))["tangents"] == tangents
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("", "expected one argument"), ("1 0", "three numbers X Y Z, got '1 0'"),
-        ("1 0 0 0", "three numbers X Y Z, got '1 0 0 0'"), ("1,0,0", "got '1,0,0'"),
-        ("smoth", "got 'smoth'; did you mean 'smooth'?"), ("ball.ply", "must be one of x, y, z, around-x, "),
-    ],
-)  # fmt: skip
-def test_tangents_without_a_rule_or_three_numbers_are_refused_in_one_line(words, message, capsys):
-    with pytest.raises(SystemExit, match="2"):
-        run("render --heightfield blazed", "--tangents", *words.split(), "-o", "a.png")
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("warpdiff render: --tangents")
-    assert line.endswith(" See warpdiff render --help")
-    assert message in line
-
-
-def test_omitted_options_have_the_defaults_of_the_library():
-    for command in (["render", "tube"], ["brdf"]):
-        arguments = [*command, "--heightfield", "fingers", "-o", "a.png"]
-        options = cli._parser(arguments).parse_args(arguments)
-        assert given(options, describe(SinglePictureSettings)) == {}
-        assert given(options, describe(wd.Image.save)) == {}
-
-
-PITCHES = (["0.3", "0.15"], ["0.3x0.15"], ["0.3,0.15"], ["0.3×0.15"])
-READING = {
-    "render": ["tube", "-o", "a.png"], "sequence": ["tube", "-o", "a"], "brdf": ["-o", "a.png"], "info": [],
-    "export-html": ["a.html", "tube"], "view": [],
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("command", READING)
-@pytest.mark.parametrize("flag", ["--pitch-um", "--extent-um"])
-def test_pixels_need_not_be_square_on_any_command(command, flag):
-    name = flag.removeprefix("--").replace("-", "_")
-    for words, value in [*((pitch, (0.3, 0.15)) for pitch in PITCHES), (["0.3"], 0.3)]:
-        arguments = [command, *READING[command], "--heightfield", "a.npy", flag, *words]
-        options = cli._parser(arguments).parse_args(arguments)
-        assert given(options, describe(wd.HeightField.load)) == {name: value}
-    for words in (["0.3", "0.15", "1"], ["1x2x3"]):
-        arguments = [command, *READING[command], "--heightfield", "a.npy", flag, *words]
-        options = cli._parser(arguments).parse_args(arguments)
-        with pytest.raises(ValueError, match=f"{name} must be one number or two, got 3"):
-            given(options, describe(wd.HeightField.load))
-
-
-@pytest.mark.parametrize(("words", "size"), [
-    (["--pitch-um", "0.3", "0.15"], "4.5 × 6 µm"), (["--pitch-um", "0.3x0.15"], "4.5 × 6 µm"),
-    (["--extent-um", "6,4.5"], "4.5 × 6 µm"), (["--extent-um", "3", "4.5"], "4.5 × 3 µm"),
-])  # fmt: skip
-@pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
-def test_info_reports_pixels_that_are_not_square(tmp_path, capsys, words, size):
-    # A field with missing samples has no plan. It is used here because ``info`` would require a second to make a plan.
-    heights = 0.05 * np.sin(np.arange(600.0)).reshape(20, 30)
-    heights[3, 4] = np.nan
-    np.save(tmp_path / "a.npy", heights)
-    assert run("info", tmp_path / "a.npy", *words) == 0
-    out = capsys.readouterr().out
-    assert f"size              {size} (x × y)" in out
-    assert "orientation       row 0 of the picture in 'a.npy' at y = 0 (rows='down')" in out
-
-
-@pytest.mark.parametrize("words", [["0.3x"], ["axb"], ["0.3;0.15"]])
-def test_a_pitch_that_is_no_number_is_refused(words, capsys):
-    with pytest.raises(SystemExit):
-        cli.main(["info", "--heightfield", "a.npy", "--pitch-um", *words])
-    assert "--pitch-um must be a number, got" in capsys.readouterr().err
-
-
-@pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
-def test_info_reads_a_text_by_its_unit_and_channel(tmp_path, capsys):
-    rows = "\n".join(" ".join("NaN" if i == j else f"{20 * np.sin(i + j):.3f}" for i in range(8)) for j in range(5))
-    header = "# Channel: {}\n# Width: 2 µm\n# Height: 1 µm\n"
-    (tmp_path / "a.txt").write_text(f"{header.format('A')}{rows}\n{header.format('B')}{rows}\n", encoding="utf-8")
-    assert run("info", tmp_path / "a.txt", *["--unit", "nm", "--channel", "B", "--rows", "down"]) == 0
-    assert "size              2 × 1 µm (x × y), 8 × 5 samples" in capsys.readouterr().out
-    assert run("info", tmp_path / "a.txt") == 2
-    assert "--unit must be given" in capsys.readouterr().err
-    assert run("info --unit nm --channel C", tmp_path / "a.txt") == 2
-    assert "--channel must be one of 'A', 'B'" in capsys.readouterr().err
-
-
-def test_a_height_field_is_named_once(capsys):
-    for arguments in (["info"], ["info", "blazed", "--heightfield", "fingers"], ["brdf", "-o", "a.png"]):
-        with pytest.raises(SystemExit) as stopped:
-            cli.main(arguments)
-        assert stopped.value.code == 2
-        assert "HEIGHTFIELD" in capsys.readouterr().err
-
-
-def test_unknown_options_have_exit_code_2():
-    for arguments in ([], ["paint"], ["info"], ["info", "--heightfield", "blazed", "--colour", "red"]):
-        with pytest.raises(SystemExit) as stopped:
-            cli.main(arguments)
-        assert stopped.value.code == 2
-
-
-def test_a_message_about_a_misspelt_flag_proposes_the_correct_one(capsys):
-    with pytest.raises(SystemExit):
-        cli.main(["info", "--heightfield", "blazed", "--tolernce", "0.1"])
-    assert capsys.readouterr().err == (
-        "warpdiff info: there is no argument '--tolernce'; did you mean '--tolerance'? See warpdiff info --help\n"
-    )
-
-
 def test_failure_has_exit_code_1_and_interruption_130(monkeypatch, tmp_path, capsys):
     def fail(*_args, **_options):
         raise OSError("disk full")
@@ -471,14 +334,6 @@ def test_an_unwritable_kernel_cache_is_not_reported_as_a_device_error(tmp_path):
     assert "device must" not in done.stderr
 
 
-def test_help_texts_explain_commands_and_options(capsys):
-    for command in ("demo", "render", "brdf", "info", "cache"):
-        with pytest.raises(SystemExit) as stopped:
-            cli.main([command, "--help"])
-        assert stopped.value.code == 0
-        assert "example:\n  warpdiff " + command in capsys.readouterr().out
-
-
 def test_warnings_are_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(cli_progress, "_FIRST_S", 600.0)
     heights = tmp_path / "h.npy"
@@ -487,56 +342,6 @@ def test_warnings_are_one_line(tmp_path, monkeypatch, capsys):
     error = capsys.readouterr().err
     assert error.startswith("warpdiff: warning: a pitch of 0.5 µm")
     assert error.count("\n") == 1
-
-
-# Pictures that are only 18 pixels wide have larger errors than usual, so the warning about errors is ignored.
-TINY = pytest.mark.filterwarnings("ignore:.*expected to err by more")
-
-
-def small_gratings(monkeypatch):
-    """Make the gratings of the demonstration small: fingers with a sixth of the side, and a disc with few tracks."""
-    fingers = functools.partial(gratings.fingers, size_um=64.0 / 6.0, pitch_um=0.08)
-    monkeypatch.setattr(gratings, "fingers", lambda **_: fingers())
-    monkeypatch.setattr(gratings, "disc", rough(gratings.disc, tracks=6, length_um=12.5))
-
-
-def draw_roughly(monkeypatch, *names):
-    """Compute pictures and maps with a tolerance of 0.3 and a window of 2 µm, to make the demonstration fast."""
-    for name in names:
-        monkeypatch.setattr(demo, name, rough(getattr(demo, name), tolerance=0.3, coherence=wd.Coherence(sigma_um=2.0)))
-
-
-@TINY
-def test_without_the_data_the_demonstration_draws_synthetic_gratings(tmp_path, monkeypatch):
-    empty = tmp_path / "data"
-    empty.mkdir()
-    # A smaller grating, a shorter window and a larger tolerance make the demonstration several seconds faster.
-    small_gratings(monkeypatch)
-    draw_roughly(monkeypatch, "shade", "reflectance_map")
-    lines: list[str] = []
-    written = demo.run(tmp_path / "pictures", data=empty, scale=0.03, say=lines.append)
-    assert len(written) == 4
-    assert all(path.is_file() for path in written)
-    assert "synthetic gratings only" in lines[0]
-    monkeypatch.setenv("WARPDIFF_DATA", str(tmp_path / "nowhere"))
-    with pytest.raises(FileNotFoundError, match="WARPDIFF_DATA"):
-        demo.data_folder()
-
-
-@TINY
-@pytest.mark.parametrize(
-    ("name", "crop_um"),
-    [("fuze_elaphe", 10.0), *(slow(f"{each}_elaphe", 65.0) for each in ("snake", "map", "fuze")),
-     slow("snake_elaphe_across", 65.0)],
-)  # fmt: skip
-def test_with_the_data_the_demonstration_draws_the_scan(name, crop_um, fuze_path, scan_path, monkeypatch):
-    assert scan_path.is_file()
-    cleaned = demo.cleaned_scan
-    small_gratings(monkeypatch)
-    draw_roughly(monkeypatch, "shade")
-    monkeypatch.setattr(demo, "cleaned_scan", lambda path: cleaned(path).cropped(crop_um))
-    (made,) = (each for each in demo.pictures(fuze_path.parent, scale=0.03) if each.name == name)
-    assert made.make(None).mask.any()
 
 
 def test_python_m_warpdiff_runs_the_command_line(tmp_path):

@@ -9,7 +9,8 @@ import pytest
 
 from warpdiff.apps import cli, cli_progress
 
-# Time limit of a wait [s]. Limit: test machines may be busy; twice the value only delays a failure.
+# Longest time that a test waits for an event, in seconds. The value is a limit for busy test machines. If it were
+# doubled, failures would only be reported later.
 WAIT_S = 20.0
 
 

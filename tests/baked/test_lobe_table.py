@@ -1,4 +1,8 @@
-"""Baked lobes and spectra, compared with closed forms, the float64 reference and the original height fields."""
+"""Baked lobes and spectra, compared with closed forms, the float64 reference and the original height fields.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer. σ is the standard deviation of the coherence window.
+"""
 
 import dataclasses
 import math
@@ -34,9 +38,10 @@ def small_spectrum(fingers):
 
 
 def test_colours_are_within_the_requested_difference(fingers, lobes):
-    """Baked colours are compared with the float64 reference in 200 directions, none of which baking has used.
+    """The colours of baked lobes must differ from the float64 reference by at most the requested ΔE2000.
 
-    Half of these directions are drawn in proportion to their luminance.
+    They are compared in 200 directions that baking has not used. Half of these directions are drawn with probabilities
+    in proportion to their luminance, so that bright directions are included.
     """
     rng = np.random.default_rng(91)
     lights, views = hemisphere(rng, 20_000), hemisphere(rng, 20_000)
@@ -66,13 +71,16 @@ def test_an_illuminant_is_part_of_the_colours_and_of_the_file(fingers, tmp_path)
 
 
 def test_a_material_is_part_of_the_colours_and_of_the_file(tmp_path):
-    """Baked colours of gold equal the float64 reference, which computes reflectances from characteristic matrices."""
+    """Baked colours of gold must equal the float64 reference.
+
+    The reference computes reflectances from characteristic matrices, and shares no code with the library.
+    """
     gold = wd.Material.metal("Au")
     small = wd.gratings.fingers(size_um=6.4, seed=4)
     baked = wd.bake(small, coherence=WIDE, material=gold, delta_e=3.0)
     rng = np.random.default_rng(92)
     lights, views = hemisphere(rng, 90), hemisphere(rng, 90)
-    # Every tenth view is in the mirror direction, where the zeroth order dominates.
+    # In every tenth pair of directions, the view is in the mirror direction, where the zeroth order dominates.
     views[::10] = lights[::10] * [-1.0, -1.0, 1.0]
     exact = reference.reference_reflectance(small, lights, views, WIDE, tolerance=1e-3, material=gold)
     exposed = (0.2 / np.maximum(exact[:, 1], 1e-3 * np.percentile(exact[:, 1], 90.0)))[:, None]
@@ -241,10 +249,11 @@ def test_quantisation_errors_are_at_most_half_a_step():
 
 
 def test_a_polar_grid_interpolates_lobes_of_its_design_width():
-    """A polar grid interpolates lobes whose width across the radius is that for which the grid is made.
+    """Interpolation on a polar grid must reproduce lobes of the width for which the grid is made.
 
-    The radial width of the test lobes is a tenth of |(u, v)|. In tables of colours, the range of wavelengths widens
-    lobes to at least this radial width.
+    The error may be at most 0.02 of the peak of a lobe. Along the radius, the width of the test lobes is a tenth of
+    |(u, v)|. Lobes in colour tables are at least this wide along the radius, because they contain a range of
+    wavelengths.
     """
     width = 0.02
     grid = interpolation.grid_for(width, 16, 1.0)

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from conftest import coherence_of, hemisphere
 
-from bench.truth import reference
+from bench.truth import coherent_sums, reference
 from warpdiff import gratings
 from warpdiff.diffraction import direct_sum
 from warpdiff.heightfield.field import HeightField
 from warpdiff.optics.coherence import Coherence
 
 WAVELENGTHS_UM = np.array([0.381, 0.47, 0.56, 0.66, 0.779])
-DIRECTIONS = 48  # number of directions; five wavelengths of each give more than 200 values per regime
+# number of random directions per surface; with five wavelengths each, more than 200 values are compared
+DIRECTIONS = 48
 
 
 def rough():
@@ -24,8 +25,8 @@ def fingers():
     return gratings.fingers(size_um=3.6, pitch_um=0.09, seed=4)
 
 
-# Surfaces and limits of interference: height field, σ of the window [µm], diameter of the source [degrees], and numbers
-# of periods (y, x).
+# Tested surfaces. Each entry has a height field, the σ of its coherence window [µm], the diameter of its light source
+# [degrees], and its numbers of periods (y, x).
 REGIMES = {
     "sinusoidal": (lambda: gratings.sinusoidal(1.6, 0.4), 16.25, 0.53, (1, 12)),
     "blazed": (lambda: gratings.blazed(2.0, 0.3), 16.25, 0.53, (400, 3000)),
@@ -49,7 +50,7 @@ def direct_reflectance(heightfield, lights, views, wavelengths, coherence):
 def test_spectra_equal_the_direct_sum(name, kind, rng):
     make, *settings = REGIMES[name]
     heightfield, coherence = make(), coherence_of(kind, *settings)
-    # The least cosine of directions to the light is 0.087, that of 85°.
+    # The directions to the light are at most 85° from the normal: the cosine of this angle is 0.087.
     lights, views = hemisphere(rng, DIRECTIONS, lowest=0.087), hemisphere(rng, DIRECTIONS)
     # Random views would miss narrow orders. A third of the views is therefore near the mirror direction, and a third
     # near an order.
@@ -94,9 +95,10 @@ def test_colours_equal_the_direct_sum(kind, rng):
 
 
 def resonances(heightfield, lights, views, periods):
-    """Return XYZ of N replicated periods in the limit of large N.
+    """Return XYZ of a grating with N periods of length Lx along x, in the limit of large N.
 
-    For large N, the spectrum consists of one narrow line per order. The integral of a line over uLx/λ is 1/N.
+    In this limit, the spectrum consists of one narrow line per order. The integral of a line over the phase uLx/λ, in
+    turns, is 1/N.
     """
     result = np.zeros((len(lights), 3))
     table, length = reference.products("D65"), heightfield.size_um[1]
@@ -114,7 +116,9 @@ def resonances(heightfield, lights, views, periods):
 
 
 def test_the_reference_resolves_narrow_lines_of_many_periods(rng):
-    """The reference does not miss narrow lines: with thousands of periods, it approaches the limit of many periods."""
+    """The reference must not miss narrow lines. With 1000 and 4000 periods, its colours must approach the limit of
+    infinitely many periods.
+    """
     heightfield = gratings.sinusoidal(1.6, 0.4)
     lights, views = (hemisphere(rng, 6, lowest=0.3) for _ in range(2))
     errors = []
@@ -133,9 +137,10 @@ def test_the_reference_resolves_narrow_lines_of_many_periods(rng):
 
 @pytest.mark.parametrize("kind", ["source", "replicas"])
 def test_a_smaller_tolerance_changes_results_only_within_the_larger_one(kind, rng):
-    """Results at tolerances of 0.01 and 1e-8 differ by at most 0.01/20.
+    """Results at tolerances of 0.01 and 1e-8 must differ by at most 0.01/20.
 
-    No narrow order was therefore missed at the larger tolerance, even for light near the horizon.
+    A larger difference would mean that a narrow order was missed at the larger tolerance. Light near the horizon is
+    included.
     """
     heightfield = fingers()
     lights, views = hemisphere(rng, 12, lowest=0.05), hemisphere(rng, 12)
@@ -144,7 +149,7 @@ def test_a_smaller_tolerance_changes_results_only_within_the_larger_one(kind, rn
     rough_one = reference.reference_reflectance(heightfield, lights, views, coherence, tolerance=1e-2)
     fine = reference.reference_reflectance(heightfield, lights, views, coherence, tolerance=1e-8)
     moved = np.linalg.norm(rough_one - fine, axis=1)
-    assert np.all(moved <= 1e-2 / 20.0 * np.maximum(np.linalg.norm(fine, axis=1), reference.LEAST))
+    assert np.all(moved <= 1e-2 / 20.0 * np.maximum(np.linalg.norm(fine, axis=1), coherent_sums.LEAST))
 
 
 def test_a_coherence_by_name_equals_a_coherence_object(rng):

@@ -1,4 +1,7 @@
-"""Sums over directions (``bench.truth.sky_sums``), the reference for skies and disc lights, equal closed forms."""
+"""The reference for skies and disc lights, sums over directions (``bench.truth.sky_sums``), must equal closed forms.
+
+σ is the standard deviation of the coherence window.
+"""
 
 import math
 
@@ -61,9 +64,10 @@ def disc_on_sky():
 
 
 def test_a_mirror_shows_the_colours_of_the_sky():
-    """The sky is a linear function of its two angles.
+    """A mirror must show the colour that the sky has in the mirror direction.
 
-    Its mean over the mirror's lobe, 0.4° wide, is therefore its value in the mirror direction.
+    The radiance of the sky is a linear function of its polar angle and azimuth. Its mean over the mirror's lobe, which
+    is 0.4° wide, is therefore its value at the centre of the lobe.
     """
     polar, azimuth = polar_and_azimuth(32)
     sky = np.stack([1.0 + 0.3 * azimuth, 0.3 + 0.5 * polar, 0.8 + 0.2 * azimuth + 0.1 * polar], axis=-1)
@@ -98,8 +102,8 @@ def test_a_disc_on_a_sky_is_a_disc_light(fingers):
     spectrum = wd.Spectrum(nm, np.interp(nm, d65.wavelengths, d65.values) / nm**2)
     light = wd.DirectionalLight(tuple(AXIS), illuminant=spectrum, angular_diameter_deg=40.0)
     bright = colorimetry.colour_products("D65")[:, 1]
-    # Colours under a disc light are means over its solid angle; those under a sky are integrals. The scale converts
-    # them.
+    # A colour under a disc light is a mean over the solid angle of the disc. A colour under a sky is an integral over
+    # the same solid angle. The factor ``scale`` converts the mean to the integral.
     scale = 2.0 * math.pi * (1.0 - math.cos(math.radians(20.0))) * 4.0 * math.pi * WIDE.sigma_um**2
     scale *= (bright / (1e-3 * nm) ** 2).sum() / bright.sum()
     under_light = sums.under_disc(PIXELS, light, 96, 0).mean(axis=0)

@@ -101,7 +101,9 @@ def fingers(tmp_path_factory):
 
 
 def test_a_scene_is_charted_on_the_pixels_of_its_picture(fingers):
-    """The directions of a scene's chart are those of the illuminated pixels of its picture, with the same colours."""
+    """The benchmark's chart of a scene must use the directions of the illuminated pixels of its picture, and have their
+    colours.
+    """
     assert [coherence.kind for coherence in fingers.coherences] == ["averaged", "centred", "source"]
     window = fingers.coherences[0]
     directions, illuminated = fingers.directions(window, width=48)
@@ -119,7 +121,7 @@ def test_a_scene_is_charted_on_the_pixels_of_its_picture(fingers):
 
 
 def test_a_method_of_the_user_is_a_peer():
-    """Charts show a method that the user supplies under its own name, and call it without settings."""
+    """A method that the user supplies must appear in charts under its own name. It must be called without settings."""
     from bench.peers import numpy_peer
     from bench.suite import pareto
 

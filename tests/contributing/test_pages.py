@@ -59,13 +59,19 @@ def picture(light, fingers):
 
 
 def relative_errors(image, reference):
-    """Return the pixels' errors relative to a reference, or to 5 % of its largest luminance in dark pixels."""
+    """Return the errors of a picture's pixels relative to the luminance of a reference picture.
+
+    In dark pixels, errors are relative to 5 % of the largest luminance of the reference.
+    """
     luminance = np.maximum(reference.xyz[..., 1], 0.05 * reference.xyz[..., 1].max())
     return np.abs(image.xyz - reference.xyz).max(axis=2) / luminance
 
 
 def test_the_light_of_the_page_about_lights_equals_many_point_lights(module_of, fingers):
-    """Both pictures have a tolerance of 0.1, so that they may differ by the sum of both, 0.2."""
+    """A line light must give the same picture as 32 point lights along the line.
+
+    Both pictures have a tolerance of 0.1, so that they may differ by 0.2.
+    """
     start, end = np.array(LINE)
     points = [wd.PointLight(tuple(start + t * (end - start)), power=3.0 / 32) for t in (np.arange(32) + 0.5) / 32]
     page = module_of("add_a_light")
@@ -74,10 +80,10 @@ def test_the_light_of_the_page_about_lights_equals_many_point_lights(module_of, 
 
 
 def test_the_profile_of_the_page_about_lights_works_in_a_file_of_a_user(module_of, fingers):
-    """The profile of a tube along y reduces its light by the sine of the angle between a direction and y.
+    """A profile from the page must dim the light by the sine of the angle between a direction and the axis of a tube.
 
-    The tube is so short that without the profile its light would be that of a point light. The ratio to a point light
-    is therefore this sine, which is clearly below 1 in the picture.
+    The tube is so short that it would give the picture of a point light if it had no profile. The ratio of the two
+    pictures is therefore this sine, whose median must be clearly below 1.
     """
     light, kernel, profile = blocks("add_a_light")
     future = "from __future__ import annotations\n"
@@ -97,11 +103,11 @@ def changed(code, *replacements):
     return code
 
 
-# Import in the code of the page. The library needs it, because kernel and profile are two files there. The test removes
-# it, because here all code of the page is in one file.
+# Import statement in the code of the page. The library needs it, because kernel and profile are in two files of the
+# library. The test removes it, because it puts all code of the page into one file.
 IMPORT_OF_KERNEL = "        from warpdiff.kernels.tube_emission import emit_from_tube\n"
-# Changes of the code of the light on the page: pairs of a text and its replacement. With them, the lobes of the light
-# have the emission profile.
+# Pairs of a text in the page's code of the light, and its replacement. The replacements give the emission profile to
+# the lobes of the light.
 WITH_PROFILE = (
     ("deviations, tuple(position))", "deviations, tuple(position), TubeProfile(axis))"),
     ("        along = np", "        axis = tuple((spacing / np.linalg.norm(spacing)).tolist())\n        along = np"),
@@ -111,7 +117,9 @@ WITH_PROFILE = (
 # This test compiles kernels in a copy of the package, which takes 15 s.
 @pytest.mark.slow
 def test_the_light_of_the_page_about_lights_can_be_added_to_the_library(tmp_path):
-    """A copy of the package with the files of the page meets the rules for imports, and finds the light by its name."""
+    """In a copy of the package with the files of the page, imports must meet the rules, and the light must be found by
+    name.
+    """
     for folder in ("warpdiff", "kernels"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", tmp_path)

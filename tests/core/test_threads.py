@@ -102,7 +102,7 @@ def test_an_error_in_the_progress_function_ends_the_loop(threads):
 
 @pytest.mark.parametrize("threads", [2, 31])
 def test_loops_work_if_threads_cannot_be_started(threads, monkeypatch):
-    """Starting a thread can fail, for example if the address space has no room for another stack."""
+    """A parallel loop must process all items even if no thread can be started, for example for lack of memory."""
 
     def fail(_):
         raise RuntimeError("can't start new thread")
@@ -117,7 +117,7 @@ def test_loops_work_if_threads_cannot_be_started(threads, monkeypatch):
 
 @pytest.mark.permanent("varied calls and thread counts: memory and threads remain constant")
 def test_threads_do_not_accumulate(tries):
-    """The number of idle threads is limited, whatever numbers of threads were requested."""
+    """The number of idle threads must not exceed the number of cores, whatever numbers of threads were requested."""
     before = threading.active_count()
     tries.number = 39
     for threads in range(1, 40):
@@ -183,7 +183,7 @@ def test_plans_are_made_on_one_thread(monkeypatch):
 
 
 def taken_by_others(work):
-    """Return the CPU time of other threads during a call, relative to that of the calling thread."""
+    """Return the CPU time that all other threads use during a call, relative to that of the calling thread."""
     work()
 
     def of_others():
@@ -201,7 +201,7 @@ def taken_by_others(work):
 @pytest.mark.filterwarnings("ignore:orders up to")
 @pytest.mark.parametrize("what", [slow("direct sums"), slow("orders"), "colours", "meshes"])
 def test_large_matrices_are_processed_by_one_thread(what, rng):
-    """Work on large arrays uses only the calling thread, because linear algebra is limited to one thread.
+    """Work on large arrays must use only the calling thread, because linear algebra is limited to one thread.
 
     If threads of the linear-algebra library were active during a fork, parent or child could wait forever.
     """

@@ -1,4 +1,8 @@
-"""Bases of Fourier coefficients, compared with transforms of exp(2πiκh), and their truncation errors."""
+"""Bases of Fourier coefficients, compared with transforms of exp(2πiκh), and their truncation errors.
+
+κ is w/λ, the normal component w of the scattering vector divided by the wavelength. H are the Fourier coefficients of
+exp(2πiκh) over one period of the heights h.
+"""
 
 import dataclasses
 import math
@@ -68,9 +72,9 @@ def test_rows_times_basis_equal_the_coefficients(method, adds_powers, height_ran
         values, exact = values[..., 0], np.abs(exact) ** 2
     else:
         values = values[..., 0] + 1j * values[..., 1]
-    # A basis of powers is fitted to powers divided by about κ² (``_SMALL_KAPPA`` in coefficient_basis.py). The
-    # coefficient of the zeroth order is 1 at κ = 0, and this division reduces its accuracy by up to two digits. The
-    # limit of absolute errors is therefore larger for powers.
+    # The method "low-rank" fits a basis of powers |H|² to the powers divided by about κ² (``_SMALL_KAPPA`` in
+    # coefficient_basis.py). The power of the zeroth order is 1 at κ = 0, and the division makes it less accurate by up
+    # to two digits. Absolute errors of these powers are therefore allowed to be larger.
     largest = np.abs(exact).max(axis=0)
     assert np.abs(values - exact).max() < (4e-6 if method == "low-rank" and adds_powers else 1e-6)
     assert np.percentile(np.abs(values - exact).max(axis=0) / largest, 99.0) < 2e-5
@@ -96,7 +100,8 @@ def test_a_basis_with_the_reported_number_of_terms_meets_a_tolerance(method, add
             "yxpn,kn->kyxp", coefficients.rows[..., :terms].astype(float), basis_at(coefficients, at)[:, :terms]
         )
         error = np.abs((values - exact) * weights).max(axis=(0, 3)) / scales
-        # ``truncation_errors`` is a percentile over sampled κ. Errors between the samples are up to twice as large.
+        # ``truncation_errors`` are percentiles over samples of κ. Between these samples, errors are up to twice as
+        # large.
         assert np.percentile(error, 99.5) <= 2.0 * tolerance
         assert coefficients.truncation_errors[terms] <= tolerance < coefficients.truncation_errors[terms - 1]
 
@@ -133,7 +138,7 @@ def test_powers_of_flat_fields_and_of_fields_with_few_samples_are_accurate(shape
 
 
 def test_the_basis_does_not_depend_on_the_neighbourhood():
-    """Plans that differ only in the size of their neighbourhood share one fitted basis."""
+    """Plans that differ only in the size of their neighbourhood must share one fitted basis."""
     heightfield = surface(0.3)
     plan = wd.plan(heightfield, (0, 0, 1), (0.3, 0, 1))
     extents = [
@@ -152,7 +157,7 @@ def test_the_basis_does_not_depend_on_the_neighbourhood():
 @pytest.mark.parametrize("taps", [4, 6, 8])
 @pytest.mark.parametrize("samples", [2, 9, 64])
 def test_interpolation_between_orders_equals_the_explicit_sum(taps, samples, rng):
-    """Fourier coefficients at multiples of half an order, interpolated, equal the explicit sum at any frequency."""
+    """Fourier coefficients that are interpolated from multiples of half an order must equal the explicit sum."""
     values = np.exp(2j * np.pi * rng.uniform(size=samples))
     place = (np.arange(samples) - samples // 2) / (2 * samples)
     tapered = np.zeros(2 * samples, dtype=complex)

@@ -1,4 +1,7 @@
-"""The direct sum equals an explicit average over window positions, and kernels equal the direct sum."""
+"""The direct sum equals an explicit average over window positions, and kernels equal the direct sum.
+
+(u, v, w) is the scattering vector. Its component w is along the normal.
+"""
 
 import functools
 
@@ -83,7 +86,10 @@ PAIRS = [
 
 @functools.cache
 def exact_spectra(heightfield, coherence, count, *, in_plane=False):
-    """Return directions to light and viewer and their direct sums; cached, because tests of all methods use them."""
+    """Return random directions to light and viewer, and their spectra by the direct sum.
+
+    Results are cached, because the tests of all methods use them.
+    """
     rng = np.random.default_rng(20140)
     lights, views = hemisphere(rng, count), hemisphere(rng, count)
     # A quarter of the directions is near the mirror direction, where the reflectance is largest.
@@ -100,8 +106,8 @@ def exact_spectra(heightfield, coherence, count, *, in_plane=False):
 def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
     """Return the largest error of spectra by ``method`` for random directions, divided by the allowed error.
 
-    Errors are differences from the direct sum. The allowed error is 1e-4 of the largest value of the spectrum, which
-    counts as at least 1e-4 of the largest value of all spectra.
+    Errors are differences from the direct sum. The allowed error of a spectrum is 1e-4 of its largest value. For dark
+    spectra it is 1e-8 of the largest value of all spectra, if this is larger.
     """
     lights, views, exact = exact_spectra(heightfield, coherence, count, in_plane=in_plane)
     # The plan is made for the three directions with the largest |(u, v)|, the least |w| and the largest |w|. For so few
@@ -120,13 +126,16 @@ def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
 
 @pytest.fixture(scope="module")
 def scan_crops(scan):
-    """Return two crops of the scan: a large one for windows, a small one for sources and replicas, which are slow."""
+    """Return a large crop of the scan for coherence windows, and a small one for the kinds "source" and "replicas".
+
+    The small crop saves time, because direct sums for these two kinds are slow.
+    """
     return scan.cropped(9.0), scan.cropped(6.25)
 
 
 @pytest.fixture(scope="module")
 def fingers():
-    """Return two patches of fingers: a large one for windows, and a small one for sources and replicas."""
+    """Return a large patch of fingers for coherence windows, and a small one for the kinds "source" and "replicas"."""
     return tuple(wd.gratings.fingers(size_um=size, seed=1) for size in (8.0, 6.4))
 
 
@@ -157,7 +166,10 @@ def test_kernel_equals_direct_sum_on_one_row(row, coherence, method, device):
 @pytest.mark.parametrize("kind", ["averaged", "centred"])
 @pytest.mark.parametrize("sigma_um", [0.8, 3.0])
 def test_neighbourhoods_larger_than_the_spectrum_of_the_patch_are_accurate(kind, sigma_um, rng):
-    """A short window has more neighbours than the patch has coefficients, so look-ups must repeat the coefficients."""
+    """For a short window, a direction has more neighbours than the patch has coefficients.
+
+    Look-ups must then repeat the coefficients periodically.
+    """
     heightfield = wd.HeightField(rng.uniform(0.0, 0.1, (24, 40)), (0.09, 0.07))
     lights, views = hemisphere(rng, 16), hemisphere(rng, 16)
     options = {"coherence": wd.Coherence(kind, sigma_um), "tolerance": 1e-4}
@@ -177,8 +189,9 @@ def test_kernel_equals_direct_sum_for_moved_windows(rng):
         np.testing.assert_allclose(result, exact, rtol=2e-3, atol=1e-4 * exact.max())
 
 
-# Coherence model, patch size in µm and number of directions. Patches and numbers are small, because direct sums over
-# narrow orders require thousands of wavelengths. A source near the horizon requires most.
+# By kind of coherence: the coherence model, the patch size in µm and the number of directions. Patches and numbers are
+# small, because the direct sum requires thousands of wavelengths where orders are narrow. A source near the horizon
+# requires the largest number of wavelengths.
 COLOURED = {
     "averaged": (wd.Coherence("averaged", 5.0), 4.5, 10),
     "centred": (wd.Coherence("centred", 5.0), 6.4, 16),
@@ -189,7 +202,7 @@ COLOURED = {
 
 @pytest.mark.parametrize("kind", ["averaged", slow("centred"), "source", "replicas"])
 def test_colours_meet_the_tolerance(kind, rng):
-    """The 99th percentile of the errors over the directions of a call must be within the tolerance."""
+    """The 99th percentile of the errors in the tested directions must be within the tolerance of the call."""
     coherence, size_um, count = COLOURED[kind]
     heightfield = wd.gratings.fingers(size_um=size_um, pitch_um=0.09, seed=2)
     lowest = 0.2 if kind == "source" else 0.05

@@ -29,7 +29,9 @@ def seen_from(towards):
 
 @pytest.mark.parametrize("bin_um", [0.0, 1.5, 4.0])
 def test_powers_of_all_bins_add_up_to_one(bin_um):
-    """By Parseval's theorem the powers of all orders add up to 1, also if neighbouring orders are summed in bins."""
+    """By Parseval's theorem the powers of all orders add up to 1. This must also hold if neighbouring orders are summed
+    in bins.
+    """
     powers = energy_normalisation.Powers(noise((15, 13), (0.1, 0.1)), 8.0, bin_um)
     bins = np.arange(len(powers.frequencies))
     for kappa in (0.0, 1.7, 3.1, 7.9):
@@ -94,7 +96,9 @@ def test_the_brdf_at_a_wavelength_does_not_depend_on_other_wavelengths():
 
 
 def test_energy_normalisation_hardly_changes_gentle_surfaces():
-    """Nearly all power of a gentle surface is in one order, so energy is conserved if all factors are near 1."""
+    """A gentle surface has nearly all power in one order, so that its factors of the energy normalisation must be near
+    1.
+    """
     x = np.arange(64) / 64.0
     sine = wd.HeightField(0.005 * np.sin(2.0 * math.pi * x)[None], 2.0 / 64.0)
     factors = energy_normalisation.achromatic_factors(sine)
@@ -140,15 +144,19 @@ SHALLOW = {
 
 @pytest.mark.parametrize("name", SHALLOW)
 def test_orders_of_weak_gratings_sum_to_one_and_are_reciprocal(name):
-    """Sinkhorn's iteration alone converges slowly where single orders are weak: 200 sweeps leave an error of 1e-3."""
+    """The efficiencies of a weak grating must sum to 1, and each order must be as efficient as its reversed path.
+
+    Weak orders test the convergence of the normalisation. After 200 sweeps, Sinkhorn's iteration alone would still have
+    an error of 1e-3.
+    """
     heightfield, light = SHALLOW[name](), at(35.0, 20.0)
     orders = wd.order_efficiencies(heightfield, light, 500.0, ior=math.inf)
     np.testing.assert_allclose(orders.efficiencies.sum(), 1.0, rtol=1e-12)
     back = wd.order_efficiencies(heightfield, orders.to_view[0], 500.0, ior=math.inf)
     np.testing.assert_allclose(back.efficiencies.sum(axis=(1, 2)), 1.0, rtol=1e-12)
     for index, order in enumerate(orders.orders):
-        # Light from the direction of an order returns to the light as the same order. Coefficients of both calls have
-        # an absolute rounding error of 1e-15.
+        # Light that comes from the direction of an order is diffracted to the original light by the same order. Both
+        # calls compute Fourier coefficients with an absolute rounding error of 1e-15.
         returned = back[tuple(order)][index, 0]
         assert returned == pytest.approx(orders.efficiencies[0, index], rel=1e-12, abs=1e-15)
 

@@ -138,7 +138,7 @@ def test_the_number_of_terms_is_the_smallest_that_the_remainder_bound_allows(met
 
 
 def test_bessel_functions_equal_tabulated_values():
-    """The known values are from Abramowitz and Stegun, tables 9.1 and 9.4."""
+    """Computed Bessel functions must equal the tables 9.1 and 9.4 of Abramowitz and Stegun."""
     known = {
         (0, 1.0): 0.7651976865579666, (1, 1.0): 0.4400505857449335, (5, 10.0): -0.2340615281867936,
         (10, 20.0): 0.1864825580239450, (30, 5.0): 2.671177278e-21, (100, 100.0): 0.09636667329586,
@@ -149,10 +149,12 @@ def test_bessel_functions_equal_tabulated_values():
 
 
 def test_a_block_contains_all_orders_up_to_a_frequency_and_its_neighbours():
-    """Up to a frequency of 0.7/µm there are 7 orders of a period of 10 µm, and 14 orders of a period of 20 µm.
+    """A block must contain all orders up to a given frequency, and a number of neighbours beyond the last of these
+    orders.
 
-    The test requests 1 neighbour beyond the last order along the axis of 10 µm, and 3 along the other axis. The orders
-    of the block therefore end at ±8 and ±17.
+    Up to a frequency of 0.7/µm there are 7 orders of a period of 10 µm, and 14 orders of a period of 20 µm. The test
+    requests 1 neighbour along the axis of 10 µm and 3 along the other axis. The orders of the block must therefore end
+    at ±8 and ±17.
     """
     grid = fourier_coefficients.Grid((101, 203), (10.0, 20.0))
     block = fourier_coefficients.Block.covering(grid, 0.7 - 1e-9, (1, 3))

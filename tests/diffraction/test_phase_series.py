@@ -1,4 +1,7 @@
-"""Phase series in float32: height ranges at which each one fails, and the messages that report it."""
+"""Phase series in float32: height ranges at which each one fails, and the messages that report it.
+
+κ is w/λ, the normal component w of the scattering vector divided by the wavelength.
+"""
 
 import itertools
 
@@ -52,7 +55,10 @@ def surfaces():
 
 
 def in_float32(method, height_range_um, terms=None):
-    """Return the largest error of a series of exp(2πiκh) in float32, over κ and h, and its number of terms."""
+    """Return the largest error of a series of exp(2πiκh) that is evaluated in float32, and the number of its terms.
+
+    The error is the maximum over samples of κ and of heights h up to ``height_range_um``.
+    """
     series = EXPANSIONS[method]
     h = np.linspace(0.0, height_range_um, 2001)
     g = h / height_range_um
@@ -78,9 +84,10 @@ def test_jacobi_anger_is_stable_in_float32(height_range_um):
 
 
 def test_taylor_series_of_high_surfaces_fail_in_float32():
-    """At a height range of 1 µm, no number of terms makes Taylor series accurate in float32.
+    """At a height range of 1 µm, no number of terms may make Taylor series accurate in float32.
 
-    The least error of the uncentred series exceeds 1, and that of the centred series 0.01.
+    The least error over all tested numbers of terms must exceed 1 for the uncentred series, and 0.01 for the centred
+    series. These errors are the reason for the use of another series.
     """
     assert in_float32("taylor-uncentred", 0.15)[0] < 1e-5
     assert min(in_float32("taylor-uncentred", 1.0, terms)[0] for terms in (25, 37, 60, 90, 128)) > 1.0
@@ -109,9 +116,9 @@ def test_series_of_bounded_functions_are_accurate_at_all_heights(surfaces, metho
     [("taylor-uncentred", 0.3, 1.0, 2.5), ("taylor", 0.3, 1.6, 5.0)],
 )
 def test_taylor_series_fail_above_a_height_range(surfaces, method, fair, broken, double):
-    """At a height range where Taylor series fail in float32, they are accurate in float64.
+    """At a height range where a Taylor series fails in float32, it must still be accurate in float64.
 
-    In float64 they fail at height ranges that are 2.5 to 3 times larger.
+    In float64 it must fail at a height range that is 2.5 to 3 times larger.
     """
     assert surfaces[fair].library(method) <= 1e-4
     assert surfaces[broken].library(method) > 1.0

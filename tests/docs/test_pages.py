@@ -22,7 +22,7 @@ BUILT = [*(f"reference/{name}" for name in _GENERATED), "gallery/index"]
 @pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
 @pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.stem)
 def test_python_blocks_run_one_after_the_other(page, tmp_path, monkeypatch):
-    """Run all Python blocks of a page in order, except those marked as requiring an extra package or a GPU.
+    """All Python blocks of a page must run in order, except those marked as requiring an extra package or a GPU.
 
     The pictures are small and rough, to save time.
     """

@@ -19,7 +19,10 @@ def period(length_um=PERIOD, error_um=0.01, azimuth_deg=0.0):
 @pytest.mark.parametrize("incidence", [0.0, 25.0, -40.0])
 @pytest.mark.parametrize("azimuth", [0.0, 90.0, 30.0])
 def test_orders_in_the_plane_of_incidence_obey_the_grating_equation(incidence, azimuth):
-    """Light in the plane of the normal and the wave vector has orders with sin θr = mλ/d − sin θi; d is the period."""
+    """Light in the plane of incidence across the grooves must have orders at sin θr = mλ/d − sin θi.
+
+    The plane contains the normal and the wave vector of the grating, m is the number of the order, and d is the period.
+    """
     table = wd.order_angles(period(azimuth_deg=azimuth), wd.direction(incidence, azimuth), WAVELENGTHS, most_order=9)
     expected = []
     for wavelength in WAVELENGTHS:
@@ -52,9 +55,10 @@ def test_standard_errors_are_the_change_of_the_angle_with_the_period(light):
 
 
 def test_an_order_along_the_normal_has_the_error_of_its_direction():
-    """Light at sin θi = λ/d, where d is the period, sends order 1 along the normal: its polar angle is 0.
+    """An order along the normal must have the standard error of its direction.
 
-    The polar angle cannot be negative, so that any error of the period increases it.
+    Light at sin θi = λ/d, where d is the period, sends order 1 along the normal. Its polar angle is 0. Because this
+    angle cannot be negative, any error of the period increases it.
     """
     sine = 0.55 / PERIOD
     light = (sine, 0.0, math.sqrt(1.0 - sine**2))

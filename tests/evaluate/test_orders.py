@@ -1,4 +1,7 @@
-"""Order efficiencies: closed forms, an explicit sum, the absolute BRDF, energy, reciprocity and invalid arguments."""
+"""Order efficiencies: closed forms, an explicit sum, the absolute BRDF, energy, reciprocity and invalid arguments.
+
+κ is w/λ, the normal component w of the scattering vector divided by the wavelength.
+"""
 
 import math
 
@@ -28,8 +31,8 @@ def blazed(kappa, depth, order):
     return np.sinc(kappa * depth - order) ** 2
 
 
-# By profile: height field, closed form of the power of an order, and allowed error. The profiles with steps have a
-# larger error, because the position of a step is known only to one sample.
+# For each profile: a height field, the closed form of the power of an order, and the allowed error. This error is
+# larger for profiles with steps, because the position of a step is known only to one sample.
 PROFILES = {
     "sine": (wd.gratings.sinusoidal(PERIOD, 0.3), sine, 1e-12),
     "lamellar": (wd.gratings.lamellar(PERIOD, 0.3, duty=0.375, samples=4000), lamellar, 1e-4),
@@ -38,7 +41,10 @@ PROFILES = {
 
 
 def test_coefficients_of_a_tall_surface_equal_a_separate_transform_at_each_kappa(rng):
-    """Interpolation over κ with too few terms, or over half of its range, gives coefficients with errors of about 1."""
+    """Coefficients that are interpolated over κ must equal Fourier transforms at each κ.
+
+    If the interpolation had too few terms or covered only half of the range of κ, errors would be about 1.
+    """
     heightfield = wd.HeightField(rng.uniform(0.0, 6.0, (4, 8)), pitch_um=1.0)
     kappas = rng.uniform(-5.2, -1.0, 40)
     indices = rng.integers(-9, 9, (40, 2))
@@ -47,15 +53,15 @@ def test_coefficients_of_a_tall_surface_equal_a_separate_transform_at_each_kappa
     transforms = np.fft.ifft2(np.exp(2j * np.pi * kappas[:, None, None] * heights))
     expected = transforms[np.arange(40), indices[:, 0] % 4, indices[:, 1] % 8]
     np.testing.assert_allclose(values, expected, rtol=0.0, atol=1e-12)
-    # A series of exp(ixg) for |g| <= 1 requires at least about x terms. At x = 1000 the number of terms must be close
-    # to 1000, because computing time is proportional to it.
+    # A series of exp(ixg), where |g| <= 1, requires at least about x terms. At x = 1000 the number of terms must be
+    # close to 1000, because computing time is proportional to this number.
     assert order_module._term_count(1000.0) < 1150
 
 
 @pytest.mark.parametrize("name", PROFILES)
 @pytest.mark.parametrize("angle", [0.0, 30.0, -60.0])
 def test_order_efficiencies_equal_closed_forms(name, angle):
-    """The expected efficiency of an order is its geometry factor times its power.
+    """The efficiency of an order must equal its geometry factor times its power, both computed in closed form.
 
     The grating equation gives the direction of the order and κ, from which the geometry factor follows. The profile's
     Fourier transform at κ gives the power.
@@ -84,7 +90,10 @@ def test_order_efficiencies_equal_closed_forms(name, angle):
 
 
 def test_a_blazed_grating_reflects_into_the_mirror_direction_of_its_facets():
-    """Facets that rise with x are tilted towards −x by α, so they reflect normally incident light to the angle −2α."""
+    """The strongest order of a blazed grating must be in the mirror direction of its facets.
+
+    Facets that rise with x are tilted towards −x by α, so that they reflect normally incident light to the angle −2α.
+    """
     wavelength = 0.5
     heightfield = wd.gratings.blazed(4.0, 2.0 * wavelength / 2.0, samples=2000)
     result = wd.order_efficiencies(heightfield, (0, 0, 1), 1e3 * wavelength, ior=math.inf, energy="stam")
@@ -110,7 +119,10 @@ def test_orders_of_a_two_dimensional_patch_equal_explicit_sums(rng):
 
 
 def test_an_order_is_the_integral_of_the_brdf():
-    """A window spreads an order over the solid angle λ²/(4πσ²). The BRDF at its centre is efficiency / solid angle."""
+    """At the centre of an order, the BRDF must be the efficiency of the order divided by a solid angle.
+
+    The solid angle is λ²/(4πσ²), because a window with standard deviation σ spreads the order over it.
+    """
     heightfield, light, sigma = wd.gratings.bumps(), (0.2, -0.1, 1.0), 30.0
     result = wd.order_efficiencies(heightfield, light, 550.0)
     options = {"coherence": wd.Coherence(sigma_um=sigma), "tolerance": 1e-4}
@@ -131,11 +143,10 @@ def test_a_flat_surface_is_a_mirror(ior):
 
 
 def test_energy_is_nearly_conserved_where_periods_are_long():
-    """The efficiencies of a sine sum to about 1 for long periods.
+    """Without normalisation, the efficiencies of a sine grating must sum to about 1 if its period is long.
 
-    For a short period and grazing light, the sum exceeds 1.05.
-
-    This violation of energy conservation is an error of scalar theory itself.
+    For a period of 0.6 µm and grazing light, the sum must exceed 1.05. This violation of energy conservation is a known
+    error of scalar theory, not of the code.
     """
 
     def total(period, angle):
@@ -148,7 +159,7 @@ def test_energy_is_nearly_conserved_where_periods_are_long():
 
 
 def test_orders_are_reciprocal(rng):
-    """Light sent back along a diffraction order returns to its source with the same efficiency."""
+    """Light sent back along a diffraction order must return to its source with the same efficiency."""
     heightfield = wd.HeightField(rng.uniform(0.0, 0.3, (8, 20)), 0.1)
     light = hemisphere(rng, 1, 0.4)[0]
     there = wd.order_efficiencies(heightfield, light, 500.0)
@@ -205,7 +216,7 @@ def test_normalised_orders_of_a_mirror_reflect_all_light(angle, azimuth):
 
 
 def test_normalised_orders_are_reciprocal():
-    """Normalised efficiencies are reciprocal. Division by the sum of the orders would violate reciprocity."""
+    """Normalised efficiencies must be reciprocal. A division by the sum of the orders would violate reciprocity."""
     heightfield, light = wd.gratings.blazed(1.7, 0.2), at_angle(35.0)
     result = wd.order_efficiencies(heightfield, light, 600.0, ior=math.inf)
     over_sums = []
@@ -236,11 +247,11 @@ def test_orders_do_not_jump_where_another_one_passes_the_horizon(period):
 
 @pytest.mark.parametrize("angle", [85.0, 88.0, 89.9])
 def test_a_grazing_light_stays_in_its_mirror_order(angle):
-    """Normalisation moves a part of the power from the mirror order of a grazing light into other orders.
+    """Normalisation must leave most power of a grazing light in its mirror order, and move only a part to other orders.
 
     The normalisation gives each direction a weight, which falls from 1 at a cosine of 0.1 to 0 at the horizon. The
-    moved part is at most the weight of the light's direction. The sum of all efficiencies stays 1, and each order has
-    the same efficiency as its reversed path.
+    moved part of the power must be at most the weight of the light's direction. The sum of all efficiencies must stay
+    1, and each order must have the same efficiency as its reversed path.
     """
     grating, cosine = wd.gratings.blazed(1.7, 0.2), math.cos(math.radians(angle))
     orders = wd.order_efficiencies(grating, at_angle(angle), 600.0, ior=math.inf)
@@ -279,9 +290,9 @@ def test_metals_are_normalised_and_glass_is_not():
 
 
 def test_a_flat_metal_reflects_by_its_index_at_each_wavelength():
-    """At normal incidence a metal with index N reflects |(N − 1) / (N + 1)|².
+    """A flat surface of a metal with index N must reflect |(N − 1) / (N + 1)|² at normal incidence.
 
-    Wavelengths beyond the measured indices of the material are refused.
+    Wavelengths beyond the measured indices of the material must be refused.
     """
     wavelengths, index = np.array([400.0, 550.0, 700.0]), np.array([1.5 + 2.0j, 0.4 + 2.6j, 0.1 + 4.0j])
     metal = wd.Material.from_nk(wavelengths, index.real, index.imag)
@@ -294,7 +305,8 @@ def test_a_flat_metal_reflects_by_its_index_at_each_wavelength():
 
 
 def test_the_normalised_brdf_of_many_orders_conserves_energy():
-    """The normalised BRDF at an order is the BRDF without normalisation times the factor that normalises the order.
+    """The normalised BRDF at an order must be the BRDF without normalisation times the factor that normalises the
+    order.
 
     With more than 600 orders, these factors are interpolated from a grid of directions.
     """
@@ -329,7 +341,7 @@ def read_columns(path):
 
 
 def test_a_saved_table_of_several_lights_has_closed_forms(tmp_path):
-    """The saved angles follow from the grating equation, and the saved efficiencies from Fourier coefficients."""
+    """The saved angles must follow from the grating equation, and the saved efficiencies from Fourier coefficients."""
     heightfield, closed, error = PROFILES["lamellar"]
     result = wd.order_efficiencies(heightfield, LIGHTS, WAVELENGTHS, ior=math.inf, energy="stam")
     assert result.efficiencies.shape == (4, 3, len(result.orders))
@@ -349,8 +361,8 @@ def test_a_saved_table_of_several_lights_has_closed_forms(tmp_path):
 
 @pytest.mark.parametrize("energy", ["stam", "normalised"])
 def test_results_of_several_lights_are_those_of_single_lights(energy, monkeypatch):
-    # Several lights share Fourier transforms. With this limit, which is lower than the default, they are split into
-    # several groups of one or more lights.
+    # Lights are processed in groups, which share Fourier transforms. The limit of a group's size is made smaller than
+    # its default, so that the lights of this test form several groups.
     monkeypatch.setattr(order_module, "_MOST_TOGETHER", 60)
     heightfield, gold = wd.gratings.lamellar(PERIOD, 0.3, samples=400), wd.Material.metal("Au")
     together = wd.order_efficiencies(heightfield, LIGHTS, WAVELENGTHS, material=gold, energy=energy)
@@ -364,7 +376,10 @@ def test_results_of_several_lights_are_those_of_single_lights(energy, monkeypatc
 
 
 def test_interpolated_factors_serve_several_lights(monkeypatch):
-    """Above a number of orders, energy factors are interpolated instead of computed per light; here above 10 orders."""
+    """Interpolated energy factors must be the same for several lights together and for each light alone.
+
+    Factors are interpolated if a light has more orders than a limit. The test sets this limit to 10 orders.
+    """
     monkeypatch.setattr(energy_normalisation, "MOST_EXACT", 10)
     heightfield = wd.gratings.sinusoidal(PERIOD, 0.3)
     options = {"material": wd.Material.metal("Au"), "energy": "normalised"}

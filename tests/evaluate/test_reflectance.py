@@ -1,4 +1,8 @@
-"""Reflectance by the direct sum, maps and the absolute BRDF, compared with references and closed forms."""
+"""Reflectance by the direct sum, maps and the absolute BRDF, compared with references and closed forms.
+
+ωi and ωr are the unit vectors to the light and to the viewer, with the angles θi and θr from the normal. σ is the
+standard deviation of the coherence window.
+"""
 
 import itertools
 import math
@@ -13,7 +17,7 @@ from bench.truth import reference
 from warpdiff.evaluate import reflectance as module
 
 UP = (0.0, 0.0, 1.0)
-# Window so short that the orders of the test field, whose period is 1.44 µm, overlap.
+# This coherence window is so short that the orders of the test field, whose period is 1.44 µm, overlap.
 SHORT = wd.Coherence(sigma_um=0.3)
 
 
@@ -38,7 +42,10 @@ def test_direct_colours_equal_the_reference_and_report_their_progress(line, rng)
 
 
 def test_direct_colours_that_have_not_converged_cause_a_warning(line, monkeypatch):
-    """The wavelength step of a direct sum is halved until the colour converges or the limit is reached."""
+    """A direct sum that reaches its limit of wavelengths before the colour has converged must cause a warning.
+
+    Until then, the wavelength step of the sum is halved again and again.
+    """
     counts = []
     sums = module.direct_sum.window_power
 
@@ -68,9 +75,10 @@ def test_direct_colours_that_have_not_converged_cause_a_warning(line, monkeypatc
 
 
 def test_the_brdf_of_a_mirror_in_the_mirror_direction_is_4_pi_sigma_squared_over_lambda_squared():
-    """The BRDF has the factor R (1 + ωi·ωr)² / (cos θi cos θr w²).
+    """In the mirror direction, the BRDF of a mirror must be 4πσ²/λ². If a direction is below the horizon, it must be 0.
 
-    For R = 1 this factor is 1 in the mirror direction. If a direction is below the horizon, the BRDF is 0.
+    In all directions the BRDF has the factor R (1 + ωi·ωr)² / (cos θi cos θr w²). In the mirror direction of a perfect
+    mirror (R = 1) this factor is 1.
     """
     mirror, wavelengths = wd.HeightField(np.zeros((8, 8)), 0.1), np.array([450.0, 600.0])
     options = {"coherence": SHORT, "ior": math.inf, "energy": "stam"}
@@ -85,7 +93,7 @@ def test_the_brdf_of_a_mirror_in_the_mirror_direction_is_4_pi_sigma_squared_over
 
 
 def test_pixels_of_a_map_are_means_of_directions_within_the_unit_disc(line):
-    """Each pixel of a map is the mean of directions within the unit disc.
+    """Each pixel of a map must be the mean over directions within the unit disc.
 
     In a map, x increases from left to right, and y decreases from top to bottom.
     """
@@ -123,9 +131,9 @@ def test_a_normalised_brdf_does_not_depend_on_other_directions_of_the_call():
 
 @pytest.mark.parametrize("kind", ["averaged", "source"])
 def test_spectra_reach_from_the_ultraviolet_to_the_infrared(kind):
-    """At normal incidence and view, the zeroth order of a sine of depth d has the power J₀²(2πd/λ).
+    """At normal incidence and view, the zeroth order of a sine of depth d must have the power J₀²(2πd/λ).
 
-    A metal multiplies this power by its reflectance.
+    A metal multiplies this power by its reflectance. Wavelengths from 200 to 1700 nm are tested.
     """
     depth, wavelengths = 0.04, np.array([200.0, 254.0, 300.0, 365.0, 800.0, 1700.0])
     grating, aluminium = wd.gratings.sinusoidal(5.0, depth, samples=512), wd.Material.metal("Al")

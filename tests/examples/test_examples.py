@@ -1,4 +1,4 @@
-"""Examples: every script runs alone, at a small size, and writes a picture that is not empty."""
+"""Examples: every script must run alone at a small size, and write a picture that is not empty."""
 
 import runpy
 from pathlib import Path
@@ -13,7 +13,7 @@ import warpdiff as wd
 
 FOLDER = Path(__file__).parents[2] / "examples"
 SCRIPTS = sorted(FOLDER.glob("*/plot_*.py"))
-# Largest number of lines of a script.
+# Largest number of lines of an example's script.
 MOST_LINES = 40
 
 

@@ -110,7 +110,8 @@ def test_the_periodic_part_solves_moisans_equation() -> None:
     laplacian = sum(np.roll(smooth, s, a) for s in (1, -1) for a in (0, 1)) - 4.0 * smooth
     np.testing.assert_allclose(laplacian[1:-1, 1:-1], 0.0, atol=1e-15)
     assert abs(smooth.mean()) < 1e-16
-    # Fields with equal edges and single rows are already periodic and stay unchanged.
+    # Fields with equal opposite edges and fields of a single row are already periodic. ``periodic()`` must not change
+    # them.
     for same in (np.zeros((4, 5)), np.array([[1.0, 2.0, 1.0]])):
         np.testing.assert_allclose(HeightField(same, 1.0).periodic().heights_um, same, atol=1e-15)
 
@@ -164,8 +165,8 @@ def test_a_background_finer_than_the_pitch_is_refused(pitch, size) -> None:
     field = HeightField.of_known_scale(np.random.default_rng(1).normal(size=(30, 40)), pitch)
     with pytest.raises(ValueError, match=r"size_um must be at least the pitch of \S+ µm, got .*give size_um="):
         field.despiked(size_um=size)
-    # ``size_um`` must be at least the pitch only along axes with more than one sample. Along the other axis the pitch
-    # is 1000 µm here, which is more than the default of ``size_um``.
+    # Along an axis with a single sample, ``size_um`` may be less than the pitch. The pitch along this axis is 1000 µm
+    # here, which is more than the default of ``size_um``.
     HeightField.of_known_scale(field.heights_um[:1], (1e3, 0.1)).despiked()
 
 
@@ -180,7 +181,8 @@ def test_each_step_stands_in_the_history(tmp_path: Path) -> None:
     for step, word in zip(steps.history, words, strict=True):
         assert re.match(word, step)
         assert step.endswith(".")
-    # A further step enters the history of the new field, but not that of the field it was made from.
+    # A further cleaning step must be added to the history of the new field, but not to the history of the field from
+    # which the new field was made.
     assert len(steps.levelled().history) == len(words) + 1
     assert len(steps.history) == len(words)
     path = steps.save(tmp_path / "a.npz")

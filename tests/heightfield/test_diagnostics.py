@@ -32,7 +32,7 @@ def test_the_mean_slope_does_not_depend_on_the_samples():
 
 
 def test_a_summary_lists_a_wavering_period(rng):
-    """Real ridges waver, so that the standard error of their period is a few per cent."""
+    """The summary must list the period of ridges that waver, with a standard error of more than 1 % of the period."""
     drift = np.cumsum(rng.normal(0.0, 0.025, 800))
     ridges = 0.1 * np.cos(2.0 * np.pi * (np.arange(800) * 0.05 + drift - drift.mean())) + np.zeros((40, 1))
     field = wd.HeightField(ridges + rng.normal(0.0, 0.01, ridges.shape), 0.05)

@@ -30,8 +30,8 @@ def test_periods_between_fourier_coefficients_are_accurate_to_their_standard_err
     assert result.share > 0.98
     assert result.is_coherent
     assert result.period_um == pytest.approx(1.0 / math.hypot(*result.frequency))
-    # The profile of the grooves is between a sine and a square wave. So is the amplitude of its fundamental, and its
-    # second harmonic nearly vanishes.
+    # The profile of the grooves is between a sine and a square wave of equal height. The amplitude of its fundamental
+    # wave must therefore be between the amplitudes for these two profiles, and its second harmonic must nearly vanish.
     assert 0.5 * 0.572 < result.harmonics_um[0] < 4.0 / math.pi * 0.5 * 0.572
     assert result.harmonics_um[1] < 0.1 * result.harmonics_um[2]
     if period == 2.886 and degrees == 0.0:
@@ -64,8 +64,8 @@ def test_standard_errors_cover_the_true_ones_in_strong_noise_too(noise, least):
     scores = []
     for phase in rng.uniform(0.0, 2.0 * np.pi, 30):
         heights = 0.01 * (np.cos(2.0 * np.pi * x / 1.37 + phase) + noise * rng.normal(size=(1, 300)))
-        # No period is returned for a wave that may be noise. ``scores`` are the errors of the returned periods in units
-        # of their standard errors. A field without a returned period therefore adds no score.
+        # No period is returned for a wave that may be noise. The list ``scores`` contains the error of each returned
+        # period in units of its standard error, so that a field without a returned period adds no entry.
         scores += [
             abs(result.period_um - 1.37) / result.standard_error_um
             for result in wd.HeightField(heights, PITCH).periods(1)
@@ -124,7 +124,10 @@ def test_nothing_depends_on_the_unit():
 
 
 def test_standard_errors_include_the_variation_of_the_period():
-    """Fields like those of bench/reproduce/periods.py, on other seeds: few errors exceed two standard errors."""
+    """At least 85 % of the periods must have errors of at most two standard errors.
+
+    The fields are like those of bench/reproduce/periods.py, but have other random seeds.
+    """
     scores = [score(wavering(seed)) for seed in (*range(5003, 5063, 4), 5000, 5001, 5002, 5004)]
     found = np.array([value for value in scores if value is not None])
     assert len(found) >= len(scores) - 3
@@ -189,8 +192,9 @@ def test_making_few_periods_periodic_causes_a_warning():
 
 
 def test_a_broad_line_beside_that_of_a_short_period_does_not_move_it(rng):
-    # The wavering wave repeats 819 times. Noise around 1.18 times its frequency has a third of its power, in a broad
-    # line.
+    # The field has a wave with 819 periods whose phase varies, and noise. The noise has a third of the wave's power, in
+    # a broad line of the spectrum at 1.18 times the frequency of the wave. This line must not change the period that is
+    # found.
     count, length = 4096, 5.0
     smooth = np.fft.irfft(
         np.fft.rfft(rng.normal(size=count)) * np.exp(-0.5 * (250.0 * np.fft.rfftfreq(count)) ** 2), count

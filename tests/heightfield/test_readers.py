@@ -168,7 +168,10 @@ def test_bad_files_are_refused(
     ids=["cut off", "a shape beyond int64"],
 )
 def test_a_damaged_header_of_npy_is_refused_by_its_path(header, tmp_path):
-    """NumPy parses the header of a .npy file as Python source, and can raise any error of the parser."""
+    """A damaged header of a .npy file must be refused by an error that names the file.
+
+    NumPy parses this header as Python source, and can raise any error of the Python parser.
+    """
     path = tmp_path / "a.npy"
     path.write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
     with pytest.raises(ValueError, match=r"path: .*a\.npy' cannot be read as \.npy"):
@@ -176,7 +179,9 @@ def test_a_damaged_header_of_npy_is_refused_by_its_path(header, tmp_path):
 
 
 def test_messages_of_the_image_reader_may_be_invalid_text(tmp_path, monkeypatch):
-    """The error message of the image reader can quote invalid bytes of a damaged file."""
+    """A file must be refused by a clear error even if the image reader's error message quotes invalid bytes of the
+    file.
+    """
 
     def said():
         return b"\xff".decode()
@@ -185,7 +190,7 @@ def test_messages_of_the_image_reader_may_be_invalid_text(tmp_path, monkeypatch)
     (tmp_path / "a.png").write_text("no image")
     with pytest.raises(ValueError, match=r"path: .*a\.png' cannot be read as an image \(its header is damaged\)"):
         HeightField.load(tmp_path / "a.png", pitch_um=0.1)
-    # OpenImageIO prints errors that nobody has read at the end of the process, so read the error here.
+    # OpenImageIO prints errors that nobody has read when the process ends. The error is read here to prevent this.
     monkeypatch.undo()
     oiio.geterror()
 
@@ -290,7 +295,8 @@ def test_damaged_archives_are_refused_by_their_path(tmp_path: Path, rng: np.rand
         except ValueError as error:
             refused += str(error).startswith(f"path: '{damaged}'")
         else:
-            # The damage changed only metadata of the archive, such as a time. The heights are protected by a checksum.
+            # The damage changed only metadata of the archive, such as a time, because a checksum protects the heights.
+            # The heights must therefore be unchanged.
             np.testing.assert_array_equal(again.heights_um, field.heights_um)
             refused += 1
     assert refused == 300
@@ -298,7 +304,7 @@ def test_damaged_archives_are_refused_by_their_path(tmp_path: Path, rng: np.rand
 
 @pytest.mark.parametrize(
     ("name", "error", "message"),
-    [("a.npy", ValueError, r"path must end in \.npz, got '.*a\.npy'"),
+    [("a.npy", ValueError, r"path must end in \.npz or \.gds or \.png or \.stl, got '.*a\.npy'"),
      ("none/a.npz", FileNotFoundError, "path: the folder '.*none' does not exist"),
      (None, TypeError, "path must be a string or a path")],
 )  # fmt: skip

@@ -32,8 +32,8 @@ def length_of_sine(period_um=2.0, size_um=10.0):
 
 @pytest.mark.parametrize(("along", "shape", "lay"), [("x", (120, 1000), 90.0), ("y", (1000, 120), 0.0)])
 def test_a_sine_has_its_closed_forms(along, shape, lay):
-    # The field has 5 whole periods of a sine. A plane fitted to them would be tilted, so that only the mean is
-    # subtracted (order 0).
+    # The field has 5 whole periods of a sine. A plane fitted to them would be tilted. With order 0, only the mean
+    # height is subtracted.
     roughness = sine(shape, along=along).roughness(order=0)
     assert roughness["Sa"].value == pytest.approx(0.2 / math.pi, rel=1e-4)
     assert roughness["Sq"].value == pytest.approx(0.1 / math.sqrt(2.0), rel=1e-6)
@@ -60,7 +60,7 @@ def test_a_tilted_plane_has_the_area_of_its_slope_and_none_when_levelled():
 
 
 def test_isotropic_and_anisotropic_surfaces_have_their_lengths_and_aspect():
-    # The autocorrelation of both surfaces along an axis is exp(−r²/l²) with the correlation length l of the axis. It
+    # Both surfaces have the autocorrelation exp(−r²/l²) along an axis, with the correlation length l of this axis. It
     # falls to 0.2 at the distance l·√(ln 5).
     isotropic = random_field(1, (0.5, 0.5), (0.1, 0.1), (250, 250)).roughness()
     assert isotropic["Sal"].value == pytest.approx(0.5 * math.sqrt(LN5), rel=0.1)

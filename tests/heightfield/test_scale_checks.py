@@ -71,7 +71,8 @@ def test_codes_for_missing_data_are_named(code: float, pitch: float) -> None:
     words = f"heights_um has 40 sample(s) of exactly {code:.10g}, far from all others, probably a code for missing"
     with pytest.warns(wd.WarpdiffWarning, match=re.escape(words)) as caught:
         field = wd.HeightField(heights, pitch)
-    # Apart from the code for missing data, heights are in µm, so that there is no second warning about their unit.
+    # There must be only one warning. Apart from the code for missing data, heights are in µm, so that no warning about
+    # their unit follows.
     assert len(caught) == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -102,7 +103,8 @@ def test_surfaces_that_are_meant_are_not_warned_of() -> None:
         for flat in (0.0, 0.37, -1e-7):
             field = wd.HeightField(np.full((8, 8), flat), 0.05)
             wd.HeightField(field.levelled(2).heights_um, 0.05)
-        # After a tilt is subtracted from a flat field, rounding errors of about 1e-16 µm remain.
+        # Rounding errors of about 1e-16 µm remain after a tilt is subtracted from a flat field. They must cause no
+        # warning.
         wd.HeightField(0.37 + 1e-16 * np.random.default_rng(0).normal(size=(8, 8)), 0.05)
         wd.HeightField([[0.2]], 0.05)
         for function, arguments in GRATINGS.values():
@@ -110,12 +112,12 @@ def test_surfaces_that_are_meant_are_not_warned_of() -> None:
             wd.HeightField(made.heights_um, made.pitch_um)
         wd.gratings.sinusoidal(1.0, 0.0)
         wd.gratings.lamellar(0.5, 3.0)
-        # Neither the two heights of a binary grating nor the equal extreme heights of a clipped scan are codes for
-        # missing data.
+        # The two heights of a binary grating, and the equal extreme heights of a clipped scan, must not be mistaken for
+        # codes for missing data.
         wd.HeightField(np.where(np.arange(100) % 10 < 3, 1.0, 0.0)[None], 0.05)
         wd.HeightField(np.clip(SCAN.heights_um, -0.05, 0.05), 0.05)
-        # Echelles: six periods with facets of 63 degrees, six with facets of 76 degrees, and one with a facet of 63
-        # degrees.
+        # Echelle gratings must cause no warning although their facets are steep. The tested gratings have six periods
+        # with facets of 63 degrees, six with facets of 76 degrees, and one period with a facet of 63 degrees.
         for period, depth, count in ((31.6, 63.2, 6), (13.3, 53.2, 6), (31.6, 63.2, 1)):
             x = np.arange(round(count * period / 0.02)) * 0.02
             wd.HeightField((depth / period * (x % period))[None], 0.02)

@@ -278,9 +278,9 @@ def test_texts_of_the_validation_set_are_read(tmp_path: Path, name: str) -> None
     (tmp_path / "a.txt").write_text(header + "\n".join(lines), encoding="utf-8")
     scan = HeightField.load(tmp_path / "a.txt", **options)
     assert scan.source is not None
-    # Row 0 of the matrix in the file is at the top. A loaded field with rows "up" has its row 0 at the bottom, so that
-    # the order of its rows is reversed. There is one exception: if the first column states positions, row 0 of the file
-    # has the smallest one, and is also row 0 of the loaded field.
+    # Row 0 of the matrix in the file is at the top of the picture. In a loaded field with rows "up", row 0 is at the
+    # bottom, so that the order of the rows is reversed. There is one exception. If the first column states positions,
+    # row 0 of the file has the smallest position, and is also row 0 of the loaded field.
     is_upright = (scan.source.rows == "up") == name.startswith("positions w")
     np.testing.assert_allclose(scan.heights_um[:: 1 if is_upright or scan.source.rows == "down" else -1], 1e-3 * BIG)
     np.testing.assert_allclose(scan.pitch_um, pitch)
@@ -449,7 +449,8 @@ def test_compressed_texts_are_read_up_to_a_limit_of_their_size(tmp_path: Path, m
     path.write_bytes(path.read_bytes()[:-20])
     with pytest.raises(ValueError, match=r"^path: .*a\.txt\.gz' cannot be read: its compressed data are damaged"):
         HeightField.load(path)
-    # A compressed file can be a thousand times smaller than its text. The reader stops at a limit of the text.
+    # A compressed file can be a thousand times smaller than its text. The reader must stop when the text exceeds its
+    # size limit.
     path.write_bytes(gzip.compress(b"1 2 3\n" * 1_000_000))
     monkeypatch.setattr("warpdiff.heightfield.readers.text_table.MOST_BYTES", 100_000)
     with pytest.raises(ValueError, match=r"^path: .*a\.txt\.gz' has more than 100000 bytes of text; save it as \.npy"):

@@ -26,7 +26,10 @@ USUAL = {
 
 @pytest.mark.parametrize("energy", [None, "stam"])
 def test_verdicts_meet_their_targets_against_rigorous_solutions(energy):
-    """Every thirteenth of 748 gratings is tested here. ``bench/reproduce/theory_verdict.py`` tests all of them."""
+    """The shares of right and wrong verdicts must meet their targets for gratings with known rigorous solutions.
+
+    The test uses every thirteenth of 748 gratings. ``bench/reproduce/theory_verdict.py`` uses all of them.
+    """
     for name, shares in judged(energy, step=13).items():
         if name.endswith("all"):
             assert shares.wrong_of_reliable <= 0.025, name
@@ -41,9 +44,10 @@ def test_verdicts_meet_their_targets_against_rigorous_solutions(energy):
     ("Sawtooth, perfect mirror", lambda *size: wd.gratings.blazed(*size, samples=512)),
 ])  # fmt: skip
 def test_normalised_orders_of_mirrors_are_nearer_to_rigorous_solutions(case, make):
-    """Two kinds of efficiencies are compared for mirror gratings: ``energy="normalised"`` and ``energy="stam"``.
+    """For mirror gratings, ``energy="normalised"`` must have smaller errors than ``energy="stam"``.
 
-    The grooves are shallow: their depths are at most a quarter of the wavelength.
+    Errors are differences from the efficiencies of rigorous solutions. The grooves are at most a quarter of the
+    wavelength deep.
     """
     stored = json.loads(STORED.read_text())
     rows = iter(stored["cases"][case]["first_order_and_efficiencies"])
@@ -69,10 +73,11 @@ def test_normalised_orders_of_mirrors_are_nearer_to_rigorous_solutions(case, mak
 
 
 def test_estimates_of_a_sine_are_their_closed_forms():
-    """For a sine of period P and depth d, each reason of the verdict has an estimate in closed form.
+    """For a sine of period P and depth d, each reason of the verdict must have an estimate that equals a closed form.
 
-    "steep" is proportional to the root mean square slope πd/(√2 P). "narrow" is proportional to 1 − Σ J_m²(πd/λ) over
-    |m| < P/2λ. "deep" is proportional to (4πs/λ)² λ/P, with the mean square height s² = d²/8.
+    The estimate of "steep" is proportional to the root mean square slope πd/(√2 P). The estimate of "narrow" is
+    proportional to 1 − Σ J_m²(πd/λ) over |m| < P/2λ, where J_m are Bessel functions. The estimate of "deep" is
+    proportional to (4πs/λ)² λ/P, with the mean square height s² = d²/8.
     """
     period, depth, wavelength = 3.0, 0.3, 0.5
     errors = theory_verdict.errors_of(wd.gratings.sinusoidal(period, depth, samples=600), wavelength)
@@ -113,7 +118,10 @@ def test_a_flat_surface_has_an_estimated_error_of_0():
 
 
 def test_the_verdict_does_not_depend_on_pitch_size_position_or_gaps():
-    """A field of 20 periods, shifted and raised, with one missing sample, has about the same verdict as one period."""
+    """A field of 20 periods must have nearly the same verdict as one period.
+
+    The field of 20 periods is shifted and raised, and has one missing sample.
+    """
     single = verdict_on(wd.gratings.bumps(spacing_um=(2.0, 1.5), height_um=0.2)).error
     one = wd.gratings.bumps(spacing_um=(2.0, 1.5), height_um=0.2, pitch_um=0.025)
     many = wd.HeightField(np.roll(np.tile(one.heights_um, (4, 5)), (7, 11), (0, 1)) + 5.0, one.pitch_um)
@@ -140,9 +148,9 @@ def test_each_reason_is_named(reason):
 
 
 def test_a_wall_is_not_undersampled():
-    """A vertical wall lies between two samples, and does not count as undersampled, whatever its height.
+    """A vertical wall lies between two samples. It must not count as undersampled, whatever its height.
 
-    A slope with such steps between all samples does.
+    A slope with equally large steps between all samples must count as undersampled.
     """
     for depth in (0.3, 3.0):
         assert theory_verdict._undersampled_share(wd.gratings.lamellar(5.0, depth), 0.55) == 0.0
@@ -210,9 +218,10 @@ def test_a_plan_file_restores_the_verdict(tmp_path):
 
 
 def test_spectra_are_judged_at_their_own_wavelengths():
-    """Scalar diffraction on a relief has the grade invalid for visible light, and a better one at longer wavelengths.
+    """The verdict on a spectrum must be made at the wavelengths of the spectrum.
 
-    At a wavelength ten times as long, its grade is qualitative.
+    For the tested relief, scalar diffraction has the grade invalid for visible light. At wavelengths ten times as long,
+    its grade is qualitative.
     """
     grating = wd.gratings.sinusoidal(40.0, 6.0, samples=2000)
     assert theory_verdict.theory_wavelength_nm(300.0, 700.0) == 550.0

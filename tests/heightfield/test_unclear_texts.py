@@ -25,7 +25,7 @@ def table(values: np.ndarray = HEIGHTS, separator: str = "\t", form: str = "{:.3
 
 
 def with_code(code: str) -> str:
-    """Return the text of the matrix of heights with a code instead of one sample."""
+    """Return the text of the matrix of heights, in which a code for missing data replaces one sample."""
     return table(GAP, gap=code)
 
 
@@ -41,7 +41,7 @@ def points(form: str = "{x:.1f}\t{y:.1f}\t{z}", noise: float = 0.0) -> str:
 EMPTY_FIRST = np.hstack([np.full((9, 1), np.nan), HEIGHTS])
 # Texts that are read: the text, the expected heights in µm from the top of the picture, and the options of ``load``.
 READ: dict[str, tuple[str, np.ndarray, dict[str, Any]]] = {
-    # Signs in numbers.
+    # Texts with thousands separators and decimal signs in numbers.
     "thousands and decimals in a size": (f"X Size: 6,000.0 nm\nY Size: 3,600.0 nm\n{UNIT}{table()}", HEIGHTS, {}),
     "apostrophes in a size": (f"X Size: 6'000 nm\nY Size: 3’600 nm\n{UNIT}{table()}", HEIGHTS, {}),
     "a decimal comma that is no separator": (f"Pixel size: 0,5 x 0,4 µm\n{UNIT}{table()}", HEIGHTS, {}),
@@ -66,7 +66,7 @@ READ: dict[str, tuple[str, np.ndarray, dict[str, Any]]] = {
     "apostrophes between thousands": (
         table(LARGE, form="{:,.2f}").replace(",", "'"), LARGE, {"unit": "nm", "pitch_um": PITCH}
     ),
-    # Two lengths or axes in a line, and their order.
+    # Texts with two lengths or two axes in one line, in different orders.
     "axes in brackets before": (f"Pixel size (x): 0.5 µm, (y): 0.4 µm\n{UNIT}{table()}", HEIGHTS, {}),
     "axes in brackets behind": (f"Lateral sampling: 0.5 µm/px (x), 0.4 µm/px (y)\n{UNIT}{table()}", HEIGHTS, {}),
     "axes in words": (f"Sampling distance: 0.5 µm in x, 0.4 µm in y\n{UNIT}{table()}", HEIGHTS, {}),
@@ -82,7 +82,7 @@ READ: dict[str, tuple[str, np.ndarray, dict[str, Any]]] = {
     "numbers of samples in brackets": (
         f"Width: 6 µm (12 px)\nHeight: 0.0036 mm (3.6 µm) ± 0.1 µm\n{UNIT}{table()}", HEIGHTS, {}
     ),
-    # Units in keys, and other spellings.
+    # Texts whose keys contain units, in different spellings.
     "units in brackets": (f"Size X [um] = 6\nSize Y (um): 3.6\n{UNIT}{table()}", HEIGHTS, {}),
     "units in words": (f"Width in mm: 0.006\nSize Y/µm 3.6\n{UNIT}{table()}", HEIGHTS, {}),
     "ranges": (f"X-Range: 6 µm\nY_Range: 3.6 µm\n{UNIT}{table()}", HEIGHTS, {}),
@@ -92,7 +92,7 @@ READ: dict[str, tuple[str, np.ndarray, dict[str, Any]]] = {
         UNIT + "y / x [µm]\t" + "\t".join(f"{0.5 * i:.1f}" for i in range(12)) + "\n"
         + "".join(f"{0.4 * (8 - j):.1f}\t{line}\n" for j, line in enumerate(table().splitlines())), HEIGHTS, {},
     ),
-    # Codes of missing samples, and empty columns.
+    # Texts with codes for missing samples, or with empty columns.
     "a code that is called fill value": (f"{SIZE}{UNIT}_FillValue = -32768\n{with_code('-32768')}", GAP, {}),
     "a code of no data": (f"{SIZE}{UNIT}NODATA_value -9999\n{with_code('-9999')}", GAP, {}),
     "a code of zero": (f"{SIZE}{UNIT}No-data value: 0\n{with_code('0')}", GAP, {}),
@@ -111,14 +111,14 @@ READ: dict[str, tuple[str, np.ndarray, dict[str, Any]]] = {
         f"Columns: 12\n{SIZE}{UNIT}" + "".join(f";{line}\n" for line in table(separator=";").splitlines()), HEIGHTS, {}
     ),
     "infinity": (f"{SIZE}{UNIT}{with_code('Inf')}", GAP, {}),
-    # Units of heights with a number.
+    # Texts whose unit of heights includes a number, such as 0.1 nm.
     "a number of units": (f"Height unit: 0.1 nm\n{SIZE}{table(10.0 * HEIGHTS)}", HEIGHTS, {}),
     "units of": (f"Heights in units of 10 nm\n{SIZE}{table(0.1 * HEIGHTS, form='{:.4f}')}", HEIGHTS, {}),
     "a length per count": (f"Z scale: 0.5 nm/LSB\n{SIZE}{table(2.0 * HEIGHTS)}", HEIGHTS, {}),
     "a length per count in the key": (f"Height scale [nm/digit] = 0.25\n{SIZE}{table(4.0 * HEIGHTS)}", HEIGHTS, {}),
     "a length of a count": (f"1 LSB = 0.5 nm\n{SIZE}{table(2.0 * HEIGHTS)}", HEIGHTS, {}),
     "a factor of one": (f"{SIZE}{UNIT}Z scale: 1.000\n{table()}", HEIGHTS, {}),
-    # Headings of points.
+    # Lists of points with different names of columns.
     "rows and columns of points": ("row,col,z [nm]\n" + points("{j},{i},{z}"), HEIGHTS, {"pitch_um": PITCH}),
     "lines and pixels of points": ("line;pixel;z [nm]\n" + points("{j};{i};{z}"), HEIGHTS, {"pitch_um": PITCH}),
     "Zeile and Spalte": ("Zeile;Spalte;Höhe [nm]\n" + points("{j};{i};{z}"), HEIGHTS, {"pitch_um": PITCH}),
@@ -126,7 +126,7 @@ READ: dict[str, tuple[str, np.ndarray, dict[str, Any]]] = {
     "a value in the first column": (
         "Value,X,Y\n" + points("{z},{i},{j}"), HEIGHTS[::-1], {"unit": "nm", "pitch_um": PITCH}
     ),
-    # Positions with noise, or in single precision.
+    # Lists of points whose positions have noise, or are rounded to single precision.
     "noise of positions": ("x[um]\ty[um]\tz[nm]\n" + points("{x:.9f}\t{y:.9f}\t{z}", 1e-3), HEIGHTS[::-1], {}),
     "little noise of positions": ("x[um]\ty[um]\tz[nm]\n" + points("{x:.12f}\t{y:.12f}\t{z}", 1e-7), HEIGHTS[::-1], {}),
 }  # fmt: skip

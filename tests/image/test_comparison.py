@@ -25,8 +25,8 @@ def test_errors_are_relative_to_the_reference_or_to_a_thousandth_of_its_white(rn
     exact[:2] = 1e-6
     differences = rng.normal(0.0, 0.01, exact.shape)
     result = wd.compare(exact + differences, exact, tolerance=0.02)
-    # The reference luminance Y* is the larger of the 99th percentile of Y and the luminance-weighted median. Here it is
-    # the percentile over 600 pixels.
+    # The reference luminance Y* is the larger of two values: the 99th percentile of Y and the luminance-weighted median
+    # of Y. In this picture of 600 pixels it is the percentile.
     white = np.sort(exact[..., 1].ravel())[593]
     size = np.maximum(np.linalg.norm(exact, axis=2), 1e-3 * white)
     expected = np.linalg.norm(differences, axis=2) / size

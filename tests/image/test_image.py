@@ -72,7 +72,7 @@ def test_exr_is_exact(image, tmp_path):
     np.testing.assert_array_equal(pixels[..., 3], image.coverage)
     np.testing.assert_array_equal(pixels[..., 4:7], image.xyz)
     np.testing.assert_array_equal(pixels[..., 7], image.error)
-    # A colour outside of the gamut keeps its negative component.
+    # Saving must preserve the negative component of a colour outside of the gamut.
     np.testing.assert_allclose(pixels[3, 3, :3], (-0.25, 0.5, 0.125), atol=1e-6)
 
 
@@ -103,7 +103,8 @@ def test_metadata_of_an_exr_file_state_how_the_picture_is_displayed(image, savin
     facts = {name: spec.getattribute(f"warpdiff:preview_{name}") for name in ("display", "gamut", "exposure")}
     shown = image.display(display, **saving)
     np.testing.assert_allclose(wd.Image.load(path).display(**facts), shown, atol=1e-5)
-    # The description is that of the PNG file. White is the white point of the primaries, at which R = G = B.
+    # The EXR file must describe the display as the PNG file does. Its white point must be that of its primaries, at
+    # which R = G = B.
     png = read(image.save(tmp_path / "a.png", display=display, **saving))[0].getattribute("warpdiff:display")
     text, _, exposure = spec.getattribute("warpdiff:preview").rpartition("; exposure ")
     assert text == png.rpartition("; exposure ")[0] + "; white point D65"
@@ -122,8 +123,9 @@ def test_clipped_png_is_srgb(image, bits, dtype, exposure, tmp_path):
     levels = 2**bits - 1
     np.testing.assert_array_equal(pixels[..., 3], np.round(image.coverage * levels).astype(dtype))
     assert not pixels[0].any(), "the background must be transparent"
-    # The expected sRGB values follow IEC 61966-2-1. PNG colours are not multiplied by alpha. ``auto_exposure`` maps the
-    # mean luminance to 0.7, which is right for ACES; for other displays it is 0.5.
+    # The expected sRGB values follow IEC 61966-2-1. Colours of PNG files are not multiplied by alpha. The exposure
+    # ``auto_exposure`` maps the mean luminance to 0.7, which the display "aces" requires. Other displays require 0.5,
+    # so the exposure is multiplied by 0.5/0.7.
     exposure = exposure or image.auto_exposure * 0.5 / 0.7
     linear = exposure * colorimetry.xyz_to_rgb(image.xyz[1:]) / image.coverage[1:, :, None]
     linear = np.clip(linear, 0.0, 1.0)

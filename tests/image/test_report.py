@@ -24,7 +24,10 @@ def test_edges_may_have_three_times_the_error():
 
 
 def test_the_verdict_names_the_shares_of_unconverged_pixels():
-    """Errors at edges may be three times the tolerance, so the sentence states shares of pixels at edges and inside."""
+    """The sentence must state the shares of unconverged pixels at edges and in the interior separately.
+
+    Errors at edges may be three times the tolerance.
+    """
     met = report(0.05, 0.3)
     assert met.errors[1] > met.tolerance
     assert met.verdict == (

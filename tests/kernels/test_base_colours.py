@@ -7,6 +7,7 @@ import pytest
 import trimesh
 import warp as wp
 from PIL import Image
+from texture_specification import bilinear
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
 
@@ -17,36 +18,8 @@ from warpdiff.scene.scene_parts import Appearance, TextureMap
 from warpdiff.scene.trimesh_parts import parts_of
 
 
-def continued(index, size, wrap):
-    """Return the index of a texel inside of the image."""
-    if wrap == "repeat":
-        return index % size
-    if wrap == "clamp":
-        return np.clip(index, 0, size - 1)
-    return np.where(index // size % 2 == 0, index % size, size - 1 - index % size)
-
-
-def bilinear(texels, wrap, u, v):
-    """Return colours of a texture by bilinear interpolation; row 0 is at v = 1."""
-    height, width = texels.shape[:2]
-    if wrap[0] == "clamp":
-        u = np.clip(u, 0.0, 1.0)
-    if wrap[1] == "clamp":
-        v = np.clip(v, 0.0, 1.0)
-    x, y = u * width - 0.5, (1.0 - v) * height - 0.5
-    column, row = np.floor(x).astype(int), np.floor(y).astype(int)
-    right, down = (x - column)[..., None], (y - row)[..., None]
-
-    def at(rows, columns):
-        return texels[continued(rows, height, wrap[1]), continued(columns, width, wrap[0])]
-
-    upper = (1.0 - right) * at(row, column) + right * at(row, column + 1)
-    lower = (1.0 - right) * at(row + 1, column) + right * at(row + 1, column + 1)
-    return (1.0 - down) * upper + down * lower
-
-
 def textured(texels, scale, wrap, monkeypatch):
-    """Return a square whose texture coordinates range over ``scale`` images, as a surface."""
+    """Return a square as a prepared surface, whose texture coordinates range over ``scale`` copies of the image."""
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]])
     visual = TextureVisuals(uv=corners[:, :2] * scale, material=SimpleMaterial(image=Image.fromarray(texels)))
     (part,) = parts_of(trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False))
@@ -80,12 +53,37 @@ def test_points_are_interpolated_between_texels(wrap, rng, monkeypatch):
     np.testing.assert_allclose(colours, bilinear(texels, wrap, uv[:, 0], uv[:, 1]), atol=2e-5)
 
 
+@pytest.mark.parametrize("size", [(1, 1), (1, 6), (3, 1), (5, 7)], ids=str)
+@pytest.mark.parametrize("shift", [-1.0, -1000.25, 4096.5])
+def test_odd_images_are_continued_at_negative_and_large_coordinates(size, shift, rng, monkeypatch):
+    view = wd.View.orthographic((0.0, 0.0, 3.0), (0, 0, 0), extent_y=1.9, width=20, height=20)
+    for wrap in WRAPS:
+        surface = textured(rng.integers(0, 256, (*size, 3), dtype=np.uint8), 1.3, wrap, monkeypatch)
+        surface = dataclasses.replace(surface, uvs=surface.uvs + np.float32(shift))
+        texels = surface.textures[0].texels[..., :3].astype(np.float64)
+        for deviation in (0.0, 1e-3):
+            colours, uv = colours_of(surface, view, deviation)
+            exact = bilinear(texels, wrap, uv[:, 0], uv[:, 1])
+            # Coordinates of about 4096 are rounded to 2⁻¹² in float32.
+            np.testing.assert_allclose(colours, exact, atol=2e-5 + 4e-6 * abs(shift))
+
+
+@pytest.mark.parametrize("scale", [1e12, 3e14])
+def test_huge_footprints_have_the_mean_of_the_image(scale, rng, monkeypatch):
+    surface = textured(rng.integers(0, 256, (64, 4096, 3), dtype=np.uint8), scale, ("repeat", "repeat"), monkeypatch)
+    view = wd.View.orthographic((0.0, 0.0, 3.0), (0, 0, 0), extent_y=1.9, width=20, height=20)
+    colours, _ = colours_of(surface, view, 0.5)
+    mean = surface.textures[0].texels[..., :3].mean(axis=(0, 1), dtype=np.float64)
+    np.testing.assert_allclose(colours, np.tile(mean, (400, 1)), rtol=1e-4)
+
+
 @pytest.mark.parametrize("wrap", [("repeat", "repeat"), ("mirror", "repeat")], ids=str)
 @pytest.mark.parametrize(("scale", "eye"), [(0.4, (0, 0, 3.0)), (2.0, (0, 0, 3.0)), (3.0, (0.5, -2.0, 1.2))], ids=str)
 def test_filtered_colours_are_means_over_the_pixel_filter(wrap, scale, eye, rng, monkeypatch):
-    """The reference are sums over 81 × 81 points of the pixel filter, on the same plane.
+    """Filtered base colours must equal means of the texture over the pixel filter.
 
-    Clamped textures are not compared: outside of the image, a level has the colour of its wider texels.
+    The means are computed from 81 × 81 points of the filter. Clamped textures are not tested: outside of the image, a
+    coarse mip level has the colours of its texels, which are wider than those of the image.
     """
     surface = textured(rng.integers(0, 256, (64, 48, 3), dtype=np.uint8), scale, wrap, monkeypatch)
     view = wd.View.orthographic(eye, (0, 0, 0), extent_y=0.3, width=16, height=16)
@@ -106,6 +104,7 @@ def test_filtered_colours_are_means_over_the_pixel_filter(wrap, scale, eye, rng,
     size = np.linalg.norm(exact, axis=1)
     error = np.linalg.norm(colours - exact, axis=1) / size
     points = np.linalg.norm(colours_of(surface, view, 0.0)[0] - exact, axis=1) / size
-    # The texture is white noise, whose texels differ by their whole range.
+    # The allowed error is large because the texture is white noise: the values of neighbouring texels differ by up to
+    # their whole range.
     assert np.sqrt(np.mean(error**2)) < 0.15
     assert np.sqrt(np.mean(error**2)) < 0.5 * np.sqrt(np.mean(points**2))

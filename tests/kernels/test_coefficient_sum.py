@@ -1,11 +1,15 @@
 """Kernels that sum over wavelengths and Fourier coefficients: reflectances of materials, and replicated periods."""
 
 import numpy as np
+import pytest
 import warp as wp
-from conftest import hemisphere, launch, noise
+from conftest import coherence_of, hemisphere, launch, noise
 
 import warpdiff as wd
+from warpdiff.device.kernel_calls import launch_pipeline
 from warpdiff.kernels import coefficient_sum, compile_options
+from warpdiff.optics.materials import IlluminatedMaterial
+from warpdiff.tables.lookup import ColourLookup
 
 
 @wp.kernel(module="unique", module_options=compile_options.options())
@@ -61,9 +65,60 @@ def test_reflectances_of_a_material_are_bilinear(rng):
     np.testing.assert_allclose(result.numpy(), reflectance(4.0 * cosines, nanometres - 380.0), rtol=1e-5)
 
 
-def test_colours_of_replicated_periods_meet_a_tight_tolerance(rng):
-    heightfield, lights, views = noise((4, 8)), hemisphere(rng, 20, 0.3), hemisphere(rng, 20, 0.3)
-    options = {"coherence": wd.Coherence("replicas", periods=(2, 3)), "tolerance": 1e-5}
+@pytest.mark.parametrize(("periods", "tolerance", "divisions"), [((2, 3), 1e-5, 1), ((1, 40), 1e-3, 3)])
+def test_colours_of_replicated_periods_equal_a_direct_sum_over_many_wavelengths(periods, tolerance, divisions, rng):
+    """Colours of replicated periods must equal the direct sum.
+
+    With many periods, the power of one patch is computed at few wavelengths and interpolated to ``divisions`` times as
+    many. The interference factor of the periods is computed at all of them.
+    """
+    heightfield, lights, views = noise((4, 8)), hemisphere(rng, 10, 0.3), hemisphere(rng, 10, 0.3)
+    options = {"coherence": wd.Coherence("replicas", periods=periods), "tolerance": tolerance}
+    assert wd.plan(heightfield, lights, views, **options).subdivisions == divisions
     exact = wd.reflectance(heightfield, lights, views, method="direct", **options)
     result = wd.reflectance(heightfield, lights, views, **options)
     np.testing.assert_allclose(result, exact, rtol=1e-4, atol=1e-5 * exact.max())
+
+
+@pytest.mark.parametrize("kind", ["averaged", "source", "replicas"])
+def test_each_direction_uses_the_smallest_sufficient_set_of_wavelengths(kind, rng):
+    """A direction must use the smallest set of wavelengths whose number is sufficient for its bandwidth.
+
+    The weights of the wavelengths are replaced: X is the index of the set, and Y is 1. The ratio X/Y of a result is
+    then the index of the set that the kernel used. Under a source of light, orders pass a direction at the rate
+    √(d Σ⁻¹ d), where d is (u, v) and Σ is the covariance of (u, v) for the unit spread of the source.
+    """
+    device, count = wp.get_device("cpu"), 60
+    heightfield = noise((8, 128), (0.06, 0.05))
+    lights, views = hemisphere(rng, count, 0.1), hemisphere(rng, count, 0.1)
+    plan = wd.plan(heightfield, coherence=coherence_of(kind, 6.0), tolerance=1e-2, integration="sampled")
+    lookup = ColourLookup(heightfield, plan, plan.direction_range, device=device, threads=1)
+    vectors = -lights - views
+    inputs = [
+        wp.array(vectors, dtype=wp.vec3d, device=device), wp.array(lights, dtype=wp.vec3f, device=device),
+        wp.array(np.ones(count), dtype=wp.float32, device=device),
+    ]  # fmt: skip
+    result = wp.zeros(count, dtype=wp.vec3f, device=device)
+    call = lookup.kernel_calls(*inputs, IlluminatedMaterial("D65", None), result)[0]
+    quadrature = call.inputs[-1]
+    sizes = np.diff(quadrature.firsts.numpy())
+    weights = np.repeat(
+        np.stack([np.arange(len(sizes)), np.ones(len(sizes)), np.ones(len(sizes))], axis=1), sizes, axis=0
+    )
+    quadrature.weights = wp.array(weights, dtype=wp.vec3f, device=device)
+    launch_pipeline([call], count, device=device, threads=1)
+    u, v, w = vectors.T
+    rate = np.hypot(u, v)
+    if kind == "source":
+        covariance = np.eye(2) - lights[:, :2, None] * lights[:, None, :2]
+        rate = np.sqrt(np.einsum("ni,nij,nj->n", vectors[:, :2], np.linalg.inv(covariance), vectors[:, :2]))
+    elif kind == "replicas":
+        rate = np.hypot(u * heightfield.size_um[1], v * heightfield.size_um[0])
+    per_rate, per_w, constant = plan.bandwidth_um
+    needed = per_rate * rate + per_w * -w + constant
+    largest = per_rate * plan.max_order_rate + per_w * plan.max_w + constant
+    sufficient = needed[:, None] <= largest * 2.0 ** (-0.25 * np.arange(len(sizes)))
+    expected = np.where(sufficient[:, 0], sufficient.sum(axis=1) - 1, 0)
+    assert len(set(expected)) >= 4
+    x, y, _ = result.numpy().T
+    np.testing.assert_allclose(x, y * expected, rtol=1e-4)

@@ -1,4 +1,8 @@
-"""The native table look-ups give the same colours as their reference implementation in plain Warp."""
+"""The native table look-ups give the same colours as their reference implementation in plain Warp.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
+"""
 
 import dataclasses
 

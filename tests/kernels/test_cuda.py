@@ -16,7 +16,10 @@ from warpdiff.kernels import (
     bvh,
     coefficient_sum,
     colour_lookup,
+    dot_transforms,
     light_samples,
+    pixel_contrast,
+    plain_textures,
     primary_hits,
     shadow_rays,
     spectrum_sampling,
@@ -43,17 +46,20 @@ KERNELS = {
     "light_samples": {"balance_energy", "pixel_footprints", "scattering_vectors", "select_finish",
                       "add_light_rotation", "add_light_extent", "add_source_extent"},
     "plain_reflection": {"add_plain_reflection", "add_emission"},
+    "plain_textures": {"sample_plain_textures"},
     "plain_samples": {"sample_plain_sky", "draw_plain_disc", "choose_plain_lights"},
     "disc_samples": {"draw_disc"},
+    "dot_transforms": {"find_dots", "mark_edges_of_dots", "scale_gains", "signals_of_dots", "transform_samples"},
     "light_choice": {"choose_lights"},
     "sky_samples": {"mirror_deflections", "sample_sky"},
-    "subdivision": {"accumulate", "select_levels",
-                    "raise_levels", "resolve_pixels", "estimate_errors", "splat_cells"},
+    "pixel_contrast": {"estimate_errors"},
+    "subdivision": {"accumulate", "select_levels", "raise_levels", "resolve_pixels", "splat_cells"},
     "coefficient_sum": {"integrate", "sample"},
     "tile_lists": {"count_marks", "luminance_floor", "advance_batch", "running_max", "compact_level", "dilate_marks",
                    "mark_shared", "copy_batch", "luminance_histogram"},
     "colour_lookup": {"blur", "integrate", "interpolate"},
     "lobe_sums": {"sum_lobes", "differentiate_lobes", "evaluate_polynomials", "spread_pairs"},
+    "polar_sums": {"sample_spectrum_rings", "spread_pixels_to_rings", "spread_spectrum_rings", "sum_rings_of_pixels"},
     "spectrum_sampling": {"add_product", "gather", "project", "project_lines", "resample"},
 }  # fmt: skip
 # Tested kernels: number of terms in a row of the coefficient table, coherence model, and whether the rows contain
@@ -110,9 +116,12 @@ def test_every_kernel_module_is_listed_in_this_file():
 @pytest.mark.parametrize("arch", ARCHITECTURES)
 @pytest.mark.parametrize(
     "module",
-    [bvh, primary_hits, light_samples, subdivision, shadow_rays, tile_lists, base_colours, transparency],
+    [
+        bvh, primary_hits, light_samples, pixel_contrast, plain_textures, subdivision, shadow_rays, tile_lists,
+        base_colours, transparency, dot_transforms,
+    ],
     ids=lambda item: item.__name__,
-)
+)  # fmt: skip
 def test_modules_compile(module, arch, tmp_path):
     assert entry_points(compile_to_ptx(module, tmp_path, arch)) == KERNELS[module.__name__.rpartition(".")[2]]
 

@@ -1,4 +1,8 @@
-"""Footprints: mean colours over the pixel filter from one look-up, compared with pictures of many rays per pixel."""
+"""Footprints: mean colours over the pixel filter from one look-up, compared with pictures of many rays per pixel.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
+"""
 
 import dataclasses
 
@@ -12,7 +16,7 @@ from bench.truth.brute_force import shading_frame
 from warpdiff import meshes
 from warpdiff.device.kernel_calls import launch_pipeline
 from warpdiff.kernels.structs import Footprint
-from warpdiff.lights.light_pass import SurfaceOptics
+from warpdiff.lights.surface_optics import SurfaceOptics
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.render.accumulators import Accumulators
 from warpdiff.render.picture import Picture
@@ -71,8 +75,8 @@ def test_footprints_reduce_the_error_of_a_pixel(pictures):
     blurred, points, exact = pictures
     ours, theirs = errors(blurred, exact), errors(points, exact)
     assert len(ours) > 500
-    # In a small picture, the azimuth of (u, v) changes by at least 0.1 rad from one pixel to the next. This limits the
-    # accuracy of footprints.
+    # The allowed error is limited by the small picture: the azimuth of (u, v) changes by at least 0.1 rad from one
+    # pixel to the next, which makes footprints inaccurate.
     assert np.median(ours) < 4e-2
     assert np.median(ours) < 0.2 * np.median(theirs)
     assert np.percentile(ours, 90.0) < 0.4 * np.percentile(theirs, 90.0)
@@ -80,7 +84,7 @@ def test_footprints_reduce_the_error_of_a_pixel(pictures):
 
 @pytest.mark.parametrize("angle_deg", [-1e-5, 0.0, 1e-5, -0.02, 180.0])
 def test_azimuth_samples_form_a_closed_circle(fingers, angle_deg):
-    """Azimuth samples are periodic, so colours are continuous at azimuths of 0° and 180°."""
+    """Azimuth samples are periodic, so that colours must be continuous at azimuths of 0° and 180°."""
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=0.1)
     plan = dataclasses.replace(plan, footprint=True)
     device = wp.get_device("cpu")
@@ -100,7 +104,7 @@ def test_azimuth_samples_form_a_closed_circle(fingers, angle_deg):
 
 @pytest.mark.parametrize(("window", "blurred"), [(SHORT, True), (SHORT, False), (SOURCE, True)])
 def test_a_colour_does_not_depend_on_neighbouring_pixels(fingers, window, blurred, rng):
-    """The number of threads determines which look-ups share a SIMD batch. Colours must not depend on this.
+    """Colours must not depend on which look-ups share a SIMD batch. The number of threads changes this.
 
     Compilers once rounded differently in incomplete batches, which changed the table row of 1 in 2000 look-ups.
     """
@@ -147,10 +151,10 @@ def colours(heightfield, plan, direction_range, uv, footprints):
     [(0.04, 0.05, 4.5e-3, 1.2e-2), (0.12, 0.05, 6e-3, 2.5e-2), (0.05, 0.2, 0.018, 0.11)],
 )
 def test_means_over_footprints_equal_means_of_points(fingers, rng, widest, turn, median, most):
-    """Compare look-ups of one-dimensional footprints with means over 120 points along these footprints.
+    """Look-ups of one-dimensional footprints must equal means over 120 points along these footprints.
 
-    The footprints are radial or oblique lines in (u, v). Wide ones are included: their look-ups skip rings, and their
-    Gaussians in ln |(u, v)| are skewed.
+    The footprints are radial or oblique lines in (u, v). Wide ones are included, because their look-ups skip rings and
+    their Gaussians in ln |(u, v)| are skewed.
     """
     count = 200
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=0.02)
@@ -174,7 +178,7 @@ def test_means_over_footprints_equal_means_of_points(fingers, rng, widest, turn,
 @pytest.mark.parametrize("distance", [0.0, slow(1.0), 3.0])
 @pytest.mark.parametrize("surface", ["fingers", "lines"])
 def test_means_around_the_mirror_direction_equal_means_of_points(surface, fingers, rng, distance):
-    """Compare look-ups of footprints close to the mirror direction with means over points.
+    """Look-ups of footprints close to the mirror direction must equal means over points.
 
     These footprints include all azimuths. Their centres are 0 to 3 standard deviations away from the mirror direction.
     """
@@ -199,7 +203,7 @@ def test_means_around_the_mirror_direction_equal_means_of_points(surface, finger
 
 
 def test_a_wide_footprint_weights_each_ring_by_its_area():
-    """Compare a look-up of a wide footprint with a closed form, for a table with a narrow Gaussian of |(u, v)|.
+    """A look-up of a wide footprint must equal a closed form, for a table that contains a narrow Gaussian of |(u, v)|.
 
     The footprint and the Gaussian of the table have the mirror direction as their common centre. Near it, look-ups of
     wide footprints skip every second ring.
@@ -258,7 +262,7 @@ def seen_by(surface, view, light, face, column, row, *, smooth):
 @pytest.mark.parametrize("smooth", [True, False])
 @pytest.mark.parametrize("place", ["outside", "inside", "orthographic", "far", "sheared"])
 def test_footprints_are_the_derivatives_of_uv_in_the_picture(tube, place, smooth, rng):
-    """Compare footprints with finite differences of (u, v) between rays that intersect the plane of the same face.
+    """Footprints must equal finite differences of (u, v) between rays that intersect the plane of the same face.
 
     The coarse mesh has sheared tangents, which are not perpendicular to its normals.
     """
@@ -310,10 +314,10 @@ def test_rings_are_skipped_only_under_illuminants_with_smooth_spectra():
     ("rule", "own", "worst"), [(SPECTRUM_TAPS, 1.1, 0.03), (SPECTRUM_TAPS, 1.8, 0.015), (LINE_TAPS, 0.8, 0.05)]
 )
 def test_few_azimuth_samples_blur_a_gaussian_line(rule, own, worst):
-    """A Gaussian line is stored as spline coefficients at azimuth samples. A weighted sum of a few of them blurs it.
+    """A weighted sum of a few azimuth samples must blur a Gaussian line to a wider Gaussian line.
 
-    The result must equal a wider Gaussian. For the narrow lines of a source (``LINE_TAPS``), the spline itself has an
-    error of 3 % of the peak.
+    The line is stored as spline coefficients at the azimuth samples. For the narrow lines of a source (``LINE_TAPS``),
+    the spline itself has an error of 3 % of the peak.
     """
     made = footprint_taps("cpu", rule)
     weights, lengths = made.weights.numpy().astype(np.float64), made.lengths.numpy()
@@ -329,7 +333,8 @@ def test_few_azimuth_samples_blur_a_gaussian_line(rule, own, worst):
             if rule is SPECTRUM_TAPS:
                 moments = weights[index, which, :count] @ np.stack([places, places**2], axis=1)
                 np.testing.assert_allclose(moments, [0.0, variances[index] + 0.25], atol=1e-5)
-            # Index of the first azimuth sample under the filter, so that its taps are in the middle of the 49 samples.
+            # Index of the first azimuth sample that the filter uses. With this index, the samples of the filter are in
+            # the middle of the 49 samples.
             first = 24 - count // 2
             for line in on_rays[first] - places[0] + np.linspace(-6.0, 6.0, 49):
                 values = np.exp(-0.5 * ((on_rays - line) / own) ** 2) / own

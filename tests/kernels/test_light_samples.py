@@ -26,14 +26,17 @@ def array(values, dtype):
 
 
 def test_factors_are_linear_between_angles(rng):
-    """In tables, energy factors are linear in √(1 − cos θ), and transmittances in cos θ; θ is the angle to the normal.
+    """Values between the entries of the tables must be linear: energy factors in √(1 − cos θ), and transmittances in
+    cos θ.
 
-    Over the azimuth of a direction (x, y, z), energy factors are linear in y / (|x| + |y|) within each quadrant.
+    The angle θ is that between the direction and the normal. Over the azimuth of a direction (x, y, z), energy factors
+    are linear in y / (|x| + |y|) within each quadrant.
     """
     directions = hemisphere(rng, COUNT, thresholds.LOWEST)
     directions[0] = (1e-5, 1e-5, 1.0)
     energy, transmittances = rng.uniform(0.5, 1.5, (5, 8)), rng.uniform(size=(3, 6, 3))
-    # The entries of finish 2 and of surface 0 are NaN, because a look-up in finish 1 and surface 1 must not read them.
+    # The test looks up the material with index 1 and the surface with index 1. All other entries are NaN, so that a
+    # look-up that reads them by mistake has the result NaN.
     transmittances[2] = np.nan
     reflection = light_samples.Reflection()
     energies = np.stack([np.full_like(energy, np.nan), energy])
@@ -78,9 +81,10 @@ def test_the_extent_of_a_light_adds_its_covariance_to_footprints(rng):
 
 @pytest.mark.parametrize("orthographic", [False, True])
 def test_the_rotation_of_a_near_light_equals_differences_between_neighbouring_rays(orthographic, rng):
-    """The direction to a near light changes from ray to ray.
+    """The kernel's change of the direction to a near light must equal the difference between two rays 0.0005 pixels
+    apart.
 
-    The change that the kernel adds to footprints is compared with the difference between two rays 0.0005 pixels apart.
+    The kernel adds this change to footprints.
     """
     corners = np.array([[-1.0, -0.9, 0.1], [0.9, -1.0, -0.2], [0.1, 1.0, 0.3]])
     plane = np.cross(corners[1] - corners[0], corners[2] - corners[0])

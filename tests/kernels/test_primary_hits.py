@@ -113,8 +113,8 @@ def test_hits_and_shading_frames_equal_brute_force(scene, covers, smooth, reques
     vertices = world(surface)
     t, face, bary, margin = intersect(origins, directions, vertices, surface.faces)
 
-    # For a ray through an edge, rounding to float32 decides which face it hits. Faces are compared for all other rays;
-    # the distance of the hit point is compared for all rays.
+    # If a ray passes through an edge, rounding to float32 decides which face it hits. The faces of such rays are not
+    # compared, but the distances of their hit points are.
     edge = margin < 1e-5
     assert np.count_nonzero(edge) < 0.005 * len(edge)
     sure = ~edge
@@ -220,8 +220,8 @@ def test_faces_are_clipped_behind_the_eye(mesh, view, samples):
     options = {"scene": scene, "sample": samples // 2, "samples": samples}
     result, by_rays = (cast(surface, view, covers=covers, **options) for covers in (True, False))
     assert by_rays["hit"].mean() > 0.2
-    # If a ray passes through the common edge of two faces, rounding decides which of them it hits. It must hit one of
-    # them. Rasterization and traced rays may find different faces only in a few pixels.
+    # If a ray passes through the common edge of two faces, it must hit one of them, but rounding decides which.
+    # Rasterization and traced rays may therefore find different faces in a few pixels.
     np.testing.assert_array_equal(result["hit"], by_rays["hit"])
     same = result["face"] == by_rays["face"]
     assert same.mean() > 0.998
@@ -279,7 +279,8 @@ def test_rasterized_cells_equal_traced_cells(mesh, view, level, slices):
     for faces in (nearest, by_rays):
         pixels = pixels_for(count)
         pixels.nearest = faces
-        # With 7 slices, some slices begin in the middle of a pixel's cells.
+        # The subpixel cells are divided into slices, which are processed one after another. With 7 slices, some slices
+        # begin in the middle of a pixel.
         for begin, end in itertools.pairwise(np.linspace(0, count, slices + 1).astype(int)):
             inputs = [camera, scene.bare, sampling, pixels, int(begin), int(end - begin)]
             launch(primary_hits.intersect_known_faces, 1, inputs, device="cpu")
@@ -340,7 +341,8 @@ def test_offsets_of_rays_are_samples_of_a_truncated_gaussian():
     assert np.linalg.norm(all_of_them, axis=2).max() < 1.5 + 3e-5
     flat = all_of_them.reshape(-1, 2)
     np.testing.assert_allclose(flat.mean(axis=0), 0.0, atol=0.005)
-    # For a Gaussian truncated at c = 1.5, E[r²] = 2σ² − c² e / (1 − e) with e = exp(−c² / 2σ²).
+    # For a Gaussian with standard deviation σ that is truncated at the radius c = 1.5, the mean of r² is 2σ² − c² e /
+    # (1 − e) with e = exp(−c² / 2σ²). Here σ is 0.5, so that e = exp(−4.5).
     e = np.exp(-4.5)
     std = np.sqrt((0.5 - 2.25 * e / (1.0 - e)) / 2.0)
     np.testing.assert_allclose(flat.std(axis=0), std, rtol=0.01)
@@ -373,7 +375,8 @@ def test_both_sides_of_a_face_have_a_shading_frame(mirrored):
 
 def test_shading_normals_that_face_away_are_tilted_to_a_cosine_of_0_01():
     mesh = wall(size=2.0)
-    # One shading normal is tilted away from a distant viewer, and another points almost directly away from the viewer.
+    # Two shading normals are tested with their viewers. One normal is tilted away from the viewer, and the other points
+    # almost directly away from the viewer. The kernel must tilt both until their cosine to the viewer is 0.01.
     for normal, eye in [((-0.8, 0.0, 0.6), (5.0, 0.0, 1.0)), ((-0.99, 0.0, -0.14), (5.0, 0.0, 1.0))]:
         normals = np.tile(np.array(normal) / np.linalg.norm(normal), (4, 1)).astype(np.float32)
         surface = dataclasses.replace(prepare_surface(mesh), normals=normals)
@@ -408,10 +411,11 @@ def test_textures_are_bilinear_and_periodic_with_row_0_at_the_top():
     pixels = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)
     mesh = wall(Image.fromarray(pixels), size=2.0)
     view = View.orthographic((0, 0, 2), (0, 0, 0), extent_y=2.0, width=2, height=2)
-    # The view is chosen so that pixel centres coincide with texel centres, and each pixel shows one texel.
+    # Pixel centres coincide with texel centres in this view. Each pixel must therefore show the colour of one texel.
     got = cast(prepare_surface(mesh), view)["base_colour"].reshape(2, 2, 3)
     np.testing.assert_allclose(got, pixels / 255.0, atol=1e-5)
-    # After a shift of the texture by half a texel, each pixel shows the mean of four texels, also across the border.
+    # After a shift of the texture by half a texel, each pixel must show the mean of four texels, also across the
+    # border.
     mesh.visual.uv = mesh.visual.uv + np.array([0.25, 0.25])
     got = cast(prepare_surface(mesh), view)["base_colour"]
     np.testing.assert_allclose(got, 0.5, atol=1e-5)

@@ -116,8 +116,8 @@ def test_shadows_equal_brute_force(make, light, rng):
 
 
 def test_shadows_have_no_gap_at_common_edges_of_faces(rng):
-    # Shadow rays pass through vertices and edge centres of a crumpled sheet. Rounding moves them to either side of an
-    # edge, but at least one face must occlude them.
+    # Shadow rays pass through vertices and edge centres of a crumpled sheet. Rounding moves each ray to one side of an
+    # edge. At least one of the faces at the edge must occlude the ray.
     sheet = lid(2.0)
     for _ in range(5):
         sheet = sheet.subdivide()
@@ -135,7 +135,7 @@ def test_shadows_have_no_gap_at_common_edges_of_faces(rng):
 
 
 def test_other_points_in_a_grid_cell_do_not_change_a_shadow(rng):
-    # A sheet occludes points below it, but not points in its own plane, even if a grid cell contains both.
+    # A sheet must occlude points below it, but not points in its own plane, even if both are in the same grid cell.
     sheet = lid(2.0)
     for _ in range(4):
         sheet = sheet.subdivide()
@@ -222,7 +222,7 @@ def test_pictures_with_occluder_grids_equal_pictures_with_the_hierarchy(samples,
         camera_rays, "grid_for", lambda *a, **k: made.append(occluder_grid.grid_for(*a, **k)) or made[-1]
     )
     result = wd.shade(mesh, heightfield, lights, view, **options)
-    # Each light has one occluder grid, independent of the number of samples and tiles.
+    # Each light must have a single occluder grid, whatever the number of samples and tiles.
     assert all(grid.starts.shape[0] for grid in made)
     grid_count = len(made)
     assert len({grid.starts.ptr for grid in made}) == len(lights)

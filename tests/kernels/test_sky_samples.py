@@ -1,4 +1,8 @@
-"""Samples of a sky: stratification, probability densities, gains, and interpolation between the cells of the sky."""
+"""Samples of a sky: stratification, probability densities, gains, and interpolation between the cells of the sky.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
+"""
 
 import math
 
@@ -77,11 +81,12 @@ def results():
 
 @pytest.mark.parametrize("size", [4, 16, 64, 1024])
 def test_points_of_each_square_of_cells_are_stratified(size, results):
-    """The sequence of points is a (0, 2)-sequence.
+    """The points must form a (0, 2)-sequence, so that the samples of each square of cells are stratified.
 
-    If it is split into groups of 2ⁿ consecutive points, and the unit square into 2ⁿ equal boxes, each group has one
-    point in each box. This holds for any number of columns of boxes that is a power of 2. Points are assigned to
-    subpixel cells along a Morton curve, so that the points of a group with even n belong to a square block of cells.
+    In a (0, 2)-sequence, the points are split into groups of 2ⁿ consecutive points, and the unit square into 2ⁿ equal
+    boxes. Each group has one point in each box, for any number of columns of boxes that is a power of 2. Points are
+    assigned to subpixel cells along a Morton curve. For even n, the points of a group therefore belong to a square of
+    cells.
     """
     for points in results[1]["points"].reshape(-1, size, 2)[:64]:
         for across in 2 ** np.arange(int(math.log2(size)) + 1):

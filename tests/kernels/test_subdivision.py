@@ -15,10 +15,10 @@ def array(values, dtype):
 @pytest.mark.parametrize("level", [1, 2])
 @pytest.mark.parametrize("is_base", [True, False])
 def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
-    """Filtered sums over the cells of a subdivided pixel equal explicit sums.
+    """Filtered sums over the cells of a subdivided pixel must equal explicit sums.
 
     Pixel 5 of 9 pixels is subdivided. In each round of the loop, one of its cells is illuminated, misses the mesh, or
-    is dark; all other cells are illuminated.
+    is dark. All other cells are illuminated.
     """
     across = 2**level
     weights = rng.uniform(size=(3, across))
@@ -54,9 +54,11 @@ def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
 
 @pytest.mark.parametrize("level", [2, 3])
 def test_the_scatter_of_samples_follows_from_squares_of_four_cells(level, rng):
-    """The scatter of a subdivided pixel equals the one computed explicitly from the variances within 2 × 2 cells.
+    """The kernel's scatter of a subdivided pixel must equal the scatter that follows from the variances within 2 × 2
+    cells.
 
-    Cells that miss the mesh do not add to the variance; here they include one whole square.
+    Cells that miss the mesh do not add to the variance. In this test, one square of 2 × 2 cells misses the mesh
+    completely.
     """
     across = 2**level
     colours, hit = rng.lognormal(size=(across, across, 3)).astype(np.float32), rng.uniform(size=(across, across)) < 0.8
@@ -85,7 +87,10 @@ def test_the_scatter_of_samples_follows_from_squares_of_four_cells(level, rng):
 
 @pytest.mark.parametrize("level", [2, 3])
 def test_the_level_of_a_tile_rises_if_its_scatter_causes_an_error_above_the_tolerance(level, rng):
-    """The kernel changes only the level of tiles that were shaded at the level of the latest pass."""
+    """The level of a tile must rise if its scatter causes an error above the tolerance.
+
+    Only tiles that were shaded at the level of the latest pass may change.
+    """
     height, width, floor, tolerance, most = 7, 9, 0.5, 0.05, 5
     shaded = rng.choice([level - 1, level], (height, width), p=[0.3, 0.7])
     scatter = rng.lognormal(-2.5, 1.5, (height, width)).astype(np.float32)
@@ -155,7 +160,7 @@ def levels_by_hand(quadrants, marks, colours, lighting, floor, tolerance, most):
 def test_levels_follow_from_second_differences_of_colours(rng):
     height, width, floor, tolerance = 7, 9, 0.5, 0.05
     quadrants = rng.lognormal(0.0, 1.0, (height, width, 4, 3)).astype(np.float32)
-    # Colours that change linearly along a row need no finer cells.
+    # Where colours change linearly along a row, the kernel must not ask for finer cells.
     x = np.arange(2 * width, dtype=np.float32).reshape(width, 2)
     quadrants[3:] = (1.0 + x[:, [0, 1, 0, 1], None]) * np.array([1.0, 2.0, 3.0], dtype=np.float32)
     marks = rng.uniform(size=(height, width)) < 0.8
@@ -187,7 +192,8 @@ def test_threads_add_the_colours_of_a_light_to_each_pixel_once(rng):
     inputs = [array(colours, wp.vec3f), array(errors, wp.float32), array(illuminated, wp.bool), 1, 5]
     outputs = [array(others, wp.vec3f), array(other_errors, wp.float32), array(others_illuminated, wp.bool)]
     launch(subdivision.accumulate, (2, 1), inputs, outputs, device="cpu")
-    # Two threads process the pixels 1 to 10. The pixels 0 and 11 are outside of their ranges and must not change.
+    # Two threads process the pixels 1 to 10. The pixels 0 and 11 are outside of the ranges of both threads and must not
+    # change.
     share = np.arange(12) % 11 > 0
     np.testing.assert_allclose(outputs[0].numpy(), others + share[:, None] * colours, rtol=1e-6)
     np.testing.assert_allclose(outputs[1].numpy(), other_errors + share * errors, rtol=1e-6)

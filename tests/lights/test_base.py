@@ -83,7 +83,10 @@ def test_a_spotlight_is_a_point_light_times_its_profile(fingers):
 
 
 def test_launches_are_recorded_again_if_a_spotlight_rotates(fingers):
-    """The axis of a spotlight is a value in recorded launches, so the key of a recording depends on it."""
+    """If a spotlight rotates, the launches of a picture must be recorded again. If it only moves, they must not.
+
+    A recorded launch contains the value of the axis, so that the key of the recording must depend on it.
+    """
     body = meshes.tube(segments_along=12, segments_around=12)
     view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=8, height=6)
     lights = [SpotLight((0.3, 1.7, 1.4), axis=AXIS), SpotLight((0.3, 1.7, 1.4)), SpotLight((0.2, 1.7, 1.4), axis=AXIS)]
@@ -117,7 +120,7 @@ def test_shadows_of_distant_lights_with_a_profile_equal_those_without(fingers):
 
 
 def test_a_profile_dims_the_light_of_the_pigment(fingers):
-    """In the direction in which the profile is 1, the pigment is as bright as under a point light, elsewhere darker."""
+    """Where the profile is 1, the pigment must be as bright as under a point light. Elsewhere it must be darker."""
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     texture = trimesh.visual.TextureVisuals(
         uv=[[0, 0], [1, 0], [1, 1], [0, 1]],
@@ -138,7 +141,10 @@ def test_a_profile_dims_the_light_of_the_pigment(fingers):
 
 
 def test_lobes_of_all_lights_are_refined_together_unless_a_part_has_its_own_pass(fingers):
-    """Also a light with a profile joins the others; a subclass of ``LobeSet`` with its own pass keeps this pass."""
+    """The lobes of all lights must form one set, including those of a light with an emission profile.
+
+    Only lobes of a subclass of ``LobeSet`` that has its own pass must stay separate.
+    """
 
     class OwnPass(LobeSet):
         def make_pass(self, context):

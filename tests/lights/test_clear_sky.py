@@ -13,7 +13,10 @@ LUMINANCE = colorimetry.RGB_TO_XYZ[1]
 
 
 def traditional(along, to_sun):
-    """Return luminances of the CIE clear sky of 1973, from which type 12 of the CIE general sky differs by rounding."""
+    """Return luminances of the CIE clear sky of 1973.
+
+    Type 12 of the CIE general sky differs from this sky only by rounding.
+    """
     angle = np.arccos(np.clip(along @ to_sun, -1.0, 1.0))
     return (0.91 + 10.0 * np.exp(-3.0 * angle) + 0.45 * np.cos(angle) ** 2) * (1.0 - np.exp(-0.32 / along[..., 1]))
 
@@ -53,9 +56,10 @@ def test_luminances_and_illuminances_of_the_sky_follow_the_cie(altitude):
 
 @pytest.mark.parametrize("altitude", [10.0, 45.1, 89.9])
 def test_the_sun_is_extracted_with_its_power_width_and_position(altitude):
-    """The sun that is extracted from the map has the power, width and position with which the sky was made.
+    """The sun that is extracted from a sky must have the power, width and position with which the sky was made.
 
-    The sun has a diameter of 0.53°, and sky pixels are 0.35° wide. Of the extracted light, 3 % is the sun's glow.
+    The sun has a diameter of 0.53°, and pixels of the sky are 0.35° wide. Of the extracted light, 3 % is the sun's
+    glow.
     """
     up, level = math.sin(math.radians(altitude)), math.cos(math.radians(altitude))
     sky = wd.Environment.clear_sky((-0.6 * level, up, 0.8 * level), sun=2.0)

@@ -27,7 +27,7 @@ def fingers():
 
 
 def points_of(light, count):
-    """Return directional lights that replace a disc light: rings of them, distributed uniformly over its disc."""
+    """Return many directional lights that replace a disc light. They are in concentric rings on the disc."""
     axis, radius = np.asarray(light.to_light), math.radians(light.angular_diameter_deg / 2.0)
     aside = np.cross(axis, (1.0, 0.0, 0.0))
     aside /= np.linalg.norm(aside)
@@ -35,8 +35,8 @@ def points_of(light, count):
     rings = round(math.sqrt(count / math.pi))
     result = []
     for ring in range(rings):
-        # Rings have equal widths. A ring has a number of lights in proportion to its length, which share its solid
-        # angle.
+        # All rings have equal widths. The number of lights in a ring is proportional to the length of the ring. These
+        # lights share the solid angle of the ring equally.
         inner, outer = radius * ring / rings, radius * (ring + 1) / rings
         middle, points = 0.5 * (inner + outer), max(round(2.0 * math.pi * (ring + 0.5)), 3)
         share = (math.cos(inner) - math.cos(outer)) / (1.0 - math.cos(radius)) / points
@@ -82,7 +82,10 @@ def drawn_towards(diameter, *, normal, view, lobe):
 @pytest.mark.parametrize("diameter", [3.0, 60.0])
 @pytest.mark.parametrize("towards_mirror", [None, 0.4, 0.95])
 def test_weighted_directions_are_uniform_over_the_disc(diameter, towards_mirror):
-    """Samples of a disc are uniform if weighted, even where some are drawn near a mirror direction on the disc."""
+    """Weighted samples of a disc must be distributed uniformly over the disc.
+
+    This must also hold if some samples are drawn near a mirror direction that is on the disc.
+    """
     axis, radius = np.asarray(TOWARDS) / np.linalg.norm(TOWARDS), math.radians(diameter / 2.0)
     normal = view = -axis
     if towards_mirror is not None:
@@ -118,8 +121,8 @@ def test_a_disc_light_equals_many_directional_lights(diameter, count, median, mo
     errors = relative_errors(result.xyz[visible], exact.xyz[visible])
     assert np.median(errors) < median
     assert np.percentile(errors, 90.0) < most
-    # A picture under a directional light without an angular diameter is clearly different, so the comparison is
-    # meaningful.
+    # A picture under a directional light without an angular diameter must be clearly different. Otherwise the
+    # comparison with the disc light would show nothing.
     options |= {"coherence": None, "plan": exact.plan}
     point = wd.shade(body, fingers, wd.DirectionalLight(TOWARDS), VIEW, **options)
     others = relative_errors(point.xyz[visible], exact.xyz[visible])
@@ -128,7 +131,7 @@ def test_a_disc_light_equals_many_directional_lights(diameter, count, median, mo
 
 @pytest.mark.filterwarnings("ignore:plan is used beyond")
 def test_a_wide_light_has_a_soft_shadow(fingers):
-    """A tube occludes the centre of a disc light, but its edge still illuminates some pixels."""
+    """Where a tube occludes the centre of a disc light, the edge of the disc must still illuminate some pixels."""
     body = wd.meshes.tube(segments_along=48, segments_around=36)
     view = wd.View((0, 3.4, 4), (0, 0, 0), fov_y_deg=23, width=48, height=36)
     options = {"tolerance": 2e-1, "coherence": SHORT, "pigment": 0.0, "refine": False}
@@ -140,13 +143,16 @@ def test_a_wide_light_has_a_soft_shadow(fingers):
     assert np.count_nonzero(wide.illuminated & ~point.illuminated) > 20
     renderer = wd.Renderer(body, fingers, wd.DirectionalLight(towards), view, plan=wide.plan, pigment=0.0, refine=False)
     renderer.draw(wd.DirectionalLight(towards, angular_diameter_deg=40.0))
-    # The picture ``wide`` has a table for the directions of that picture, but the renderer has a table for the whole
-    # hemisphere. Their colours differ slightly.
+    # The picture ``wide`` uses a table for its own directions, while the renderer uses a table for the whole
+    # hemisphere. Their colours therefore differ by up to 5 % of the largest colour.
     assert np.abs(renderer.image().xyz - wide.xyz).max() < 5e-2 * wide.xyz.max()
 
 
 def test_the_luminance_in_a_penumbra_is_the_visible_share_of_the_disc():
-    """In a penumbra, the straight edge of a plate divides the disc, and Y is the share of the disc that is visible."""
+    """In a penumbra, the luminance must be the share of the disc light that is visible from the pixel.
+
+    The straight edge of a plate divides the disc into a visible and an occluded part.
+    """
     floor, plate = trimesh.creation.box((4, 4, 0.1)), trimesh.creation.box((40, 20, 0.05))
     body = trimesh.util.concatenate([floor, plate.apply_translation((0, 10.0, 3.0))])
     body.visual.vertex_colors = np.full((len(body.vertices), 4), 200, dtype=np.uint8)
@@ -176,7 +182,9 @@ def test_the_luminance_in_a_penumbra_is_the_visible_share_of_the_disc():
 
 @pytest.mark.slow
 def test_the_best_table_is_used_if_none_meets_the_tolerance_for_single_directions():
-    """For this blazed grating, no table meets the tolerance for single directions. The best is used, with a warning."""
+    """If no table meets the tolerance for single directions, as for this grating, the best table must be used, with a
+    warning.
+    """
     blazed, light = wd.gratings.blazed(1.5, 0.3), wd.DirectionalLight((0.5, 0.3, 1.0), angular_diameter_deg=10.0)
     view = dataclasses.replace(VIEW, width=96, height=72)
     with pytest.warns(wd.WarpdiffWarning, match="cannot meet tolerance=0.03"):
@@ -207,7 +215,10 @@ def test_disc_lights_require_footprints_and_exclude_a_source_coherence(fingers):
 
 @pytest.mark.parametrize(("diameter", "fov_y_deg"), [(20.0, 24.0), slow(4.0, 8.0)])
 def test_the_reflected_rim_of_a_disc_light_is_sharp(diameter, fov_y_deg, square):
-    """A mirror shows a disc light with a rim that only the window's lobe blurs, as in a sum over points of the disc."""
+    """A mirror must show a disc light with a rim that is blurred only by the lobe of the coherence window.
+
+    The expected colours are sums over points of the disc.
+    """
     flat = wd.HeightField(np.zeros((32, 32)), 0.09)
     light = wd.DirectionalLight((0, 0, 1), angular_diameter_deg=diameter)
     view = wd.View((0, 0, 4), (0, 0, 0), fov_y_deg=fov_y_deg, width=48, height=36)
@@ -225,7 +236,9 @@ def test_the_reflected_rim_of_a_disc_light_is_sharp(diameter, fov_y_deg, square)
 
 
 def test_the_luminance_of_a_mirror_under_a_disc_light_follows_its_formula(square):
-    """In the mirror direction of the centre of a disc light, Y is the share of its light within the window's lobe."""
+    """Y in the mirror direction of the centre of a disc light must be the share of the light within
+    the window's lobe.
+    """
     flat = wd.HeightField(np.zeros((32, 32)), 0.09)
     view = wd.View.orthographic((0, 0, 4), (0, 0, 0), extent_y=1.0, width=8, height=6)
     light = wd.DirectionalLight((0.0, 0.0, 1.0), angular_diameter_deg=4.0)

@@ -1,4 +1,9 @@
-"""Environments: mirrors and gratings under them, pigment and shadows, and skies as backgrounds of pictures."""
+"""Environments: mirrors and gratings under them, pigment and shadows, and skies as backgrounds of pictures.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer. ρ is the reflectance relative to a flat mirror, and σ the standard deviation of the coherence
+window.
+"""
 
 import copy
 import dataclasses
@@ -60,8 +65,8 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
     view = seen_at(degrees)
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=1024)
     result = wd.shade(square, heightfield, sky, view, **UNDER | {"coherence": window, "tolerance": tolerance}).xyz
-    # The pixels have the same colour, but different samples of the sky. Their mean has less noise, and mainly the
-    # table's error.
+    # All pixels have the same colour, but different samples of the sky. Their mean has less noise than a single pixel,
+    # so that its error is mainly that of the table.
     result = result.mean(axis=(0, 1))
     # The exact colour is a sum over directions to a grey sky of radiance L with the spectrum of D65. A solid angle dω
     # adds ρ L dω / Ω, where Ω = λ²/(4πσ²) is the solid angle of the light to which ρ refers. The grid has equal steps
@@ -81,8 +86,8 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
 
 
 def test_a_sun_in_a_black_sky_equals_a_sum_over_its_directions(square):
-    # A sky pixel is 1.4° wide, and the sky is interpolated linearly between pixel centres, so the sun is a pyramid over
-    # 2 × 2 pixels.
+    # A pixel of the sky is 1.4° wide, and radiances are interpolated linearly between pixel centres. The sun, a single
+    # pixel, is therefore a pyramid over 2 × 2 pixels.
     heightfield, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), wd.Coherence(sigma_um=3.0)
     spectrum, per_luminance = spectrum_of_a_sky(3.0)
     row, column, view = 50, 130, seen_at(20.0)
@@ -261,7 +266,7 @@ def test_a_bright_rectangle_of_the_sky_on_a_tube_equals_a_sum_over_directions():
     sums = SkySums(wd.meshes.tube(), heightfield, view, window, shadows=False)
     pixels = sums.interior()[::9]
     assert len(pixels) > 6
-    # The reference, a sum over directions, has a noise of 2 %, which the limits below include.
+    # The reference is a sum over directions with a noise of 2 %. The limits of errors below include this noise.
     exact = sums.under_sky(pixels, grey, 640, 1)
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=4096)
     options = UNDER | {"coherence": window, "ior": None, "shadows": False, "strict": False}
@@ -271,14 +276,14 @@ def test_a_bright_rectangle_of_the_sky_on_a_tube_equals_a_sum_over_directions():
         away = np.linalg.norm(result.xyz[at] - exact, axis=1) / np.linalg.norm(exact, axis=1)
         assert np.median(away) < median
         assert away.max() < most
-        # Where the error is above 0.1, ``image.error`` is at least half of it.
+        # In pixels with an error above 0.1, the estimate ``image.error`` must be at least half of the error.
         assert (result.error[at] > 0.5 * away)[away > 0.1].all()
     assert np.percentile(away, 90.0) < 0.1
 
 
 def test_no_sun_is_extracted_from_a_uniform_sky():
-    # The mean radiance of a uniform region of a sky differs slightly from its pixels by rounding. This must not count
-    # as a sun.
+    # By rounding, the mean radiance of a uniform region of a sky differs slightly from the radiance of its pixels. This
+    # difference must not be mistaken for a sun.
     sky = np.full((64, 128, 3), 0.7, dtype=np.float32)
     sky[:20] = 1.19
     assert not extract_suns(sky)[1]
@@ -310,8 +315,8 @@ def test_a_second_picture_under_the_same_sky_uploads_nothing_and_reuses_the_reco
     assert len(keys) == 3
     assert len(set(keys)) == 1
     np.testing.assert_array_equal(first, second)
-    # A picture of the same sky in another view reuses the sky's arrays on the device. An equal sky that is another
-    # object has new arrays, and launches are recorded again.
+    # A picture of the same sky in another view must reuse the sky's arrays on the device. An equal sky that is another
+    # object must get new arrays, and kernel launches must then be recorded again.
     wd.shade(square, flat, lights, seen_at(20.0), **UNDER)
     assert len(uploads) == 1
     renderer.draw(wd.Environment(np.ones((4, 8, 3)), directions=16))
@@ -343,7 +348,10 @@ def test_an_environment_caches_few_parts_and_its_copies_none():
 
 @pytest.mark.parametrize("light", ["sky", "disc"])
 def test_the_rays_of_a_pixel_share_its_samples(light, square):
-    """The cells of a pixel share as many samples of a light as a single ray would have, so noise stays equal."""
+    """More rays per pixel must not change the noise of a pixel.
+
+    The rays of a pixel share the number of samples of a light that a single ray would have.
+    """
     flat, view = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), seen_at(40.0)
     lights = wd.DirectionalLight((0.3, 0.5, 1.0), angular_diameter_deg=20.0)
     if light == "sky":
@@ -352,5 +360,6 @@ def test_the_rays_of_a_pixel_share_its_samples(light, square):
     for samples in (1, 4, 64):
         image = wd.shade(square, flat, lights, view, **UNDER, samples_per_pixel=samples)
         spread.append(float(np.std(image.xyz[..., 1]) / image.xyz[..., 1].mean()))
-    # Each sample of a disc light is blurred less if there are more samples, so the noise may increase somewhat.
+    # Each sample of a disc light is blurred less if there are more samples. The noise may therefore increase, up to a
+    # factor of 2.
     assert max(spread[1:]) < 2.0 * spread[0]

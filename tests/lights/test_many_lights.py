@@ -7,7 +7,7 @@ from conftest import slow
 import warpdiff as wd
 from warpdiff import meshes
 from warpdiff.lights.base import MANY_LIGHTS
-from warpdiff.render import picture_inputs
+from warpdiff.render import light_parts
 from warpdiff.scene import occluder_grid
 
 TOLERANCE = 0.1
@@ -31,7 +31,7 @@ def test_a_choice_of_lights_has_the_colours_of_all_lights(fingers, monkeypatch, 
     coherence = wd.Coherence(sigma_um=4.0)
     renderer = wd.Renderer(body, fingers, lights, VIEW, coherence=coherence, tolerance=TOLERANCE, strict=False)
     image = renderer.image()
-    monkeypatch.setattr(picture_inputs, "MANY_LIGHTS", len(lights) + 1)
+    monkeypatch.setattr(light_parts, "MANY_LIGHTS", len(lights) + 1)
     renderer.draw(lights)
     exact = renderer.image().xyz
     inside = image.illuminated & (image.coverage > 0.999)
@@ -54,7 +54,10 @@ def test_a_picture_with_many_lights_does_not_depend_on_the_number_of_threads(fin
 
 
 def test_occluder_grids_are_kept_for_lights_that_do_not_move(fingers, monkeypatch):
-    """More lights than the mesh stores grids for, so that only their pass keeps all of them."""
+    """Occluder grids of lights that do not move must not be made again for the next picture.
+
+    The picture has more lights than the mesh stores grids for, so that only the pass of the lights stores all grids.
+    """
     made, make = [], occluder_grid._made
     monkeypatch.setattr(occluder_grid, "_made", lambda *args, **options: made.append(1) or make(*args, **options))
     body, lights = meshes.tube(segments_along=48, segments_around=24), hemisphere(7)

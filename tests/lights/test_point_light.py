@@ -47,7 +47,10 @@ def test_each_pixel_has_a_light_in_its_own_direction(size, fingers):
 
 
 def test_footprints_include_changes_of_the_direction_to_the_light(fingers):
-    """In an orthographic view of a flat square, only the direction to the near light changes within a pixel."""
+    """Footprints must include the change of the direction to a near light within a pixel.
+
+    In an orthographic view of a flat square, no other direction changes.
+    """
     light = wd.PointLight((1.5, -1.0, 2.0))
     exact = wd.shade(square(), fingers, light, VIEW, footprint=False, samples_per_pixel=1024, **OPTIONS)
     mean = wd.shade(square(), fingers, light, VIEW, refine=False, **OPTIONS)
@@ -115,9 +118,9 @@ def test_too_much_light_is_refused(fingers):
 
 @dataclass(frozen=True)
 class FarLight(wd.PointLight):
-    """Light that is far away in units of the mesh, with the extent of a disc of ``diameter_deg`` at its position.
+    """Light far away from the mesh, with the extent of a disc of ``diameter_deg`` around its position.
 
-    The extent along the direction to the light has no effect, because it is not visible from the mesh.
+    Its extent along the direction to the light has no effect, because it is not visible from the mesh.
     """
 
     diameter_deg: float = 0.0

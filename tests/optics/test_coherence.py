@@ -1,4 +1,10 @@
-"""Coherence: direct sums over periods and sources equal explicit sums, and solid angles of all coherence models."""
+"""Coherence: direct sums over periods and sources equal explicit sums, and solid angles of all coherence models.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal, and κ is w/λ. q is (u, v)/λ. |P|² is the power that the
+surface diffracts into a direction, relative to a flat mirror in its mirror direction. ρ is the reflectance relative to
+a flat mirror, and C the geometry factor between |P|² and ρ.
+"""
 
 import math
 
@@ -124,7 +130,9 @@ def tangent_frame(to_light):
 
 @pytest.mark.parametrize("theta", INCIDENCES)
 def test_the_covariance_of_a_source_is_its_projected_spread(theta):
-    """The tangential parts of a source's directions have the covariance s² (1 − ωi ωiᵀ), with the spread s."""
+    """The tangential components of the directions to a source must have the covariance s² (1 − ωi ωiᵀ), with the spread
+    s.
+    """
     to_light, s = inclined(theta), 1e-4
     first, second = tangent_frame(to_light)
     nodes, weights = np.polynomial.hermite_e.hermegauss(12)
@@ -143,10 +151,11 @@ def test_the_covariance_of_a_source_is_its_projected_spread(theta):
 
 @pytest.mark.parametrize("theta", INCIDENCES)
 def test_every_order_shows_the_radiance_of_the_source(small, theta, rng):
-    """Each order shows an image of the source: the power is proportional to the radiance of one point of the source.
+    """Each order must show an image of the source: its power is proportional to the radiance of one point of the
+    source.
 
-    The points (a, b) lie on a plane tangent to the sky, in units of the spread. Their radiance is exp(−(a² + b²)/2).
-    The proportionality is exact in the limit of a small source.
+    The points (a, b) lie on a plane tangent to the sky, in units of the source's spread. Their radiance is exp(−(a² +
+    b²)/2). The proportionality is exact in the limit of a small source.
     """
     to_light, wavelength = inclined(theta), 0.5
     first, second = tangent_frame(to_light)
@@ -174,7 +183,8 @@ def test_every_order_shows_the_radiance_of_the_source(small, theta, rng):
             expected = abs(coefficient) ** 2 * math.exp(-(place @ place) / 2.0)
             worst = max(worst, abs(power / expected - 1.0))
         errors.append(worst)
-    # Projecting the sky onto a plane has an error of first order in spread · tan θi (second order at normal incidence).
+    # The test projects the sky onto a plane. The error of this projection is of first order in spread · tan θi. At
+    # normal incidence it is of second order.
     slant = max(math.tan(math.radians(theta)), 0.1)
     assert errors[0] <= 30.0 * slant * Coherence("source", angular_diameter_deg=0.02).spread
     assert errors[1] <= 0.15 * errors[0]
@@ -203,13 +213,14 @@ def test_a_source_needs_its_direction(small):
     ids=lambda coherence: coherence.kind,
 )  # fmt: skip
 def test_the_solid_angle_is_the_integral_of_a_mirrors_lobe(coherence):
-    """For a flat patch, ∫⟨|P|²⟩ du dv is the solid angle Ω, or Ω cos θi for a source.
+    """For a flat patch, the integral of ⟨|P|²⟩ over (u, v) must be the solid angle Ω, or Ω cos θi for a source.
 
-    With the factor ``brdf_scale`` the integral of a perfect mirror's BRDF is 1.
+    With the factor ``brdf_scale``, the integral of the BRDF of a perfect mirror must be 1.
     """
     flat, wavelength, to_light = HeightField(np.zeros((4, 5)), (0.12, 0.1)), 0.5, inclined(60.0)
     area = math.prod(flat.size_um)
-    # For replicas, whose lobes are wide, the integral covers one period of the spectrum of the sampled surface.
+    # The lobes of replicas are wide. Their integral therefore covers one period of the spectrum, which repeats because
+    # the surface is sampled.
     ends = (wavelength / 0.1, wavelength / 0.12) if coherence.kind == "replicas" else (0.5, 0.5)
     count = 60
     u, v = (end * ((np.arange(count) + 0.5) / count - 0.5) for end in ends)

@@ -50,7 +50,7 @@ def test_white_is_the_one_nm_sum(colour, illuminant):
 
 @pytest.mark.parametrize("illuminant", sorted(colorimetry.PRECOMPUTED))
 def test_precomputed_products_equal_those_of_colour_science(illuminant):
-    """The package stores products of illuminants and CIE observer, computed by the package colour-science.
+    """The stored products of illuminants and CIE observer must equal those that the package colour-science computes.
 
     If this test fails because colour-science has changed, write the stored file again with ``numpy.save``.
     """
@@ -67,7 +67,7 @@ def test_daylight_needs_no_colour_science():
 @pytest.mark.parametrize("illuminant", ["D65", "FL2"])
 @pytest.mark.parametrize("count", [2, 17, 227])
 def test_uniform_quadratures_give_white_its_exact_colour(colour, geometric, illuminant, count):
-    """Quadratures with equal steps in 1/λ, or in ln λ, give white the same colour as the sum over 1 nm steps."""
+    """With equal steps in 1/λ, or in ln λ, a quadrature must give white the same colour as the sum over 1 nm steps."""
     wavenumbers, weights = colorimetry.uniform_quadrature(count, illuminant, geometric=geometric)
     np.testing.assert_allclose(1e3 / wavenumbers[[0, -1]], [380.0, 780.0], rtol=1e-14)
     steps = np.diff(np.log(wavenumbers) if geometric else wavenumbers)
@@ -82,9 +82,10 @@ def test_flat_mirror_is_white(device):
 
 
 def test_the_quadrature_of_a_linear_reflectance_is_accurate(colour):
-    """The quadrature is of sixth order in 1/λ.
+    """The quadrature of a reflectance that is linear in λ must be accurate for steps of 1 to 50 nm.
 
-    At a step of 50 nm some weights would be negative. They are added to those of neighbours, which costs accuracy.
+    The quadrature is of sixth order in 1/λ. At a step of 50 nm some of its weights would be negative. These are added
+    to the weights of neighbouring wavelengths, which makes the result less accurate.
     """
     rho = np.linspace(0.2, 0.9, 401)
     exact = one_nm_sum(colour, "D65", rho)
@@ -107,9 +108,10 @@ def test_quadrature_converges_for_a_wave():
 
 @pytest.mark.parametrize("illuminant", ["D65", "FL11", "HP1"])
 def test_few_samples_suffice_for_orders_under_illuminants_with_narrow_lines(illuminant):
-    """The spectra of the test are Gaussians of 1/λ around 101 positions, such as orders under a coherence window.
+    """Under illuminants with narrow lines, few wavelengths must suffice for the colours of orders.
 
-    Narrow lines of the illuminant often lie between two samples.
+    The tested spectra are Gaussians of 1/λ around 101 positions, such as orders have under a coherence window. Narrow
+    lines of the illuminant often lie between two wavelengths of the quadrature.
     """
     centres = np.linspace(1e3 / 780.0, 1e3 / 380.0, 101)
 

@@ -50,7 +50,10 @@ def test_a_quarter_wave_film_with_the_square_root_of_the_index_reflects_nothing(
 
 
 def test_metals_have_their_colours():
-    """Gold (Johnson and Christy) reflects red and absorbs blue. Aluminium (McPeak) reflects 91 to 92 % of green."""
+    """Metals must have their known colours.
+
+    Gold (Johnson and Christy) reflects red and absorbs blue. Aluminium (McPeak) reflects 91 to 92 % of green.
+    """
     assert GOLD.reflectance([450.0, 650.0], 0.0).tolist() == pytest.approx([0.408, 0.955], abs=0.01)
     assert wd.Material.metal("Al").reflectance(550.0, 0.0) == pytest.approx(0.916, abs=2e-3)
     assert "Johnson" in GOLD.source
@@ -122,7 +125,10 @@ BAD_FILES = {
 
 
 def test_a_formula_that_has_no_index_at_some_wavelengths_is_refused(tmp_path):
-    """The index of refraction n² = λ/µm − 1 is not real below 1 µm."""
+    """A formula without a real index of refraction at some wavelengths must be refused.
+
+    The tested index is n² = λ/µm − 1, which is not real below 1 µm.
+    """
     text = "DATA:\n  - type: formula 3\n    wavelength_range: 0.3 2.5\n    coefficients: -1 1 1\n"
     (tmp_path / "a.yml").write_text(text)
     with pytest.raises(ValueError, match="formula 3 must have a finite index of refraction at all wavelengths"):
@@ -140,7 +146,10 @@ def test_files_without_a_material_are_refused(text, tmp_path):
 
 
 def test_a_row_that_is_no_row_is_refused_with_its_line(tmp_path):
-    """Each tested row of a YAML table has one fault: a stray letter, a missing or extra number, or a decimal comma."""
+    """Each invalid row of a YAML table must be refused with its line.
+
+    Each tested row has one fault: a stray letter, a missing or extra number, or a decimal comma.
+    """
     file = tmp_path / "a.yml"
     for row in ("0.5 2.0x 4.0", "O.5 2.0 4.0", "0.5 2.0", "0.5 2.0 4.0 0.1", "0,5 2.0 4.0", "0.5 - 4.0"):
         file.write_text(SITE_YAML.replace("        0.8 2.2", f"        {row}\n        0.8 2.2"))
@@ -162,10 +171,10 @@ def test_a_table_from_x_rays_to_the_far_infrared_is_read_in_its_middle(tmp_path)
     assert np.asarray(material.n).tolist() == pytest.approx([0.3, 0.77, 25.0])
 
 
-# Number of the formula, coefficients as in the database, a wavelength [µm], the index of refraction as published
-# elsewhere, and the difference that is usual between measurements. Sources of the indices, in this order: Malitson
-# (1965), data sheet of Schott N-BK7, catalogue of BK7 of 1996, Zernike (1964) at two wavelengths, a textbook's Cauchy
-# fit of BK7, Edlén (1966), Salzberg and Villa (1957), CRC Handbook for AgBr and urea.
+# Each entry has the number of a formula, its coefficients as in the database, a wavelength [µm], the index of
+# refraction as published elsewhere, and the usual difference between measurements. Sources of the indices, in this
+# order: Malitson (1965), data sheet of Schott N-BK7, catalogue of BK7 of 1996, Zernike (1964) at two wavelengths, a
+# textbook's Cauchy fit of BK7, Edlén (1966), Salzberg and Villa (1957), CRC Handbook for AgBr and urea.
 PUBLISHED = [
     (1, "0 0.6961663 0.0684043 0.4079426 0.1162414 0.8974794 9.896161", 0.587561, 1.45846, 1e-5),
     (2, "0 1.03961212 0.00600069867 0.231792344 0.0200179144 1.01046945 103.560653", 0.4861327, 1.52238, 1e-5),
@@ -242,7 +251,10 @@ def mirrored(material, angle):
 @pytest.mark.parametrize("name", ["Au", "Cr", "glass", "a film on aluminium"])
 @pytest.mark.parametrize("nodes", [0, 32], ids=["sampled", "table"])
 def test_a_flat_material_has_its_colour_at_every_angle(name, nodes):
-    """In the mirror direction, calls with sampled wavelengths and with a table equal the integral of R(θ, λ)."""
+    """In the mirror direction, the colour of a flat material must equal the integral of its reflectance R(θ, λ) over λ.
+
+    This must hold for calls with sampled wavelengths and for calls with a table.
+    """
     heightfield, angles = flat(), (0.0, 30.0, 60.0, 75.0)
     plan = dataclasses.replace(
         wd.plan(heightfield, method="low-rank", coherence=wd.Coherence(sigma_um=4.0)), rings_per_octave=nodes,

@@ -13,7 +13,11 @@ def white(illuminant):
 
 
 def test_a_black_body_of_2855_kelvin_equals_illuminant_a():
-    """With today's radiation constant c₂, illuminant A has 2855.5 K. The CIE defined it by an older constant."""
+    """A black body of 2855.5 K must have the white point of illuminant A.
+
+    The CIE defined illuminant A by an older value of the radiation constant c₂. With today's value, its temperature is
+    2855.5 K.
+    """
     np.testing.assert_allclose(white(wd.Spectrum.blackbody(2855.5)), white("A"), rtol=2e-4)
 
 
@@ -82,7 +86,7 @@ def lines(*peaks, half_width=0.08):
     [(404.66, 1.0), (435.83, 2.0), (546.07, 1.0), (546.3, 1.0), (576.96, 0.8), (579.07, 0.8)],
 ])  # fmt: skip
 def test_lines_narrower_than_a_nanometre_keep_their_power(peaks):
-    """The white point of narrow lines follows from the sum of the powers of the lines times the observer's curves.
+    """The white point of narrow lines must equal the sum over lines of power times the curves of the CIE observer.
 
     The expected XYZ is this sum divided by its Y.
     """

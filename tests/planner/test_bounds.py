@@ -1,4 +1,8 @@
-"""Upper-bound plans, which calls with few directions use, meet the tolerance. Each tested call once exceeded it."""
+"""Upper-bound plans, which calls with few directions use, meet the tolerance. Each tested call once exceeded it.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal, and κ is w/λ.
+"""
 
 import math
 import warnings
@@ -36,9 +40,10 @@ def line_grating(levels, period_um):
 
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-2])
 def test_third_orders_of_a_shallow_sine_meet_the_tolerance(rng, tolerance):
-    """The power of third orders is proportional to κ⁶, so it is tiny at grazing views, where κ is small.
+    """The error of the third orders of a shallow sine must be within the tolerance.
 
-    Such powers are inaccurate in float32.
+    The power of these orders is proportional to κ⁶. It is tiny at grazing views, where κ is small, and tiny powers are
+    inaccurate in float32.
     """
     heightfield = line_grating(0.05 * np.cos(2.0 * np.pi * np.arange(32) / 32), 1.5)
     x, z = -rng.uniform(0.45, 0.65, 98), rng.uniform(0.05, 0.1, 98)
@@ -53,9 +58,10 @@ def test_third_orders_of_a_shallow_sine_meet_the_tolerance(rng, tolerance):
 
 @pytest.mark.parametrize(("height_um", "illuminant"), [slow(3.0, "HP2"), (5.5, "FL12")])
 def test_two_tall_levels_in_the_mirror_direction_meet_the_tolerance(rng, height_um, illuminant):
-    """Tall steps have spectra that oscillate quickly with the wavelength, and the illuminant has narrow lines.
+    """Tall steps must meet the tolerance in the mirror direction, under illuminants with narrow lines.
 
-    Both require many wavelengths.
+    The spectra of tall steps oscillate quickly with the wavelength. Both the oscillation and the narrow lines require
+    many wavelengths.
     """
     heightfield = line_grating(np.repeat([height_um, 0.0], 32), 4.0)
     lights = hemisphere(rng, 20, 0.95)
@@ -64,9 +70,10 @@ def test_two_tall_levels_in_the_mirror_direction_meet_the_tolerance(rng, height_
 
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-2])
 def test_the_tail_of_the_lobe_around_a_mirrored_sun_meets_the_tolerance(rng, tolerance):
-    """All directions are 5 to 7 standard deviations of the source away from the mirror direction.
+    """Directions far from the mirror direction of the sun must meet the tolerance.
 
-    Their reflectance is about a millionth of the peak or less.
+    All tested directions are 5 to 7 standard deviations of the source away from the mirror direction. Their reflectance
+    is about a millionth of the peak or less.
     """
     source = wd.Coherence("source")
     away, turn = rng.uniform(5.2, 7.2, 120) * source.spread, rng.uniform(0.0, 2.0 * math.pi, 120)
@@ -77,7 +84,10 @@ def test_the_tail_of_the_lobe_around_a_mirrored_sun_meets_the_tolerance(rng, tol
 
 @pytest.mark.parametrize("illuminant", ["FL11", slow("HP1")])
 def test_maps_under_illuminants_with_narrow_lines_meet_the_tolerance(illuminant):
-    """Most directions of a map show diffraction orders at wavelengths between the narrow lines of the illuminant."""
+    """Maps must meet the tolerance under illuminants with narrow lines.
+
+    Most directions of a map show diffraction orders at wavelengths between these lines.
+    """
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4)
     rng = np.random.default_rng(3)
     lights = np.broadcast_to([0.0, 0.0, 1.0], (100, 3))
@@ -91,9 +101,10 @@ def upper_bound(heightfield, direction_range, *, wavelengths_nm=None, **options)
 
 
 def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
-    """The bandwidth has a part for order rates, which scales with σ, a part for heights, and a constant part.
+    """The bandwidth has three parts: one for order rates, one for heights, and a constant.
 
-    For Gaussian windows, the first two parts are proportional to tolerance^(−1/6).
+    The first part must be proportional to the σ of the window, and the second to the heights. For Gaussian windows,
+    both must be proportional to tolerance^(−1/6).
     """
     tall = wd.HeightField.of_known_scale(3.0 * fingers.heights_um, fingers.pitch_um)
     rate, height, colour = bounds.bandwidth_um(fingers, wd.Coherence(sigma_um=5.0), 1e-2)
@@ -104,8 +115,8 @@ def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
     np.testing.assert_allclose(
         bounds.bandwidth_um(fingers, wd.Coherence(sigma_um=5.0), 1e-4), (finer * rate, finer * height, colour)
     )
-    # For replicas, the part of the bandwidth for order rates is the number of wavelengths per order of the patch that
-    # passes a direction while λ changes. It is proportional to tolerance^(−1/4).
+    # For replicas, the first part of the bandwidth, which is for order rates, counts wavelengths per order of the patch
+    # that passes a direction while λ changes. It must be proportional to tolerance^(−1/4).
     replicas = wd.Coherence("replicas", periods=(2, 2))
     order, height, _ = bounds.bandwidth_um(fingers, replicas, 1e-2)
     assert height == pytest.approx(order * fingers.height_range_um)
@@ -113,9 +124,9 @@ def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
 
 
 def test_a_source_requires_the_samples_of_a_window_at_equal_ratios_of_the_wavelength(fingers):
-    """The wavelengths for a source have equal ratios, so their distance in 1/λ is largest at 380 nm.
+    """At 380 nm, the distance between wavelengths in 1/λ must be as small for a source as for a window.
 
-    There it must be as small as the distance for a window.
+    The wavelengths for a source have equal ratios. Their distance in 1/λ is therefore largest at 380 nm.
     """
     source, window = wd.Coherence("source", angular_diameter_deg=3.0), wd.Coherence(sigma_um=5.0)
     of_source, of_window = (bounds.bandwidth_um(fingers, coherence, 1e-2) for coherence in (source, window))
@@ -154,9 +165,10 @@ def test_bounds_are_valid_for_the_range_of_a_call_and_predict_no_quadrature_erro
 
 
 def test_periods_have_two_samples_per_lobe_in_the_steepest_direction(fingers):
-    """Over (u, v), the interference of N periods has N maxima from one order of the patch to the next.
+    """For replicas, the wavelengths must give at least two samples per maximum of the interference between periods.
 
-    Along the diagonal of (u, v), the maxima are closer by a factor of √2.
+    Over (u, v), the interference of N periods has N maxima from one order of the patch to the next. Along the diagonal
+    of (u, v), the maxima are closer by a factor of √2.
     """
     rate, band = 1.9 * max(fingers.size_um), 1.0 / 0.38 - 1.0 / 0.78
     plan = upper_bound(

@@ -66,7 +66,10 @@ def cost(trial, plan):
 
 
 def exhaustive(trial, start, target):
-    """Return the least cost of all plans that meet a target, on a grid of terms, neighbourhoods and bandwidths."""
+    """Return the least cost of all plans that meet a target.
+
+    The plans are on a grid of numbers of terms, neighbourhoods and bandwidths.
+    """
     counts = range(REGISTER, start.terms + 1, REGISTER), range(12), range(13)
     per_rate, per_w, constant = start.bandwidth_um
     least = math.inf
@@ -87,15 +90,17 @@ def exhaustive(trial, start, target):
 
 @pytest.mark.parametrize("factor", [1.0, 2.5])
 def test_a_search_is_near_the_least_cost_and_reports_what_it_measured(fingers, start, factor):
-    """The validation error is the training error times ``factor``.
+    """The cost of the plan that a search finds must be near the least cost of all sufficient plans.
 
-    With a factor of 2.5 it exceeds the target, so that the search must refine its plan again.
+    The plan must report the errors that the search has measured. The validation error is the training error times
+    ``factor``. With a factor of 2.5 it exceeds the target, so that the search must refine its plan again.
     """
     trial = ClosedForm(fingers, start, validation_factor=factor)
     plan = coordinate_search.search(start, trial, automatic=True)
     parts = factor * trial.parts(plan)
     assert parts.sum() <= TARGET
-    # Bisection over 4 numbers of terms, 9 neighbourhoods and three times 13 bandwidths tries at most 20 plans in total.
+    # Bisection must try at most 20 plans in total: it searches 4 numbers of terms, 9 neighbourhoods, and three parts of
+    # the bandwidth with 13 values each.
     assert len(trial.tried) <= 20 + 5 * (factor > 1.0)
     assert plan.method == start.method
     assert plan.is_measured
@@ -156,9 +161,11 @@ class Steps:
     ids=["enough", "the cheaper one", "the other one", "1 and 2 steps", "both", "neither", "1, 2 and 4 steps"],
 )
 def test_repairs_use_the_cheapest_sufficient_step_or_the_one_with_the_least_error(fingers, start, error, finer):
-    """The plan has 9 terms and 100 wavelengths. One possible step adds a term, the other one a wavelength.
+    """A plan that misses the target must be refined by the cheapest step that suffices, or by the step with the least
+    error.
 
-    The step that adds a term is cheaper.
+    The plan has 9 terms and 100 wavelengths. One of the two possible steps adds a term, the other one a wavelength. The
+    step that adds a term is cheaper.
     """
     plan = dataclasses.replace(start, terms=9, wavelengths=100, adaptive=False)
     replace = dataclasses.replace
@@ -185,9 +192,9 @@ def test_repairs_use_the_cheapest_sufficient_step_or_the_one_with_the_least_erro
 def test_the_safety_factor_of_predicted_errors_depends_on_the_directions_that_were_tried(
     start, error, bright, predicted
 ):
-    """The predicted error is the measured one times 1.6 if all directions of the call were tried, else times up to 2.
+    """If a search has tried all directions of a call, the predicted error must be 1.6 times the measured error.
 
-    It is at least a tenth of the tolerance.
+    Otherwise this factor must be up to 2. In all cases the predicted error must be at least a tenth of the tolerance.
     """
     trial = SimpleNamespace(bright=(bright, bright))
     assert coordinate_search.predicted_error(error, start, trial) == pytest.approx(predicted)
@@ -204,7 +211,7 @@ def test_terms_fill_whole_registers_up_to_the_size_of_the_basis(start):
 
 @pytest.mark.parametrize(("of_amplitudes", "automatic"), [(0.4, True), (0.6, True), (0.4, False)])
 def test_a_series_of_amplitudes_replaces_powers_that_cancel(start, of_amplitudes, automatic):
-    """A series of amplitudes replaces a basis of powers only if its error is less than half as large."""
+    """A series of amplitudes must replace a basis of powers only if its error is less than half as large."""
     trial = SimpleNamespace(integrates=False, reference=dataclasses.replace(start, method="jacobi-anger", terms=40))
     trial.order_rate = trial.w = np.ones(1)
     trial.training_error = lambda plan: of_amplitudes if plan.method == "jacobi-anger" else 1.0
@@ -216,7 +223,9 @@ def test_a_series_of_amplitudes_replaces_powers_that_cancel(start, of_amplitudes
 
 @pytest.mark.parametrize("octaves", [0.0, 0.7, 2.5])
 def test_a_bandwidth_that_is_too_small_is_doubled_as_often_as_required(fingers, start, octaves):
-    """The error scales as bandwidth⁻⁶. The bandwidth is doubled until the error is at most half of the target."""
+    """The bandwidth must be doubled until the error, which is proportional to bandwidth⁻⁶, is at most half of the
+    target.
+    """
     trial = ClosedForm(fingers, start)
     trial.training_error = lambda plan: (
         TARGET / 2.0 * (2.0**octaves * start.bandwidth_um[0] / plan.bandwidth_um[0]) ** 6
@@ -234,10 +243,11 @@ def test_a_bandwidth_is_not_doubled_where_that_does_not_halve_the_error(fingers,
 
 
 def test_a_smaller_bandwidth_allows_larger_order_rates_or_fewer_wavelengths(fingers):
-    """Halve the bandwidth of a plan that has only the wavelengths that its bandwidth requires.
+    """A plan with half of the bandwidth must cover larger order rates with the same wavelengths, or have fewer
+    wavelengths.
 
-    If the call has larger order rates than the plan covers, the same wavelengths then serve larger order rates.
-    Otherwise fewer wavelengths suffice.
+    The original plan has only the wavelengths that its bandwidth requires. If the call has larger order rates than the
+    plan covers, the range of order rates must grow. Otherwise the number of wavelengths must decrease.
     """
     source = wd.Coherence("source", angular_diameter_deg=3.0)
     plan = wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], coherence=source, method="low-rank")
@@ -267,9 +277,9 @@ def test_fewer_wavelengths_are_subdivided_more_under_replicated_periods(fingers)
 
 @pytest.mark.parametrize("tolerance", [1e-1, 3e-3])
 def test_searches_of_all_tolerances_try_the_same_bandwidths_and_weights(fingers, tolerance):
-    """Searches at all tolerances try plans on the same grid.
+    """Searches at all tolerances must try plans on the same grid of bandwidths and least weights.
 
-    Bandwidths are those of a tolerance of 0.01 times powers of 2^(1/4). Least weights are powers of e.
+    The bandwidths are those of a tolerance of 0.01 times powers of 2^(1/4). The least weights are powers of e.
     """
     plans = [
         wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], method="low-rank", tolerance=t) for t in (1e-2, tolerance)
@@ -286,11 +296,12 @@ def test_searches_of_all_tolerances_try_the_same_bandwidths_and_weights(fingers,
 
 
 def test_budgets_grow_evenly_from_the_error_of_the_start_to_the_target(fingers, start):
-    """Budgets are limits of the error while a search reduces one number of the plan after another.
+    """Budgets must increase in equal steps from the error of the first plan to the target.
 
-    They increase in equal steps. If only a few of the sampled directions are bright, these do not represent all bright
-    directions of a call well. The budgets of the first two numbers, terms and neighbourhood, then increase by only a
-    tenth of an equal step, and the neighbourhood is not reduced.
+    A search reduces one number of the plan after another. The budget of a number is the limit of the error during its
+    reduction. If only few of the sampled directions are bright, they do not represent all bright directions of a call
+    well. The budgets of the first two numbers, terms and neighbourhood, must then increase by only a tenth of an equal
+    step, and the neighbourhood must not be reduced.
     """
     trial, error = ClosedForm(fingers, start), 0.4 * TARGET
     coordinates = coordinate_search._coordinates(start, trial, error, TARGET)

@@ -1,4 +1,7 @@
-"""Cost model: how its estimates scale with the numbers of a plan."""
+"""Cost model: how its estimates scale with the numbers of a plan.
+
+q is a spatial frequency, and σ the standard deviation of the coherence window.
+"""
 
 import dataclasses
 import math
@@ -34,7 +37,8 @@ def test_costs_are_in_proportion_to_wavelengths_and_grow_with_terms_and_neighbou
     increases = np.diff([sampling(heightfield, plan, terms=n) for n in (32, 64, 96, 128)])
     np.testing.assert_allclose(increases, increases[0], rtol=1e-6)
     assert increases[0] > 0.0
-    # The neighbourhood is an ellipse, whose axes are proportional to the square root of −ln(least_weight).
+    # The neighbourhood is an ellipse. Its axes, and therefore its number of coefficients per axis, are proportional to
+    # the square root of −ln(least_weight).
     costs = [sampling(heightfield, plan, least_weight=float(np.exp(-n))) for n in (1.0, 4.0, 9.0)]
     sides = np.array([1.0, 2.0, 3.0])
     np.testing.assert_allclose(costs, np.polyval(np.polyfit(sides**2, costs, 1), sides**2), rtol=1e-6)
@@ -55,9 +59,10 @@ def table_plan(heightfield, coherence, method="low-rank"):
 
 
 def test_samples_of_a_spectrum_cost_in_proportion_to_their_terms_and_neighbours(fingers):
-    """Neighbours lie in the circle of q in which their weight exp(−4π²σ²q²) is at least ``least_weight``.
+    """The cost of a sample of the spectrum must be proportional to its number of terms and its number of neighbours.
 
-    The number of neighbours is the area of this circle times the area of the patch.
+    Neighbours lie in the circle of q in which their weight exp(−4π²σ²q²) is at least ``least_weight``. Their number is
+    the area of this circle times the area of the patch.
     """
     plan = table_plan(fingers, wd.Coherence(sigma_um=3.25))
     costs = [
@@ -91,9 +96,10 @@ def test_lines_of_a_source_cost_in_proportion_to_the_area_and_grow_with_terms():
 
 
 def test_directions_cost_as_many_wavelengths_as_they_require():
-    """The sizes of wavelength sets increase in steps of a factor 2^(1/4).
+    """A direction must cost as many wavelengths as it requires, times 2^(1/8).
 
-    On average a direction uses a set that is half a step, a factor 2^(1/8), larger than required.
+    The sizes of the available sets of wavelengths increase in steps of a factor 2^(1/4). On average, a direction uses a
+    set that is half a step, a factor of 2^(1/8), larger than required.
     """
     heightfield = noise((6, 16))
     plan = wd.plan(heightfield, [0, 0, 1], [0.6, 0, 0.8])
@@ -108,9 +114,9 @@ def test_directions_cost_as_many_wavelengths_as_they_require():
 
 
 def test_neighbours_lie_in_a_rectangle_of_orders_around_a_direction():
-    """The number of neighbours is the product of 2 · radius · length over all axes with more than one sample.
+    """The number of neighbours must be the product of 2 · radius · length over all axes with more than one sample.
 
-    The radius is that of the neighbourhood in 1/µm, and the length is that of the patch.
+    The radius is that of the neighbourhood in 1/µm, and the length is that of the patch in µm.
     """
     line, field = noise((1, 16)), noise((6, 16))
     plan = dataclasses.replace(wd.plan(field, [0, 0, 1], [0.6, 0, 0.8]), terms=8, adaptive=False)
@@ -126,8 +132,10 @@ def test_neighbours_lie_in_a_rectangle_of_orders_around_a_direction():
 
 
 def test_a_look_up_costs_nine_nodes_of_three_channels_for_each_basis_function_of_w():
-    """If a plan states no number of basis functions of w, the table has as many as terms, rounded up to whole SIMD
-    registers.
+    """A look-up must cost nine rows of the table, each with three channels, per basis function of w.
+
+    If a plan states no number of basis functions of w, the table must have as many as the plan has terms, rounded up to
+    whole SIMD registers.
     """
     plan = table_plan(noise((6, 16)), wd.Coherence(sigma_um=3.25))
     for size, terms, functions in [(12, 9, 12), (0, 9, 16)]:

@@ -1,4 +1,8 @@
-"""Plans near what is supported: the largest neighbourhood, and the Nyquist limit of the pitch."""
+"""Plans near the limits of support: the largest neighbourhood, and the Nyquist limit of the pitch.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
+"""
 
 from types import SimpleNamespace
 
@@ -10,9 +14,10 @@ from warpdiff.planner import refusals
 
 @pytest.mark.parametrize(("extent", "supported"), [((100, 99), True), ((100, 100), False)])
 def test_neighbourhoods_of_more_than_40000_coefficients_are_refused(fingers, monkeypatch, extent, supported):
-    """Extents of 100 and 99 to either side give 201 × 199 coefficients, which is within the limit of 40,000.
+    """A neighbourhood of at most 40,000 coefficients must be accepted, and a larger one refused.
 
-    A neighbourhood of 201 × 201 coefficients exceeds the limit.
+    Extents of 100 and 99 to either side give 201 × 199 coefficients, which is within the limit. A neighbourhood of 201
+    × 201 coefficients exceeds it.
     """
     monkeypatch.setattr(refusals.coefficient_table, "neighbour_extent", lambda _plan, _heightfield: extent)
     plan = SimpleNamespace(coherence=wd.Coherence(sigma_um=3.0))
@@ -33,7 +38,7 @@ def test_neighbourhoods_of_more_than_40000_coefficients_are_refused(fingers, mon
     ids=["a window between samples", "a direct sum", "all windows"],
 )
 def test_directions_beyond_the_nyquist_limit_warn(monkeypatch, recwarn, coherence, method, radius):
-    """|(u, v)| is limited to the highest supported frequency times the wavelength.
+    """Directions must cause a warning if |(u, v)| exceeds the highest supported frequency times the wavelength.
 
     This frequency is the Nyquist frequency, 2/µm for a pitch of 0.25 µm. For windows centred between samples, it is
     lower by the radius of the neighbourhood.

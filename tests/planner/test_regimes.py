@@ -1,4 +1,8 @@
-"""Automatic plans where fixed methods or settings fail: results meet the tolerance or are refused with a reason."""
+"""Automatic plans where fixed methods or settings fail: results meet the tolerance or are refused with a reason.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal, and κ is w/λ. H_m is the Fourier coefficient of order m.
+"""
 
 import math
 
@@ -47,8 +51,8 @@ class Case:
         return self.error_of(rho @ weights)
 
 
-# Tests over the size of coherence windows. Short windows need many neighbours. Under long windows, orders are narrower
-# than wavelength steps of 1 nm.
+# Tests with coherence windows of different sizes. Short windows need many neighbours. Under long windows, orders are
+# narrower than wavelength steps of 1 nm.
 
 
 @pytest.fixture(scope="module")
@@ -84,8 +88,8 @@ def test_windows_that_are_too_short_or_too_long_are_refused_with_the_remedy(line
         wd.reflectance(line, lights, views, coherence=wd.Coherence(sigma_um=5e4))
 
 
-# Tests over the size of patches. The orders of large patches are so close that 3 × 3 neighbours do not suffice. For all
-# patches, 81 wavelengths (steps of 5 nm) are too few.
+# Tests with patches of different sizes. The orders of large patches are so close that 3 × 3 neighbours do not suffice.
+# For all patches, 81 wavelengths (steps of 5 nm) are too few.
 
 
 @pytest.mark.parametrize("size", [2.0, 12.8, 32.0])
@@ -107,8 +111,8 @@ def test_fixed_neighbours_and_wavelength_steps_fail_for_some_patch_sizes():
     assert line.automatic <= TOLERANCE
 
 
-# Tests of large and small |(u, v)|. Far from the mirror direction, 81 wavelengths are too few. Near it, one wavelength
-# per order is too few.
+# Tests of large and small |(u, v)|. Far from the mirror direction, 81 wavelengths are too few. Near the mirror
+# direction, one wavelength per order is too few.
 
 
 @pytest.mark.parametrize("uv", [0.003, 0.1, slow(0.7), 1.98])
@@ -124,7 +128,8 @@ def test_automatic_plans_meet_the_tolerance_for_all_scattering_vectors(uv):
         assert case.fixed_steps(5.0) > 0.1
 
 
-# Tests of grazing directions. There 1 + ωi·ωr loses precision by cancellation, and sources are foreshortened.
+# Tests of grazing directions. For them, the sum 1 + ωi·ωr loses precision by cancellation, and light sources are
+# foreshortened.
 
 
 @pytest.mark.parametrize("elevation", [0.1, 1.0, 10.0])
@@ -141,10 +146,10 @@ def test_automatic_plans_meet_the_tolerance_towards_the_horizon(elevation, sprea
 
 @pytest.mark.parametrize(("count", "seed"), [(64, 0), (15, 1)])
 def test_directions_far_darker_than_the_mirror_direction_meet_the_tolerance(count, seed):
-    """All directions have about a millionth of the reflectance in the mirror direction, whose lobe must not reach them.
+    """Directions with about a millionth of the reflectance of the mirror direction must meet the tolerance.
 
-    In such dark directions the terms of a series of powers cancel. Another series must replace it, also in calls with
-    few directions, which skip the search.
+    The light in the mirror direction must not influence these directions. In such dark directions the terms of a series
+    of powers cancel. Another series must replace it, also in calls with few directions, which skip the search.
     """
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4)
     assert Case(heightfield, methods.at_elevation(count, 0.1, None, seed)).automatic <= TOLERANCE
@@ -165,9 +170,9 @@ def test_spectra_of_sources_towards_the_horizon_meet_the_tolerance(elevation, sp
 
 @pytest.mark.parametrize(("elevation", "count", "seed"), [(0.5, 4, 0), slow(0.5, 20, 1), slow(0.2, 8, 1)])
 def test_colours_of_a_source_at_the_horizon_meet_the_tolerance(elevation, count, seed):
-    """At half a degree above the horizon or less, a source is foreshortened more than 100 times.
+    """Colours of a source at half a degree above the horizon or less must meet the tolerance.
 
-    Colours must still meet the tolerance.
+    Such a source is foreshortened more than 100 times.
     """
     heightfield = wd.gratings.fingers(size_um=3.2, pitch_um=0.09, seed=4)
     assert (
@@ -178,7 +183,10 @@ def test_colours_of_a_source_at_the_horizon_meet_the_tolerance(elevation, count,
 
 @pytest.mark.parametrize("count", [2, slow(8), slow(12)])
 def test_a_source_too_close_to_the_horizon_is_accurate_or_refused(count):
-    """At 0.2° above the horizon, a source may require more wavelengths than a plan can have."""
+    """A call with a source at 0.2° above the horizon must be accurate or refused.
+
+    It may require more wavelengths than a plan can have.
+    """
     heightfield, source = wd.gratings.fingers(size_um=3.2, pitch_um=0.09, seed=4), wd.Coherence("source")
     lights, views = methods.at_elevation(count, 0.2)
     xyz, message = methods.outcome(wd.reflectance, heightfield, lights, views, coherence=source)
@@ -190,14 +198,15 @@ def test_a_source_too_close_to_the_horizon_is_accurate_or_refused(count):
         assert methods.colour_error(xyz, exact) <= TOLERANCE
 
 
-# Tests over the pitch. A reference computed from the same samples has the same aliasing, so tests use a closed form.
+# Tests with different pitches. A reference computed from the same samples would have the same aliasing. The expected
+# colours are therefore closed forms.
 
 
 PERIOD, DEPTH, SINE_WINDOW = 1.6, 0.3, wd.Coherence(sigma_um=3.0)
 
 
 def sine_colour(lights, views):
-    """Return XYZ of a continuous sine grating, from |H_m|² = J_m(πκ·depth)²."""
+    """Return XYZ of a continuous sine grating. The power of order m is J_m(πκ·depth)², with the Bessel function J_m."""
     tau, weights = reference.quadrature(64, "D65")
     scattering_vectors = -(lights + views)
     theta = 2.0 * math.pi * np.arange(64) / 64
@@ -212,22 +221,22 @@ def test_pitches_beyond_the_nyquist_limit_cause_a_warning():
     lights, views = methods.in_plane(64, 1.9)
     exact = sine_colour(lights, views)
     arguments = {"to_light": lights, "to_view": views, "coherence": SINE_WINDOW, "tolerance": TOLERANCE}
-    # The largest pitch without aliasing is 0.1 µm. A period of 1.6 µm therefore needs 16 samples, and 12 samples are
-    # too few.
+    # Without aliasing, the pitch may be at most 0.1 µm. A period of 1.6 µm therefore needs 16 samples. With 12 samples,
+    # aliasing must cause a warning.
     for samples in (80, 20, 16):
         xyz = wd.reflectance(wd.gratings.sinusoidal(PERIOD, DEPTH, samples=samples), **arguments)
         assert methods.colour_error(xyz, exact) <= TOLERANCE
     for samples in (12, 6):
         coarse = wd.gratings.sinusoidal(PERIOD, DEPTH, samples=samples)
-        # The colours equal those of a reference that uses the same coarse samples, because both have the same errors by
-        # aliasing.
+        # The colours must equal those of a reference that uses the same coarse samples, because aliasing causes the
+        # same errors in both.
         on_samples = reference.reference_reflectance(coarse, lights, views, SINE_WINDOW)
         with pytest.warns(wd.WarpdiffWarning, match=rf"a pitch of {PERIOD / samples:.3g} µm supports") as caught:
             xyz = wd.reflectance(coarse, **arguments)
         assert len(caught) == 1
         assert methods.colour_error(xyz, on_samples) <= TOLERANCE
         assert methods.colour_error(xyz, exact) > TOLERANCE
-        # Resampling to a finer pitch, which the warning recommends, restores the accuracy.
+        # The warning recommends to resample the field to a finer pitch. This must restore the accuracy.
         xyz = wd.reflectance(coarse.resampled(0.04), **arguments)
         assert methods.colour_error(xyz, exact) <= TOLERANCE
 
@@ -235,10 +244,10 @@ def test_pitches_beyond_the_nyquist_limit_cause_a_warning():
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("seed", [0, 1, 4])
 def test_a_window_between_samples_close_to_the_nyquist_limit_is_accurate_or_refused(seed, side):
-    """Close to the Nyquist limit, a direction requires coefficients beyond the limit, which repeat those below it.
+    """Close to the Nyquist limit, a call for a window between samples must be accurate, or warn, or be refused.
 
-    For a window centred between samples, the repeated coefficients have wrong phases. The call must be accurate, or
-    warn or be refused.
+    There a direction requires coefficients beyond the limit, which repeat those below it. For a window centred between
+    samples, the repeated coefficients have wrong phases.
     """
     heightfield = wd.HeightField(np.random.default_rng(seed).uniform(-0.15, 0.15, (1, 12)), 0.1353)
     window = wd.Coherence("centred", 1.0, centre_um=(0.0, side * 0.4 * heightfield.size_um[1]))
@@ -284,7 +293,10 @@ def test_replicated_periods_near_resonance_are_accurate(periods, away):
 
 
 def test_the_published_form_of_replicated_periods_fails_in_float32():
-    """In float32 the published sum over periods has an error of 5 % at a phase of 1e-3 and is not finite at 1e-4."""
+    """The published sum over periods must fail in float32: this is the reason for using another form.
+
+    At a phase of 1e-3 its error is 5 %, and at 1e-4 it is not finite.
+    """
     for periods in (10, 100, 1000):
         exact, single = (
             methods.published_replicas(np.array([1e-3, 1e-4]) / (2.0 * np.pi), periods, dtype)
@@ -298,7 +310,10 @@ def test_the_published_form_of_replicated_periods_fails_in_float32():
 
 
 def test_seven_orders_do_not_suffice_for_a_patch():
-    """Between orders, the spectrum of a patch converges slowly: a sum of seven orders has an error of more than 5 %."""
+    """A sum of only seven orders must have an error of more than 5 %: this is the reason for using more.
+
+    Between the orders of a patch, the spectrum converges slowly with the number of orders.
+    """
     heightfield, one_copy = methods.finger_rows(6.4, pitch_um=0.08), wd.Coherence("replicas", periods=(1, 1))
     scattering_vectors = np.array(
         [[turns * 0.5 / heightfield.size_um[1], 0.0, -1.6] for turns in (1.5, 2.4, 3.5, 5.45, 7.5)]

@@ -1,4 +1,8 @@
-"""Strategy: direction ranges of a call, and the choice between bounds, search and table."""
+"""Strategy: direction ranges of a call, and the choice between bounds, search and table.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal.
+"""
 
 import dataclasses
 import math
@@ -42,7 +46,12 @@ def test_directions_below_the_horizon_do_not_widen_the_range(is_light, request_o
 
 @pytest.mark.parametrize(("side", "light", "view"), [("light", at_angle(30.0), None), ("view", None, at_angle(30.0))])
 def test_the_whole_hemisphere_is_assumed_on_the_other_side(side, light, view, request_of_fingers):
-    """For one direction at angle θ, |(u, v)| is at most 1 + sin θ, and |w| is between cos θ and 1 + cos θ."""
+    """If only one of two directions is known, the range of directions must cover the whole hemisphere of the other
+    direction.
+
+    For a known direction at the angle θ from the normal, |(u, v)| is then at most 1 + sin θ, and |w| is between cos θ
+    and 1 + cos θ.
+    """
     direction_range, sample, count = strategy.directions_of(request_of_fingers, light, view)
     assert math.isinf(count)
     assert direction_range.max_uv == pytest.approx(1.5)
@@ -72,16 +81,18 @@ def test_the_range_of_several_directions_and_the_whole_hemisphere_covers_each(re
 
 @pytest.mark.parametrize(("kind", "saving"), [("averaged", 2.6), ("centred", 3.0), ("source", 2.2), ("replicas", 4.0)])
 def test_a_search_starts_from_the_number_of_directions_that_repay_its_time(kind, saving):
-    """A search costs as much as the evaluation of 16,000 directions with the plan that it finds.
+    """A search must start only if its cost is less than what it saves in the directions of the call.
 
-    An evaluation with the upper-bound plan costs ``saving`` times as much as with the plan of the search.
+    A search costs as much as the evaluation of 16,000 directions with the plan that it finds. An evaluation with the
+    upper-bound plan costs ``saving`` times as much as with the plan of the search.
     """
     request = SimpleNamespace(method="auto", integration="auto")
     upper = SimpleNamespace(max_order_rate=1.0, method="low-rank", coherence=SimpleNamespace(kind=kind))
     count = 16_000.0 / (saving - 1.0)
     for share, pays in [(0.99, False), (1.01, True)]:
         assert strategy._pays_to_search(request, upper, SimpleNamespace(max_order_rate=1.0), share * count) is pays
-    # A search always starts if the upper-bound plan does not cover the directions of the call.
+    # A search must start for any number of directions if the upper-bound plan does not cover the directions of the
+    # call.
     assert strategy._pays_to_search(request, upper, SimpleNamespace(max_order_rate=1.1), 1.0)
 
 
@@ -94,10 +105,10 @@ def test_an_explicit_method_that_adds_powers_is_tried_on_sixteen_directions():
 
 
 def test_a_table_may_cost_what_it_saves_in_three_calls(fingers):
-    """A table may cost as much as three calls save by it.
+    """The largest cost of a table that a search may choose must be the cost that three calls save by it.
 
-    Without the table, each call would use a plan of a search, which costs as much as the evaluation of 16,000
-    directions.
+    Without the table, each of these calls would use the plan of a search. The search costs as much as the evaluation of
+    16,000 directions.
     """
     settings = PlanSettings(coherence=wd.Coherence(sigma_um=3.25), tolerance=1e-1)
     request = Evaluation.of(fingers, settings, illuminants=("D65",))
@@ -161,7 +172,11 @@ def test_the_coarse_plan_that_finds_bright_directions_has_8_terms_and_half_of_th
 def test_a_table_is_used_if_it_meets_the_tolerance_or_is_explicit(
     request_of_fingers, monkeypatch, options, error, expected
 ):
-    """Tables for footprint means need no safety factor of 1.6, because means have smaller errors than points."""
+    """A table must be used if its error is within the tolerance, or if the caller requests a table.
+
+    For tables of footprint means the error is not multiplied by the safety factor of 1.6, because means have smaller
+    errors than single points.
+    """
     request = dataclasses.replace(request_of_fingers, **options)
     direction_range, sample, _ = strategy.directions_of(request, at_angle(0.0), at_angle(30.0))
     upper = bounds.upper_bound_plan(request, direction_range, method="low-rank", tolerance=request.tolerance)
@@ -180,7 +195,8 @@ def test_a_table_is_used_if_it_meets_the_tolerance_or_is_explicit(
     else:
         assert strategy._measured(*arguments, math.inf) is {"table": table, "search": searched}[expected]
     assert strategy._measured(*arguments, 0.0) is searched
-    # If all directions are dark, the upper-bound plan is used, unless it does not cover the call's order rates.
+    # If all directions are dark, the upper-bound plan must be used. A search must be used instead if that plan does not
+    # cover the order rates of the call.
     monkeypatch.setattr(strategy.trial, "Trial", lambda *_, **__: SimpleNamespace(any_light=False))
     assert not strategy._measured(*arguments, 0.0).is_measured
     cut = dataclasses.replace(upper, max_order_rate=0.9 * direction_range.max_order_rate)

@@ -68,7 +68,10 @@ def cost(trial, rings):
 
 @pytest.mark.parametrize(("sufficient", "count"), [(16, 1), (32, 1), (48, 1), (64, 2), (96, 2), (128, 3)])
 def test_the_smallest_sufficient_table_is_found_in_few_steps(fingers, plan, sufficient, count):
-    """Each table has at most twice the rings of the previous one. No table smaller than the first one is tried."""
+    """The smallest sufficient table must be found in few steps.
+
+    Each tried table has at most twice the rings of the previous one, and no table smaller than the first one is tried.
+    """
     trial = Tables(fingers, plan, sufficient)
     table = trial.smallest()
     assert table.rings_per_octave == max(sufficient, FIRST)
@@ -108,7 +111,7 @@ def test_tables_that_cost_too_much_are_not_made(fingers, plan):
     assert trial.smallest(affordable=0.99 * least) is None
     assert not trial.tried
     assert trial.smallest(affordable=0.99 * more) is None
-    # A call that needs a table gets the largest one whose cost is at most ``affordable``.
+    # A call that needs a table must get the largest table whose cost is at most ``affordable``.
     assert trial.smallest(affordable=0.99 * least, needed=True).rings_per_octave == 32
     assert trial.smallest(affordable=0.99 * more, needed=True).rings_per_octave == FIRST
     assert trial.smallest(affordable=0.99 * cost(trial, 12)[0], needed=True).rings_per_octave == 8
@@ -124,7 +127,10 @@ def test_the_largest_table_is_the_largest_that_fits_into_memory(fingers, plan, m
 
 @pytest.mark.parametrize(("richer", "expected"), [(0.6, (64, 12)), (0.8, None)])
 def test_more_functions_of_w_are_tried_where_rings_do_not_help(fingers, plan, richer, expected):
-    """If more rings do not reduce the error, more basis functions of w are tried. If these fail, the search ends."""
+    """If more rings do not reduce the error, a table with more basis functions of w must be tried.
+
+    If that table does not meet the target either, the search must end without a table.
+    """
     trial = Tables(fingers, plan, law=lambda table: 1.5 * TARGET * (richer if table.w_basis_size > 8 else 1.0))
     table = trial.smallest()
     assert (table and (table.rings_per_octave, table.w_basis_size)) == expected
@@ -133,7 +139,11 @@ def test_more_functions_of_w_are_tried_where_rings_do_not_help(fingers, plan, ri
 
 
 def test_more_functions_of_w_are_tried_where_rings_help_by_less_than_their_order(fingers, plan):
-    """Doubling the rings should divide the error by 4. If it does not, basis functions of w are the limit."""
+    """If twice the rings do not divide the error by 4, a table with more basis functions of w must be tried.
+
+    Errors of interpolation between rings are of second order. A smaller improvement shows that the basis functions of w
+    limit the accuracy.
+    """
     law = {(48, 8): 2.9, (96, 8): 1.6, (96, 12): 0.9}
     trial = Tables(fingers, plan, law=lambda table: TARGET * law[table.rings_per_octave, table.w_basis_size])
     table = trial.smallest()
@@ -149,9 +159,10 @@ def test_the_last_table_is_tried_with_more_functions_of_w(fingers, plan):
 
 
 def test_the_fewest_terms_whose_expected_error_is_within_half_of_the_target_are_used(fingers, plan):
-    """With 8 terms, the measured error equals the target.
+    """The table must have the fewest terms whose expected error is within half of the target.
 
-    The residuals of the basis predict that 10 terms divide it by 3.2.
+    With 8 terms, the measured error equals the target. The residuals of the basis predict that 10 terms reduce this
+    error by a factor of 3.2.
     """
     several = dataclasses.replace(plan, terms=24)
     trial = Tables(fingers, several, law=lambda _table: 0.5 * TARGET, sampled=lambda _terms: TARGET)
@@ -164,10 +175,12 @@ def test_the_fewest_terms_whose_expected_error_is_within_half_of_the_target_are_
 
 @pytest.mark.parametrize(("sampled", "terms", "rings"), [(0.8, 14, FIRST), (0.6, 14, 64), (0.4, 10, 64)])
 def test_terms_are_added_once_if_sampling_with_them_misses_its_half_of_the_target(fingers, plan, sampled, terms, rings):
-    """The first table has 10 terms, by an estimate. If it fails, a plan with 10 terms but without a table is tried.
+    """If the first table fails because it has too few terms, the next table must have more terms.
 
-    If the error of that plan exceeds half of the target, terms are added. If it also exceeds half of the error of the
-    first table, the terms cause most of that error, and the next table has the same size. Otherwise it is larger.
+    The first table has 10 terms, by an estimate. If it fails, a plan with 10 terms but without a table is tried. If the
+    error of that plan exceeds half of the target, terms are added. If it also exceeds half of the error of the first
+    table, the terms cause most of the table's error, and the next table has the same size. Otherwise the next table is
+    larger.
     """
 
     def law(table):

@@ -47,7 +47,11 @@ def test_the_reference_has_twice_the_wavelengths_and_the_values_of_the_public_fu
 
 
 def test_errors_of_few_directions_are_the_largest_error_relative_to_the_colour_or_the_floor(fingers, colours):
-    """Each of the 60 directions has over 0.5 % of the weight, so the 99.5th percentile of errors is their maximum."""
+    """The error of few directions must be the largest error, relative to the norm of the colour or to the floor.
+
+    Each of the 60 directions has more than 0.5 % of the weight. The 99.5th percentile of the errors is therefore their
+    maximum.
+    """
     measured, plan, lights, views = colours
     coarse = dataclasses.replace(plan, wavelengths=16, adaptive=False)
     largest, of_half = [], []
@@ -66,7 +70,7 @@ def test_errors_of_few_directions_are_the_largest_error_relative_to_the_colour_o
     assert measured.training_error(coarse) == measured.validation_error(coarse)
     assert measured.bright == (math.inf, math.inf)
     assert measured.any_light
-    # Directions with order rates beyond the range of the reference are not compared with it.
+    # Directions with order rates beyond the range of the reference plan must not be compared with the reference.
     complete = measured.reference
     measured.reference = dataclasses.replace(complete, max_order_rate=0.8)
     assert measured.validation_error(coarse) == pytest.approx(max(of_half), rel=1e-2)
@@ -103,7 +107,8 @@ def test_the_reference_luminance_is_a_percentile_or_the_median_of_the_light():
     weights = np.ones(1005)
     assert trial.reference_luminance(luminance, weights) == 1000.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 1.0
-    # Of 1,005 directions, 20 are bright, which is 2 %. The 99th percentile is therefore their luminance.
+    # The call has 1,005 directions, of which 20 are bright, which is 2 %. The 99th percentile of the luminance is
+    # therefore the luminance of these bright directions.
     luminance[-20:] = 50.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 50.0
     # If each bright direction has a quarter of its weight, the bright directions have 0.5 % of the total weight. The
@@ -115,9 +120,9 @@ def test_the_reference_luminance_is_a_percentile_or_the_median_of_the_light():
 
 
 def test_the_worst_percentile_is_the_maximum_over_bright_and_dim_directions():
-    """The worst percentile is the error that 0.5 % of the weight exceeds.
+    """The result must be the largest percentile over all illuminants, and over bright and dim directions.
 
-    It is the largest over all illuminants, and over bright and dim directions.
+    The percentile of a group of directions is the error that 0.5 % of the weight of this group exceeds.
     """
     errors = np.array([np.arange(2000.0), np.zeros(2000)])
     above = np.array([np.arange(2000) < 1000, np.arange(2000) < 1000])
@@ -149,10 +154,10 @@ def test_errors_of_a_group_have_a_row_for_each_illuminant_and_floor(rng):
 
 
 def test_bright_directions_are_counted_by_the_highest_and_by_the_lowest_floor():
-    """Bright directions are counted for every illuminant, with two luminance floors that a call may have.
+    """For each of two luminance floors, the result must be the least number of bright directions of any illuminant.
 
-    The higher floor includes outliers among the brightest directions, the lower one does not. For each of the two
-    floors, the result is the count of the illuminant with the fewest bright directions.
+    A call can have two floors. The higher floor is computed with outliers among the brightest directions, the lower
+    floor without them.
     """
     above = np.arange(100) < np.array([[40], [60], [30], [80]])
     group = trial.Group(DirectionSample(*np.ones((2, 100, 3)), *np.ones((2, 100))), "cpu", 1)
@@ -176,7 +181,7 @@ def test_a_call_has_light_if_its_floor_or_one_training_direction_exceeds_darknes
 
 
 def test_the_luminance_of_a_spectrum_is_its_maximum_and_the_lowest_floor_limits_bright_directions(fingers, monkeypatch):
-    """A request for spectral reflectances has no luminance, so that the largest value of each spectrum replaces it.
+    """If a request is for spectra, the largest value of each spectrum must replace its luminance.
 
     The trial draws its sets of directions by these maxima and by the lowest floor. Minima or other floors would select
     other directions.

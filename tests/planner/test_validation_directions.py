@@ -23,8 +23,8 @@ def test_the_training_and_the_validation_set_each_represent_all_candidates(rng):
         assert sample.weights.sum() == pytest.approx(7000.0, rel=0.2)
         steep = -(sample.scattering_vectors + sample.to_lights)[:, 2] > 0.5
         assert sample.weights[steep].sum() / sample.weights.sum() == pytest.approx(share, abs=0.12)
-        # The numbers of directions drawn uniformly, by brightness and from the edge cases have the ratio 1 : 1 : 1/4. A
-        # fifth of the directions of the first two kinds are edge cases, too.
+        # Directions are drawn uniformly, by brightness, and from the edge cases, with numbers in the ratio 1 : 1 : 1/4.
+        # Of the directions that are drawn uniformly or by brightness, a fifth are edge cases, too.
         edge_cases = set(map(tuple, sample.to_lights)) & set(map(tuple, lights[:200]))
         assert len(edge_cases) / len(sample) == pytest.approx((0.2 + 0.2 + 0.25) / 2.25, abs=0.06)
 
@@ -40,7 +40,10 @@ def test_a_few_candidates_are_all_in_the_validation_set(count, rng):
 
 
 def test_directions_drawn_with_large_probabilities_appear_only_once(rng):
-    """The weight of a drawn direction is its original weight divided by the probability that it is drawn."""
+    """No direction may be drawn twice.
+
+    The weight of a drawn direction must be its original weight divided by the probability that it is drawn.
+    """
     lights = hemisphere(rng, 1000)
     candidates = DirectionSample(-2.0 * lights, lights, np.ones(1000), rng.uniform(1.0, 2.0, 1000))
     measure = np.ones(1000)
@@ -58,7 +61,10 @@ def test_directions_drawn_with_large_probabilities_appear_only_once(rng):
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_the_few_directions_at_an_order_are_candidates(axis, rng):
-    """Twelve directions show the first order of a sine in the visible band. All others miss the order, or are dim."""
+    """Directions at the first order of a grating must be candidates even if there are only twelve of them.
+
+    All other directions miss the order, or are dim.
+    """
     grating = wd.gratings.sinusoidal(2.0, 0.1)
     heights = np.tile(grating.heights_um, (6, 1))
     pitch = 0.15, grating.pitch_um[1]

@@ -1,4 +1,8 @@
-"""Plots of results (orders, spectra, colours, errors, plans): drawn values equal closed forms and the results."""
+"""Plots of results (orders, spectra, colours, errors, plans): drawn values equal closed forms and the results.
+
+κ is w/λ, the normal component w of the scattering vector divided by the wavelength. H is the Fourier coefficient of an
+order.
+"""
 
 import dataclasses
 import math
@@ -172,7 +176,11 @@ def test_a_strip_has_the_colours_of_its_directions(ax, rng):
 
 @pytest.mark.parametrize("azimuth", [0.0, 60.0])
 def test_a_strip_of_a_height_field_is_in_the_plane_of_the_light(ax, monkeypatch, azimuth):
-    """The view angle of 30° is the direction to the light, and −30° is its mirror direction, which the plot marks."""
+    """A strip must show view directions in the plane of the light.
+
+    The view angle of 30° must be the direction to the light. The view angle of −30° must be its mirror direction, which
+    the plot marks.
+    """
     views = []
 
     def reflectance(_heightfield, _to_light, to_view):
@@ -231,7 +239,7 @@ def test_bars_of_a_plan_have_the_lengths_of_its_errors(ax, picture):
 
 
 def test_lines_of_wavelengths_are_dark_enough_on_white():
-    """The colour of a line has a contrast of more than 2.9 to white, and the hue of the wavelength."""
+    """The colour of a line must have the hue of its wavelength, and a contrast of more than 2.9 to white."""
     for wavelength, channel in ((450.0, 2), (530.0, 1), (650.0, 0)):
         colour = np.array(to_rgb(tuple(wavelength_colour(wavelength))))
         assert np.argmax(colour) == channel

@@ -96,7 +96,10 @@ def test_a_spectrum_may_end_at_a_lower_frequency(ax, wave):
 
 
 def test_the_integral_of_the_density_is_the_variance():
-    """The power spectral density of a cosine of amplitude a integrates to a²/2, its variance, on one axis and two."""
+    """The integral of the power spectral density of a cosine with amplitude a must be its variance a²/2.
+
+    This must hold for the density over two axes and for the density over one axis.
+    """
     x = 0.02 * np.arange(800)
     heights = 0.1 * np.cos(2.0 * np.pi * x / 0.8)
     field, profile = (Figure().add_subplot() for _ in range(2))

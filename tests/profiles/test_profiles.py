@@ -1,4 +1,4 @@
-"""Profiles: surfaces of parameters, and derivatives by complex steps and transposes."""
+"""Profiles: the surfaces that their parameters define, and derivatives compared with complex steps and transposes."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def test_trapezoids_have_their_duty_and_walls_exactly():
     profile = wd.profiles.Trapezoid(0.2, 0.3, 0.04, 2.5)
     outline = profile.surface([0.2, 0.3, 0.04, 2.5])
     np.testing.assert_allclose(np.diff(outline.positions), [0.04, 0.26, 0.04], atol=1e-15)
-    # Half of the height is at the middle of a wall, and the mean height is duty times depth.
+    # The middle of a wall has half of the height, so that the mean height must be duty times depth.
     assert outline.height_field(20_000).heights_um.mean() == pytest.approx(0.3 * 0.2, rel=1e-4)
 
 
@@ -90,7 +90,30 @@ def test_objectives_have_the_gradient_of_the_loss():
     loss, gradient = function(profile.start)
     for k, step in enumerate(1e-6 * np.eye(len(gradient))):
         difference = (function(profile.start + step)[0] - function(profile.start - step)[0]) / 2e-6
-        # Limit of a central difference in float64.
+        # The tolerance is the accuracy of a central difference in float64.
         assert gradient[k] == pytest.approx(difference, rel=1e-5, abs=1e-6 * loss)
     with pytest.raises(TypeError, match="profile"):
         wd.adjoint.objective(None, evaluate, None)
+
+
+def orders(surface, wrt):
+    return wd.adjoint.order_efficiencies(surface, (0, 0, 1), 550.0, wrt=wrt)
+
+
+@pytest.mark.parametrize(
+    ("evaluate", "loss", "message"),
+    [
+        (lambda _surface, _wrt: 3.0, None, "evaluate must return a result of wd.adjoint"),
+        (lambda surface, _wrt: orders(surface, ()), None, "vertices, period_um are missing"),
+        (None, lambda value: value.sum(), "loss must return a number and its gradient"),
+        (None, lambda value: (value, value), "loss must return a number and its gradient"),
+        (None, lambda value: (value.sum(), np.ones(3)), "must have the shape of the value"),
+    ],
+)
+def test_results_of_functions_of_an_objective_are_checked(evaluate, loss, message):
+    grating = wd.profiles.Trapezoid(0.1, 0.4, 0.05, 2.0)
+    function = wd.adjoint.objective(
+        grating, evaluate or orders, loss or (lambda value: (value.sum(), np.ones_like(value)))
+    )
+    with pytest.raises((TypeError, ValueError), match=message):
+        function(grating.start)

@@ -1,4 +1,7 @@
-"""The peaks of periodic gratings are at the angles of the grating equation, sin θi + sin θr = mλ/d."""
+"""The peaks of periodic gratings are at the angles of the grating equation, sin θi + sin θr = mλ/d.
+
+H_r0 is the Fourier coefficient of order r along x of exp(2πiκh), with the heights h and κ = w/λ.
+"""
 
 import math
 

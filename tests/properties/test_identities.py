@@ -1,4 +1,8 @@
-"""Identities of every height field: reciprocity, symmetry, invariance, energy and direction of reflection."""
+"""Identities of every height field: reciprocity, symmetry, invariance, energy and direction of reflection.
+
+κ is w/λ, the normal component w of the scattering vector divided by the wavelength. C is the geometry factor, and M the
+masking and shadowing by the relief.
+"""
 
 import math
 
@@ -23,7 +27,10 @@ def rough():
 
 @pytest.mark.parametrize("kind", ["averaged", "centred", "replicas"])
 def test_absolute_brdf_is_reciprocal(rough, kind, rng):
-    """The coherence model "source" is not reciprocal, because its light has an extent and the viewer has none."""
+    """The absolute BRDF must be reciprocal for all kinds of coherence except "source".
+
+    The kind "source" is not reciprocal, because its light has an extent and the viewer has none.
+    """
     lights, views = hemisphere(rng, 40), hemisphere(rng, 40)
     options = {"coherence": coherence_of(kind, 4.0), "tolerance": 1e-4}
     there = wd.brdf(rough, lights, views, [450.0, 600.0], **options)
@@ -77,13 +84,14 @@ def power_width(coherence):
 @pytest.mark.parametrize("masking", [True, False])
 @pytest.mark.parametrize("ior", [1.5, math.inf])
 def test_gain_of_the_kernel_equals_the_formula(masking, ior, rng, device):
-    """The kernel's gain C·M equals ``reflectance_factors.gain``, up to 89.9° from the normal and at the horizon."""
+    """The kernel's gain C·M must equal ``reflectance_factors.gain`` for all directions up to the horizon."""
     lights, views = hemisphere(rng, 400, 0.0017), hemisphere(rng, 400, 0.0017)
     views[:50] = lights[:50] * [-1.0, -1.0, 1.0]  # views in the mirror direction of the light
     views[50:100] = lights[50:100]  # views in the direction of the light (retro-reflection)
     views[100:110, 2] = 0.0
     lights[110:120, 2] *= -1.0
-    # The kernel stores view directions in float32. The formula is evaluated for the same rounded directions.
+    # The kernel stores view directions in float32. The formula is therefore evaluated for directions that are rounded
+    # in the same way.
     views = views.astype(np.float32).astype(np.float64)
     unit_views = views / np.linalg.norm(views, axis=1, keepdims=True)
     unit_lights = lights / np.linalg.norm(lights, axis=1, keepdims=True)
@@ -121,11 +129,14 @@ def test_powers_do_not_depend_on_the_position_of_the_patch(rough, kind, rng):
 @pytest.mark.parametrize("turns", [1, 2, 3])
 @pytest.mark.filterwarnings("ignore:opposite edges")
 def test_rotating_patch_and_directions_changes_nothing(kind, turns, rng):
-    """Each quarter turn maps (x, y) to (−y, x). It is about the central sample of the patch of 61 × 61 samples."""
+    """If the patch and all directions are rotated by quarter turns, results must not change.
+
+    Each quarter turn maps (x, y) to (−y, x). Its centre is the central sample of the patch of 61 × 61 samples.
+    """
     heights = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=7).heights_um[:61, :61]
     heightfield = wd.HeightField(heights, 0.08)
-    # Row j of a height field is at y = j·dy, so that rows are stored from the smallest y on. A quarter turn from x to y
-    # is therefore ``numpy.rot90`` with −1.
+    # The first row of a height field has the smallest y, because row j is at y = j·dy. A quarter turn from x to y is
+    # therefore ``numpy.rot90`` with −1.
     rotated = wd.HeightField(np.rot90(heights, -turns), 0.08)
     rotation = np.linalg.matrix_power(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), turns)
     lights, views = hemisphere(rng, 30), hemisphere(rng, 30)
@@ -138,7 +149,7 @@ def test_rotating_patch_and_directions_changes_nothing(kind, turns, rng):
 
 
 def projected_disc(centre, radius, count):
-    """Return view directions around (``centre``, 0) on the projected unit disc, and their weights dω cos θr.
+    """Return view directions whose x and y lie in a disc around (``centre``, 0), and their weights dω cos θr.
 
     The quadrature along x is in the angle θ, which removes the factor 1/cos θr from the integrand.
     """
@@ -184,10 +195,11 @@ def mirror_power(sigma_um, theta_deg, ior):
 
 @pytest.mark.parametrize("period_um", [slow(0.7), 1.0, slow(2.0)])
 def test_the_excess_energy_of_a_shallow_sine_follows_its_formula(period_um):
-    """Scalar theory violates the conservation of energy for a mirror with a shallow sine profile of amplitude a.
+    """The total power that a mirror with a shallow sine profile reflects must follow a formula of scalar theory.
 
-    The reflected power is 1 + (2πa/λ)² (1 − c)²/(2c) times the incident power, where c is the cosine of the first
-    order. The excess is about a millionth. Measuring it requires float64, a shallow profile and narrow lobes.
+    Scalar theory violates the conservation of energy. For a profile of amplitude a, the reflected power is
+    1 + (2πa/λ)² (1 − c)²/(2c) times the incident power, where c is the cosine of the first order. The excess is about a
+    millionth. Measuring it requires float64, a shallow profile and narrow lobes.
     """
     wavelength = 0.55
     amplitude = 0.001 * wavelength
@@ -209,9 +221,10 @@ def test_the_excess_energy_of_a_shallow_sine_follows_its_formula(period_um):
 @pytest.mark.parametrize("method", ["auto", "direct"])
 @pytest.mark.parametrize("cycles", [1, -1])
 def test_a_tilt_reflects_to_twice_its_angle(cycles, method, device):
-    """The plane h = x·tan 5° reflects normal incidence to θr = −10°.
+    """The plane h = x·tan 5° must reflect normally incident light to θr = −10°.
 
-    It is repeated as a sawtooth. Its height H is such that κH is an integer, so phases are continuous at the edges.
+    The plane is repeated as a sawtooth. The height H of its steps is such that κH is an integer, so that phases are
+    continuous at the steps.
     """
     wavelength, slope = 0.5, math.copysign(math.tan(math.radians(5.0)), cycles)
     w = 1.0 + math.cos(math.radians(10.0))
@@ -247,7 +260,10 @@ def test_directions_below_the_horizon_reflect_nothing(rough, kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_is_negative_or_unbounded_over_the_sphere(rough, kind, rng):
-    """The directions include all special cases: poles, horizon, opposite and equal directions."""
+    """For all directions, results must be finite and not negative.
+
+    The directions include all special cases: poles, horizon, opposite and equal directions.
+    """
     count = 500 if kind == "source" else 1500
     directions = rng.normal(size=(count, 3))
     special = np.array([[0, 0, 1], [0, 0, -1], [1, 0, 0], [0, -1, 0], [1, 0, 1e-9], [-1, 0, 1e-9], [1, 0, 1e-300]])

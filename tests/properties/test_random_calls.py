@@ -25,7 +25,7 @@ def log_uniform(low, high):
 def height_fields(draw):
     """Return a random height field: rough, smooth or flat, at most 0.6 µm high, with 1 to 24 samples per axis.
 
-    Higher fields require more terms, and each number of terms compiles another kernel. They are tested in
+    Higher fields would require more terms, and each number of terms compiles another kernel. They are tested in
     tests/planner/test_regimes.py.
     """
     ny, nx = draw(st.one_of(
@@ -156,7 +156,7 @@ def test_the_brdf_is_reciprocal(data):
 def test_a_constant_height_changes_nothing(data):
     heightfield, coherence, nanometres = data.draw(height_fields()), data.draw(coherences), data.draw(wavelengths)
     lights, views = data.draw(vectors(3)), data.draw(vectors(3))
-    # Heights are first rounded to multiples of 2⁻²⁰ µm. The addition of the constant to them then has no rounding
+    # Heights are first rounded to multiples of 2⁻²⁰ µm. The constant can then be added to them without a rounding
     # error.
     heights = np.round((heightfield.heights_um - heightfield.heights_um.min()) * 2.0**20) / 2.0**20
     raised = heights + data.draw(st.sampled_from([1.0, -3.5, 100.0]))
@@ -187,7 +187,8 @@ def test_mirroring_surface_and_directions_changes_nothing(data):
     else:
         mirrored = coherence
     if coherence.kind == "replicas":
-        # Replicas consist of whole periods, which mirroring moves by one sample. This changes only the phase.
+        # Replicas consist of whole periods. Mirroring moves each period by one sample, which changes only the phase of
+        # the reflected wave.
         flipped = wd.HeightField.of_known_scale(heightfield.heights_um[:, ::-1], heightfield.pitch_um)
     mirror = np.array([-1.0, 1.0, 1.0])
     here = computed(

@@ -102,9 +102,10 @@ def test_colours_are_finite_and_not_negative_over_the_sphere(rough, name, method
     + [(name, "auto") for name in COHERENCES],
 )
 def test_spectra_of_a_deep_surface_are_finite_and_not_negative(name, method):
-    """At a height range of 5 µm, float32 overflows in Taylor series, which calls use only if ``method`` selects them.
+    """For a deep surface, all methods must give finite and not negative values.
 
-    Values must be finite nevertheless.
+    At the height range of 5 µm, float32 overflows in Taylor series. Calls use these series only if ``method`` selects
+    them.
     """
     heightfield = wd.HeightField.of_known_scale(np.random.default_rng(4).uniform(-5.0, 0.0, (12, 10)), 0.09)
     lights, views = (each[::3] for each in pairs())

@@ -1,4 +1,4 @@
-"""Layers of a picture: values at the hits of central rays, directions and light of single lights, and EXR parts."""
+"""Layers of a picture: values where central rays hit, directions to and light of single lights, and parts of EXR."""
 
 import json
 import re
@@ -29,7 +29,7 @@ def shade(mesh, view=VIEW, **options):
 
 
 def box(*, size=1.0, normals=True):
-    """Return a cube with three separate corners per face and face normals as vertex normals, like modelling tools."""
+    """Return a cube as modelling tools export it: three separate vertices per face, with the face normal as normals."""
     body = trimesh.creation.box(extents=(size, size, size))
     corners = body.faces.ravel()
     facets = np.repeat(body.face_normals, 3, axis=0)
@@ -76,7 +76,7 @@ def box_met(view, half=0.5):
 def test_normals_of_a_file_are_used_even_if_they_equal_the_face_normals(tmp_path, suffix, how):
     path = tmp_path / f"box.{suffix}"
     given = box()
-    # trimesh writes PLY files without texture coordinates, so PLY meshes get explicit tangents.
+    # trimesh writes PLY files without texture coordinates, so that the test passes tangents for PLY meshes.
     tangents = np.roll(given.vertex_normals, 1, axis=1) if suffix == "ply" else None
     given.export(path, **({"vertex_normal": True} if suffix == "ply" else {"include_normals": True}))
     # trimesh.load_mesh drops the normals of a file; load_scene keeps them.
@@ -157,7 +157,7 @@ def test_positions_texture_coordinates_tangents_and_colours_are_those_of_the_mes
     np.testing.assert_allclose(layers["position"][hit], points, atol=1e-6)
     across = np.abs(normal[hit]) < 0.5
     np.testing.assert_allclose(layers["uv"][hit], points[across].reshape(-1, 2), atol=1e-6)
-    # On each face of the cube, the texture coordinates are two coordinates of the world.
+    # On each face of the cube, the texture coordinates are two of the world coordinates, along which u and v increase.
     first = np.eye(3)[across.argmax(axis=1)]
     second = np.eye(3)[2 - across[:, ::-1].argmax(axis=1)]
     np.testing.assert_allclose(layers["tangent"][hit], first, atol=1e-6)
@@ -165,7 +165,7 @@ def test_positions_texture_coordinates_tangents_and_colours_are_those_of_the_mes
     local = [np.sum(axes * -along[hit], axis=1) for axes in (first, second, normal[hit])]
     np.testing.assert_allclose(layers["to_view"][hit], np.transpose(local), atol=1e-6)
     assert not any(layers[name][~hit].any() for name in names)
-    # Without a base colour, the layer is black.
+    # The mesh has no base colour, so that the layer "albedo" must be black.
     assert not shade(plain, layers=["albedo"]).layers["albedo"].any()
 
 
@@ -185,7 +185,7 @@ LIGHTS = [LIGHT, wd.PointLight((1.0, 2.0, 2.0), illuminant="A", power=3.0), wd.D
 
 
 def two_boxes():
-    """Return two boxes, one of which casts a shadow on the other."""
+    """Return two boxes, of which the upper one casts a shadow on the lower one."""
     scene = trimesh.Scene()
     scene.add_geometry(box(), node_name="below", geom_name="below")
     scene.add_geometry(
@@ -216,7 +216,7 @@ def test_local_directions_give_the_colours_of_the_picture():
         expected[lit] += light.power * colours / distance**2
         reached |= lit
     np.testing.assert_array_equal(reached, image.illuminated)
-    # Directions to the first light are 0 in the shadow of the upper box.
+    # In the shadow of the upper box, the layer with the directions to the first light must be 0.
     everywhere = wd.shade(two_boxes(), HF, LIGHT, VIEW, plan=image.plan, shadows=False).illuminated
     assert np.count_nonzero(image.layers["to_light.0"].any(axis=2)) < 0.95 * np.count_nonzero(everywhere)
     np.testing.assert_allclose(image.xyz, expected, atol=1e-5 * expected.max())
@@ -240,7 +240,7 @@ def test_the_light_of_single_lights_sums_to_the_picture(options):
     assert list(image.layers) == ["light.0", "light.1", "light.2"]
     total = sum(layer.astype(np.float64) for layer in image.layers.values())
     np.testing.assert_allclose(image.xyz, total, atol=1e-6 * total.max())
-    # Each layer is the picture under one light. Pictures without layers have equal colours within the tolerance.
+    # Each layer must equal the picture under one light alone, within the tolerance.
     again = {key: value for key, value in options.items() if key not in ("coherence", "method")} | {"plan": image.plan}
     for index, light in enumerate(LIGHTS):
         alone = wd.shade(two_boxes(), HF, light, view, **{"footprint": False, "strict": False, **again})
@@ -296,7 +296,7 @@ def test_layers_are_parts_of_an_exr(tmp_path):
     assert list(parts) == ["picture", *image.layers]
     assert tuple(parts["picture"].channelnames) == ("R", "G", "B", "A", "XYZ.X", "XYZ.Y", "XYZ.Z", "error.Y")
     assert {str(spec.format) for spec in parts.values()} == {"float"}
-    # The header of the geometry numbers has the names of the geometries.
+    # The file must state the names of the geometries in the header of the layer with the geometry numbers.
     assert json.loads(parts["geometry"].getattribute("warpdiff:names")) == ["below", "above"]
     copy = wd.Image.load(path)
     assert copy.names == image.names == {"geometry": ("below", "above")}
@@ -308,7 +308,7 @@ def test_layers_are_parts_of_an_exr(tmp_path):
         for component, suffix in enumerate(LAYERS[name.partition(".")[0]].channels):
             expected = layer[..., component] if layer.ndim == 3 else layer
             np.testing.assert_array_equal(channels[f"{name}.{suffix}"], expected)
-    # The light of one light also has linear RGB, and is scaled like the colours of the picture.
+    # The layer with the light of one light is scaled by the exposure, like the colours of the picture.
     bright = wd.Image.load(image.save(tmp_path / "b.exr", exposure=4.0))
     np.testing.assert_array_equal(bright.layers["light.0"], 4.0 * image.layers["light.0"])
     np.testing.assert_array_equal(bright.layers["position"], image.layers["position"])

@@ -18,7 +18,11 @@ MATERIALS = {"gold": GOLD, "a film on glass": wd.Material.dielectric(1.5).coated
     ("coherence", "tolerance"), [(SHORT, 2e-2), slow(wd.Coherence("source", angular_diameter_deg=1.5), 8e-2)], ids=str
 )
 def test_a_table_of_a_material_meets_its_tolerance(name, coherence, tolerance, fingers, rng):
-    """The tables contain the reflectance R(θd, λ): it depends on (u, v, w) alone, because cos θd = |(u, v, w)|/2."""
+    """Tables with the reflectance R(θd, λ) of a material must meet their tolerance.
+
+    θd is half of the angle between light and viewer. R can be included in a table over the scattering vector (u, v, w),
+    because cos θd = |(u, v, w)|/2.
+    """
     lights, views = hemisphere(rng, 80), hemisphere(rng, 80)
     options = {"coherence": coherence, "material": MATERIALS[name], "tolerance": tolerance}
     plan = wd.plan(fingers, lights, views, method="low-rank", integration="table", **options)
@@ -99,7 +103,10 @@ def test_geometries_without_a_material_are_refused(fingers):
 
 
 def test_pigment_lies_under_glass_and_not_under_metal():
-    """Light passes the surface of glass twice, each time with a factor of 1 − R. Metals are opaque."""
+    """A pigment must be visible below glass, and must not be visible below an opaque metal.
+
+    Light passes the surface of glass twice, and each time it is multiplied by 1 − R for the reflectance R.
+    """
     body = wd.meshes.disc()
     body.visual = trimesh.visual.TextureVisuals(
         uv=body.visual.uv, material=trimesh.visual.material.SimpleMaterial(diffuse=(200, 60, 30, 255))

@@ -1,10 +1,19 @@
-"""Plain surfaces by the metallic-roughness model, against NumPy after the specification of glTF 2.0, appendix B."""
+"""Plain surfaces must equal the metallic-roughness model, as computed by NumPy from glTF 2.0, appendix B."""
 
 import math
 
 import numpy as np
 import pytest
 import trimesh
+from plain_specification import (
+    OPTIONS,
+    POINTS,
+    SURFACES,
+    VIEW,
+    brdf,
+    quad,
+    white_luminance,
+)
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
@@ -12,74 +21,30 @@ import warpdiff as wd
 from warpdiff.optics import colorimetry
 from warpdiff.render import device_tiles, renderer
 
-SIGMA_UM = 5.0
-COHERENCE = wd.Coherence(sigma_um=SIGMA_UM)
-WAVE = wd.gratings.sinusoidal(1.5, 0.1)
-OPTIONS = {"coherence": COHERENCE, "tolerance": 0.1, "strict": False}
-POINTS = OPTIONS | {"footprint": False, "refine": False}
-# Metallic, roughness and linear base colour of the parts of the test scene. The last roughness is below the least one.
+# Metallic, roughness and linear base colour of the parts of the test scene. The roughness of the last part is below the
+# smallest roughness that is rendered.
 MATERIALS = [
     (0.0, 0.3, (0.8, 0.5, 0.2)), (0.0, 1.0, (0.2, 0.6, 0.9)), (1.0, 0.25, (0.9, 0.7, 0.3)), (1.0, 0.7, (0.5, 0.5, 0.5)),
     (0.4, 0.5, (0.3, 0.8, 0.4)), (1.0, 0.0, (1.0, 1.0, 1.0)),
 ]  # fmt: skip
-VIEW = wd.View.orthographic((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), extent_y=2.2, width=96, height=16)
-
-
-def white_luminance():
-    """Return the luminance of a white matte surface facing a light of power 1: the mean of λ²/(4π²σ²) with S ȳ."""
-    um = 1e-3 * colorimetry.VISIBLE_NM
-    return float(um**2 @ colorimetry.colour_products("D65")[:, 1]) / (4.0 * math.pi**2 * SIGMA_UM**2)
-
-
-LEAST_ALPHA = 0.5 * math.sqrt(white_luminance())
 
 
 def material(name, metallic, roughness, colour, emission=None):
-    # The factors of trimesh have 8 bits, so that colours are multiples of 1/255.
+    # trimesh stores factors in 8 bits, so that the test's colours are rounded to multiples of 1/255.
     return PBRMaterial(
         name=name, baseColorFactor=[*(round(255 * value) for value in colour), 255], metallicFactor=metallic,
         roughnessFactor=roughness, emissiveFactor=emission,
     )  # fmt: skip
 
 
-def quad(x, own, bend=0.25, y=0.0):
-    """Return a quad with the width and height 2, whose normals are bent by ``bend``."""
-    corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    return trimesh.Trimesh(
-        corners + np.array([x, y, 0.0]), [[0, 1, 2], [0, 2, 3]],
-        vertex_normals=corners * (bend, bend, 0.0) + np.array([0.0, 0.0, 1.0]), process=False,
-        visual=TextureVisuals(uv=corners[:, :2], material=own),
-    )  # fmt: skip
-
-
 def scene(materials=MATERIALS, bend=0.25, size=2.1):
-    """Return quads side by side with some materials, and a far one with a grating, which is outside of pictures."""
+    """Return quads side by side, one per material, and a grating far away, which no picture shows."""
     result = trimesh.Scene()
     for index, own in enumerate(materials):
         x = size * (index - 0.5 * (len(materials) - 1))
         result.add_geometry(quad(x, material(f"m{index}", *own), bend), geom_name=f"q{index}")
     result.add_geometry(quad(0.0, None, y=-4.0), geom_name="grating")
     return result
-
-
-SURFACES = {"grating": WAVE, "*": None}
-
-
-def brdf(to_light, to_view, metallic, roughness, colour):
-    """Return f of glTF 2.0 in 1/sr, shape (n, 3), with the height-correlated masking of Heitz 2014."""
-    alpha2 = max(roughness**2, LEAST_ALPHA) ** 2
-    half = to_light + to_view
-    half /= np.linalg.norm(half, axis=-1, keepdims=True)
-    n_h, v_h = half[:, 2], np.sum(to_view * half, axis=-1)
-    n_l, n_v = to_light[:, 2], to_view[:, 2]
-    distribution = alpha2 / (math.pi * (n_h**2 * (alpha2 - 1.0) + 1.0) ** 2)
-    lambdas = [0.5 * (np.sqrt(1.0 + alpha2 * (1.0 - c**2) / c**2) - 1.0) for c in (n_l, n_v)]
-    shadowing = 1.0 / (1.0 + lambdas[0] + lambdas[1])
-    base = np.array([round(255 * value) / 255 for value in colour])
-    f0 = 0.04 * (1.0 - metallic) + base * metallic
-    fresnel = f0 + (1.0 - f0) * ((1.0 - np.abs(v_h)) ** 5)[:, None]
-    diffuse = (1.0 - fresnel) * base * (1.0 - metallic) / math.pi
-    return diffuse + fresnel * (distribution * shadowing / (4.0 * n_l * n_v))[:, None]
 
 
 def parts_of(image):
@@ -94,7 +59,8 @@ def parts_of(image):
 )  # fmt: skip
 def test_pixels_have_the_brdf_of_the_specification(light):
     layers = ["geometry", "to_light", "to_view", "position"]
-    # Bent normals move the origins of shadow rays, from which the directions to a point light are computed.
+    # If interpolated normals differ from face normals, the origins of shadow rays move. Directions to a point light
+    # would then change, so that the normals are not bent for a point light.
     body = scene(bend=0.0 if isinstance(light, wd.PointLight) else 0.25)
     image = wd.shade(body, SURFACES, light, VIEW, **POINTS, layers=layers)
     for own, pixels in zip(MATERIALS, parts_of(image), strict=True):
@@ -106,7 +72,8 @@ def test_pixels_have_the_brdf_of_the_specification(light):
         expected = white_luminance() * reflected @ colorimetry.RGB_TO_XYZ.T
         assert len(expected) > 100
         error = np.linalg.norm(image.xyz[pixels] - expected, axis=1) / np.linalg.norm(expected, axis=1)
-        # Layers have directions in float32, so that slopes near the mirror direction of a smooth metal are rounded.
+        # The layers have the directions in float32. Near the mirror direction of a smooth metal, the model changes so
+        # fast with the direction that this rounding is visible.
         assert np.max(error) <= 1e-3
 
 
@@ -127,7 +94,7 @@ def mean_colour(image, number):
 
 
 def hemisphere(count=400):
-    """Return directions above the surface and their solid angles times cos θ, by midpoints in (sin²θ, azimuth)."""
+    """Return directions of a hemisphere and solid angles times cos θ, for a midpoint rule in (sin²θ, azimuth)."""
     square = (np.arange(count) + 0.5) / count
     azimuth = 2.0 * math.pi * (np.arange(2 * count) + 0.5) / (2 * count)
     radius = np.sqrt(square)[:, None]
@@ -153,7 +120,8 @@ def test_under_an_even_sky_the_reflected_light_is_the_albedo_of_the_specificatio
         mean = mean_colour(image, number)[1]
         expected = weight * brdf(directions, np.array([[0.0, math.sin(slant), math.cos(slant)]]), *own)[:, 1].sum()
         assert mean == pytest.approx(expected, rel=0.01)
-        # The model conserves energy for metals. The diffuse part of a white dielectric adds up to 1.02 at 60°.
+        # For metals, the model conserves energy. For a white dielectric, the diffuse part and the reflection together
+        # reach 1.02 at 60°.
         assert mean <= (1.005 if own[0] == 1.0 else 1.03)
 
 
@@ -218,7 +186,7 @@ def test_many_lights_from_which_cells_choose_add_up_to_all_lights():
 
 
 def ball(own):
-    """Return a ball with exact normals, and a far grating."""
+    """Return a ball with exact normals, and a grating far away."""
     sphere = trimesh.creation.icosphere(5, 1.0)
     sphere = trimesh.Trimesh(
         sphere.vertices, sphere.faces, vertex_normals=sphere.vertices, process=False,
@@ -269,7 +237,7 @@ def test_emission_of_1_is_the_luminance_of_a_white_surface_that_faces_the_bright
 
 
 def lamps():
-    """Return two quads that emit light, a metal and a matte one, and a grating that no view shows."""
+    """Return a metal quad that emits light, a matte quad that does not, and a grating that no view shows."""
     body = trimesh.Scene()
     body.add_geometry(quad(-1.1, material("lamp", 1.0, 0.4, (1, 0.5, 0), [0.1, 0.05, 0.0])), geom_name="lamp")
     body.add_geometry(quad(1.1, material("table", 0.0, 0.6, (0.2, 0.4, 0.6))), geom_name="table")
@@ -285,7 +253,7 @@ LIGHTS = [wd.DirectionalLight((0.2, 0.1, 1.0)), wd.PointLight((0.5, 0.5, 3.0), p
 def test_a_picture_is_the_sum_of_its_lights_and_the_emission(options):
     image = wd.shade(lamps(), SURFACES, LIGHTS, SMALL, **options, layers=["light"])
     dark = wd.shade(lamps(), SURFACES, wd.DirectionalLight((0.0, 0.0, -1.0)), SMALL, **options)
-    # The light at a distance of about 3 with a power of 4 is weaker than the directional light with a power of 1.
+    # The point light has a power of 4 at a distance of about 3, so that it is weaker than the directional light.
     expected = image.layers["light.0"] + image.layers["light.1"] + dark.xyz
     assert dark.xyz[4, 8, 1] > 0.0
     np.testing.assert_allclose(image.xyz, expected, rtol=1e-5, atol=1e-9)

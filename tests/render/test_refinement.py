@@ -1,4 +1,4 @@
-"""Refinement: pixels with uneven colours are subdivided until the picture equals one with many rays per pixel."""
+"""Refinement: subdivided pixels with uneven colours must equal those of a picture with many rays per pixel."""
 
 import dataclasses
 import itertools
@@ -15,8 +15,7 @@ import warpdiff as wd
 from bench.truth.pictures import finer
 from warpdiff import meshes
 from warpdiff.image.report import Report
-from warpdiff.kernels import refinement_levels
-from warpdiff.kernels import subdivision as kernels
+from warpdiff.kernels import pixel_contrast, refinement_levels
 from warpdiff.render import pixel_filter, threaded_tiles
 from warpdiff.render.shade import warn_unconverged
 
@@ -27,7 +26,7 @@ SIZE = 24, 18
 
 @pytest.fixture(scope="module")
 def table(fingers):
-    """Return a plan whose table is so fine that errors of pictures are dominated by the averaging over footprints."""
+    """Return a plan with so fine a table that the errors of pictures come mainly from the averaging over footprints."""
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=3e-3)
     return dataclasses.replace(plan, footprint=True, tolerance=5e-2)
 
@@ -84,7 +83,7 @@ def truth(request, fingers, table):
 
 
 def errors(image, exact):
-    """Return the errors of inner pixels, relative to their colour or the floor f, as for ``tolerance``."""
+    """Return the errors of inner pixels as ``tolerance`` defines them, relative to the colour or the floor f."""
     xyz, _, inside = exact
     return relative_errors(image.xyz[inside], xyz[inside])
 
@@ -155,7 +154,7 @@ def test_silhouettes_are_covered_in_part(truth, fingers, table):
 
 
 def test_unrefined_pixels_have_the_requested_number_of_cells(fingers, table):
-    """Without refinement, pixels at silhouettes have as many cells as all others."""
+    """Without refinement, pixels at silhouettes must have as many cells as all other pixels."""
     mesh, camera = BODIES["tube"](), view()
     image = wd.shade(mesh, fingers, LIGHT, camera, plan=table, samples_per_pixel=4, refine=False)
     hit = wd.shade(mesh, fingers, LIGHT, finer(camera, 2, 1), plan=dataclasses.replace(table, footprint=False)).mask
@@ -174,7 +173,7 @@ def test_unrefined_pixels_have_the_requested_number_of_cells(fingers, table):
 
 
 def test_pictures_without_a_table_for_means_sum_points(fingers):
-    """With ``footprint=True`` but without a table for footprint means, pixels are computed from many points each."""
+    """With ``footprint=True`` but without a table for footprint means, each pixel must be the mean of many points."""
     mesh, coherence = BODIES["lumpy"](), wd.Coherence("centred", sigma_um=3.25)
     plan = wd.plan(fingers, coherence=coherence, method="low-rank", tolerance=3e-3)
     exact = by_points(mesh, fingers, LIGHT, view("lumpy"), plan, points=8)
@@ -196,7 +195,10 @@ def test_means_are_on_at_any_tolerance(method):
 
 
 def test_pixels_that_do_not_converge_cause_a_warning(fingers, table):
-    """In a view of a distant mesh, each pixel covers thousands of bumps, which no refinement resolves."""
+    """Pixels whose errors remain too large must cause a warning.
+
+    In this view of a distant mesh, each pixel covers thousands of bumps, which no refinement resolves.
+    """
     far = wd.View((12.0, 48.0, 93.0), (0.0, 0.0, 0.0), fov_y_deg=1.5, width=48, height=36)
     mesh, fine = lumpy(5), dataclasses.replace(table, tolerance=1e-3)
     with pytest.warns(wd.WarpdiffWarning, match=r"of the illuminated pixels are expected to exceed .* see image.error"):
@@ -206,7 +208,7 @@ def test_pixels_that_do_not_converge_cause_a_warning(fingers, table):
 
 
 def test_edge_pixels_are_distinguished_from_inner_pixels(truth, fingers, table):
-    """Pixels with an edge are marked. An inner pixel, whose whole square is hit and illuminated, is never marked."""
+    """Pixels with an edge must be marked, and inner pixels, whose square is entirely hit and illuminated, must not."""
     mesh, camera, (_, _, inside) = truth
     renderer = wd.Renderer(mesh, fingers, LIGHT, camera, plan=table, samples_per_pixel=16)
     illuminated = renderer.image().illuminated
@@ -256,8 +258,8 @@ def test_lights_and_pigments_add_up(fingers, table):
     other = wd.DirectionalLight((-0.7, 0.6, 0.8), power=0.4)
     alone = [wd.shade(mesh, fingers, light, view(), plan=table) for light in (LIGHT, other)]
     both = wd.shade(mesh, fingers, [LIGHT, other], view(), plan=table)
-    # A picture with one light is refined until it meets the tolerance. With two lights, only their sum must meet it, so
-    # the sum of the pictures differs slightly.
+    # A picture with one light is refined until it meets the tolerance. With two lights, only the sum of both must meet
+    # it, so that the picture differs slightly from the sum of the two pictures.
     expected = alone[0].xyz + alone[1].xyz
     away = relative_errors(both.xyz[both.illuminated], expected[both.illuminated])
     assert np.percentile(away, 99.0) < table.tolerance
@@ -288,20 +290,36 @@ def test_cell_weights_and_footprints_approximate_the_pixel_filter(level, means):
         np.testing.assert_allclose(ours, exact, atol=(ripples + 0.25 / 4**level) * exact.max())
 
 
-# Weight of the pixel filter at a diagonal neighbour, relative to that at a horizontal or vertical one.
+# Weight of the pixel filter at a diagonal neighbour, relative to the weight at a horizontal or vertical neighbour.
 ASLANT = refinement_levels.FILTER_SHARES[0] / refinement_levels.FILTER_SHARES[1]
 
 
 def texture_contrast(base, colours, hit, near, place):
-    """Return the part of a pixel's contrast that its base colour explains, ‖own colour‖ times the relative change."""
+    """Return the part of a pixel's contrast that its base colour explains.
+
+    It is the norm of the pixel's own colour times the largest relative change of the base colour to a neighbour.
+    """
     if sum(hit[other] for other in near) < 2:
         return 0.0
     change = max(np.linalg.norm(base[other] - base[place]) for other in near if hit[other])
     return np.linalg.norm(colours[place]) * change / np.linalg.norm(base[place])
 
 
-def estimate_by_hand(colours, uv, hit, floor, bound, base=None):
-    """Compute pixel by pixel, in Python, what the kernel ``estimate_errors`` returns."""
+def map_contrast(maps, colours, hit, near, own):
+    """Return the part of a pixel's contrast that changes of metallic, roughness and emission explain."""
+    metallic, roughness, emission = maps
+    changes = [
+        4.0 * abs(roughness[place] - roughness[own]) / max(roughness[own], 0.05)
+        + abs(metallic[place] - metallic[own])
+        + np.linalg.norm(emission[place] - emission[own]) / np.linalg.norm(emission[own])
+        for place in near
+        if hit[place]
+    ]
+    return max(changes) * np.linalg.norm(colours[own])
+
+
+def estimate_by_hand(colours, uv, hit, floor, bound, base=None, maps=None):
+    """Compute the result of the kernel ``estimate_errors`` in Python, pixel by pixel."""
     height, width = hit.shape
     result, marks, size = np.zeros((height, width)), np.zeros((height, width), bool), np.linalg.norm
     for row, column in np.ndindex(height, width):
@@ -332,8 +350,10 @@ def estimate_by_hand(colours, uv, hit, floor, bound, base=None):
                     + refinement_levels.CONTRAST_PER_CHANGE * wide
                 )
             result[row, column] = min(share, 1.0) * contrast
-            if base is not None:
-                explained = min(contrast, texture_contrast(base, colours, hit, near, (row, column)))
+            if base is not None or maps is not None:
+                explained = 0.0 if base is None else texture_contrast(base, colours, hit, near, (row, column))
+                explained += 0.0 if maps is None else map_contrast(maps, colours, hit, near, (row, column))
+                explained = min(contrast, explained)
                 result[row, column] = max(result[row, column], refinement_levels.CONTRAST_OF_TEXTURE * explained)
         limit = bound * max(size(colours[row, column]) if hit[row, column] else 0.0, floor)
         marks[row, column] = any(hits) and (rim or result[row, column] > limit)
@@ -342,8 +362,9 @@ def estimate_by_hand(colours, uv, hit, floor, bound, base=None):
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 70), (41, 1), (3, 5), (20, 33), (9, 100)], ids=str)
 @pytest.mark.parametrize("slices", [1, 6])
-@pytest.mark.parametrize("is_textured", [False, True])
-def test_errors_are_estimated_from_neighbouring_pixels(size, slices, is_textured, rng):
+@pytest.mark.parametrize("textures", ["", "base colour", "maps", "base colour and maps"])
+def test_errors_are_estimated_from_neighbouring_pixels(size, slices, textures, rng):
+    is_textured, has_maps = "base" in textures, "maps" in textures
     colours = rng.lognormal(0.0, 1.0, (*size, 3)).astype(np.float32)
     # The kernel estimates the error of a pixel differently at the rim of the mesh and where (u, v) changes irregularly
     # between pixels. This picture has both: every sixth row of pixels misses the mesh, and (u, v) is noisy.
@@ -353,11 +374,16 @@ def test_errors_are_estimated_from_neighbouring_pixels(size, slices, is_textured
     uv += rng.choice([0.0, 1e-4, 1e-3], (*size, 1), p=[0.9, 0.07, 0.03])
     scattering_vectors = np.concatenate([uv, np.zeros((*size, 1))], axis=-1)
     base = rng.uniform(0.1, 1.0, (*size, 3)).astype(np.float32)
+    gloss = rng.choice([0.5, 0.51, 0.02], (*size, 4), p=[0.8, 0.15, 0.05]).astype(np.float32)
+    emission = rng.choice([0.5, 0.52], (*size, 3)).astype(np.float32)
+    maps = (gloss[..., 0], gloss[..., 1], emission)
     given = [
         wp.array(colours.reshape(-1, 3), dtype=wp.vec3f, device="cpu"),
         wp.array(scattering_vectors.reshape(-1, 3), dtype=wp.vec3d, device="cpu"),
         wp.array(hit.ravel(), dtype=wp.int32, device="cpu"),
         wp.array(base.reshape(-1, 3) if is_textured else np.zeros((0, 3)), dtype=wp.vec3f, device="cpu"),
+        wp.array(gloss.reshape(-1, 4) if has_maps else np.zeros((0, 4)), dtype=wp.vec4f, device="cpu"),
+        wp.array(emission.reshape(-1, 3) if has_maps else np.zeros((0, 3)), dtype=wp.vec3f, device="cpu"),
         size[1], wp.array([0.8], dtype=wp.float32, device="cpu"),
         0.3, False, True,
     ]  # fmt: skip
@@ -365,8 +391,10 @@ def test_errors_are_estimated_from_neighbouring_pixels(size, slices, is_textured
     wanted = wp.full(hit.size, 7, dtype=wp.uint8, device="cpu")
     for begin, end in itertools.pairwise(np.linspace(0, hit.size, slices + 1).astype(int)):
         inputs = [*given, int(begin), int(end - begin)]
-        launch(kernels.estimate_errors, (1, 1), inputs, [result, wanted], device="cpu")
-    expected, is_wanted = estimate_by_hand(colours, uv, hit, 0.8, 0.3, base if is_textured else None)
+        launch(pixel_contrast.estimate_errors, (1, 1), inputs, [result, wanted], device="cpu")
+    expected, is_wanted = estimate_by_hand(
+        colours, uv, hit, 0.8, 0.3, base if is_textured else None, maps if has_maps else None
+    )
     np.testing.assert_allclose(result.numpy().reshape(size), expected, rtol=2e-3, atol=1e-6)
     near = np.abs(expected - 0.3 * np.maximum(np.linalg.norm(colours, axis=2), 0.8)) < 1e-3
     np.testing.assert_array_equal(wanted.numpy().reshape(size)[~near], is_wanted[~near])
@@ -400,7 +428,7 @@ def test_more_cells_than_the_highest_level_has_are_refused(fingers):
 
 
 def test_cells_detect_details_between_pixel_centres(fingers, table):
-    """The mesh consists of bars that are 0.3 pixels wide, one every 5.3 pixels. Most pixel centres miss them."""
+    """Cells must detect a mesh of bars that are 0.3 pixels wide, one every 5.3 pixels. Most pixel centres miss it."""
     bars = [
         trimesh.Trimesh(
             [(x, -9.0, 0.0), (x + 0.3, -9.0, 0.0), (x + 0.3, 9.0, 0.0), (x, 9.0, 0.0)], [(0, 1, 2), (0, 2, 3)],
@@ -418,7 +446,7 @@ def test_cells_detect_details_between_pixel_centres(fingers, table):
 
 
 def test_cells_detect_shadows_between_pixel_centres(fingers, table):
-    """The shadow of a strip is narrower than a pixel and falls between pixel centres. Cells detect it."""
+    """Cells must detect the shadow of a strip that is narrower than a pixel and falls between pixel centres."""
     floor = trimesh.creation.box((4.0, 4.0, 0.1))
     strip = trimesh.creation.box((2.4, 0.04, 0.01))
     strip.apply_translation((3.0, 0.08, 3.0))

@@ -1,4 +1,4 @@
-"""Successive pictures of a ``Renderer`` equal those of ``shade``, also with launches recorded as on a GPU.
+"""Successive pictures of a ``Renderer`` must equal those of ``shade``, also with launches recorded as on a GPU.
 
 Warp can record launches on the CPU, too, and repeat them, so these tests need no GPU.
 """
@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from conftest import launch, slow
+from conftest import slow
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
 
 import warpdiff as wd
 from warpdiff import meshes
 from warpdiff.device.kernel_calls import KernelCall
-from warpdiff.kernels import tile_lists
 from warpdiff.render import device_tiles, renderer
 
 SHORT = wd.Coherence(sigma_um=2.0)
@@ -144,8 +143,8 @@ def test_progress_increases_and_the_order_of_lights_does_not_matter(tube, finger
     np.testing.assert_allclose(result.xyz, other.xyz, rtol=1e-5, atol=1e-12)
     np.testing.assert_allclose(result.error, other.error, rtol=1e-4, atol=1e-7)
     np.testing.assert_array_equal(result.mask, other.mask)
-    # Each light has cells of its own. The coverage of a pixel is computed from the finest cells among all lights, so
-    # that it does not depend on the order of the lights.
+    # The cells of a pixel are different for each light. The coverage of a pixel is computed from the finest cells among
+    # all lights, so that it does not depend on the order of the lights.
     np.testing.assert_allclose(result.coverage, other.coverage, atol=0.01)
 
 
@@ -194,7 +193,10 @@ SAMPLED = {
     ],
 )
 def test_a_sampled_light_after_another_light_equals_that_of_shade(name, together, tube, fingers, plans, monkeypatch):
-    """Launches are first recorded for a light without samples. A light with samples then needs additional arrays."""
+    """A picture by recorded launches must equal that of ``shade``, if a light with samples follows a light without.
+
+    The launches are first recorded for a light without samples. A light with samples then needs additional arrays.
+    """
     monkeypatch.setattr(renderer, "records", lambda _: True)
     monkeypatch.setattr(device_tiles, "_MOST_RAYS", 1 << 15)
     lights = [LIGHTS[0], SAMPLED[name]] if together else [SAMPLED[name]]
@@ -217,7 +219,10 @@ def test_a_sampled_light_after_another_light_equals_that_of_shade(name, together
 def test_another_kind_of_light_in_the_same_direction_does_not_use_the_occluder_grids_of_the_first(
     second, tube, fingers, plans
 ):
-    """The direction of a point light's lobe is (0, 0, 1), although it is not used."""
+    """A disc or point light must not use the occluder grids of a directional light that was rendered before.
+
+    All of these lights have the same lobe direction (0, 0, 1). For a point light, it is a placeholder without use.
+    """
     first, plan = wd.DirectionalLight((0.0, 0.0, 1.0)), plans["footprints"]
     drawn = wd.Renderer(tube, fingers, first, view(), plan=plan)
     drawn.draw(second)
@@ -341,7 +346,8 @@ def test_footprints_stay_on_without_a_table_for_means(tube):
     np.testing.assert_allclose(by_itself.xyz, drawn.image().xyz, rtol=0.5, atol=2e-3 * by_itself.xyz.max())
 
 
-# Replaying concerns the sequence of launches, which is the same in the slow cases as in one of the others.
+# Names of the cases that are repeated with recorded launches in slow tests only. Their sequences of launches also occur
+# in the other cases.
 SLOW_TO_REPLAY = {"footprints", "points", "sampled", "no shadows"}
 REPLAYED = [
     pytest.param(*case, id=key, marks=[pytest.mark.slow] * (key in SLOW_TO_REPLAY)) for key, case in CASES.items()
@@ -350,48 +356,27 @@ REPLAYED = [
 
 @pytest.mark.parametrize(("name", "count", "options"), REPLAYED)
 def test_replayed_pictures_equal_those_of_shade(painted, fingers, plans, name, count, options, recorded):
-    # The picture is twice as wide as in other tests, so that shares of differing pixels are meaningful.
+    # The picture is twice as wide as in other tests, so that it has enough pixels for fractions of differing pixels.
     size = 2 * WIDTH, 2 * HEIGHT
     drawn = wd.Renderer(painted, fingers, LIGHTS[:count], view(size=size), plan=plans[name], threads=1, **options)
     for angle in (0.4, -0.3):
         lights, camera = rotated(angle)[:count], view(angle, size)
         drawn.draw(lights, camera)
         result, expected = drawn.image(), wd.shade(painted, fingers, lights, camera, plan=plans[name], **options)
-        # In recorded launches, the brightness that decides about refinement is known to 1/128, and rays traced through
-        # the hierarchy may miss a face at its edge. A few pixels may therefore differ.
+        # With recorded launches, the brightness that decides about refinement is rounded to 1/128. Rays that are traced
+        # through the hierarchy may also miss a face at its edge. A few pixels may therefore differ.
         few = 0.01 if drawn.plan.footprint else 0.0
         assert np.mean(result.illuminated != expected.illuminated) <= few
         assert np.mean(result.coverage != expected.coverage) <= few
         differ = np.linalg.norm(result.xyz - expected.xyz, axis=-1) / np.linalg.norm(expected.xyz, axis=-1).clip(1e-6)
-        # The pixel filter of a converged pixel includes cells of its neighbours, so a pixel that is refined differently
-        # changes the pixels around it.
+        # The pixel filter of a pixel includes cells of neighbouring pixels. A pixel that is refined differently
+        # therefore also changes the pixels around it.
         assert np.mean(differ[expected.illuminated] > 0.0) <= 6.0 * few
         assert np.percentile(differ[expected.illuminated], 99.0) <= 0.1 * drawn.plan.tolerance * drawn.plan.footprint
         assert result.report.refined_share == pytest.approx(expected.report.refined_share, rel=0.05)
     assert len(recorded) == 1
     if name == "footprints" and "samples_per_pixel" not in options:
         assert result.report.refined_share > 0.1
-
-
-@pytest.mark.parametrize("count", [0, 1, 7, 99, 100, 101, 5000])
-@pytest.mark.parametrize("octaves", [0.0, 0.01, 60.0])
-def test_the_luminance_floor_is_0_001_of_the_99th_percentile(count, octaves, rng):
-    luminance = 2.0 ** rng.uniform(-octaves, octaves, 2 * count + 3)
-    illuminated = np.zeros(len(luminance), dtype=np.bool_)
-    illuminated[rng.permutation(len(illuminated))[:count]] = True
-    colours = wp.array(np.stack([luminance * 1e9, luminance, luminance], axis=1), dtype=wp.vec3f, device="cpu")
-    flags = wp.array(illuminated, dtype=wp.bool, device="cpu")
-    tallies = wp.zeros(tile_lists.GROUPS * (1 + tile_lists.BINS), dtype=wp.int32, device="cpu")
-    floor = wp.empty(1, dtype=wp.float32, device="cpu")
-    launch(
-        tile_lists.luminance_histogram, dim=1, inputs=[colours, flags, 0, len(illuminated)], outputs=[tallies],
-        device="cpu",
-    )  # fmt: skip
-    launch(tile_lists.luminance_floor, dim=1, inputs=[tallies], outputs=[floor], device="cpu")
-    bright = np.sort(luminance[illuminated])
-    # The 99th percentile is the value that one per cent of the illuminated pixels, rounded down, exceed.
-    expected = 1e-3 * bright[-1 - count // 100] if count else 0.0
-    assert floor.numpy()[0] == pytest.approx(expected, rel=1.0 / 128.0, abs=2e-38)
 
 
 @pytest.mark.usefixtures("recorded")
@@ -498,5 +483,5 @@ def test_threads_render_different_pictures_concurrently(tube, fingers, plans, tr
     with ThreadPoolExecutor(2) as pool:
         assert list(pool.map(draw, range(2))) == [0, 0]
     tries.number = 2 * TURNS
-    # The main thread has a picture of its own, rendered before. The two threads must not have changed it.
+    # The main thread rendered a picture before. The pictures of the two other threads must not have changed it.
     np.testing.assert_array_equal(drawn.image().xyz, expected[1][2])

@@ -1,4 +1,4 @@
-"""``shade``: pictures compared with the float64 reference, and properties that every picture has."""
+"""``shade``: pictures compared with a reference in float64, and properties that every picture must have."""
 
 import dataclasses
 import math
@@ -15,7 +15,7 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
 
 import warpdiff as wd
-from bench.truth import reference
+from bench.truth import pixel_reference, reference
 from warpdiff import meshes
 from warpdiff.scene.mesh_import import prepare_surface
 
@@ -25,7 +25,8 @@ ABOVE = wd.DirectionalLight((0.0, 0.0, 1.0))
 FLAT = wd.HeightField(np.zeros((4, 4)), 0.05)
 WHITE = np.array([0.950423, 1.0, 1.088610])
 SHORT = wd.Coherence("averaged", 3.0)
-# With a window much wider than the patch, orders are narrow, and only the tails of Gaussians lie between them.
+# Coherence window that is much wider than the patch. Orders are then narrow, and directions between orders receive only
+# the tails of the orders' Gaussian lobes.
 LONG = wd.Coherence("averaged", 16.25)
 
 
@@ -50,18 +51,18 @@ def snake_view(width=96, height=72):
 
 
 def judge(mesh, heightfield, light, view, coherence, tolerances, *, pixels):
-    """Return the errors of pictures at several tolerances, in ``pixels`` stratified random pixels."""
-    body = reference.Body.of(prepare_surface(mesh))
+    """Return the errors of pictures at several tolerances, in ``pixels`` random pixels, one per part of the picture."""
+    body = pixel_reference.Body.of(prepare_surface(mesh))
     result, truth, chosen = [], None, None
     for tolerance in tolerances:
         image = wd.shade(mesh, heightfield, light, view, tolerance=tolerance, coherence=coherence, footprint=False)
         if truth is None:
-            chosen = reference.stratified(image.mask, pixels)
+            chosen = pixel_reference.stratified(image.mask, pixels)
             given = body, heightfield, [light], view, chosen, coherence.kind, coherence.sigma_um
-            truth = reference.reference_picture(*given, tolerance=min(tolerances))
+            truth = pixel_reference.reference_picture(*given, tolerance=min(tolerances))
         sure = ~truth.unsure
         np.testing.assert_array_equal(truth.hit[sure], image.mask.ravel()[chosen][sure])
-        result.append(reference.picture_error(image.xyz.reshape(-1, 3)[chosen], truth))
+        result.append(pixel_reference.picture_error(image.xyz.reshape(-1, 3)[chosen], truth))
     return result
 
 
@@ -77,7 +78,8 @@ def test_pictures_are_within_their_tolerance(kind, sigma_um, snake, fingers):
     for tolerance, error in zip(TOLERANCES, errors, strict=True):
         print(f"{kind}, σ = {sigma_um:g} µm, tolerance {tolerance:g}: {error}")  # noqa: T201
         assert error.illuminated > 0.8 * PIXELS
-        # The highlight is so bright that most pixels of the tube are below the floor f, but not all.
+        # Colours below the floor f count as dark. The highlight of the tube is so bright that most pixels are below the
+        # floor, but some pixels must be above it.
         assert error.share_below < 0.99
         assert error.p99 <= tolerance
         assert error.below <= tolerance
@@ -121,11 +123,11 @@ def test_the_colours_of_several_lights_add_up(snake, fingers):
     ]
     view = snake_view(48, 36)
     options = {"coherence": SHORT, "tolerance": 0.1}
-    # All pictures use the same plan. Otherwise the wavelengths would depend on the lights of each call.
+    # All pictures use the same plan. With separate plans, the wavelengths would depend on the lights of each picture.
     together = wd.shade(snake, fingers, lights, view, **options)
     alone = [wd.shade(snake, fingers, light, view, plan=together.plan) for light in lights]
-    # A picture with one light is refined until it meets the tolerance. With several lights, only their sum must meet
-    # it, so the sum of the pictures differs slightly.
+    # A picture with one light is refined until it meets the tolerance. With several lights, only the sum must meet it,
+    # so that the picture differs slightly from the sum of the pictures.
     expected = sum(image.xyz for image in alone)
     np.testing.assert_array_equal(together.illuminated, expected[..., 1] > 0.0)
     away = relative_errors(together.xyz[together.illuminated], expected[together.illuminated])
@@ -147,7 +149,7 @@ def test_a_light_below_the_horizon_adds_nothing(fingers):
 
 
 def test_both_sides_are_visible(fingers):
-    """The back of a disc is rendered like the front: the colours from behind equal the float64 reference."""
+    """The back of a disc must be rendered like its front: colours from behind must equal the float64 reference."""
     light, eye = np.array([0.3, 0.2, 0.9]), np.array([0.4, -0.5, 2.0])
     flip = np.array([1.0, 1.0, -1.0])
     images = [
@@ -159,11 +161,11 @@ def test_both_sides_are_visible(fingers):
     ]  # fmt: skip
     assert images[1].xyz[images[1].mask][:, 1].min() > 0.0
     pixels = np.arange(25 * 25)
-    body = reference.Body.of(prepare_surface(whole_disc()))
+    body = pixel_reference.Body.of(prepare_surface(whole_disc()))
     behind = wd.View(eye * flip, (0, 0, 0), up=(1, 0, 0), width=25, height=25)
     lights = [wd.DirectionalLight(light * flip)]
-    truth = reference.reference_picture(body, fingers, lights, behind, pixels, "averaged", 3.0, tolerance=1e-2)
-    error = reference.picture_error(images[1].xyz.reshape(-1, 3), truth)
+    truth = pixel_reference.reference_picture(body, fingers, lights, behind, pixels, "averaged", 3.0, tolerance=1e-2)
+    error = pixel_reference.picture_error(images[1].xyz.reshape(-1, 3), truth)
     assert error.p99 <= 1e-2
     assert error.below <= 1e-2
 
@@ -176,12 +178,12 @@ def two_discs():
 def test_shadows_equal_those_of_brute_force():
     view = wd.View((0.0, -2.0, 1.6), (0, 0, 0.2), width=40, height=30)
     light = wd.DirectionalLight((0.3, 0.2, 1.0))
-    # With a short window, all directions receive light, so pixels are black only in shadow.
+    # With a short coherence window, all view directions receive diffracted light, so that only shadows are black.
     options = {"coherence": wd.Coherence("averaged", 0.3), "footprint": False}
     shadowed = wd.shade(two_discs(), FLAT, light, view, **options)
     open_ = wd.shade(two_discs(), FLAT, light, view, shadows=False, plan=shadowed.plan)
-    body, pixels = reference.Body.of(prepare_surface(two_discs())), np.arange(40 * 30)
-    truth = reference.reference_picture(body, FLAT, [light], view, pixels, "averaged", 0.3, tolerance=1e-2)
+    body, pixels = pixel_reference.Body.of(prepare_surface(two_discs())), np.arange(40 * 30)
+    truth = pixel_reference.reference_picture(body, FLAT, [light], view, pixels, "averaged", 0.3, tolerance=1e-2)
     sure, illuminated = (a.reshape(30, 40) for a in (~truth.unsure, truth.illuminated))
     black = shadowed.xyz[..., 1] == 0.0
     np.testing.assert_array_equal(black[sure & shadowed.mask], ~illuminated[sure & shadowed.mask])
@@ -237,10 +239,10 @@ def test_pictures_are_the_same_bit_for_bit(samples, snake, fingers):
 
 
 def test_many_samples_per_pixel_change_only_the_rim():
-    """With 16 samples per pixel, only pixels at the rim are partly covered. Inside, the mean brightness is the same."""
+    """With 16 samples per pixel, only pixels at the rim may be partly covered; the mean must not change."""
     disc = whole_disc()
     view = wd.View((0.5, -1.2, 2.2), (0, 0, 0), fov_y_deg=60.0, width=64, height=48)
-    # A short window on a flat surface has one broad lobe, so colours change little within a pixel.
+    # With a short coherence window, a flat surface has one broad lobe, so that colours change little within a pixel.
     options = {"coherence": wd.Coherence("averaged", 0.4), "tolerance": 1e-3, "footprint": False}
     light = wd.DirectionalLight((-0.3, 0.6, 1.2))
     one = wd.shade(disc, FLAT, light, view, **options)
@@ -283,15 +285,15 @@ def test_pigment_follows_its_formula(sigma_um, ior, illuminant, fingers):
     quad = textured_quad()
     options = {"coherence": wd.Coherence("averaged", sigma_um), "ior": ior, "tolerance": 1e-3, "footprint": False}
     bare, half, whole = (wd.shade(quad, fingers, light, view, pigment=p, **options).xyz for p in (0.0, 0.5, 1.0))
-    body = reference.Body.of(prepare_surface(quad), TEXTURE)
+    body = pixel_reference.Body.of(prepare_surface(quad), TEXTURE)
     given = body, fingers, [light], view, np.arange(16 * 12), "averaged", sigma_um
-    truth = [reference.reference_picture(*given, tolerance=1e-3, ior=ior, pigment=p) for p in (0.0, 1.0)]
+    truth = [pixel_reference.reference_picture(*given, tolerance=1e-3, ior=ior, pigment=p) for p in (0.0, 1.0)]
     under = (truth[1].xyz - truth[0].xyz).reshape(12, 16, 3)
     # The pigment's colour is the difference of two float32 pictures. Its error includes their rounding errors, which
     # are proportional to the brighter picture.
     np.testing.assert_allclose(whole - bare, under, rtol=2e-4, atol=1e-7 * bare.max() + 1e-6 * under.max())
     np.testing.assert_allclose(half - bare, (whole - bare) / 2.0, rtol=1e-4, atol=2e-7 * bare.max())
-    error = reference.picture_error(whole.reshape(-1, 3), truth[1])
+    error = pixel_reference.picture_error(whole.reshape(-1, 3), truth[1])
     assert error.p99 <= 1e-3
     plain = quad.copy()
     plain.visual = TextureVisuals(uv=quad.visual.uv)
@@ -299,7 +301,7 @@ def test_pigment_follows_its_formula(sigma_um, ior, illuminant, fingers):
 
 
 def test_pigment_is_filtered_with_the_picture():
-    """The pigment's part of a colour does not depend on the number of samples per pixel."""
+    """The part of a colour that comes from the pigment must not depend on the number of samples per pixel."""
     quad = textured_quad(np.full((2, 2, 3), 180, np.uint8))
     view = mirror_view(6, 1.0)
     light = wd.DirectionalLight((0.5, 0.3, 1.0))
@@ -309,7 +311,7 @@ def test_pigment_is_filtered_with_the_picture():
 
 
 def test_tangents_rotate_the_height_field(fingers):
-    """Rotating the tangent by 90° about the normal equals rotating the height field by 90°."""
+    """A rotation of the tangents by 90° about the normal must equal a rotation of the height field by 90°."""
     disc = whole_disc()
     view = wd.View((0.3, -0.8, 2.0), (0, 0, 0), width=40, height=30)
     count = len(disc.vertices)
@@ -326,7 +328,7 @@ def test_tangents_rotate_the_height_field(fingers):
 
 
 def test_each_face_of_a_flat_mirror_has_one_colour():
-    """With ``smooth=False``, each face of a flat mirror has one colour in an orthographic view."""
+    """With ``smooth=False``, each face of a flat mirror must have a single colour in an orthographic view."""
     tube = meshes.tube(bend_deg=0.0, segments_along=12, segments_around=6)
     view = wd.View.orthographic((0.0, 3.0, 0.6), (0, 0, 0), up=(1, 0, 0), extent_y=2.0, width=40, height=120)
     options = {"coherence": wd.Coherence("averaged", 0.3), "shadows": False, "refine": False}
@@ -359,7 +361,7 @@ BODIES = {
 
 @pytest.mark.parametrize("name", BODIES)
 def test_illuminated_pixels_are_finite_and_positive(name, request):
-    """Pixels in shadow are black, and illuminated pixels have a finite colour above 0.
+    """Pixels in shadow must be black, and illuminated pixels must have a finite colour above 0.
 
     A pixel counts as illuminated if light and eye are above the surface by its interpolated normal and by its face
     normal.
@@ -367,8 +369,8 @@ def test_illuminated_pixels_are_finite_and_positive(name, request):
     mesh, view = BODIES[name]
     mesh = mesh or request.getfixturevalue("fuze_path")
     heightfield = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=2)
-    # The window is as short as the fingers, so orders overlap, and no direction between them is so dark that float32 is
-    # 0.
+    # The coherence window is as short as the fingers of the height field, so that orders overlap. Otherwise, directions
+    # between orders would be so dark that float32 numbers become 0.
     coherence = wd.Coherence("averaged", 1.2)
     light = wd.DirectionalLight((0.4, 0.9, 0.7))
     # Without refinement, each pixel has one ray, through its centre, and cannot be partly in shadow.
@@ -376,9 +378,9 @@ def test_illuminated_pixels_are_finite_and_positive(name, request):
     assert np.all(np.isfinite(image.xyz))
     assert image.xyz.min() >= 0.0
     pixels = np.flatnonzero(image.mask)
-    # Only hits and shadows of the float64 reference are used, so its height field is flat.
-    body = reference.Body.of(prepare_surface(mesh))
-    truth = reference.reference_picture(body, FLAT, [light], view, pixels, "averaged", 0.05, tolerance=0.5)
+    # Only hits and shadows of the float64 reference are used. Its height field is flat, because this saves time.
+    body = pixel_reference.Body.of(prepare_surface(mesh))
+    truth = pixel_reference.reference_picture(body, FLAT, [light], view, pixels, "averaged", 0.05, tolerance=0.5)
     luminance = image.xyz[..., 1].ravel()[pixels]
     above = truth.illuminated & (truth.cos_geometric > 0.0) & ~truth.unsure
     assert np.count_nonzero(above) > 0.3 * len(pixels)
@@ -388,7 +390,7 @@ def test_illuminated_pixels_are_finite_and_positive(name, request):
 
 
 def test_the_belly_shows_no_seam(fingers):
-    """At the seam of the texture, neighbouring pixels do not differ more than elsewhere."""
+    """Neighbouring pixels on both sides of the texture's seam must not differ more than other neighbouring pixels."""
     tube = meshes.tube(bend_deg=0.0, segments_along=96, segments_around=64)
     # The view is from below, and the seam lies on the border between the two middle columns of the picture.
     view = wd.View.orthographic((0, -2, 0), (0, 0, 0), up=(1, 0, 0), extent_y=1.2, width=48, height=64)

@@ -1,4 +1,4 @@
-"""Spectral pictures: radiances equal reflectance spectra, integrate to the colours, and other programs read them."""
+"""Spectral pictures: radiances must equal reflectance spectra, integrate to the colours, and be readable elsewhere."""
 
 import warnings
 

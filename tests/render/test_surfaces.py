@@ -1,4 +1,4 @@
-"""Pictures with several surfaces: each part of a mesh has the colours of its own surface, in one unit."""
+"""Pictures with several surfaces: each part of a mesh must have the colours of its own surface, in a common unit."""
 
 import math
 import pickle
@@ -40,7 +40,8 @@ BODY = scene(left="gold", middle="silver", right="gold")
 PARTS = np.repeat(np.arange(3), 16)
 
 
-# The plan of a part is used for pictures of the whole mesh, whose other parts have other directions.
+# The plan of one part is used for pictures of the whole mesh. The warning about directions beyond the plan is expected,
+# because the other parts have other directions.
 @pytest.mark.filterwarnings("ignore:plan is used beyond")
 @pytest.mark.parametrize("lights", [LIGHT, [LIGHT, wd.PointLight((0.0, 1.0, 3.0))]], ids=["one", "two"])
 @pytest.mark.parametrize("points", [False, True], ids=["means", "points"])
@@ -67,7 +68,8 @@ def test_parts_equal_pictures_of_one_surface_in_the_unit_of_the_picture(lights, 
         if points:
             np.testing.assert_allclose(image.xyz[2:-2, inside], expected, rtol=1e-5, atol=1e-6 * expected.max())
         else:
-            # A table depends on the range of directions, which is smaller for a part than for the whole mesh.
+            # The table of the whole mesh covers more directions than the table of one part, so that both differ
+            # slightly.
             assert (
                 np.percentile(relative_errors(image.xyz[2:-2, inside].reshape(-1, 3), expected.reshape(-1, 3)), 99.0)
                 <= OPTIONS["tolerance"]
@@ -82,7 +84,11 @@ def test_parts_equal_pictures_of_one_surface_in_the_unit_of_the_picture(lights, 
     ids=["glass", "mirror", "copper", "source"],
 )  # fmt: skip
 def test_luminance_relative_to_a_white_plain_surface_is_that_of_the_brdf(coherence, reflection):
-    """The ratio of luminances is π ∫ f Ω S ȳ dλ / ∫ Ω S ȳ dλ, with the absolute BRDF f and Ω ~ λ² for a window."""
+    """The luminance relative to a white plain surface must be π ∫ f Ω S ȳ dλ / ∫ Ω S ȳ dλ.
+
+    f is the absolute BRDF, S the illuminant, ȳ the luminous efficiency, and Ω a weight, proportional to λ² for a
+    window.
+    """
     image = wd.shade(
         BODY, {"middle": wd.Surface(WAVE, coherence=coherence, pigment=0.0, **reflection), "*": None}, LIGHT, VIEW,
         **OPTIONS | {"tolerance": 1e-3, "footprint": False}, layers=["to_light", "to_view"],
@@ -165,7 +171,7 @@ def test_plans_state_the_coherence_of_the_unit():
         ({"gold": WAVE}, r"for each part of the mesh, got none for 'middle/silver'.*: add '\*'"),
         ({"gold": WAVE, "left": BLAZED, "*": None}, r"got the keys 'gold' and 'left' for 'left/gold': add the key"),
         ({"*": None}, "must have a height field for at least one part, got none"),
-        ({"*": 5}, r"heightfield\['\*'\] must be a HeightField, a Surface or None, got int"),
+        ({"*": 5}, r"heightfield\['\*'\] must be a HeightField, a GratingMap, a Surface or None, got int"),
         ({5: WAVE}, "must have names of parts as keys, got int"),
         ({"left": WAVE, "*": wd.Surface(WAVE, coherence=wd.Coherence("centred", 2.0))}, "all or none have footprints"),
     ],

@@ -1,11 +1,9 @@
-"""Plans: their numbers for a tolerance, their text, their effect on results, and cached coefficient tables."""
+"""Plans: their numbers for a tolerance, their text, and their effect on results."""
 
 import dataclasses
-import gc
 import json
 import math
 import warnings
-import weakref
 
 import numpy as np
 import pytest
@@ -14,12 +12,11 @@ from conftest import at_angle, coherence_of, hemisphere, relative_errors, slow
 import warpdiff as wd
 from bench.truth import reference
 from bench.truth.errors import FLOOR, reference_luminance
-from warpdiff.diffraction import coefficient_basis, fourier_coefficients
+from warpdiff.diffraction import fourier_coefficients
 from warpdiff.diffraction.phase_series import EXPANSIONS
 from warpdiff.optics import reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial
-from warpdiff.tables import coefficient_table, table_cache
-from warpdiff.tables.table_cache import TableCache
+from warpdiff.tables import coefficient_table
 
 UP = [0.0, 0.0, 1.0]
 
@@ -30,15 +27,9 @@ def rough() -> wd.HeightField:
     return wd.gratings.fingers(size_um=6.4, seed=3)
 
 
-def deep(height_um: float) -> wd.HeightField:
-    """Return a random surface with a given height range."""
-    heights = np.random.default_rng(8).uniform(size=(16, 16))
-    heights = (heights - heights.min()) / np.ptp(heights) * height_um
-    return wd.HeightField.of_known_scale(heights, 0.05)
-
-
 def test_a_plan_covers_the_range_of_its_directions(rough, rng):
-    # Plans for the direct sum have the same ranges as other plans, and are made quickly, because they need no search.
+    # The ranges of a plan do not depend on its method. Plans for the direct sum are tested, because they need no search
+    # and are made quickly.
     whole = wd.plan(rough, method="direct")
     assert (whole.max_uv, whole.max_w, whole.lambda_min_nm) == (2.0, 2.0, 380.0)
 
@@ -82,8 +73,8 @@ def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
     tolerances = (0.5, 0.1, 1e-2, 1e-3, 1e-4)
     for plans in (
         [wd.plan(rough, at_angle(20.0), at_angle(35.0), tolerance=t, coherence=coherence) for t in tolerances],
-        # With many directions and large tolerances, "auto" would use tables, which have other numbers than sampled
-        # plans.
+        # With many directions and large tolerances, the method "auto" would use tables. The numbers of tables cannot be
+        # compared with those of plans that sample wavelengths.
         [wd.plan(rough, tolerance=t, coherence=coherence, method="low-rank") for t in tolerances],
     ):
         for name in ("terms", "wavelengths", "multiply_adds"):
@@ -108,9 +99,10 @@ def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
     ids=lambda each: each.kind,
 )  # fmt: skip
 def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
-    """A search finds a plan that meets the tolerance, also on directions that the search has not tried.
+    """The plan of a search must cost less than an upper-bound plan, and must meet the tolerance.
 
-    The error that the plan predicts is at most ten times the measured error.
+    It must also meet the tolerance on directions that the search has not tried. The error that the plan predicts must
+    be at most ten times the measured error.
     """
     lights, views = hemisphere(rng, 40_000), hemisphere(rng, 40_000)
     few = wd.plan(rough, lights[:8], views[:8], coherence=coherence, method="low-rank")
@@ -119,8 +111,8 @@ def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
     assert not few.is_measured
     samples = dataclasses.replace(few, max_uv=plan.max_uv, max_order_rate=plan.max_order_rate)
     assert plan.multiply_adds < samples.multiply_adds
-    # The reference for replicated periods requires 0.1 s per direction. Fewer directions are therefore compared with it
-    # than for other kinds of coherence.
+    # For replicated periods, the reference requires 0.1 s per direction. Fewer directions are therefore tested than for
+    # other kinds of coherence.
     apart = 650 if coherence.kind == "replicas" else 240
     for part in (slice(0, 39_000 // apart), slice(1000, 40_000, apart)):
         exact = reference.reference_reflectance(rough, lights[part], views[part], coherence, tolerance=1e-3)
@@ -144,7 +136,7 @@ def test_the_plan_does_not_depend_on_threads(rough, kind):
 def test_a_plan_reads_as_a_table(rough):
     plan = wd.plan(rough, at_angle(20.0), tolerance=3e-3, coherence=wd.Coherence(sigma_um=3.0), method="low-rank")
     text = str(plan)
-    # The first line of a plan's text says whether results can be trusted.
+    # The first line of a plan's text must say whether results can be trusted.
     assert text.splitlines()[0] == (
         f"The plan meets its tolerance of 0.003: predicted error {plan.error:.1e}, measured on {plan.validation_size} "
         "validation directions."
@@ -276,109 +268,8 @@ def test_plans_are_compared_by_value_and_cannot_be_changed(rough):
         one.terms = 3
 
 
-@pytest.mark.parametrize(
-    ("directions", "how"),
-    # A plan for the whole hemisphere requires a search, which is slow because it compiles a kernel for each number of
-    # terms.
-    [((UP, hemisphere(np.random.default_rng(2), 20)), "by its bound"), slow((), "measured on")],
-    ids=["few", "all"],
-)
-def test_a_height_range_beyond_float32_is_refused_and_computed_with_strict_false(directions, how):
-    views = hemisphere(np.random.default_rng(2), 20)
-    for height, method in ((3.0, "taylor"), (8.0, "auto")):
-        heightfield = deep(height)
-        for call, given in ((wd.plan, directions), (wd.reflectance, (UP, views))):
-            message = rf"tolerance=0\.01: .* of {height:g} µm.*levelled\(\).*strict=False"
-            with pytest.raises(ValueError, match=message) as refused:
-                call(heightfield, *given, method=method)
-            assert call is wd.reflectance or how in str(refused.value)
-            with pytest.warns(wd.WarpdiffWarning, match=r"cannot meet tolerance=0\.01"):
-                result = call(heightfield, *given, method=method, strict=False)
-        assert np.all(np.isfinite(result))
-        assert result.min() >= 0.0
-    # The direct sum uses no series, so any height range can be computed.
-    assert np.all(np.isfinite(wd.spectral_reflectance(heightfield, UP, UP, 500.0, method="direct")))
-
-
-def test_a_remainder_of_amplitudes_is_refused_where_the_series_ends():
-    """At a height range of 6.9 µm, amplitudes have an error of 3e-3 with the largest number of terms of the series.
-
-    This error is relative to the amplitude of a flat surface. Relative to the amplitudes of weak orders it is 1000
-    times as large. The height range is refused, while one of 6.2 µm is accepted.
-    """
-    with pytest.raises(wd.ToleranceError, match=r"terms are too few for a height range of 6\.9 µm"):
-        wd.plan(deep(6.9), UP, UP)
-    wd.plan(deep(6.2), UP, UP)
-
-
-def test_the_automatic_series_is_accurate_at_heights_where_taylor_fails(rng):
-    heightfield = deep(3.0)
-    lights, views = hemisphere(rng, 60), hemisphere(rng, 60)
-    options = {"coherence": wd.Coherence(sigma_um=0.5), "tolerance": 1e-4}
-    exact = wd.spectral_reflectance(heightfield, lights, views, [400.0, 600.0], method="direct", **options)
-    result = wd.spectral_reflectance(heightfield, lights, views, [400.0, 600.0], **options)
-    np.testing.assert_allclose(result, exact, rtol=1e-4, atol=1e-7 * np.percentile(exact, 99.0))
-
-
-def test_height_ranges_beyond_the_expansions_are_refused_and_the_direct_sum_computes_them(rough):
-    plan = wd.plan(rough, UP, UP)
-    for height_um in (375.0, 1e9):
-        for method in ("auto", "taylor"):
-            with pytest.raises(ValueError, match=r"wavelengths of path.*method='direct'"):
-                wd.reflectance(deep(height_um), UP, UP, method=method, strict=False)
-        with pytest.raises(ValueError, match="method='direct'"), pytest.warns(wd.WarpdiffWarning, match="beyond"):
-            wd.reflectance(deep(height_um), UP, UP, plan=plan)
-    with pytest.warns(wd.WarpdiffWarning, match="invalid"):
-        assert np.isfinite(
-            wd.reflectance(deep(375.0), UP, UP, method="direct", coherence=wd.Coherence(sigma_um=0.5))
-        ).all()
-
-
-def test_an_explicit_plan_is_used_with_a_warning_beyond_its_range(rough):
-    narrow, whole = wd.plan(rough, UP, at_angle(5.0)), wd.plan(rough, coherence=wd.Coherence(sigma_um=3.0))
-    calls = {
-        "height range": lambda: wd.reflectance(deep(3.0), UP, UP, plan=narrow, strict=True),
-        "up to 0.643, planned 0.0872": lambda: wd.reflectance(rough, UP, at_angle(40.0), plan=narrow),
-        "1/λ": lambda: wd.spectral_reflectance(rough, UP, UP, 200.0, plan=narrow),
-    }
-    for what, call in calls.items():
-        with pytest.warns(wd.WarpdiffWarning, match=f"beyond its valid range: .*{what}"):
-            result = call()
-        assert np.all(np.isfinite(result))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        wd.reflectance(rough, UP, at_angle(5.0), plan=narrow)
-        wd.spectral_reflectance(rough, UP, at_angle(3.0), [400.0, 700.0], plan=whole)
-
-
-@pytest.mark.parametrize(
-    "coherence", [wd.Coherence("source", angular_diameter_deg=2.0), wd.Coherence("replicas", periods=(4, 4))], ids=str
-)
-def test_a_plan_beyond_its_order_rate_causes_a_warning(coherence):
-    fine = wd.gratings.fingers(size_um=3.2, pitch_um=0.1, seed=1)
-    narrow = wd.plan(fine, UP, at_angle(5.0), coherence=coherence)
-    with pytest.warns(wd.WarpdiffWarning, match="order rate up to"):
-        wd.reflectance(fine, UP, at_angle(40.0), plan=narrow)
-
-
-def test_a_fitted_basis_below_its_range_causes_a_warning(rough):
-    steep = wd.plan(rough, UP, at_angle(5.0), method="low-rank")
-    blue = dataclasses.replace(steep, lambda_max_nm=500.0)
-    with pytest.warns(wd.WarpdiffWarning, match=r"1/λ \[1/µm\] down to 1.28, planned 2"):
-        wd.reflectance(rough, UP, at_angle(5.0), plan=blue)
-    series = dataclasses.replace(blue, method="jacobi-anger")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        wd.reflectance(rough, UP, at_angle(5.0), plan=series)
-
-
-def test_windows_too_long_for_a_colour_are_refused(rough):
-    with pytest.raises(ValueError, match=r"sigma_um=20000\.0 .* wavelengths"):
-        wd.plan(rough, coherence=wd.Coherence(sigma_um=2e4))
-
-
 def test_one_row_is_constant_along_y():
-    """Whatever its pitch along y, a field of one row has no orders outside of the plane y = 0, and no aliasing."""
+    """A field of one row must have no orders outside of the plane y = 0 and no aliasing, whatever its pitch along y."""
     row = wd.gratings.sinusoidal(16.0, 0.1, samples=512)
     coarse = wd.HeightField(row.heights_um, (0.5, row.pitch_um[1]))
     views = np.array([[0.0, 0.8, 0.6], [0.1, 0.0, 1.0], [0.05, 0.0001, 1.0]])
@@ -388,79 +279,11 @@ def test_one_row_is_constant_along_y():
         assert thick[0] < 1e-30
 
 
-def test_a_coarse_pitch_causes_a_warning_about_aliasing(rough):
-    coarse = wd.gratings.sinusoidal(6.4, 0.1).resampled(0.2)
-    with pytest.warns(wd.WarpdiffWarning, match=r"a pitch of 0\.2 µm supports \|\(u, v\)\| up to 0\.95 at 380 nm"):
-        wd.plan(coarse, method="direct")
-    with pytest.warns(wd.WarpdiffWarning, match=r"directions reach 1\.5: higher orders alias onto lower ones"):
-        wd.plan(coarse, at_angle(30.0), method="direct")
-    with pytest.warns(wd.WarpdiffWarning, match="finer pitch"):
-        wd.reflectance(coarse, at_angle(60.0), at_angle(50.0))
-    # Directions with order rates that the pitch supports cause no warning. At longer wavelengths, the pitch supports
-    # more directions.
-    wd.plan(coarse, at_angle(20.0), at_angle(20.0))
-    wd.spectral_reflectance(coarse, at_angle(30.0), at_angle(45.0), [700.0])
-    wd.plan(rough, method="direct")
-
-
-@pytest.fixture
-def builds(monkeypatch):
-    """Return a list of the height fields whose coefficients are fitted during the test."""
-    built = []
-    fitted = coefficient_basis.fitted
-
-    def counted(heightfield, *args, **options):
-        built.append(weakref.ref(heightfield))
-        return fitted(heightfield, *args, **options)
-
-    monkeypatch.setattr(coefficient_basis, "fitted", counted)
-    return built
-
-
-def test_coefficient_tables_are_cached_for_the_next_call(rough, builds):
-    heightfield = wd.HeightField(rough.heights_um, rough.pitch_um)
-    plan = wd.plan(heightfield, tolerance=0.3)
-    assert len(builds) == 1
-    first = wd.reflectance(heightfield, UP, UP, plan=plan)
-    np.testing.assert_array_equal(wd.reflectance(heightfield, UP, UP, plan=plan), first)
-    # Tables of coefficients are reused if only lights, index of refraction, wavelengths or the number of terms change.
-    wd.reflectance(heightfield, at_angle(10.0), UP, plan=plan, ior=2.0)
-    wd.spectral_reflectance(heightfield, UP, UP, [500.0, 600.0], plan=plan)
-    wd.reflectance(heightfield, UP, UP, plan=dataclasses.replace(plan, terms=plan.terms - 1))
-    assert len(builds) == 1
-    # Another ``HeightField`` object with equal heights has its own tables.
-    wd.reflectance(wd.HeightField(rough.heights_um, rough.pitch_um), UP, UP, plan=plan)
-    assert len(builds) == 2
-
-
-def test_the_number_of_cached_tables_is_limited(rough, builds):
-    heightfield = wd.HeightField(rough.heights_um, rough.pitch_um)
-    plan = wd.plan(heightfield, tolerance=0.3)
-    scopes = [dataclasses.replace(plan, max_uv=uv) for uv in (0.2, 0.6, 1.0, 1.4, 1.8)]
-    for each in scopes:
-        wd.reflectance(heightfield, UP, UP, plan=each)
-    assert len(TableCache.of(heightfield).coefficients) == table_cache.MOST_CACHED
-    assert len(builds) == 1 + len(scopes)
-    # The cache has removed the least recently used table, that of the first plan, and builds it again.
-    wd.reflectance(heightfield, UP, UP, plan=scopes[-1])
-    assert len(builds) == 1 + len(scopes)
-    wd.reflectance(heightfield, UP, UP, plan=scopes[0])
-    assert len(builds) == 2 + len(scopes)
-
-
-def test_tables_are_deleted_with_their_height_field(rough, builds):
-    heightfield = wd.HeightField(rough.heights_um, rough.pitch_um)
-    wd.reflectance(heightfield, UP, UP, method="low-rank")
-    gc.collect()
-    before = len(table_cache._caches)
-    del heightfield
-    gc.collect()
-    assert builds[0]() is None
-    assert len(table_cache._caches) == before - 1
-
-
 def test_results_of_an_explicit_plan_do_not_depend_on_other_directions(rough, rng):
-    """A fitted basis depends on the range of its plan, not on the other directions of a call."""
+    """Results of an explicit plan must not depend on the other directions of the call.
+
+    They do not, because a fitted basis depends only on the range of its plan.
+    """
     lights, views = hemisphere(rng, 60), hemisphere(rng, 60)
     plan = wd.plan(rough, lights, views)
     together = wd.reflectance(rough, lights, views, plan=plan)
@@ -470,14 +293,15 @@ def test_results_of_an_explicit_plan_do_not_depend_on_other_directions(rough, rn
 
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-2, 1e-3])
 def test_directions_use_only_as_many_wavelengths_as_they_require(rough, rng, tolerance):
-    """Directions of small |(u, v)| use fewer wavelengths, without a loss of accuracy."""
+    """Directions with small |(u, v)| must use fewer wavelengths, and still meet the tolerance."""
     lights = hemisphere(rng, 200)
     views = lights * [-1.0, -1.0, 1.0] + rng.normal(scale=0.3, size=(200, 3)) * rng.uniform(size=(200, 1))
     views[:, 2] = np.abs(views[:, 2])
     views /= np.linalg.norm(views, axis=1, keepdims=True)
     total = lights + views
     ends = [np.argmax(np.hypot(total[:, 0], total[:, 1])), np.argmin(total[:, 2]), np.argmax(total[:, 2])]
-    # For a call with few directions no search is made, and its plan consists of upper bounds.
+    # The plan is made for only three directions. It therefore consists of upper bounds, because a search is not worth
+    # its time.
     plan = wd.plan(rough, lights[ends], views[ends], tolerance=tolerance)
     assert not plan.is_measured
     assert plan.adaptive
@@ -495,9 +319,9 @@ def test_directions_use_only_as_many_wavelengths_as_they_require(rough, rng, tol
 
 
 def test_pixels_of_a_map_can_be_means(rough):
-    """A pixel of a map can be the mean over a grid of directions.
+    """A pixel of a map with ``samples_per_pixel`` must be the mean over a grid of directions.
 
-    Its coverage is the share of these directions within the unit disc.
+    Its coverage must be the share of these directions within the unit disc.
     """
     light = [0.2, 0.1, 1.0]
     fine = wd.reflectance_map(rough, light, size=36, tolerance=3e-2)
@@ -505,22 +329,3 @@ def test_pixels_of_a_map_can_be_means(rough):
     np.testing.assert_allclose(means.xyz, fine.xyz.reshape(12, 3, 12, 3, 3).mean(axis=(1, 3)), rtol=1e-5, atol=1e-9)
     np.testing.assert_allclose(means.coverage, fine.mask.reshape(12, 3, 12, 3).mean(axis=(1, 3)), rtol=1e-6)
     assert np.any((means.coverage > 0.0) & (means.coverage < 1.0))
-
-
-@pytest.mark.parametrize("height_um", [0.3, 0.31])
-def test_no_series_is_computed_twice(height_um, monkeypatch):
-    made = []
-    of_series = coefficient_basis.of_series
-
-    def counted(heightfield, method, grid, block, kappas, *, terms, threads):
-        made.append((method, block, kappas, terms))
-        return of_series(heightfield, method, grid, block, kappas, terms=terms, threads=threads)
-
-    monkeypatch.setattr(coefficient_basis, "of_series", counted)
-    monkeypatch.setenv("WARPDIFF_CACHE_DIR", "")
-    surface = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=3)
-    heights = surface.heights_um * (height_um / surface.height_range_um)
-    heightfield = wd.HeightField.of_known_scale(heights, surface.pitch_um)
-    wd.plan(heightfield, method="low-rank", integration="table", coherence=wd.Coherence(sigma_um=3.25))
-    assert len(made) == len(set(made))
-    assert len(TableCache.of(heightfield).fitted_to) == 0

@@ -258,8 +258,8 @@ def test_settings_accept_the_values_that_their_descriptions_allow(values):
     try:
         made = settings.PictureSettings(**values)
     except ValueError as error:
-        # Legal values may be refused only because they do not fit to that of ``method``. The message must then name
-        # ``method``.
+        # A legal value of an option may be refused only if it does not fit to the value of ``method``. The message must
+        # then name ``method``.
         assert "method" in str(error)  # noqa: PT017
     else:
         for name, value in values.items():

@@ -278,7 +278,7 @@ def test_invalid_shared_options_are_refused(function, option, value, error, mess
 @pytest.mark.parametrize("kind", ["centred", "replicas"])
 @pytest.mark.usefixtures("no_kernel")
 def test_power_series_are_refused_for_coherences_that_add_amplitudes(function, kind):
-    """The message lists all legal methods except the requested one."""
+    """The message must list all methods that the coherence model allows, but not the requested method."""
     coherence = wd.Coherence(kind, periods=(2, 2) if kind == "replicas" else None)
     with pytest.raises(ValueError, match=f"method='power' .* kind='{kind}'") as refused:
         EVALUATE[function](method="power", coherence=coherence)

@@ -82,7 +82,10 @@ def test_a_child_renders_the_same_picture_as_its_parent():
 
 
 def save_on_both_sides_of_forks(folder):
-    """Save pictures in a parent and its forked child, twice: the second fork inherits the state of the first saves."""
+    """Save pictures in a parent process and in its forked child, twice.
+
+    At the second fork, the child inherits the state that the parent's first save has left.
+    """
     colours = np.random.default_rng(0).random((64, 64, 3)).astype(np.float32)
     mask, error = np.ones((64, 64), dtype=np.bool_), np.zeros((64, 64), dtype=np.float32)
     plan = wd.plan(wd.HeightField(np.zeros((4, 4)), 0.05))
@@ -98,7 +101,10 @@ def save_on_both_sides_of_forks(folder):
 # This test is slow, because it starts processes that import all modules and compile kernels.
 @pytest.mark.slow
 def test_a_child_saves_pictures_as_its_parent_does(tmp_path):
-    """The test runs in a separate process, because other tests may have started OpenEXR's threads in this one."""
+    """Files that a forked child saves must be as large as those of its parent.
+
+    The test runs in a separate process, because other tests may have started OpenEXR's threads in this process.
+    """
     code = "import sys, test_forks as t; t.save_on_both_sides_of_forks(sys.argv[1])"
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], cwd=HERE, check=True, timeout=_MOST_S)
 
@@ -106,7 +112,7 @@ def test_a_child_saves_pictures_as_its_parent_does(tmp_path):
 # This test is slow, because it starts processes that import all modules and compile kernels.
 @pytest.mark.slow
 def test_a_child_may_be_the_first_to_render():
-    """Fork before any kernel is loaded, and let the child fork as well."""
+    """A child that is forked before any kernel is loaded must render, and so must a child of this child."""
     code = (
         "import test_forks as t\n"
         "first = lambda: t.in_child(lambda: t.picture().any()) == 0 and t.picture().any()\n"
@@ -115,8 +121,8 @@ def test_a_child_may_be_the_first_to_render():
     subprocess.run([sys.executable, "-c", code], cwd=HERE, check=True, timeout=_MOST_S)
 
 
-# With "spawn" and "forkserver", processes of a pool begin with a fresh interpreter and do not inherit the state of the
-# parent. A pool of one process suffices to test this.
+# With the start methods "spawn" and "forkserver", each process of a pool begins with a fresh interpreter. It does not
+# inherit the state of the parent. A pool of one process suffices to test this.
 @pytest.mark.parametrize(
     ("method", "processes"), [("fork", 2), pytest.param("spawn", 1, marks=pytest.mark.slow), ("forkserver", 1)]
 )
@@ -149,7 +155,10 @@ def test_a_child_forked_while_other_threads_render_renders_the_same_picture():
 
 
 def test_no_cached_property_uses_the_lock_of_functools():
-    """In Python 3.11 all objects share the lock of ``cached_property``. A forked child could wait for it forever."""
+    """No module may use ``cached_property`` of functools.
+
+    In Python 3.11 all objects share the lock of ``cached_property``. A forked child could wait for this lock forever.
+    """
     sources = sorted(Path(wd.__file__).parent.rglob("*.py"))
     users = [path for path in sources if re.search(r"functools\b.*cached_property", path.read_text(encoding="utf-8"))]
     assert users == [Path(forks.__file__)]
@@ -237,14 +246,18 @@ assert t.in_child(used) == 0
 
 
 def test_a_fork_waits_for_pictures_that_are_read_shown_or_written():
-    """Without waiting for other threads, a fork would copy locks, such as OpenColorIO's, that stay locked forever."""
+    """A fork must wait until other threads have read, shown or written their pictures.
+
+    Otherwise it would copy locks that another thread holds, such as those of OpenColorIO. In the child, they would stay
+    locked forever.
+    """
     subprocess.run([sys.executable, "-c", _WHILE_WITHIN], cwd=HERE, check=True, timeout=_MOST_S)
 
 
 # This test is slow, because it starts processes that import all modules and compile kernels.
 @pytest.mark.slow
 def test_a_fork_waits_for_imports_and_kernels():
-    """Fork while another thread imports packages and loads kernels.
+    """If a process forks while another thread imports packages and loads kernels, the child must not hang.
 
     The child must render, or raise an error that proposes the start method "spawn".
     """
@@ -312,7 +325,10 @@ assert counts == [1], counts
     [({}, None), ({"_module_locks": None}, object()), ({"_module_locks": {"warp": object()}}, None)],
 )
 def test_forks_work_without_the_private_locks_of_python_and_warp(locks, lock, monkeypatch):
-    """Private locks of Python and Warp may not exist in other versions. Forks then do not wait for them."""
+    """Forks must work if private locks of Python and Warp do not exist, as may be in other versions.
+
+    Forks then do not wait for these locks.
+    """
     expected = picture()
     private = {name: value for name, value in vars(importlib._bootstrap).items() if name != "_module_locks"}
     monkeypatch.setattr(importlib, "_bootstrap", types.SimpleNamespace(**private, **locks))
@@ -325,5 +341,9 @@ def test_forks_work_without_the_private_locks_of_python_and_warp(locks, lock, mo
 
 
 def test_threads_of_image_files_end_before_a_fork():
-    """A starting thread holds a lock. A child forked at that time would wait for it when it reads an image file."""
+    """Threads that read image files must end before a fork.
+
+    A thread that starts holds a lock. A child forked at that time would wait for this lock forever when it reads an
+    image file.
+    """
     subprocess.run([sys.executable, "-c", _THREADS_AT_FORK], cwd=HERE, check=True, timeout=_MOST_S)

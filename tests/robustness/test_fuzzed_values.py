@@ -54,6 +54,8 @@ NUMBERS_OF = {
     wd.Image: lambda image: [image.xyz, image.error, image.coverage],
     wd.OrderEfficiencies: lambda orders: [orders.efficiencies], wd.ReflectanceSpectra: lambda spectra: [spectra.values],
     wd.Fit: lambda fit: [fit.values, fit.residuals], wd.Measured: lambda measured: [measured.values],
+    wd.Design: lambda result: [result.parameters, result.achieved["achieved"]],
+    wd.Target: lambda target: [target.to_light],
     wd.adjoint.Linearised: lambda linearised: [linearised.value],
     wd.Table: lambda table: [column for column in table.columns.values() if column.dtype.kind == "f"],
     trimesh.Trimesh: lambda mesh: [mesh.vertices.view(np.ndarray), mesh.vertex_normals, mesh.visual.uv],

@@ -139,7 +139,9 @@ def test_failed_allocations_raise_the_messages_of_the_library():
 
 
 def test_sample_meshes_that_exceed_the_memory_raise_a_clear_error(monkeypatch):
-    """If the estimate of the required memory is too small, a failed allocation raises the same clear error."""
+    """If the estimate of the required memory is too small, a failed allocation must raise the same error as the
+    estimate would.
+    """
     monkeypatch.setattr(memory, "require_faces", lambda *_: None)
     for call in (lambda: wd.meshes.tube(segments_along=1 << 45), lambda: wd.meshes.disc(segments=1 << 45)):
         with pytest.raises(MemoryError, match=r"a body of this many faces requires another .* GB are free: take fewer"):

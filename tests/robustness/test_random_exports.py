@@ -100,14 +100,14 @@ def test_random_exports_are_read_exactly_or_refused(tries, tmp_path):
         except ValueError as error:
             refusals.append(str(error))
             continue
-        # A file with a matrix has row 0 at the top. If the loaded field has rows "up", its row 0 is at the bottom, so
-        # that the order of its rows is reversed. A list of points begins with the smallest y, which is row 0 of the
-        # loaded field, so that the order is the same.
+        # A file with a matrix has row 0 at the top of the picture. In a loaded field with rows "up", row 0 is at the
+        # bottom, so that the order of the rows is reversed. A list of points begins with the smallest y, which is also
+        # row 0 of the loaded field. The order of its rows is therefore not reversed.
         is_down = scan.source.rows == "up" and export.text[:1] not in "Xx"
         heights = scan.heights_um[::-1] if is_down else scan.heights_um
         np.testing.assert_allclose(heights, export.heights, rtol=1e-12, err_msg=f"{index}: {export.text[:300]!r}")
         np.testing.assert_allclose(scan.pitch_um, export.pitch, rtol=1e-4)
-    # A few files may be refused. If all rows end in empty cells, for example, a last column of missing samples and a
-    # separator at the end of each row look the same.
+    # A few files may be refused, because they are ambiguous. If all rows end with empty cells, for example, a column of
+    # missing samples cannot be distinguished from separators at the ends of rows.
     assert all(message.startswith(f"path: '{path}'") for message in refusals)
     assert len(refusals) <= 1 + 0.05 * tries.number

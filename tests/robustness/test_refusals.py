@@ -102,7 +102,7 @@ def prepared(folder: Path) -> Iterator[None]:
 
 # Invalid arguments in Python
 
-# Uninitialised objects of classes that require kernels, which suffice because only their class is checked.
+# Uninitialised objects of classes that require kernels. The tests need only the class of these objects.
 BARE = {
     **{owner: object.__new__(getattr(wd, owner)) for owner in ("Image", "BakedLobes", "BakedSpectrum")},
     "renderer": object.__new__(wd.Renderer), "lobes": object.__new__(wd.BakedLobes),

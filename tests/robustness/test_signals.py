@@ -73,7 +73,7 @@ def test_the_command_line_ends_by_a_signal(delay, name, tmp_path):
         begin = time.monotonic()
         error = process.communicate(timeout=60)[1]
     assert process.returncode == 128 + number, error
-    # A compilation that has started cannot be interrupted, so the command ends after it.
+    # A compilation that has started cannot be interrupted. The command must end soon after it.
     assert time.monotonic() - begin < 30.0
     assert "Traceback" not in error
     assert not left_behind(tmp_path)
@@ -137,7 +137,10 @@ def test_an_ignored_signal_stays_ignored(tmp_path):
 
 
 def test_an_interruption_that_is_converted_to_another_error_ends_the_command(tmp_path):
-    """The test command converts the interruption to ``ImportError``, as NumPy does while it is imported."""
+    """An interruption must end the command even if other code converts it to another error.
+
+    The test command converts it to ``ImportError``, as NumPy does while it is imported.
+    """
     rotated = "def turned():\n    try: signal.raise_signal(15); time.sleep(60.0)\n"
     rotated += "    except BaseException: raise ImportError('could not import')\ncli.main = turned"
     code, _, error = ended(COMMAND + rotated + RUN, tmp_path)

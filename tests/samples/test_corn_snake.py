@@ -45,10 +45,10 @@ def test_the_snake_is_closed_and_its_faces_are_oriented_outwards(arguments):
     place = places(mesh)
     edges = place[mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)]
     forward, backward = edges @ [len(place), 1], edges @ [1, len(place)]
-    # Each edge belongs to two faces, once in either direction.
+    # The surface is closed if each edge belongs to two faces, which use it in opposite directions.
     assert len(np.unique(forward)) == len(forward)
     np.testing.assert_array_equal(np.sort(forward), np.sort(backward))
-    # The surface has no handle: its Euler characteristic is that of a sphere.
+    # The surface must have no handle. This is so if its Euler characteristic is 2, as for a sphere.
     assert len(np.unique(place)) - len(edges) // 2 + len(mesh.faces) == 2
     corners = mesh.vertices[mesh.faces]
     assert np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) > 0.0
@@ -61,7 +61,7 @@ def test_the_default_snake_has_few_faces_and_none_too_narrow_for_float32():
     corners = mesh.vertices[mesh.faces]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
     twice_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    # In float32, triangles with a height below 1e-7 would lose their area.
+    # Faces must not be too narrow: in float32, a triangle with a height below 1e-7 would have no area.
     assert np.min(twice_area / sides.max(axis=1)) > 5e-6
     cosine = np.einsum("ij,ikj->ik", face_normals(corners), mesh.vertex_normals[mesh.faces])
     assert np.percentile(degrees(cosine), 99.0) < 15.0
@@ -78,8 +78,8 @@ def test_normals_of_vertices_are_near_those_of_their_faces(snake, surface):
 
 
 def test_normals_are_continuous_across_the_texture_seam(surface):
-    # At the texture seam, each vertex has a twin with the same position and normal. The snout and the tip of the tail
-    # are excluded.
+    # At the texture seam, each vertex must have a twin with the same position and normal. Vertices at the snout and at
+    # the tip of the tail are excluded.
     left, right = (
         np.flatnonzero((surface.uvs[:, 0] == end) & (np.abs(surface.uvs[:, 1] - 0.5) < 0.49)) for end in (0, 1)
     )
@@ -93,8 +93,8 @@ def test_normals_are_continuous_across_the_texture_seam(surface):
 def test_scales_have_the_requested_number(scale_rows):
     ventrals = 12
     mesh = meshes.snake(scale_rows=scale_rows, ventrals=ventrals, segments=2)
-    # Scales overlap, so vertices at their corners share texture coordinates but not positions. In texture coordinates
-    # the corners are on a lattice, with a distance of half a scale along the body.
+    # Scales overlap. Vertices at their corners therefore share texture coordinates but not positions. In texture
+    # coordinates, the corners must be on a lattice whose points are half a scale apart along the body.
     belly, head, tail = 0.15, 16.0, 1.0
     x = (mesh.visual.uv[:, 0] - belly) / (1.0 - 2.0 * belly) * (scale_rows + 1)
     tau = mesh.visual.uv[:, 1] * (head + ventrals + tail) - head
@@ -119,8 +119,8 @@ def test_tangents_run_around_the_body_or_along_it(tangent):
     surface = prepare_surface(mesh)
     np.testing.assert_array_equal(surface.handedness, 1.0)
     np.testing.assert_allclose(np.linalg.norm(surface.tangents, axis=1), 1.0, atol=1e-6)
-    # The back of a straight snake is along x. Vertices with normals directed to the rear belong to free edges of scales
-    # and are not compared.
+    # The back of a straight snake is along x, so that the expected tangents are known. Vertices whose normals point to
+    # the rear belong to free edges of scales, and are not compared.
     back = (surface.normals[:, 1] > 0.3) & (surface.normals[:, 0] < 0.1) & (np.abs(surface.vertices[:, 0]) < 0.6)
     along = np.array([1.0, 0.0, 0.0])
     around = np.cross(along, surface.normals[back])
@@ -139,7 +139,7 @@ def test_tangents_are_smooth_on_scales(surface):
 def test_the_snake_does_not_intersect_itself(snake):
     corners = snake.vertices[snake.faces]
     rng = np.random.default_rng(7)
-    # Line segments within some faces are tested for intersections with all faces nearby.
+    # No line segment within a face may intersect a nearby face. Segments within 250 random faces are tested.
     weights = rng.dirichlet([2.0, 2.0, 2.0], (250, 2))
     chosen = rng.choice(len(corners), 250, replace=False)
     start, end = (np.einsum("ij,ijk->ik", weights[:, k], corners[chosen]) for k in (0, 1))

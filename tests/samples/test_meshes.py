@@ -29,7 +29,7 @@ def test_a_disc_has_the_area_of_its_ring():
     mesh = meshes.disc(inner_radius=0.25, outer_radius=2.0)
     assert mesh.area == pytest.approx(math.pi * (4.0 - 0.0625), rel=1e-4)
     assert len(mesh.faces) < 60_000
-    # A disc without a hole has triangles at its centre, and no face without area.
+    # A disc without a hole must have triangles around its centre, and no face without area.
     full = prepare_surface(meshes.disc(inner_radius=0.0, segments=64, rings=4))
     assert len(full.faces) == 64 * (2 * 3 + 1)
 
@@ -57,7 +57,7 @@ def test_the_default_tube_has_few_faces_that_are_oriented_outwards():
     # The faces are oriented outwards, so the volume is positive.
     volume = np.einsum("ij,ij->", mesh.triangles[:, 0], np.cross(mesh.triangles[:, 1], mesh.triangles[:, 2])) / 6.0
     assert volume > 0.0
-    # The analytic normals agree with the normals computed from the faces around each vertex.
+    # The analytic normals must agree with normals that are computed from the faces around each vertex.
     bare = type(mesh)(mesh.vertices, mesh.faces, visual=mesh.visual, process=False)
     cosine = np.sum(surface.normals * prepare_surface(bare).normals, axis=1)
     assert cosine.min() > math.cos(math.radians(3.0))
@@ -111,3 +111,11 @@ def test_closed_bodies_are_distinguished_from_sheets():
 
 def is_closed_body(mesh):
     return is_closed(mesh.vertices.T, mesh.faces.T)
+
+
+def test_a_card_has_the_texture_coordinates_of_an_image():
+    card = meshes.card(4.0, 2.0)
+    np.testing.assert_allclose(card.visual.uv, card.vertices[:, :2] / [4.0, 2.0] + 0.5)
+    np.testing.assert_allclose(card.face_normals, [[0.0, 0.0, 1.0]] * 2)
+    with pytest.raises(ValueError, match="height must be"):
+        meshes.card(1.0, 0.0)

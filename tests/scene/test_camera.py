@@ -80,7 +80,7 @@ def test_invalid_extents_are_refused(extent_y):
 
 
 def shares(view, points):
-    """Return |x| and |y| of points in the picture, shape (2, n), where 1 is the edge of the picture."""
+    """Return |x| and |y| of the images of points in the picture, shape (2, n); 1 is the edge of the picture."""
     frame = view.frame()
     rays = points - frame.origin
     depth = -rays @ frame.back
@@ -94,8 +94,8 @@ def test_a_view_of_a_turning_mesh_contains_its_sphere(direction, size, tmp_path)
     ball.apply_translation((5, 6, 7))
     view = View.fit(ball, direction, **size, turning=True)
     np.testing.assert_allclose(view.target, (5, 6, 7), atol=1e-12)
-    # The mesh is a ball. The view contains the sphere around its bounding box, which has √3 times the ball's radius and
-    # touches the two edges of the picture that are nearer to its centre.
+    # The mesh is a ball. The sphere around its bounding box has √3 times the radius of the ball. The view must contain
+    # this sphere, which touches two edges of the picture: the two edges that are nearer to the picture's centre.
     largest = shares(view, math.sqrt(3.0) * (ball.vertices - (5, 6, 7)) + (5, 6, 7)).max(axis=1)
     assert 0.99 < largest.max() < 1.0
     expected = View((0, 0.6, 1) if direction is None else direction, (0, 0, 0)).frame().back
@@ -110,7 +110,7 @@ def test_a_view_of_a_turning_mesh_contains_its_sphere(direction, size, tmp_path)
 @pytest.mark.parametrize("size", [{}, {"width": 100, "height": 300, "fov_y_deg": 70}])
 @pytest.mark.parametrize("target", [None, (5.5, 6.0, 7.5)])
 def test_a_view_of_a_mesh_fills_the_image(direction, size, target, tmp_path):
-    """A margin of 4 % remains between mesh and picture at two opposite edges, or at one edge if a target is given."""
+    """The mesh must leave a margin of 4 % at two opposite edges of the picture, or at one edge if a target is given."""
     tube = wd.meshes.tube()
     tube.apply_transform(trimesh.transformations.translation_matrix((5, 6, 7)))
     view = View.fit(tube, direction, target=target, **size)
@@ -121,8 +121,8 @@ def test_a_view_of_a_mesh_fills_the_image(direction, size, target, tmp_path):
     places = np.stack([rays @ frame.right / depth / frame.half_width, rays @ frame.up / depth / frame.half_height])
     assert np.abs(places).max() == pytest.approx(0.92, abs=1e-6)
     if target is None:
-        # Without a target, the mesh is centred between two opposite edges of the picture: left and right, or top and
-        # bottom. They are the two edges that the mesh is closest to.
+        # Without a target, the mesh is centred between two opposite edges of the picture. These are left and right, or
+        # top and bottom, whichever pair has the smaller distance from the mesh.
         limits = np.stack([-places.min(axis=1), places.max(axis=1)])
         assert limits.min(axis=0).max() == pytest.approx(0.92, abs=1e-6)
     else:
@@ -148,7 +148,7 @@ def test_a_view_frames_a_mesh_around_a_target_and_along_any_up():
     centre, moved = View.fit(box, turning=True), View.fit(box, target=(0.3, 0.2, -0.1), turning=True)
     assert moved.target == (0.3, 0.2, -0.1)
     np.testing.assert_allclose(moved.frame().back, centre.frame().back, atol=1e-12)
-    # Whatever the rotation of the mesh around the target, all of its corners stay in the picture.
+    # All corners of the mesh must stay in the picture, for any rotation of the mesh around the target.
     for angle in np.linspace(0.0, 2.0 * math.pi, 24):
         turned = trimesh.transformations.rotation_matrix(angle, (0, 1, 0), moved.target)
         assert shares(moved, trimesh.transform_points(box.vertices, turned)).max() < 1.0

@@ -1,4 +1,4 @@
-"""Directions on meshes without texture coordinates: along and around axes, and smooth fields."""
+"""Directions on meshes without texture coordinates: directions along and around axes, and smooth direction fields."""
 
 import os
 
@@ -46,7 +46,7 @@ def blob(seed):
 
 
 def moved_along(vector, start_normal, end_normal):
-    """Return a tangential vector after the smallest rotation from one unit normal to another (Rodrigues)."""
+    """Return a tangential vector after the smallest rotation that moves one unit normal to another, by Rodrigues."""
     axis = np.cross(start_normal, end_normal)
     sine, cosine = np.linalg.norm(axis), start_normal @ end_normal
     if sine < 1e-12:
@@ -56,7 +56,7 @@ def moved_along(vector, start_normal, end_normal):
 
 
 def edge_weights(vertices, faces):
-    """Return the cotangent weight of each edge, by its two vertices."""
+    """Return the cotangent weight of each edge, by the pair of the edge's vertices."""
     weights = {}
     for face in faces.tolist():
         for k in range(3):
@@ -69,7 +69,10 @@ def edge_weights(vertices, faces):
 
 
 def dense_problem(surface):
-    """Return the energy of tangential vectors as a real matrix, shape (2n, 2n), areas of vertices, and their bases."""
+    """Return the matrix of the smoothness energy of tangential vectors, the areas of vertices, and their bases.
+
+    Each of the n vertices has two tangential unit vectors as a basis. The matrix has the shape (2n, 2n).
+    """
     vertices, normals = surface.vertices.astype(float), surface.normals.astype(float)
     count = len(vertices)
     bases = []
@@ -98,8 +101,8 @@ def test_the_smooth_field_is_the_least_eigenvector_of_a_dense_matrix(seed):
     eigenvalues, vectors = np.linalg.eigh(energy * scale[:, None] * scale)
     least = vectors[:, eigenvalues <= 1.02 * eigenvalues[0]] * scale[:, None]
     got = np.einsum("nij,nj->ni", bases, surface.tangents.astype(float))
-    # Eigenvectors come in pairs, one turned by 90° against the other. The field must be a combination of those of the
-    # least eigenvalue, divided by its own length at each vertex.
+    # Each eigenvalue has two eigenvectors, of which one is the other after a rotation by 90°. The field must be a
+    # combination of the eigenvectors of the smallest eigenvalue, normalised at each vertex.
     lengths = np.linalg.norm((least @ np.linalg.lstsq(least, got.ravel(), rcond=None)[0]).reshape(-1, 2), axis=1)
     for _ in range(200):
         fitted = (least @ np.linalg.lstsq(least, (got * lengths[:, None]).ravel(), rcond=None)[0]).reshape(-1, 2)
@@ -113,7 +116,7 @@ def test_the_smooth_field_of_a_plate_is_constant_along_x():
     flat = plate()
     np.testing.assert_allclose(prepare_surface(flat, tangents="smooth").tangents, np.eye(3)[[0] * 49], atol=1e-6)
     flat.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2.0, (0, 1, 0)))
-    # A plate perpendicular to x takes the y axis.
+    # On a plate perpendicular to the x axis, the field must be along the y axis instead.
     np.testing.assert_allclose(prepare_surface(flat, tangents="smooth").tangents, np.eye(3)[[1] * 49], atol=1e-6)
 
 
@@ -125,7 +128,10 @@ def test_the_smooth_field_of_a_cylinder_keeps_its_angle_to_the_axis(length):
 
 
 def singular_indices(surface):
-    """Return the index of a direction field in each face: its turns along the border, plus the enclosed curvature."""
+    """Return the index of a direction field in each face.
+
+    The index is the number of turns of the field along the border of the face, plus the curvature of the face in turns.
+    """
     normals, tangents = surface.normals.astype(float), surface.tangents.astype(float)
     indices = []
     for face in surface.faces:
@@ -135,7 +141,7 @@ def singular_indices(surface):
             moved = moved_along(tangents[i], normals[i], normals[j])
             angle += np.arctan2(normals[j] @ np.cross(moved, tangents[j]), moved @ tangents[j])
             carried = moved_along(carried, normals[i], normals[j])
-        # A vector that is carried around the face has turned by the curvature that the face encloses.
+        # After parallel transport around the face, a vector has turned by the angle that equals the enclosed curvature.
         angle += np.arctan2(normals[face[0]] @ np.cross(start, carried), start @ carried)
         indices.append(angle / (2.0 * np.pi))
     return np.array(indices)
@@ -209,7 +215,7 @@ def test_faces_perpendicular_to_the_axis_get_another_direction_with_a_warning():
 
 
 def test_a_face_whose_corners_all_lie_between_opposite_directions_gets_a_direction():
-    # Each corner of the first face has two further neighbours, with opposite directions.
+    # Each corner of the first face has two further neighbours, whose directions are opposite to each other.
     middle = np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0]])
     points = np.concatenate([middle, middle - [1, 1, 0], middle - [1, 2, 0]])
     body = trimesh.Trimesh(points, [[0, 1, 2], [0, 3, 6], [1, 4, 7], [2, 5, 8]], process=False)
@@ -245,7 +251,7 @@ def test_many_small_parts_have_their_own_fields_and_share_few_solves(monkeypatch
     smoothest = direction_fields._smoothest
     monkeypatch.setattr(direction_fields, "_smoothest", lambda *a: solves.append(1) or smoothest(*a))
     surface = prepare_surface(trimesh.util.concatenate(parts), tangents="smooth")
-    # One solve for each of 3,041 parts would take half a minute.
+    # Equal parts must share one solution. Separate solutions for all 3,041 parts would take half a minute.
     assert len(solves) < 20
     alone = [prepare_surface(kind, tangents="smooth").tangents for kind in kinds]
     np.testing.assert_allclose(surface.tangents, np.concatenate([alone[kind] for kind in chosen]), atol=0.02)
@@ -278,7 +284,7 @@ def test_too_many_positions_are_refused(monkeypatch):
     monkeypatch.setattr(direction_fields, "MOST_POSITIONS", 48)
     with pytest.raises(ValueError, match="tangents='smooth' requires connected parts of at most 48 positions, got 49"):
         prepare_surface(plate(), tangents="smooth")
-    # The limit holds for each connected part.
+    # The limit is for each connected part. Two parts may together have more positions.
     pair = trimesh.util.concatenate([plate(6), plate(6).apply_translation((3.0, 0.0, 0.0))])
     assert len(prepare_surface(pair, tangents="smooth").vertices) == 72
 
@@ -346,3 +352,4 @@ def test_a_texture_without_texture_coordinates_is_named_in_a_warning():
     with pytest.warns(WarpdiffWarning, match="not rendered: texture without texture coordinates of 'paint'"):
         surface = prepare_surface(body, tangents="x")
     assert not surface.is_textured
+    np.testing.assert_array_equal(surface.plain_colour, 1.0)

@@ -1,4 +1,4 @@
-"""glTF files are read whole: encodings of triangles, texture transforms, tangents, colours, names, and warnings."""
+"""glTF files must be read completely: encodings of triangles, texture transforms, tangents, colours, and names."""
 
 import base64
 import json
@@ -14,7 +14,7 @@ from warpdiff.core.wording import WarpdiffWarning
 from warpdiff.scene.mesh_files import load
 from warpdiff.scene.mesh_import import prepare_surface
 
-# Positions and texture coordinates of the square, compressed by DracoPy 2.2.0.
+# Data of the square's positions and texture coordinates after compression by DracoPy 2.2.0, in base64.
 DRACO = (
     "RFJBQ08CAgEBAAAABAIAAgAAAR//AREB/wAAAgMJAgEAAAkDAAEAAgAAAAAAAIA/AACAPwAAAAAAAAAA"
     "AAAAAAAAgD8AAIA/AAEBAAMDASABIAMAIISYkAAAAAAA/z8AAAAAAAAAAAAAAAAAAAAAgD8O"
@@ -23,7 +23,7 @@ QUARTER = math.pi / 2
 
 
 def corners(surface, digits=4):
-    """Return the distinct rows of position, normal, tangent and texture coordinates at the corners of faces, sorted."""
+    """Return position, normal, tangent and texture coordinates at the corners of faces: different rows, sorted."""
     world = surface.vertices * surface.radius + surface.centre
     rows = np.concatenate([world, surface.normals, surface.tangents, surface.uvs], axis=1)[surface.faces]
     return np.unique(np.round(rows.reshape(-1, 11), digits) + 0.0, axis=0)
@@ -40,7 +40,7 @@ def interleaved():
 
 
 def sparse():
-    """Return the square, of which a sparse accessor states two corners."""
+    """Return a file of the square in which a sparse accessor states two corners."""
     file = GltfFile()
     position = file.accessor(np.where(np.arange(4)[:, None] % 2, SQUARE, 7).astype("<f4"))
     values = {"bufferView": file.view(SQUARE[[0, 2]].tobytes())}
@@ -51,7 +51,7 @@ def sparse():
 
 
 def sparse_without_data():
-    """Return the square, of which a sparse accessor without a buffer view states the corners that are not zero."""
+    """Return a file of the square in which a sparse accessor without a buffer view states the corners other than 0."""
     file = GltfFile()
     accessor = {"componentType": 5126, "count": 4, "type": "VEC3"}
     values = {"bufferView": file.view(SQUARE[1:].tobytes())}
@@ -63,7 +63,7 @@ def sparse_without_data():
 
 
 def integer_uvs(dtype):
-    """Return the square with texture coordinates as normalised integers."""
+    """Return a file of the square with texture coordinates as normalised integers."""
     file = GltfFile()
     whole = (SQUARE_UVS * np.iinfo(dtype).max).astype(dtype)
     file.primitive({"POSITION": SQUARE, "NORMAL": UP, "TEXCOORD_0": file.accessor(whole, normalized=True)})
@@ -71,7 +71,7 @@ def integer_uvs(dtype):
 
 
 def quantised(normalized):
-    """Return the square with integer positions, which its node scales."""
+    """Return a file of the square with integer positions, which its node scales."""
     file = GltfFile()
     whole = (SQUARE * 127).astype("<i1")
     position = file.accessor(whole, normalized=True) if normalized else file.accessor((SQUARE * 1000).astype("<u2"))
@@ -83,14 +83,14 @@ def quantised(normalized):
 
 
 def changed(change):
-    """Return the square after a change of its JSON."""
+    """Return a file of the square after a change of its JSON."""
     file = square_file()
     change(file.tree)
     return file
 
 
 def moved(tree):
-    """Distribute the square's position over three nodes, with a matrix and with a quaternion."""
+    """Distribute the transform of the square over three nodes, one with a matrix and one with a quaternion."""
     half = math.sqrt(0.5)
     tree["nodes"] = [
         {"children": [1], "translation": [5, 0, 0]},
@@ -100,7 +100,7 @@ def moved(tree):
 
 
 def instanced():
-    """Return the square as one instance that an extension places."""
+    """Return a file in which the extension for instances places the square once."""
     file = square_file()
     attributes = {"TRANSLATION": file.accessor(np.array([[0, 0, 3]], "<f4"))}
     file.tree["nodes"][0] |= {
@@ -157,7 +157,7 @@ def test_instances_are_placed_by_translation_rotation_and_scale(tmp_path):
     np.testing.assert_allclose(world[4:8], [[5, 0, 0], [4, 0, 0], [4, -1, 0], [5, -1, 0]], atol=1e-5)
     np.testing.assert_allclose(world[8:], [[0, 5, 0], [2, 5, 0], [2, 3, 0], [0, 3, 0]], atol=1e-5)
     np.testing.assert_allclose(surface.tangents[[0, 4, 8]], [[1, 0, 0], [-1, 0, 0], [1, 0, 0]], atol=1e-6)
-    # A mirrored instance keeps its outside, and its texture is mirrored.
+    # A mirrored instance must have the same outside as the original. Only its texture is mirrored.
     np.testing.assert_allclose(surface.normals, UP[[0] * 12], atol=1e-6)
     np.testing.assert_array_equal(surface.handedness, [1] * 8 + [-1] * 4)
     assert surface.geometry_names == ("mesh 0",)
@@ -191,15 +191,16 @@ def test_tangents_of_the_file_are_used_if_they_belong_to_the_base_colour(tmp_pat
     surface = prepare_surface(square_file({"TANGENT": diagonal}).write(tmp_path / "a.gltf"))
     np.testing.assert_allclose(surface.tangents, diagonal[:, :3], atol=1e-6)
     np.testing.assert_array_equal(surface.handedness, -1.0)
-    # The normal map, to which tangents belong, uses the first set of coordinates, and the base colour the second one.
+    # Tangents belong to the normal map, which uses the first set of texture coordinates. The base colour uses the
+    # second set here, so that the tangents must be ignored.
     file = square_file({"TANGENT": diagonal, "TEXCOORD_1": SQUARE_UVS}, material=0)
     file.material(texture={"texCoord": 1})
     np.testing.assert_allclose(prepare_surface(file.write(tmp_path / "b.gltf")).tangents[:, 0], 1.0, atol=1e-6)
-    # Without normals, the format ignores tangents.
+    # By the rules of the format, tangents are ignored if the file has no normals.
     file = GltfFile()
     file.primitive({"POSITION": SQUARE, "TEXCOORD_0": SQUARE_UVS, "TANGENT": diagonal})
     np.testing.assert_allclose(prepare_surface(file.write(tmp_path / "c.gltf")).tangents[:, 0], 1.0, atol=1e-6)
-    # Tangents serve a mesh without texture coordinates.
+    # If a mesh has no texture coordinates, the tangents of the file must be used.
     file = GltfFile()
     file.primitive({"POSITION": SQUARE, "NORMAL": UP, "TANGENT": diagonal})
     np.testing.assert_allclose(prepare_surface(file.write(tmp_path / "d.gltf")).tangents, diagonal[:, :3], atol=1e-6)
@@ -214,7 +215,7 @@ def test_a_mesh_without_normals_is_flat(slope, tmp_path):
     surface = prepare_surface(file.write(tmp_path / "roof.gltf"))
     expected = np.repeat([[-slope, 0, 1], [slope, 0, 1]], 2, axis=0) / math.hypot(1.0, slope)
     np.testing.assert_allclose(surface.normals[surface.faces].transpose(1, 0, 2), [expected] * 3, atol=1e-6)
-    # One vector per vertex of the file serves all corners that share the vertex.
+    # The file's vertices are duplicated at corners. A vector for a vertex of the file must apply to all its duplicates.
     surface = prepare_surface(tmp_path / "roof.gltf", tangents=np.tile([1.0, 0, 0], (6, 1)))
     assert np.all(surface.tangents[:, 0] > 0.0)
 
@@ -268,7 +269,7 @@ def test_base_colours_of_materials_are_read(tmp_path):
         texture.texels, [[[1, 0, 0, 0.5], [0, 0.5, 0, 0.5]], [[0, 0, 1, 0.5], [1, 0.5, 1, 0.5]]], atol=1e-6
     )
     assert texture.wrap == ("clamp", "mirror")
-    # An alpha of 0.5 is nowhere below the cut-off of 0.3.
+    # All texels have an alpha of 0.5, which is above the cut-off of 0.3, so that the surface is opaque everywhere.
     assert surface.is_opaque
 
 
@@ -291,7 +292,7 @@ def test_names_are_kept_and_made_unique(tmp_path):
 
 
 def one_warning(path):
-    """Prepare a mesh and return the texts of its warnings."""
+    """Prepare a mesh that must cause one warning; return the texts of all warnings."""
     with pytest.warns(WarpdiffWarning) as caught:
         prepare_surface(path)
     return [str(warning.message) for warning in caught]
@@ -366,7 +367,7 @@ def test_a_text_in_another_encoding_is_read(code, tmp_path):
 
 
 def draco_file():
-    """Return the square with compressed positions and texture coordinates."""
+    """Return a file of the square with compressed positions and texture coordinates."""
     file = square_file()
     (primitive,) = file.tree["meshes"][0]["primitives"]
     for index in (primitive["attributes"]["POSITION"], primitive["attributes"]["TEXCOORD_0"], primitive["indices"]):

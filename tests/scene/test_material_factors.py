@@ -1,9 +1,12 @@
-"""Metallic, roughness and emission of materials: which files state them, and how plain surfaces use them."""
+"""Metallic, roughness and emission of materials: reading them from files, and their use on plain surfaces."""
+
+import warnings
 
 import numpy as np
 import pytest
 import trimesh
 from gltf_files import SQUARE, SQUARE_UVS, UP, square_file
+from PIL import Image
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
@@ -30,18 +33,16 @@ def test_the_defaults_of_gltf_materials_are_those_of_the_specification(tmp_path)
     np.testing.assert_allclose(read.metallic, [1.0, 0.25, 0.0])
     np.testing.assert_allclose(read.roughness, [1.0, 1.0, 0.5])
     np.testing.assert_allclose(read.emission, [[0, 0, 0], [2, 0, 1], [2, 0, 1]])
-    assert read.is_white.tolist() == [False, True, True]
 
 
-def test_a_texture_of_metallic_and_roughness_counts_with_its_mean(tmp_path):
+def test_textures_without_their_coordinates_are_named_and_roughness_counts_with_its_mean(tmp_path):
     file = square_file(material=0)
     file.material(texture={}, name="body")
-    metal = {"metallicFactor": 0.5, "roughnessFactor": 1.0, "metallicRoughnessTexture": {"index": 0}}
+    elsewhere = {"index": 0, "texCoord": 3}
+    metal = {"metallicFactor": 0.5, "roughnessFactor": 1.0, "metallicRoughnessTexture": elsewhere}
     file.tree["materials"][0] |= {
-        "pbrMetallicRoughness": metal,
-        "emissiveFactor": [1, 1, 1],
-        "emissiveTexture": {"index": 0},
-    }
+        "pbrMetallicRoughness": metal, "emissiveFactor": [1, 1, 1], "emissiveTexture": elsewhere,
+    }  # fmt: skip
     path = file.write(tmp_path / "a.gltf")
     names = "metallic-roughness texture except for its mean, emission with a texture of 'body'"
     with pytest.warns(WarpdiffWarning, match=names):
@@ -50,29 +51,154 @@ def test_a_texture_of_metallic_and_roughness_counts_with_its_mean(tmp_path):
     _, green, blue = np.asarray(image.convert("RGB"), dtype=float).reshape(-1, 3).mean(axis=0) / 255.0
     np.testing.assert_allclose([read.metallic[0], read.roughness[0]], [0.5 * blue, green], rtol=1e-6)
     assert not read.emission.any()
+    # A second part has the same material but also has the texture coordinates that the material's texture needs.
+    # Its factors are therefore different from those of the first part.
+    attributes = {"POSITION": SQUARE + 2, "NORMAL": UP, "TEXCOORD_0": SQUARE_UVS, "TEXCOORD_3": SQUARE_UVS}
+    file.primitive(attributes, material=0)
+    with pytest.warns(WarpdiffWarning, match=names):
+        surface = prepare_surface(file.write(tmp_path / "b.gltf"), plain={"*": True})
+    read = surface.material_factors
+    np.testing.assert_array_equal(surface.rows, [0, 0, 1, 1])
+    np.testing.assert_allclose([read.metallic[1], read.roughness[1]], [0.5, 1.0])
+    np.testing.assert_array_equal(read.emission, [[0, 0, 0], [1, 1, 1]])
+    assert [texture is None for texture in surface.maps.metallic_roughness] == [True, False]
+
+
+def test_textures_that_cannot_be_read_are_named(tmp_path):
+    file = square_file(material=0)
+    file.material(texture={}, name="body")
+    file.tree["images"].append({"uri": "missing.png"})
+    file.tree["textures"].append({"source": 1})
+    metal = {"metallicFactor": 0.5, "roughnessFactor": 0.25, "metallicRoughnessTexture": {"index": 1}}
+    file.tree["materials"][0] |= {
+        "pbrMetallicRoughness": metal, "emissiveFactor": [1, 1, 1], "emissiveTexture": {"index": 1},
+    }  # fmt: skip
+    with pytest.warns(WarpdiffWarning) as caught:
+        read = factors(file.write(tmp_path / "a.gltf"))
+    messages = [str(warning.message) for warning in caught]
+    assert len(messages) == 2
+    assert "refers to 'missing.png', which is ignored" in messages[0]
+    assert messages[1].endswith("not rendered: metallic-roughness texture, emission with a texture of 'body'")
+    assert (read.metallic[0], read.roughness[0]) == (0.5, 0.25)
+    assert not read.emission.any()
+
+
+def mtl(folder, lines):
+    (folder / "a.obj").write_text(OBJ)
+    (folder / "a.mtl").write_text("newmtl a\n" + lines)
+    return folder / "a.obj"
 
 
 @pytest.mark.parametrize(
     ("lines", "expected"),
     [
-        ("Kd 0.5 0.5 0.5\nKs 1 1 1\nNs 200\n", None),
+        ("Kd 0.5 0.5 0.5\nKs 1 1 1\nNs 200\nd 1\nTr 0\n", None),
+        ("Tr 1\n", None),
         ("Pm 1\nPr 0.25\n", (1.0, 0.25, (0, 0, 0))),
         ("Kd 1 0 0\nPr 0.5\nKe 1 2 3\n", (0.0, 0.5, (1, 2, 3))),
-        ("Pm 7\n", (1.0, 1.0, (0, 0, 0))),
-        ("Pm one\nPr\nKe 1 2\n", None),
-        ("Ke 0 1 inf\nKd 1 1 1\n", None),
         ("Ke 0 1 0\n", (0.0, -1.0, (0, 1, 0))),
     ],
 )
 def test_keys_of_mtl_files(tmp_path, lines, expected):
-    (tmp_path / "a.obj").write_text(OBJ)
-    (tmp_path / "a.mtl").write_text("newmtl a\n" + lines)
-    read = factors(tmp_path / "a.obj")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read = factors(mtl(tmp_path, lines))
     if expected is None:
         assert read is None
         return
     assert (read.metallic[0], read.roughness[0]) == expected[:2]
     np.testing.assert_allclose(read.emission[0], expected[2])
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ("Pm nan\n", "finite Pm, got nan"),
+        ("Pr -inf\n", "finite Pr, got -inf"),
+        ("Ke 0 1 inf\n", "finite Ke, got 0, 1, inf"),
+        ("Kd nan 0 1\n", "finite Kd, got nan, 0, 1"),
+    ],
+)
+def test_keys_of_mtl_files_that_are_not_finite_are_refused(tmp_path, lines, message):
+    with pytest.raises(ValueError, match=f"material 'a' must have a {message}"):
+        factors(mtl(tmp_path, "Kd 1 0 0\n" + lines))
+
+
+@pytest.mark.parametrize(
+    ("lines", "message", "expected"),
+    [
+        ("Pm 7\n", "set to 0 or 1: metallic 7 of 'a'", (1.0, 1.0, (0, 0, 0))),
+        ("Pr -1\nKe -1 5 0\n", "roughness -1 of 'a'; emission -1, 5, 0 of 'a'", (0.0, 0.0, (0, 5, 0))),
+        ("Pm one\nPr\nKe 1 2\n", "not rendered: .*'one' of Pm, the unreadable value '1 2' of Ke of 'a'", None),
+        ("map_Pr a.png\nmap_Ke b.png\n", "not rendered: texture of roughness, texture of emission of 'a'", None),
+        ("map_d a.png\nbump b.png\nd 0.5\n", "texture of transparency, bump map, transparency of 'a'", None),
+    ],
+)
+def test_keys_of_mtl_files_without_their_effect_are_named(tmp_path, lines, message, expected):
+    with pytest.warns(WarpdiffWarning, match=message):
+        read = factors(mtl(tmp_path, lines))
+    if expected is None:
+        assert read is None
+        return
+    assert (read.metallic[0], read.roughness[0]) == expected[:2]
+    np.testing.assert_allclose(read.emission[0], expected[2])
+
+
+def test_colours_of_mtl_files_are_from_0_to_1(tmp_path):
+    with pytest.warns(WarpdiffWarning, match="base colour 2, -1, 0[.]214[0-9]*, 1 of 'a'"):
+        surface = prepare_surface(mtl(tmp_path, "Kd 2 -1 0.5\n"), plain={"*": True})
+    np.testing.assert_allclose(surface.plain_colour, [1.0, 0.0, 0.214], atol=1e-3)
+
+
+@pytest.mark.parametrize("value", ["NaN", "Infinity", "-Infinity", "1e999"])
+@pytest.mark.parametrize("name", ["baseColorFactor", "metallicFactor", "roughnessFactor", "emissiveFactor"])
+def test_factors_of_gltf_files_that_are_not_finite_are_refused(tmp_path, name, value):
+    file = square_file(material=0)
+    numbers = {"baseColorFactor": [1.0, 0.125, 1.0, 1.0], "emissiveFactor": [1.0, 0.125, 1.0]}.get(name, 0.125)
+    file.material(**({name: numbers} if name == "emissiveFactor" else {"pbrMetallicRoughness": {name: numbers}}))
+    path = file.write(tmp_path / "a.gltf")
+    path.write_text(path.read_text().replace("0.125", value))
+    with pytest.raises(ValueError, match=rf"{name}.* must be a finite number"):
+        factors(path)
+
+
+@pytest.mark.parametrize("name", ["metallicFactor", "roughnessFactor", "emissiveFactor", "alphaCutoff"])
+def test_factors_in_memory_that_are_not_finite_are_refused(name):
+    value = [0.0, np.nan, 0.0] if name == "emissiveFactor" else np.nan
+    label = {"emissiveFactor": "emission", "alphaCutoff": "alpha cut-off"}.get(name, name.removesuffix("Factor"))
+    with pytest.raises(ValueError, match=f"material 'm' must have a finite {label}, got .*nan"):
+        prepare_surface(quad(0.0, PBRMaterial(name="m", **{name: value})), plain={"*": True})
+
+
+def test_factors_of_gltf_files_outside_of_their_limits_are_named_once(tmp_path):
+    colours = np.array([[2.0, 0.5, -1.0, 1.0]] * 4, "<f4")
+    file = square_file({"COLOR_0": colours}, material=0)
+    strange = {"baseColorFactor": [0.5, 1.0, 1.0, 1.0], "metallicFactor": -0.5, "roughnessFactor": 3.0}
+    file.material(name="odd", pbrMetallicRoughness=strange, emissiveFactor=[-2.0, 3.0, 0.0])
+    with pytest.warns(WarpdiffWarning) as caught:
+        surface = prepare_surface(file.write(tmp_path / "a.gltf"), plain={"*": True})
+    (message,) = (str(warning.message) for warning in caught)
+    listing = "metallic -0.5 of 'odd'; roughness 3 of 'odd'; emission -2, 3, 0 of 'odd'; vertex colours of 'mesh 0'"
+    assert message.endswith(f"outside of 0 to 1, which are set to 0 or 1: {listing}")
+    read = surface.material_factors
+    np.testing.assert_array_equal([read.metallic[0], read.roughness[0]], [0.0, 1.0])
+    np.testing.assert_array_equal(read.emission[0], [0.0, 3.0, 0.0])
+    np.testing.assert_allclose(surface.plain_colour, [0.5, 0.5, 0.0])
+
+
+def test_extensions_without_effect_are_named(tmp_path):
+    file = square_file(material=0, extensions={"KHR_materials_variants": {"mappings": []}})
+    file.material(name="glass", extensions={"KHR_materials_ior": {"ior": 1.3}})
+    with pytest.warns(WarpdiffWarning) as caught:
+        prepare_surface(file.write(tmp_path / "a.gltf"))
+    messages = [str(warning.message) for warning in caught]
+    assert any("not rendered: index of refraction of 'glass'" in message for message in messages)
+    assert any("not read: variants of the materials of mesh 'mesh 0'" in message for message in messages)
+    file.tree["materials"][0]["extensions"]["KHR_materials_ior"]["ior"] = 1.5
+    del file.tree["meshes"][0]["primitives"][0]["extensions"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        prepare_surface(file.write(tmp_path / "b.gltf"))
 
 
 def quad(x, material):
@@ -103,21 +229,18 @@ def test_materials_without_metallic_and_roughness_are_matte_beside_glossy_ones()
     surfaces = {"grating": WAVE, "*": None}
     alone = wd.shade(trimesh.Scene(bodies), surfaces, LIGHT, VIEW, **OPTIONS, footprint=False)
     together = wd.shade(trimesh.Scene(bodies | {"gold": gold}), surfaces, LIGHT, VIEW, **OPTIONS, footprint=False)
-    # The ball around all parts is larger, so that positions and normals are rounded differently.
+    # The ball around all parts is larger than the ball around a single part. Positions and normals are relative to it
+    # and are therefore rounded differently.
     np.testing.assert_allclose(together.xyz[:, 9:], alone.xyz[:, 9:], rtol=1e-5, atol=1e-9)
     assert np.all(alone.xyz[:, :7] == 0.0)
     assert np.all(together.xyz[1:-1, 1:7, 1] > 0.0)
 
 
-def test_a_material_without_a_colour_is_white_beside_coloured_ones():
-    bodies = {
-        "bare": quad(-1.1, metal("bare")),
-        "white": quad(1.1, metal("white", baseColorFactor=[255] * 4)),
-        "grating": quad(5.0, None),
-    }
-    image = wd.shade(trimesh.Scene(bodies), {"grating": WAVE, "*": None}, LIGHT, VIEW, **OPTIONS, footprint=False)
-    assert image.xyz[4, 8, 1] > 1e-5
-    np.testing.assert_allclose(image.xyz[4, 8], image.xyz[4, 15], rtol=1e-5)
+def test_textures_of_trimesh_without_effect_are_named():
+    image = Image.new("RGB", (2, 2))
+    own = PBRMaterial(name="bumpy", normalTexture=image, occlusionTexture=image)
+    with pytest.warns(WarpdiffWarning, match="not rendered: normal map, occlusion of 'bumpy'"):
+        prepare_surface(quad(0.0, own))
 
 
 def test_emission_on_a_height_field_is_named_in_a_warning():

@@ -1,4 +1,4 @@
-"""Texts of mesh files: concave polygons, encodings, and names of objects and materials."""
+"""Text formats of mesh files: concave polygons, encodings, and names of objects and materials."""
 
 import struct
 import warnings
@@ -19,7 +19,7 @@ def regular(count, inner=1.0):
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
 
 
-# Polygons by name. All are concave but the last three.
+# Test polygons by name. The last three polygons are convex, and all others are concave.
 POLYGONS = {
     "L": np.array([(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2.0)]),
     "dart": np.array([(0, 0), (2, 0), (0.5, 0.5), (0, 2.0)]),
@@ -40,7 +40,7 @@ def area_of(polygon):
 
 
 def rows(numbers):
-    """Return rows of numbers as lines."""
+    """Return an array of numbers as text with one line per row."""
     return "".join(f"{' '.join(map(str, row))}\n" for row in np.asarray(numbers).tolist())
 
 
@@ -81,7 +81,7 @@ FORMATS = {"obj": obj, "off": off, "ply": ply, "le.ply": binary_ply("<"), "be.pl
 
 
 def written(path, content):
-    """Write a text or bytes and return the path."""
+    """Write a text or bytes to a file and return its path."""
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     return path
 
@@ -98,7 +98,7 @@ def test_polygons_keep_their_area_from_every_first_corner(kind, name, tmp_path):
         corners = part.vertices[part.faces]
         cross = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         inside = np.abs(corners @ TILT)[:, :, 2].max(axis=1) < 1e-9
-        # All triangles face the same way, and cover the polygon once.
+        # All triangles must have normals on the same side, and must cover the polygon exactly once.
         along = cross[inside] @ TILT[:, 2]
         assert np.all(along > -1e-9)
         assert along.sum() == pytest.approx(area_of(polygon), rel=1e-9)
@@ -116,7 +116,7 @@ def test_corners_of_concave_polygons_keep_their_data(tmp_path):
         np.testing.assert_allclose(part.uvs[0], part.vertices[:, :2] / 10 + [0.5, 0], atol=1e-12)
         expected = part.vertices + np.array([0, 0, 5])
         np.testing.assert_allclose(part.normals, expected / np.linalg.norm(expected, axis=1, keepdims=True), atol=1e-9)
-    # Faces of .ply files have texture coordinates of their corners, and other values.
+    # Faces of .ply files may have texture coordinates of their corners and other values, which must be skipped.
     header = ply_header("ascii", 6, 1, extra="property list uchar float texcoord\nproperty int texnumber\n")
     texts = " ".join(f"{x / 10 + 0.5} {y / 10}" for x, y in polygon)
     body = "".join(f"{x} {y} 0\n" for x, y in polygon) + f"6 0 1 2 3 4 5 12 {texts} 7\n"

@@ -66,7 +66,7 @@ def test_normals_of_a_sphere_are_smooth_across_unwelded_faces():
 def test_normals_of_the_mesh_are_used_and_those_computed_by_trimesh_are_not():
     normals = np.tile(np.array([[0.6, 0.0, 0.8]]), (4, 1))
     np.testing.assert_allclose(prepare_surface(square(vertex_normals=normals)).normals, normals, atol=1e-7)
-    # Vertex normals on the wrong side of their faces are reversed.
+    # Vertex normals that point to the wrong side of their faces must be reversed.
     np.testing.assert_allclose(prepare_surface(square(vertex_normals=-normals)).normals, normals, atol=1e-7)
     roof = np.array([[0, 0, 0], [1, 0, 1], [1, 1, 1], [1, 0, 1], [2, 0, 0], [1, 1, 1.0]])
     mesh = mesh_of(roof, [[0, 1, 2], [3, 4, 5]], uv=roof[:, :2])
@@ -186,7 +186,8 @@ def test_tangents_follow_u_and_mirrored_textures_are_detected():
 
 
 def test_a_fold_of_the_texture_splits_its_vertices():
-    # Two adjacent squares share an edge. The texture of the second square is mirrored about this edge.
+    # Two adjacent squares share an edge. The texture of the second square is mirrored about this edge, so that both
+    # squares cannot have the same tangents.
     vertices = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0], [1, 1, 0], [2, 1, 0.0]])
     faces = np.array([[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]])
     uv = np.array([[0, 0], [1, 0], [0, 0], [0, 1], [1, 1], [0, 1.0]])
@@ -212,8 +213,8 @@ def test_tangents_are_joined_across_seams_of_nearly_equal_direction(angle_deg, j
 
 
 def test_similar_tangents_at_one_position_are_joined():
-    # The triangles around a point have separate vertices. Their textures have different directions, and some are
-    # mirrored.
+    # The triangles around a common point have separate vertices there. Their textures have different directions, and
+    # some textures are mirrored.
     rng = np.random.default_rng(3)
     count = 40
     turn = 2.0 * math.pi * np.arange(count) / count
@@ -278,7 +279,7 @@ def test_a_mesh_without_material_has_no_base_colour():
 def test_a_plain_material_has_one_colour():
     for material, expected in [
         (SimpleMaterial(diffuse=[255, 51, 0, 255]), (1.0, decode(0.2), 0.0)),
-        # The base colour factor of glTF is linear, unlike the diffuse colour of other formats.
+        # The base colour factor of glTF is linear. The diffuse colour of other formats is encoded in sRGB.
         (PBRMaterial(baseColorFactor=[255, 51, 0, 255]), (1.0, 0.2, 0.0)),
     ]:
         surface = prepare_surface(square(material=material))
@@ -342,7 +343,7 @@ def test_scenes_have_a_texture_for_each_material():
     red, green, again = surface.textures
     np.testing.assert_array_equal(surface.materials, [0, 0, 1, 1, 2, 2])
     np.testing.assert_array_equal([red.texels[0, 0, :3], green.texels[0, 0, :3]], [[1, 0, 0], [0, 1, 0]])
-    # Equal images are stored once.
+    # The first and the third image are equal, and must be stored only once.
     assert again.texels is red.texels
 
 
@@ -353,7 +354,7 @@ def test_parts_of_scenes_without_texture_coordinates_are_named():
 
 
 def folded(mesh):
-    """Return a mesh without normals, whose texture is mirrored at a line along the mesh."""
+    """Return a mesh without normals, whose texture is mirrored about a line along the mesh."""
     uv = np.array(mesh.visual.uv)
     return mesh_of(mesh.vertices, mesh.faces, np.stack([np.abs(uv[:, 0] - 0.32), uv[:, 1]], axis=1))
 
@@ -375,7 +376,7 @@ def test_the_surface_of_a_moved_mesh_is_the_surface_moved(mesh):
     after = prepare_surface(moved)
     world, world_after = (each.vertices * each.radius + each.centre for each in (before, after))
     np.testing.assert_allclose(world_after, 4.0 * world @ turn[:3, :3].T + [3, -2, 1], atol=2e-6)
-    # Positions rounded to float32 change the directions of faces by about 5e-5 rad.
+    # The vertices are rounded to float32 after the rotation. This changes the directions of faces by about 5e-5 rad.
     for name in ("normals", "tangents"):
         np.testing.assert_allclose(getattr(after, name), getattr(before, name) @ turn[:3, :3].T, atol=5e-5)
     for name in ("faces", "handedness", "uvs", "is_convex"):

@@ -1,4 +1,4 @@
-"""Textures of scenes: pyramids, continuation outside of the image, and memory."""
+"""Textures of scenes: pyramids of reduced images, continuation outside of the image, and memory."""
 
 import itertools
 
@@ -6,19 +6,20 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from texture_specification import bilinear
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from warpdiff.core import memory
 from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.scene.scene_parts import TextureMap
-from warpdiff.scene.texture_pyramid import pyramid, sizes
+from warpdiff.scene.texture_pyramid import mean_products, pyramid, sizes
 from warpdiff.scene.texture_table import table_of
 from warpdiff.scene.textures import TextureImages
 
 
 def by_overlaps(lines, size):
-    """Return means over ``size`` equal parts of axis 0, from the overlaps of all parts and all texels."""
+    """Return means over ``size`` equal parts of axis 0, weighted by the overlap of each part with each texel."""
     edges, whole = np.linspace(0.0, len(lines), size + 1), np.arange(len(lines))
     overlaps = np.minimum(edges[1:, None], whole + 1.0) - np.maximum(edges[:-1, None], whole)
     weights = np.clip(overlaps, 0.0, None) * size / len(lines)
@@ -36,6 +37,20 @@ def test_texels_of_a_level_are_means_over_their_areas(shape, rng):
         expected = by_overlaps(rows.swapaxes(0, 1), after.shape[1]).swapaxes(0, 1)
         np.testing.assert_allclose(after, expected, rtol=1e-5)
     np.testing.assert_allclose(levels[-1][0, 0], texels.mean(axis=(0, 1), dtype=np.float64), rtol=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (6, 4)], ids=str)
+def test_products_are_means_over_texels_of_interpolated_images(shape, rng):
+    """Each mean must equal the mean over 40 × 40 points of a texel of the product of two interpolated images."""
+    one, two = rng.uniform(size=(2, *shape)).astype(np.float32)
+    points = 40
+    height, width = shape
+    u, v = np.meshgrid(
+        (np.arange(width * points) + 0.5) / points / width, 1.0 - (np.arange(height * points) + 0.5) / points / height
+    )
+    values = [bilinear(values[..., None].astype(float), ("repeat", "repeat"), u, v)[..., 0] for values in (one, two)]
+    expected = (values[0] * values[1]).reshape(height, points, width, points).mean(axis=(1, 3))
+    np.testing.assert_allclose(mean_products(one, two), expected, rtol=1e-3)
 
 
 def image_of(rng, size=(4, 6), mode="RGBA"):
@@ -76,3 +91,18 @@ def test_a_texture_that_does_not_fit_into_memory_is_named(monkeypatch, rng):
     )
     with pytest.raises(MemoryError, match="the texture 'an image' of mesh, 6 × 4 pixels, requires about"):
         prepare_surface(square)
+
+
+def test_a_product_with_a_colour_and_the_reductions_must_fit_into_memory(monkeypatch, rng):
+    images, source = TextureImages(), TextureMap(image_of(rng, (256, 256)))
+    first = images.texture(source, (1.0,) * 4)
+    free = 65536 * 68.0
+    monkeypatch.setattr(memory, "available", lambda: free)
+    with pytest.raises(MemoryError, match="the texture 'an image' of mesh times a colour, 256 × 256 pixels, requires"):
+        images.texture(source, (0.5, 1.0, 1.0, 1.0))
+    table_of([first], np.zeros(1, np.int32), "cpu")
+    # The pyramid has 16 · 4/3 bytes per texel of the image, and 13.3 further bytes are required while it is made. The
+    # free memory is slightly less than both together.
+    free = 65536 * 33.0
+    with pytest.raises(MemoryError, match="the textures of mesh, 87381 texels with their reductions"):
+        table_of([first], np.zeros(1, np.int32), "cpu")

@@ -19,7 +19,8 @@ from warpdiff.tables import colour_curves, colour_table
 from warpdiff.tables.lookup import ColourLookup
 from warpdiff.tables.mip_layout import MipLayout
 
-# The coherence is so short that the orders of a 12.8 µm patch overlap, and each colour is a sum of many orders.
+# This coherence window is so short that the orders of a 12.8 µm patch overlap. Each colour is then a sum of many
+# orders.
 SHORT = wd.Coherence(sigma_um=3.25)
 
 
@@ -56,7 +57,8 @@ def test_more_rings_and_azimuths_have_smaller_errors(fingers, kind, rng):
     for nodes, rays in ((12, 1.0), (24, 1.4), (48, 1.8), (80, 2.1)):
         sized = dataclasses.replace(plan, rings_per_octave=nodes, azimuths_per_width=rays)
         errors.append(np.percentile(relative_errors(wd.reflectance(fingers, lights, views, plan=sized), exact), 90.0))
-    # The CIE colour curves have kinks, so errors of splines decrease in proportion to the distance of the rings.
+    # The CIE colour curves have kinks. The errors of splines through them therefore decrease only in proportion to the
+    # distance between rings.
     assert all(finer < 0.6 * previews for previews, finer in itertools.pairwise(errors))
     assert errors[-1] < 5e-3
 
@@ -66,7 +68,7 @@ def test_the_smallest_tables_have_approximate_colours(fingers, rng):
     plan = wd.plan(fingers, lights, views, coherence=SHORT, method="low-rank", tolerance=1e-2)
     exact = wd.reflectance(fingers, lights, views, plan=plan)
     for nodes in (4, 5, 7):
-        # All sizes have the same number of functions of w, so that the same kernels serve them.
+        # All table sizes have the same number of basis functions of w, so that they use the same compiled kernels.
         sized = dataclasses.replace(plan, rings_per_octave=nodes, azimuths_per_width=1.1, w_basis_size=12)
         errors = relative_errors(wd.reflectance(fingers, lights, views, plan=sized), exact)
         assert np.median(errors) < 0.2
@@ -86,7 +88,10 @@ def test_the_smallest_tables_have_approximate_colours(fingers, rng):
     ids=str,
 )
 def test_azimuth_samples_are_sums_of_gaussians_projected_on_splines(powers, counts, lengths, falloff, rng):
-    """Samples of the spectrum on azimuths, computed by the kernel, equal float64 sums over all coefficients."""
+    """Samples of the spectrum along azimuths must equal sums of Gaussians over all coefficients, projected on splines.
+
+    The kernel's samples are compared with sums in float64.
+    """
     lanes, width, nodes, divisions, rays = 8, 8 if powers else 16, 8, 4, 8
     parts = 1 if powers else 2
     rows = rng.normal(size=(*counts, parts, lanes)).astype(np.float32)
@@ -142,7 +147,7 @@ def test_azimuth_samples_are_sums_of_gaussians_projected_on_splines(powers, coun
     [(4, 4, FILTER_REACH), (7, 12, FILTER_REACH), (7, 12, 0), (8, 20, FILTER_REACH)],
 )
 def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_size, reach, octaves, rng):
-    """Colour rows computed by the kernel equal float64 sums over spline coefficients of the spectrum.
+    """Colour rows computed by the kernel must equal float64 sums over spline coefficients of the spectrum.
 
     Beyond the last octave the spectrum is 0. The filter that computes spline coefficients begins ``reach`` samples
     beyond the spectrum. The error of its first value decays over these samples. With ``reach`` = 0, the first value
@@ -192,7 +197,10 @@ def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_si
 
 
 def test_points_are_splines_through_the_rows(fingers, rng):
-    """Look-ups equal float64 sums of splines times table rows, also at the limits of octaves and at an azimuth of 0."""
+    """Look-ups of single directions must equal float64 sums of splines times table rows.
+
+    This must also hold at the limits of octaves and at an azimuth of 0.
+    """
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=0.1)
     options = {"device": wp.get_device("cpu"), "threads": 1}
     table = colour_table.table_for(fingers, plan, plan.direction_range, IlluminatedMaterial("D65"), **options).struct
@@ -256,7 +264,10 @@ def test_weights_reproduce_white_and_a_linear_spectrum(nodes, illuminant):
 
 
 def test_basis_functions_of_w_reproduce_all_terms():
-    """Basis functions of w, shared by all colours, reproduce each term in κ = w/λ at every quadrature node."""
+    """The basis functions of w, which all colours share, must reproduce each term.
+
+    A term is a function of κ = w/λ. It must be reproduced at every wavelength of the quadrature.
+    """
     kappas = (0.5, 5.0)
 
     def basis_at(at):

@@ -1,4 +1,8 @@
-"""Tables for sources, whose lines are blurred during look-ups: comparison with reference, closed forms and sampling."""
+"""Tables for sources, whose lines are blurred during look-ups: comparison with reference, closed forms and sampling.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
+"""
 
 import dataclasses
 
@@ -29,7 +33,7 @@ def plan(fingers):
 def test_a_table_meets_its_tolerance(fingers, plan, rng):
     lights, views = hemisphere(rng, 80), hemisphere(rng, 80)
     assert plan.rings_per_octave > 0
-    # The predicted error of a plan contains a safety factor, so it may exceed the tolerance without a refusal.
+    # The plan's error includes a safety factor. It may therefore exceed the tolerance although the table is accepted.
     assert plan.error <= trial.SEARCH_SAFETY * 1e-1
     assert plan.multiply_adds < 1e3
     result = wd.reflectance(fingers, lights, views, plan=plan)
@@ -40,7 +44,7 @@ def test_a_table_meets_its_tolerance(fingers, plan, rng):
     errors = relative_errors(result, exact)
     assert np.median(errors) < 5e-3
     assert np.percentile(errors, 95.0) <= 1e-1
-    # Few rings suffice for a tolerance of 0.1. The median luminance is still accurate to 0.3 %.
+    # A tolerance of 0.1 requires only few rings. The median luminance must still be accurate to 0.3 %.
     assert np.median(result[:, 1] / exact[:, 1]) == pytest.approx(1.0, abs=3e-3)
 
 
@@ -56,12 +60,10 @@ def test_more_rings_have_smaller_errors(fingers, plan, rng):
 
 @pytest.mark.parametrize("incidence_deg", [0.0, 50.0])
 def test_a_mirror_shows_the_source(incidence_deg):
-    """A mirror shows a white source.
+    """A mirror must show a white image of the source.
 
-    At a distance d from the mirror direction in (u, v) its brightness is exp(−½ dᵀΣ⁻¹d), with the covariance Σ of the
-    source.
-
-    The distances are inside and outside of the inner radius of the table.
+    At a distance d in (u, v) from the mirror direction, its brightness is exp(−½ dᵀΣ⁻¹d), with the covariance Σ of the
+    source. One tested distance is inside of the inner radius of the table, and one is outside.
     """
     flat = wd.HeightField(np.zeros((64, 64)), 0.09)
     plan = wd.plan(flat, coherence=SOURCE, method="low-rank")
@@ -95,9 +97,10 @@ def sine_plan(sine):
      *(slow(*case) for case in ((0.0, 35.0), (0.0, 55.0), (60.0, 0.0), (60.0, 55.0), (75.0, 0.0), (75.0, 35.0)))],
 )  # fmt: skip
 def test_a_single_order_has_the_sources_shape(sine, sine_plan, angle_deg, incidence_deg):
-    """Along v, the first order of a sine grating has the profile of the source, for several planes of incidence.
+    """Along v, the first order of a sine grating must have the profile of the source, for several planes of incidence.
 
-    The sine disperses light only along x, so v does not mix wavelengths.
+    The grating disperses light only along x. A change of v therefore does not change the wavelengths that a direction
+    shows.
     """
     source = sine_plan.coherence
     theta, phi = np.radians(incidence_deg), np.radians(angle_deg)
@@ -130,9 +133,10 @@ def test_a_single_order_has_the_sources_shape(sine, sine_plan, angle_deg, incide
 
 
 def test_directions_that_the_table_does_not_support_are_sampled(fingers, plan, rng):
-    """The table does not support directions within its inner radius around the mirror direction.
+    """Directions that the table does not support must be sampled instead, and be as accurate as other directions.
 
-    It does not support grazing sources narrower than the blur of its lines either. Both are sampled instead.
+    The table does not support directions within its inner radius around the mirror direction. It does not support
+    sources at grazing incidence either, if they are narrower than the blur of its lines.
     """
     to_light = np.array([0.6, 0.0, 0.8])
     angles = rng.uniform(0.0, 2.0 * np.pi, 60)
@@ -150,7 +154,7 @@ def test_directions_that_the_table_does_not_support_are_sampled(fingers, plan, r
 
 
 def test_directions_beyond_the_range_of_the_reference_do_not_count():
-    """Errors in directions that the reference plan does not resolve are excluded from the percentile.
+    """Errors in directions that the reference plan does not resolve must not count in the percentile.
 
     Under a source at the horizon, the reference plan has too few wavelengths for some directions.
     """
@@ -164,7 +168,7 @@ def test_directions_beyond_the_range_of_the_reference_do_not_count():
 
 
 def test_a_table_that_is_too_large_is_refused(rng):
-    """A call is refused if no table fits into 300 MB, or if the largest table that fits has too large an error."""
+    """A call must be refused if no table fits into 300 MB, or if the largest table that fits has too large an error."""
     large = wd.gratings.fingers(size_um=25.6, seed=1)
     lights, views = hemisphere(rng, 64), hemisphere(rng, 64)
     for degrees, message in ((0.1, "12 rings per octave are too few"), (0.05, "requires more than 300 MB")):
@@ -174,7 +178,11 @@ def test_a_table_that_is_too_large_is_refused(rng):
 
 
 def test_colours_are_continuous_at_azimuths_of_0_and_180_degrees(fingers, plan):
-    """The azimuth samples of a table are periodic and begin at 0°, so look-ups near 0° use the last samples, too."""
+    """Colours must be continuous at azimuths of 0° and 180°.
+
+    The azimuth samples of a table are periodic and begin at 0°, so that look-ups near 0° must also use the last
+    samples.
+    """
     views = []
     for degrees in (-1e-3, 1e-3, 180.0 - 1e-3, 180.0 + 1e-3):
         u, v = 0.6 * np.cos(np.radians(degrees)), 0.6 * np.sin(np.radians(degrees))
@@ -185,7 +193,7 @@ def test_colours_are_continuous_at_azimuths_of_0_and_180_degrees(fingers, plan):
 
 
 def test_footprints_widen_the_source(fingers, plan):
-    """The colour of a footprint equals the mean over points of the footprint."""
+    """The colour of a footprint must equal the mean over points of the footprint."""
     from warpdiff.kernels.structs import Footprint
 
     device = wp.get_device("cpu")
@@ -217,7 +225,10 @@ def test_footprints_widen_the_source(fingers, plan):
 
 
 def test_progress_increases_to_the_end_once(fingers, plan, rng):
-    """Directions that the table does not support are sampled after the look-ups. Sampling must not restart progress."""
+    """Progress must increase to 1 only once.
+
+    Directions that the table does not support are sampled after the look-ups. Sampling must not restart the progress.
+    """
     lights, views = hemisphere(rng, 4000), hemisphere(rng, 4000)
     shares = []
     wd.reflectance(fingers, lights, views, plan=plan, progress=shares.append)

@@ -36,9 +36,10 @@ def test_grids_of_baked_lobes_end_one_ring_beyond_a_radius_of_2():
 
 @pytest.mark.parametrize("coherence", [wd.Coherence(sigma_um=3.25), wd.Coherence("source", angular_diameter_deg=2.0)])
 def test_rows_of_mip_levels_are_stored_one_after_another(coherence):
-    """All mip levels have the rings of level 0 and at most its number of azimuths.
+    """The rows of all mip levels must be stored one after another without gaps.
 
-    Before and after the rows of each octave there are additional rows, which repeat its last and first azimuths.
+    All mip levels have the rings of level 0 and at most its number of azimuths. Before and after the rows of each
+    octave there are additional rows, which repeat the last and the first azimuths of the octave.
     """
     plan = wd.plan(wd.HeightField(np.zeros((8, 8)), 0.09), coherence=coherence, method="low-rank")
     plan = dataclasses.replace(plan, rings_per_octave=8, azimuths_per_width=0.9)
@@ -57,7 +58,10 @@ def test_rows_of_mip_levels_are_stored_one_after_another(coherence):
 
 @pytest.mark.parametrize("coherence", [wd.Coherence(sigma_um=3.25), wd.Coherence("source", angular_diameter_deg=2.0)])
 def test_two_computations_of_the_zeroth_order_agree(coherence):
-    """The zeroth order of a colour table equals that of baked lobes, which is computed from a histogram of heights."""
+    """The zeroth order of a colour table must equal that of baked lobes.
+
+    Baking computes the zeroth order in another way, from a histogram of heights.
+    """
     surface = wd.gratings.fingers(size_um=6.4, pitch_um=0.09, seed=3)
     plan = wd.plan(surface, coherence=coherence, method="low-rank", tolerance=1e-2, strict=False)
     plan = dataclasses.replace(plan, rings_per_octave=8, azimuths_per_width=0.9)
@@ -70,7 +74,10 @@ def test_two_computations_of_the_zeroth_order_agree(coherence):
 
 
 def test_the_lobe_variance_follows_from_the_coherence():
-    """A window has the lobe exp(−4π²σ²|q|²) with q = (u, v)/λ. The lobe of a source does not depend on λ."""
+    """The variance of a lobe must follow from the coherence model.
+
+    A window has the lobe exp(−4π²σ²|q|²) with q = (u, v)/λ. The lobe of a source does not depend on λ.
+    """
     power = np.ones(2, dtype=np.float32)
     averaged, source = (
         ZerothOrder(power, 0.0, 1.0, coherence) for coherence in (wd.Coherence(sigma_um=3.0), wd.Coherence("source"))

@@ -45,7 +45,10 @@ def arrays_of(struct):
 
 @pytest.mark.parametrize("coherence", COHERENCES, ids=str)
 def test_the_size_of_the_cache_is_that_of_its_distinct_arrays(heightfield, coherence):
-    """Arrays of tables have space for mip levels, which counts as size of the cache once the levels are computed."""
+    """The size of the cache must be the total size of its arrays, each of which counts once.
+
+    Arrays of tables have space for mip levels. This space counts only once the levels are computed.
+    """
     plan = plan_of(heightfield, coherence)
     blurred = dataclasses.replace(plan, footprint=True)
     requests = [(plan, D65), (blurred, D65), (plan, A), (plan, D65), (blurred, A)]
@@ -56,7 +59,7 @@ def test_the_size_of_the_cache_is_that_of_its_distinct_arrays(heightfield, coher
     assert len(cached) == 2
     arrays = {array.ptr: array for entry in cached for array in arrays_of(entry.struct)}
     if not coherence.adds_powers:
-        # Tables of amplitudes have only mip level 0, and the rest of their arrays stays unused.
+        # A table of amplitudes has only mip level 0, so that the part of its arrays for other levels stays unused.
         unfilled = {entry.fields["rows"].ptr: entry.layout.rows for entry in cached}
         arrays = {ptr: array[: unfilled.get(ptr, len(array))] for ptr, array in arrays.items()}
     assert cache.nbytes == sum(array.size * wp.types.type_size_in_bytes(array.dtype) for array in arrays.values())
@@ -64,7 +67,9 @@ def test_the_size_of_the_cache_is_that_of_its_distinct_arrays(heightfield, coher
 
 
 def test_a_table_without_levels_stays_without_them(heightfield):
-    """Another call may add mip levels to a cached table. A call that uses no levels must still get the same results."""
+    """A call that uses no mip levels must get the same results after another call has added mip levels to the cached
+    table.
+    """
     plan = plan_of(heightfield, COHERENCES[0])
     before = table(heightfield, plan)
     levels = table(heightfield, dataclasses.replace(plan, footprint=True))
@@ -81,7 +86,7 @@ def test_a_table_without_levels_stays_without_them(heightfield):
 
 
 def test_equal_plans_share_a_table(heightfield):
-    """Keys of the cache are frozen dataclasses, so plans with equal values share a table."""
+    """Plans with equal values must share a table. They do, because keys of the cache are frozen dataclasses."""
     plan = plan_of(heightfield, COHERENCES[0])
     first = table(heightfield, plan)
     again = table(heightfield, dataclasses.replace(plan), IlluminatedMaterial("D65"))
@@ -94,7 +99,10 @@ def test_equal_plans_share_a_table(heightfield):
 
 
 def test_keys_of_caches_contain_no_identities_of_objects_and_no_texts():
-    """An ``id`` may be used again after its object is deleted, and different objects may have equal texts."""
+    """Keys of caches must not contain the ``id`` or the text of an object.
+
+    An ``id`` may be used again after its object is deleted, and different objects may have equal texts.
+    """
     for package, names in {"tables": {"id", "str", "repr", "hash"}, "baked": {"id", "repr", "hash"}}.items():
         for path in sorted((PACKAGE / package).glob("*.py")):
             calls = [

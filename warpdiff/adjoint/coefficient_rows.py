@@ -1,4 +1,12 @@
-"""Powers |H|² or amplitudes H of Fourier coefficients as Chebyshev series in |κ|, with adjoint and tangent."""
+"""Powers |H|² or amplitudes H of Fourier coefficients as Chebyshev series in |κ|, with adjoint and tangent.
+
+H(κ) is a Fourier coefficient of exp(2πiκh), for heights h and κ = w/λ, where w is the normal component of the
+scattering vector and λ the wavelength. A site is a frequency in half of the frequency plane, and its opposite is the
+negative frequency. U_n are Chebyshev polynomials of the second kind.
+
+The tangent is the change of a result to first order for a change of an input. The adjoint of a quantity is the
+derivative of a scalar loss with respect to this quantity.
+"""
 
 from __future__ import annotations
 
@@ -18,30 +26,31 @@ if TYPE_CHECKING:
 
 
 class Amplitudes(Protocol):
-    """Source of coefficients at nodes of |κ|: heights on a grid, an outline, or a change of one of them."""
+    """Source of Fourier coefficients: heights on a grid, an outline, or a change of heights or outline."""
 
     def at(self, part: slice) -> tuple[Complex, Complex]:
-        """Return H at some sites and the conjugates of H at their opposites, at all nodes, shapes (k, p) both."""
+        """Return H at p sites, and the complex conjugates of H at their opposites, for k values of |κ|: (k, p) each."""
         ...
 
 
 class CoefficientRows:
-    """Chebyshev series in |κ| of the coefficients at sites and at their opposites.
+    """Chebyshev series in |κ| of the Fourier coefficients at sites (frequencies) and at the opposite frequencies.
 
     Attributes:
-        rows: Series of the powers, or of real and imaginary parts of amplitudes: one or two arrays of shape (2 p, k).
-            The first p rows belong to the p sites, the others to their opposites.
+        rows: Coefficients of the Chebyshev series. For powers, it is one array of shape (2 p, k). For amplitudes, it is
+            two arrays of this shape, of the real and of the imaginary parts. The first p rows of an array belong to the
+            p sites, and the other rows to the opposites of the sites.
     """
 
     def __init__(self, count: int, kappas: tuple[float, float], terms: int, *, powers: bool, together: int) -> None:
-        """Describe the series of 2 · ``count`` coefficients; ``fill`` computes them.
+        """Set the size of the series of 2 · ``count`` Fourier coefficients; ``fill`` computes the series.
 
         Args:
             count: Number of sites p.
-            kappas: Least and largest |κ| [1/µm].
+            kappas: Smallest and largest |κ| [1/µm].
             terms: Number k of terms of a series.
-            powers: Whether the rows are powers. Otherwise they are amplitudes.
-            together: Number of sites that are computed together, which limits the memory.
+            powers: Whether the series are those of powers; otherwise they are those of amplitudes.
+            together: Number of sites that are computed at once; a smaller number requires less memory.
         """
         self._together = together
         self._count, self.kappas, self.terms, self.powers = count, kappas, terms, powers
@@ -50,11 +59,11 @@ class CoefficientRows:
 
     @property
     def nodes(self) -> NDArray[np.float64]:
-        """Nodes of |κ| [1/µm] at which coefficients are evaluated, shape (k,)."""
+        """Nodes of the Chebyshev polynomials: values of |κ| [1/µm] at which coefficients are computed, shape (k,)."""
         return chebyshev.nodes(*self.kappas, self.terms)
 
     def fill(self, amplitudes: Amplitudes) -> None:
-        """Compute the rows from the coefficients at the nodes."""
+        """Compute the series from the Fourier coefficients at the nodes of |κ|."""
         self.rows = self.empty()
         for part in self._parts():
             plus, minus = amplitudes.at(part)
@@ -64,7 +73,7 @@ class CoefficientRows:
                 self._put(self.rows, part, [plus, np.conj(minus)])
 
     def tangent(self, amplitudes: Amplitudes, change: Amplitudes) -> Rows:
-        """Return the change of the rows for a change of the coefficients."""
+        """Return the change of the series for the change ``change`` of the Fourier coefficients ``amplitudes``."""
         result = self.empty()
         for part in self._parts():
             plus, minus = change.at(part)
@@ -77,7 +86,11 @@ class CoefficientRows:
         return result
 
     def adjoint(self, amplitudes: Amplitudes, rows: Rows) -> Iterator[tuple[slice, Complex, Complex]]:
-        """Yield parts of the sites with the adjoints of the two values of ``amplitudes.at``, from those of the rows."""
+        """Yield the adjoints of the two results of ``amplitudes.at``, for one slice of the sites after the other.
+
+        ``rows`` are the adjoints of the series. Each result is a slice of the sites and the two adjoints at these
+        sites.
+        """
         for part in self._parts():
             opposite = slice(part.start + self._count, part.stop + self._count)
             values = [np.ascontiguousarray((sum_of(rows, place) @ self._to_series.T).T) for place in (part, opposite)]
@@ -88,21 +101,24 @@ class CoefficientRows:
                 yield part, np.asarray(values[0]), np.conj(values[1])
 
     def polynomials(self, kappas: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the Chebyshev polynomials at some |κ| [1/µm], shape (n, k)."""
+        """Return the values of all Chebyshev polynomials of the series at n values of |κ| [1/µm], shape (n, k)."""
         return _recurrence(self.places(kappas), self.terms, np.ones(len(kappas)), self.places(kappas))
 
     def slopes(self, kappas: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the derivatives k U_{k−1} of the polynomials by |κ| [µm], shape (n, k)."""
+        """Return the derivatives of the Chebyshev polynomials with respect to |κ| [µm], shape (n, k).
+
+        The derivative of the polynomial number n is proportional to n U_{n−1}.
+        """
         values = _recurrence(self.places(kappas), self.terms, np.zeros(len(kappas)), np.ones(len(kappas)))
         return values * (self.places_per_kappa * np.arange(self.terms))
 
     @property
     def places_per_kappa(self) -> float:
-        """Change of the place in the series per change of |κ| [µm]."""
+        """Derivative of the argument of the Chebyshev polynomials with respect to |κ| [µm]."""
         return 2.0 / (self.kappas[1] - self.kappas[0])
 
     def places(self, kappas: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the places of |κ| [1/µm] in the range of the series, −1 to 1."""
+        """Return the arguments of the Chebyshev polynomials, from −1 to 1, for values of |κ| [1/µm]."""
         low, high = self.kappas
         return np.asarray((2.0 * kappas - low - high) / (high - low))
 
@@ -111,7 +127,7 @@ class CoefficientRows:
             yield slice(first, min(first + self._together, self._count))
 
     def empty(self, *, zero: bool = False) -> Rows:
-        """Return new arrays for rows; with ``zero`` all elements are 0."""
+        """Return new arrays of the shape of ``self.rows``; with ``zero``, all elements are 0."""
         make = np.zeros if zero else np.empty
         return [make((2 * self._count, self.terms)) for _ in range(1 if self.powers else 2)]
 
@@ -123,14 +139,17 @@ class CoefficientRows:
 
 
 def sum_of(rows: Rows, place: slice) -> NDArray[np.float64] | Complex:
-    """Return the powers of some rows, or their complex amplitudes."""
+    """Return the series at the indices ``place``: real series of powers, or complex series of amplitudes."""
     return rows[0][place] if len(rows) == 1 else rows[0][place] + 1j * rows[1][place]
 
 
 def _recurrence(
     x: NDArray[np.float64], count: int, first: NDArray[np.float64], second: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the sequence y_{k+1} = 2 x y_k − y_{k−1} of Chebyshev polynomials from its first two terms, (n, count)."""
+    """Return the terms of the recurrence y_{k+1} = 2 x y_k − y_{k−1} of Chebyshev polynomials, shape (n, count).
+
+    ``first`` and ``second`` are the first two terms at the arguments ``x``.
+    """
     result = np.empty((count, len(x)))
     result[0], result[1] = first, second
     for k in range(2, count):
@@ -141,7 +160,11 @@ def _recurrence(
 def add_rows(
     places: NDArray[np.int32], rows: NDArray[np.float64], rows_out: NDArray[np.float64], *, are_distinct: bool = False
 ) -> None:
-    """Add rows to those of ``rows_out`` at their places, of which several may be the same, unless ``are_distinct``."""
+    """Add each row of ``rows`` to the row of ``rows_out`` whose index is in ``places``.
+
+    An index may occur several times in ``places``; all rows with this index are then added. ``are_distinct`` states
+    that no index occurs twice, which permits a faster addition.
+    """
     if are_distinct:
         rows_out[places] += rows
         return

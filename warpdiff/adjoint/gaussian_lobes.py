@@ -1,4 +1,12 @@
-"""Sums of coefficients under the Gaussian lobes of pairs of a direction and a wavelength, on the CPU in float64."""
+"""Sums of Fourier coefficients with Gaussian weights (lobes), on the CPU in float64.
+
+Each pair of a direction and a wavelength λ has one sum. The weight of a coefficient is exp(−dᵀMd), where d is the
+distance of its frequency from q = (u, v)/λ, and M is a 2 × 2 matrix. Each coefficient is a Chebyshev series in |κ|,
+with κ = w/λ. (u, v, w) is the scattering vector.
+
+The number of pairs is p, and the number of terms of a series is k. The adjoint of a quantity is the derivative of a
+scalar loss with respect to this quantity.
+"""
 
 from __future__ import annotations
 
@@ -20,20 +28,22 @@ if TYPE_CHECKING:
 
     from warpdiff.adjoint.coefficient_rows import CoefficientRows
 
-# Additional exponent of e up to which lobes are summed, beyond that of the truncation error. Derived: the second
-# derivatives of a lobe at its edge are larger than the lobe by about the square of the exponent.
+# Weights below e^−x are neglected. The number is added to the x that the truncation error requires. It follows from the
+# second derivatives of a lobe at its edge, which are larger than the lobe by about x².
 _FURTHER = 5.0
-# Number of cells of the transposed sum per launch on a thread. Limit: most cells have few pairs, and a launch costs as
-# much as hundreds of them.
+# Number of cells (orders) of the transposed sum that a thread computes per launch. The value is limited by the time of
+# a launch, which is that of hundreds of cells, because most cells have few pairs.
 _CELLS_OF_SLICE = 16_384
-# Largest distance of a centre from the middle of its cell, in cells, with a margin for rounding errors.
+# Largest distance of a lobe's centre from the middle of its cell, along an axis [cells]: one half, and a margin for
+# rounding errors.
 _HALF_CELL = 0.5 + 1e-9
-# Column of the derivative by x, the place of κ.
+# Index of the column that has the derivative with respect to the argument of the Chebyshev polynomials. The method
+# `GaussianLobes.derivatives` converts it to the derivative with respect to |κ|.
 X = 5
 
 
 def exponent_of(truncation: float) -> float:
-    """Return the exponent x for which coefficients with weights below e^−x are negligible."""
+    """Return the number x for which coefficients with weights below e^−x are negligible at a truncation error."""
     return -math.log(truncation) + _FURTHER
 
 
@@ -42,9 +52,9 @@ class Pairs:
     """Pairs of a direction and a wavelength.
 
     Attributes:
-        centres: q = (u, v)/λ [1/µm], shape (p, 2).
-        forms: M_xx, M_xy and M_yy of the weights exp(−dᵀMd) [µm²], shape (p, 3).
-        kappas: |κ| [1/µm], shape (p,).
+        centres: Frequencies q = (u, v)/λ at which the lobes have their maxima [1/µm], shape (p, 2).
+        forms: Elements M_xx, M_xy and M_yy of the matrix of the weights exp(−dᵀMd) [µm²], shape (p, 3).
+        kappas: |κ| of each pair [1/µm], shape (p,).
     """
 
     centres: NDArray[np.float64]
@@ -55,14 +65,17 @@ class Pairs:
         return len(self.kappas)
 
     def reaches(self, exponent: float) -> NDArray[np.float64]:
-        """Return the largest distances of coefficients from the centres along (x, y) [1/µm], shape (p, 2)."""
+        """Return the distances (x, y) from the centres within which weights exceed e^−exponent [1/µm], shape (p, 2)."""
         xx, xy, yy = self.forms.T
         scale = exponent / (xx * yy - xy * xy)
         return np.asarray(np.sqrt(np.stack([scale * yy, scale * xx], axis=1)))
 
 
 def block_of(pairs: Pairs, exponent: float, shape: tuple[int, int], size_um: tuple[float, float]) -> Block:
-    """Return the block of all coefficients that pairs sum. An axis of a single sample has order 0 only."""
+    """Return the smallest block of orders that contains all coefficients of the sums of some pairs.
+
+    Weights below e^−exponent are neglected. Along an axis with a single sample, the block has only order 0.
+    """
     first, counts = [], []
     for axis, samples, length in ((1, shape[0], size_um[0]), (0, shape[1], size_um[1])):
         reach = pairs.reaches(exponent)[:, axis]
@@ -74,20 +87,20 @@ def block_of(pairs: Pairs, exponent: float, shape: tuple[int, int], size_um: tup
 
 
 class GaussianLobes:
-    """Weighted sums of the coefficients of a block, and their transpose."""
+    """Sums of the Fourier coefficients of a block of orders, with Gaussian weights, and the transposed sums."""
 
     def __init__(
         self, rows: CoefficientRows, block: Block, places: NDArray[np.int32], size_um: tuple[float, float],
         exponent: float,
     ) -> None:  # fmt: skip
-        """Describe the sums.
+        """Set the coefficients and orders of the sums.
 
         Args:
-            rows: Chebyshev series of the coefficients.
-            block: Orders of the coefficients.
-            places: Row of each order of the block.
+            rows: Chebyshev series of the Fourier coefficients.
+            block: Rectangle of orders that have coefficients.
+            places: Index of the series of each order of the block.
             size_um: Size of the patch (y, x) [µm].
-            exponent: Coefficients with weights below e^−exponent are truncated.
+            exponent: Coefficients with weights below e^−exponent are neglected.
         """
         self._rows, self._block, self._size_um, self._exponent = rows, block, size_um, exponent
         self._where = {"device": resolve_device(None), "threads": resolve_threads(None)}
@@ -98,21 +111,40 @@ class GaussianLobes:
         table.first_row, table.first_column = block.first
         table.step_y, table.step_x = (1.0 / length for length in size_um)
 
+    @property
+    def series(self) -> CoefficientRows:
+        """Chebyshev series of the coefficients."""
+        return self._rows
+
+    def table(self, coefficients: NDArray[np.float64]) -> lobe_sums.LobeTable:
+        """Return the struct of the kernels, for coefficients whose series are rows of ``coefficients``.
+
+        The struct shares the memory of the coefficients.
+        """
+        self._table.coefficients = wp.array(coefficients.ravel(), dtype=wp.float64, device="cpu", copy=False)
+        return self._table
+
     def sums(self, pairs: Pairs, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sum of each pair, shape (p,), of coefficients whose series are rows of ``coefficients``."""
+        """Return the sum of each pair, shape (p,). Each row of ``coefficients`` is the series of one coefficient."""
         result = np.empty(len(pairs))
         self._launch(lobe_sums.sum_lobes, len(pairs), coefficients, self._of(pairs), result)
         return result
 
     def derivatives(self, pairs: Pairs, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the ``lobe_sums.DERIVATIVES`` of the sums, with κ instead of x, shape (p, 11)."""
+        """Return the sums and their derivatives, shape (p, 11), in the columns that ``lobe_sums.DERIVATIVES`` counts.
+
+        The derivative in column ``X`` is with respect to |κ|.
+        """
         result = np.empty((len(pairs), lobe_sums.DERIVATIVES))
         self._launch(lobe_sums.differentiate_lobes, len(pairs), coefficients, self._of(pairs), result)
         result[:, X] *= self._rows.places_per_kappa
         return result
 
     def spread(self, pairs: Pairs, adjoints: NDArray[np.float64], rows: NDArray[np.float64]) -> None:
-        """Add to the rows of the block, shape (size, k), what the adjoints of the sums of pairs contribute."""
+        """Add the adjoints of the coefficients of a block to ``rows``, shape (size, k): the transpose of ``sums``.
+
+        ``adjoints`` are those of the sums of the pairs, shape (p,).
+        """
         cells, reach = [], []
         for axis, first, count, length in zip((1, 0), self._block.first, self._block.shape, self._size_um, strict=True):
             position = np.rint(pairs.centres[:, axis] * length) - first
@@ -130,7 +162,7 @@ class GaussianLobes:
         self._launch(lobe_sums.spread_pairs, self._block.size, self._rows.rows[0], arrays, rows)
 
     def _of(self, pairs: Pairs) -> lobe_sums.LobePairs:
-        """Return the arrays of the pairs for kernels; they share the memory of their NumPy arrays."""
+        """Return the arrays of the pairs for kernels, without copies: kernels use the memory of the NumPy arrays."""
         result = lobe_sums.LobePairs()
         result.centres = wp.array(np.ascontiguousarray(pairs.centres), dtype=wp.vec2d, device="cpu", copy=False)
         result.forms = wp.array(np.ascontiguousarray(pairs.forms), dtype=wp.vec3d, device="cpu", copy=False)
@@ -141,8 +173,7 @@ class GaussianLobes:
         self, kernel: Kernel, size: int, coefficients: NDArray[np.float64], pairs: lobe_sums.LobePairs,
         result: NDArray[np.float64],
     ) -> None:  # fmt: skip
-        # The table and the result share the memory of their NumPy arrays.
-        self._table.coefficients = wp.array(coefficients.ravel(), dtype=wp.float64, device="cpu", copy=False)
+        table = self.table(coefficients)
         output = wp.array(result, dtype=wp.float64, device="cpu", copy=False)
         slice_size = _CELLS_OF_SLICE if kernel is lobe_sums.spread_pairs else ELEMENTS_OF_SLICE
-        launch(kernel, size, [self._table, pairs], [output], slice_size=slice_size, **self._where)
+        launch(kernel, size, [table, pairs], [output], slice_size=slice_size, **self._where)

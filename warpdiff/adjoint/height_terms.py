@@ -1,11 +1,17 @@
-"""Fourier coefficients of exp(2πiκh) on a list of frequencies, as a series in κ, with adjoint and tangent in float64.
+"""Fourier coefficients H(κ) of exp(2πiκh) at a list of frequencies, as a series in κ, with adjoint and tangent.
 
-With g = (h − c)/a, the heights from the middle c of their range in units of half the range a, and x = 2πκa,
+Here h are heights and κ = w/λ, where w is the normal component of the scattering vector and λ the wavelength. c is the
+middle of the range of the heights, and a is half of this range. With g = (h − c)/a and x = 2πκa, the Jacobi-Anger
+expansion is
 
-    H(κ) = Σ_n b_n(x) iⁿ X_n,   X_n = ifft2(T_n(g)),   b_0 = J_0(x), b_n = 2 J_n(x)   (Jacobi-Anger).
+    H(κ) = Σ_n b_n(x) iⁿ X_n,   X_n = ifft2(T_n(g)),   b_0 = J_0(x), b_n = 2 J_n(x) for n > 0.
 
-The T_n(g) are real, so that their transforms are computed for half of the plane. c and a are constants of the
-derivatives. This is exact, because the sum of the series does not depend on them. The phase e^{2πiκc} is omitted.
+J_n are Bessel functions, T_n are Chebyshev polynomials, and U_n those of the second kind. The arrays T_n(g) are real,
+so that their transforms are computed for half of the frequency plane. All numbers are in float64.
+
+c and a count as constants in all derivatives. The derivatives are still exact, because the sum of the series does not
+depend on c and a. The common phase factor e^{2πiκc} is omitted. The tangent is the change of a result to first order.
+The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
 """
 
 from __future__ import annotations
@@ -26,38 +32,39 @@ if TYPE_CHECKING:
 
     Complex = NDArray[np.complex128]
 
-# Half of the height range that a flat surface counts as having [µm], so that heights can be divided by it. If doubled,
-# nothing changes: the series has the same sum for any scale that is large enough.
+# Smallest value of half of the height range [µm]. A flat surface counts as having this value, so that heights can be
+# divided by it. The value changes no result, because the series has the same sum for any scale that is large enough.
 _LEAST_SCALE_UM = 1e-6
 
 
 def offset_and_scale(heights_um: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the middle of the range of heights and half of the range [µm]."""
+    """Return the middle c of the range of heights [µm], and half of the range, a [µm]."""
     low, high = float(heights_um.min()), float(heights_um.max())
     return (low + high) / 2.0, max((high - low) / 2.0, _LEAST_SCALE_UM)
 
 
 class HeightTerms:
-    """Transforms X_n at the frequencies of ``sites``, and the matrix of the b_n at nodes of |κ|.
+    """Fourier coefficients of heights: transforms X_n at the sites (frequencies), and factors b_n at nodes of |κ|.
 
     Attributes:
-        terms: X_n at the sites, shape (t, p).
+        terms: X_n for n = 0 to t − 1 at p sites, shape (t, p).
     """
 
     def __init__(self, heights_um: NDArray[np.float64], sites: Sites, kappas: NDArray[np.float64], count: int) -> None:
-        """Transform the polynomials of the heights.
+        """Compute the transforms X_n of the Chebyshev polynomials of the heights.
 
         Args:
             heights_um: Heights [µm], shape (ny, nx).
-            sites: Frequencies of the coefficients.
-            kappas: Nodes of |κ| [1/µm], shape (k,); κ itself is negative.
-            count: Number of terms.
+            sites: Frequencies of the Fourier coefficients.
+            kappas: Values of |κ| [1/µm] at which coefficients are computed, shape (k,); κ itself is negative.
+            count: Number t of terms of the series.
         """
         offset, self._scale = offset_and_scale(heights_um)
         self._g, self._sites = (heights_um - offset) / self._scale, sites
         basis = 2.0 * bessel_j(-2.0 * math.pi * self._scale * kappas, count)
         basis[:, 0] /= 2.0
-        # iⁿ is ±1 for even n and ±i for odd n. The signs belong to the basis, and the factor i to the sum.
+        # The factor iⁿ is ±1 for even n and ±i for odd n. The sign is included in the factors b_n here. The factor i of
+        # odd terms is included when the terms are summed.
         signs = np.where(np.arange(count) // 2 % 2 == 0, 1.0, -1.0)
         self._even, self._odd = (np.ascontiguousarray((signs * basis)[:, first::2]) for first in (0, 1))
         self.terms = np.empty((count, sites.count), dtype=np.complex128)
@@ -65,18 +72,21 @@ class HeightTerms:
             self.terms[n] = sites.transform(values)
 
     def at(self, part: slice) -> tuple[Complex, Complex]:
-        """Return H at some sites and the conjugates of H at their opposites, at all nodes, shapes (k, p) both."""
+        """Return H at p sites, and the complex conjugates of H at the opposite frequencies, for all κ, (k, p) each."""
         return self._sums(self.terms, part)
 
     def tangent(self, change_um: NDArray[np.float64]) -> HeightTangent:
-        """Return the change of the coefficients for a change of the heights [µm], shape (ny, nx)."""
+        """Return the change of the Fourier coefficients for a change of the heights [µm], shape (ny, nx)."""
         terms = np.zeros_like(self.terms)
         for n, slopes in zip(range(1, len(terms)), _slopes(self._g), strict=False):
             terms[n] = self._sites.transform(slopes * change_um) * (n / self._scale)
         return HeightTangent(self, terms)
 
     def adjoint(self, parts: Iterable[tuple[slice, Complex, Complex]]) -> NDArray[np.float64]:
-        """Return the adjoint of the heights [1/µm], shape (ny, nx), from those of the two values of ``at``."""
+        """Return the adjoint of the heights [1/µm], shape (ny, nx).
+
+        ``parts`` has slices of the sites, each with the adjoints of the two results of ``at`` for this slice.
+        """
         terms = np.empty_like(self.terms)
         for part, plus, minus in parts:
             terms[0::2, part] = _product(self._even.T, plus + minus)
@@ -94,29 +104,29 @@ class HeightTerms:
 
 
 class HeightTangent:
-    """Change of the coefficients of ``HeightTerms`` for one change of the heights."""
+    """Change of the Fourier coefficients of ``HeightTerms`` for one change of the heights."""
 
     def __init__(self, origin: HeightTerms, terms: Complex) -> None:
         self._origin, self._terms = origin, terms
 
     def at(self, part: slice) -> tuple[Complex, Complex]:
-        """Return the changes of the two values that ``HeightTerms.at`` returns."""
+        """Return the changes of the two results of ``HeightTerms.at``."""
         return self._origin._sums(self._terms, part)
 
 
 def _product(weights: NDArray[np.float64], terms: Complex) -> Complex:
-    """Return the product of a real and a complex matrix, as one product of real matrices."""
+    """Return the product of a real matrix and a complex matrix, computed as one product of real matrices."""
     contiguous = np.ascontiguousarray(terms)
     return np.asarray((weights @ contiguous.view(np.float64)).view(np.complex128))
 
 
 def _polynomials(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    """Yield the Chebyshev polynomials T_0(g), T_1(g), … without end; see ``_sequence``."""
+    """Yield the Chebyshev polynomials T_0(g), T_1(g), … without end; ``_sequence`` reuses the yielded arrays."""
     return _sequence(g, np.ones_like(g), g.copy())
 
 
 def _slopes(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    """Yield U_0(g), U_1(g), … without end; n U_{n−1} is the derivative of T_n. See ``_sequence``."""
+    """Yield U_0(g), U_1(g), … without end, because n U_{n−1} is the derivative of T_n; see ``_sequence``."""
     return _sequence(g, np.ones_like(g), 2.0 * g)
 
 

@@ -1,4 +1,4 @@
-"""``Jet``: values with partial derivatives by a few variables, for the short formulas of geometry and reflection."""
+"""``Jet``: values with partial derivatives with respect to a few variables, for formulas of geometry and reflection."""
 
 from __future__ import annotations
 
@@ -13,16 +13,19 @@ if TYPE_CHECKING:
 
 
 class Jet:
-    """Array of values with their partial derivatives by p variables; arithmetic applies the rules of differentiation.
+    """Array of values with their partial derivatives with respect to p variables.
 
-    Amplitudes of reflection are complex. Type checkers count them as real, as the results of all formulas are.
+    Arithmetic with jets applies the rules of differentiation.
+
+    Complex values, such as amplitudes of reflection, are possible. For type checkers they count as real, because the
+    final results of all formulas are real.
 
     Attributes:
         value: Values, real or complex, shape (...).
-        partials: Partial derivatives by the variables, shape (p, ...).
+        partials: Partial derivatives with respect to the variables, shape (p, ...).
     """
 
-    # NumPy arrays leave products and sums with a jet to the jet.
+    # None makes NumPy call the operators of `Jet` for products and sums of a NumPy array with a jet.
     __array_ufunc__ = None
 
     def __init__(self, value: NDArray[np.inexact], partials: NDArray[np.inexact]) -> None:
@@ -30,7 +33,7 @@ class Jet:
 
     @classmethod
     def variables(cls, *values: NDArray[np.float64]) -> list[Jet]:
-        """Return one jet per variable; all values have the same shape."""
+        """Return a jet for each variable, whose derivative with respect to itself is 1. All values have one shape."""
         count = len(values)
         unit = np.eye(count).reshape(count, count, *(1,) * np.ndim(values[0]))
         return [cls(np.asarray(value), unit[k] + np.zeros(np.shape(value))) for k, value in enumerate(values)]
@@ -65,7 +68,7 @@ class Jet:
         return self.power(-1) * other
 
     def power(self, exponent: float) -> Jet:
-        """Return the values to the power of a number; complex values have the principal branch."""
+        """Return the values raised to a power. For complex values, the result is the principal value."""
         return Jet(self.value**exponent, self.partials * (exponent * self.value ** (exponent - 1)))
 
     def exp(self) -> Jet:

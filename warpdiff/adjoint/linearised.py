@@ -1,4 +1,4 @@
-"""``Linearised``: a value with its derivatives, as products with vectors."""
+"""``Linearised``: a value with its derivatives, in the form of products of the Jacobian matrix with vectors."""
 
 from __future__ import annotations
 
@@ -18,13 +18,16 @@ Derivatives = dict[str, NDArray[np.float64]]
 
 
 class Linearised(NamedTuple):
-    """Value with its derivatives at one point; it unpacks as ``value, vjp, jvp``.
+    """Value of a function with its derivatives at one point; it unpacks as ``value, vjp, jvp``.
+
+    The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
 
     Attributes:
         value: The value of the function, float64.
-        vjp: Vector-Jacobian product: a function of the adjoint of the value, in the shape of the value. It returns the
-            adjoint of each variable of ``wrt``, by its name. With the gradient of a loss by the value as argument, the
-            result is the gradient of the loss.
+        vjp: Vector-Jacobian product: a function of the adjoint of the value, which has the shape of the value. It
+            returns the adjoint of each variable by the name of the variable, in the order of ``wrt``. If the argument
+            is the gradient of a loss with respect to the value, the results are the gradients of the loss with respect
+            to the variables.
         jvp: Jacobian-vector product: a function of changes of variables, such as ``jvp(sigma_um=0.1)``. It returns the
             change of the value to first order.
 
@@ -50,13 +53,13 @@ def linearised(
     adjoint: Callable[[NDArray[np.float64]], Derivatives],
     tangent: Callable[[Derivatives], NDArray[np.float64]],
 ) -> Linearised:
-    """Return a linearised value whose ``vjp`` and ``jvp`` check their arguments.
+    """Return a linearised value; its ``vjp`` and ``jvp`` check their arguments and then call the given functions.
 
     Args:
-        value: The value.
-        shapes: Shape of each variable by its name.
-        adjoint: Function of the adjoint of the value that returns those of all variables.
-        tangent: Function of changes of some variables that returns the change of the value.
+        value: Value of the differentiated function.
+        shapes: Shape of each variable by the name of the variable.
+        adjoint: Function that computes the adjoints of all variables from the adjoint of the value.
+        tangent: Function that computes the change of the value from changes of some of the variables.
     """
 
     def vjp(adjoint_of_value: ArrayLike) -> Derivatives:
@@ -65,7 +68,8 @@ def linearised(
             raise ArgumentValueError(
                 f"{ref('adjoint_of_value')} must have the shape of the value, {value.shape}, got {array.shape}"
             )
-        return {name: result.reshape(shapes[name]) for name, result in adjoint(array).items()}
+        adjoints = adjoint(array)
+        return {name: adjoints[name].reshape(shape) for name, shape in shapes.items()}
 
     def jvp(**changes: ArrayLike) -> NDArray[np.float64]:
         checked = {}

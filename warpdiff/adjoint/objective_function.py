@@ -1,4 +1,4 @@
-"""Loss of the parameters of a profile with its gradient, for minimisers."""
+"""Function ``objective``: loss as a function of the parameters of a profile, with its gradient, for minimisers."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff.adjoint.linearised import Linearised
 from warpdiff.core import validation
-from warpdiff.core.wording import ArgumentTypeError, ref
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.profiles.profile_base import Profile
 
 if TYPE_CHECKING:
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from warpdiff.adjoint.linearised import Linearised
     from warpdiff.heightfield.field import HeightField
     from warpdiff.profiles.outline import Outline
 
@@ -25,20 +25,24 @@ def objective(
     evaluate: Callable[[HeightField | Outline, tuple[str, ...]], Linearised],
     loss: Callable[[NDArray[np.float64]], tuple[float, ArrayLike]],
 ) -> Callable[[ArrayLike], tuple[float, NDArray[np.float64]]]:
-    """Return a function of the parameters of a profile: a loss and its gradient.
+    """Return a function that computes a loss and its gradient from the parameters of a profile.
 
-    The function is what ``scipy.optimize.minimize(function, profile.start, jac=True, bounds=profile.bounds)`` takes.
+    Pass the function to a minimiser: ``scipy.optimize.minimize(function, profile.start, jac=True,
+    bounds=profile.bounds)``.
 
     Args:
         profile: Profile from ``warpdiff.profiles``.
-        evaluate: Function of a surface and of ``wrt`` that returns one of the linearised values of this module.
-        loss: Function of the value that returns the loss and its gradient by the value.
+        evaluate: Function of a surface and of ``wrt``, the names of variables. It returns a ``Linearised`` value, such
+            as the result of ``wd.adjoint.order_efficiencies``.
+        loss: Function of this value that returns the loss, and the gradient of the loss with respect to the value.
 
     Returns:
-        Function of parameters, shape (p,), that returns the loss and its gradient, shape (p,).
+        Function of p parameters, shape (p,). It returns the loss and the gradient with respect to the parameters, (p,).
 
     Raises:
-        TypeError: ``profile`` is not a profile, or another argument is not a function.
+        TypeError: ``profile`` is not a profile, or another argument is not a function. The returned function raises
+            this error if ``evaluate`` or ``loss`` returns a wrong type. It raises ``ValueError`` if the result of
+            ``evaluate`` has no derivatives with respect to ``wrt``.
 
     Examples:
         >>> import math
@@ -63,8 +67,24 @@ def objective(
 
     def function(x: ArrayLike) -> tuple[float, NDArray[np.float64]]:
         parameters = profile.check(x)
-        value, vjp, _ = evaluate(profile.surface(parameters), profile.wrt)
-        result, adjoints = loss(value)
-        return float(result), profile.pullback(parameters, vjp(np.asarray(adjoints, dtype=np.float64)))
+        result = evaluate(profile.surface(parameters), profile.wrt)
+        if not isinstance(result, Linearised):
+            raise ArgumentTypeError(
+                f"{ref('evaluate')} must return a result of wd.adjoint, such as wd.adjoint.reflectance(surface, …, "
+                f"wrt=wrt), got {type(result).__name__}"
+            )
+        pair = loss(result.value)
+        if not isinstance(pair, (tuple, list)) or len(pair) != 2 or np.ndim(pair[0]) != 0:
+            raise ArgumentTypeError(
+                f"{ref('loss')} must return a number and its gradient by the value, got {type(pair).__name__}"
+                + (f" of {len(pair)} elements" if isinstance(pair, (tuple, list)) else "")
+            )
+        adjoints = result.vjp(pair[1])
+        if missing := [name for name in profile.wrt if name not in adjoints]:
+            raise ArgumentValueError(
+                f"{ref('evaluate')} must return derivatives by {', '.join(profile.wrt)}, {', '.join(missing)} are "
+                "missing: pass its argument wrt to the function of wd.adjoint"
+            )
+        return float(pair[0]), profile.pullback(parameters, adjoints)
 
     return function

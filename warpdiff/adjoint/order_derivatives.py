@@ -1,7 +1,13 @@
-"""Order efficiencies with exact derivatives."""
+"""Order efficiencies with exact derivatives, and the warnings about points where they have none.
+
+κ = w/λ, where w is the normal component of the scattering vector and λ the wavelength. θ is the angle of an order from
+the normal. The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity. A kink is a
+point at which a function is continuous and its derivative is not.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING, Annotated
 
@@ -37,39 +43,40 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
     from warpdiff.profiles.outline import Outline
 
-# Truncation error of the series of order efficiencies: rounding error of float64.
+# Truncation error of the series from which order efficiencies are computed. It equals the rounding errors of float64.
 _TRUNCATION = 1e-13
-# Cosine of an order's direction below which it counts as being at the horizon, 0.06° from it. Limit: efficiencies grow
-# as 1/cos θ, and their derivatives as 1/cos³ θ.
+# Cosine of the angle of an order below which the order counts as being at the horizon; it is then within 0.06° of the
+# horizon. The value is limited because efficiencies are proportional to 1/cos θ, and their derivatives to 1/cos³ θ.
 _AT_HORIZON = 1e-3
-# Variables with one element per wavelength.
+# Names of the variables whose change moves orders across the horizon.
+_MOVING = ("pitch_um", "period_um", "to_light", "wavelengths_nm")
+# Names of the variables that have one element per wavelength.
 _PER_WAVELENGTH = ("wavelengths_nm", "n", "k")
-# Counted memory [bytes]: per height sample, and per element of a matrix.
+# Memory of a call [bytes]: per height sample, and per element of the matrices of efficiencies.
 _BYTES_PER_SAMPLE, _BYTES_PER_ELEMENT = 120.0, 250.0
 
 
 class _OrderCall:
-    """All lights and wavelengths of one call."""
+    """Orders and Fourier coefficients for all lights and wavelengths of one call of ``order_efficiencies``."""
 
     def __init__(
         self, relief: Relief, lights: NDArray[np.float64], wavelengths: NDArray[np.float64], *, normalised: bool,
         ior: float, material: Material | None,
     ) -> None:  # fmt: skip
-        """Find the orders and compute their coefficients."""
+        """Find the orders that propagate, and compute their Fourier coefficients."""
         orders, views = propagating(relief.lattice, lights, wavelengths)
         self._lives = ~np.isnan(views[..., 0])
         self._relief, self._lights, self._wavelengths = relief, lights, wavelengths
         self._check_count(normalised=normalised)
         self._models = {
             (light, column): OrderModel(
-                lights[light], orders[self._lives[light, column]], 1e-3 * wavelengths[column], relief.size_um,
+                lights[light], orders[self._lives[light, column]], float(wavelengths[column]), relief.size_um,
                 (relief.shape[0] == 1, relief.shape[1] == 1), normalised=normalised, ior=ior, material=material,
             )
             for light in range(len(lights)) for column in range(len(wavelengths))
         }  # fmt: skip
-        self._warn_of_kinks()
         kappas = np.concatenate([model.kappas for model in self._models.values()])
-        low, high = kappa_range(float(kappas.min()), float(kappas.max()))
+        low, high = kappa_range(float(kappas.min()), float(kappas.max()), relief.scale_um)
         terms = term_count(2.0 * math.pi * high * relief.scale_um, _TRUNCATION)
         count = term_count(2.0 * math.pi * (high - low) * relief.scale_um, _TRUNCATION)
         sites = Sites(relief.shape, *np.concatenate([model.indices for model in self._models.values()]).T)
@@ -83,7 +90,7 @@ class _OrderCall:
         self._places = dict(zip(self._models, np.split(sites.places, ends), strict=True))
 
     def value(self) -> NDArray[np.float64]:
-        """Return the efficiencies, shape (lights, wavelengths, orders); 0 where an order is evanescent."""
+        """Return the efficiencies, shape (lights, wavelengths, orders). They are 0 where an order is evanescent."""
         result = np.zeros(self._lives.shape)
         for place, model in self._models.items():
             rows = self._rows.rows[0][self._places[place]]
@@ -94,7 +101,10 @@ class _OrderCall:
 
     @single_threaded_blas()
     def adjoint(self, adjoints: NDArray[np.float64], names: tuple[str, ...]) -> Derivatives:
-        """Return the adjoints of variables from those of the efficiencies; those of directions have shape (k, 3)."""
+        """Return the adjoints of the variables ``names`` from the adjoints of the efficiencies.
+
+        The adjoint of the k directions to the light has the shape (k, 3).
+        """
         result = {name: np.zeros(self._shape(name)) for name in names}
         rows = self._rows.empty(zero=True)
         is_surface = self._relief.variable in names
@@ -111,7 +121,7 @@ class _OrderCall:
 
     @single_threaded_blas()
     def tangent(self, changes: Derivatives) -> NDArray[np.float64]:
-        """Return the change of the efficiencies for changes of variables."""
+        """Return the changes of the efficiencies for changes of variables, by the names of the variables."""
         result = np.zeros(self._lives.shape)
         names = tuple(changes)
         rows = None
@@ -128,7 +138,7 @@ class _OrderCall:
         return result
 
     def _shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape in which a variable is stored: directions have an axis of the lights, and numbers one."""
+        """Return the shape of the array of a variable: (lights, 3) for directions, and (1,) for a single number."""
         shapes = {
             "to_light": (len(self._lights), 3), "pitch_um": (2,), self._relief.variable: self._relief.variable_shape,
         }  # fmt: skip
@@ -137,7 +147,11 @@ class _OrderCall:
     def _slopes(
         self, place: tuple[int, int], names: tuple[str, ...]
     ) -> Iterator[tuple[str, slice | int, NDArray[np.float64]]]:
-        """Yield variables with the indices of their elements and the derivatives of one set of orders, (p, n)."""
+        """Yield the derivatives of the n efficiencies of one light and wavelength with respect to each variable.
+
+        ``place`` has the indices of the light and of the wavelength. Each result is the name of a variable, the indices
+        of its p elements on which these efficiencies depend, and the derivatives, shape (p, n).
+        """
         others = [name for name in names if name != self._relief.variable]
         if not others:
             return
@@ -159,7 +173,7 @@ class _OrderCall:
                 yield name, index, slopes[name][None]
 
     def _check_count(self, *, normalised: bool) -> None:
-        """Raise an error for too many normalised orders, or if the matrices require more memory than is free."""
+        """Raise an error if normalised orders are too many, or if the matrices require more memory than is free."""
         most = int(self._lives.sum(axis=-1).max())
         if normalised and most > energy_normalisation.MOST_EXACT:
             raise ArgumentValueError(
@@ -173,12 +187,23 @@ class _OrderCall:
             "take {share} of the wavelengths and directions at a time",
         )  # fmt: skip
 
-    def _warn_of_kinks(self) -> None:
-        count = sum(model.least_cosine < _AT_HORIZON for model in self._models.values())
+    def warn_of_kinks(self) -> None:
+        """Warn if an order at some light and wavelength is at the horizon, or just below it, where derivatives jump."""
+        lattice, count = self._relief.lattice, 0
+        for light, wavelength_um in itertools.product(self._lights, 1e-3 * self._wavelengths):
+            tangents2 = np.zeros((1, 1))
+            for axis, (length, samples) in enumerate(zip(lattice.size_um, lattice.shape, strict=True)):
+                component = light[1 - axis]
+                first, last = ((component + end) * length / wavelength_um for end in (-1.0, 1.0))
+                orders = np.arange(math.floor(first), math.ceil(last) + 1) if samples > 1 else np.zeros(1)
+                tangents2 = tangents2 + ((orders * wavelength_um / length - component) ** 2).reshape(
+                    (-1, 1) if axis == 0 else (1, -1)
+                )
+            count += bool(np.any(np.abs(1.0 - tangents2) < _AT_HORIZON**2))
         if count:
             warn(
                 f"{count} of {len(self._models)} sets of orders have an order at the horizon, where efficiencies have "
-                "a kink: derivatives are those of the orders that propagate"
+                f"a kink: derivatives by {', '.join(_MOVING)} are those of the orders that propagate"
             )
 
 
@@ -190,10 +215,10 @@ def order_efficiencies(
 ) -> Linearised:  # fmt: skip
     """Return the efficiencies of :func:`warpdiff.order_efficiencies` with exact derivatives, in float64.
 
-    Derivatives of normalised efficiencies follow from the equations of the energy balance (implicit differentiation).
+    Derivatives of normalised efficiencies follow from the equations of the energy balance by implicit differentiation.
 
     Args:
-        heightfield: One period of the surface: a height field, or an outline, whose coefficients are exact.
+        heightfield: One period of the surface: a height field, or an outline, whose Fourier coefficients are exact.
         to_light: Directions to the light in the local frame, above the horizon, shape (3,) or (k, 3).
         wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
         wrt: Names of the variables of the derivatives: ``"heights_um"`` and ``"pitch_um"`` of a height field,
@@ -208,8 +233,8 @@ def order_efficiencies(
         :func:`warpdiff.order_efficiencies`, in the same sequence.
 
     Warns:
-        WarpdiffWarning: An order is at the horizon, a wavelength is at a kink of the index of refraction, or the energy
-            balance has not converged.
+        WarpdiffWarning: An order is at the horizon and ``wrt`` has variables that move it, a wavelength is at a kink of
+            the index of refraction, or the energy balance has not converged.
 
     Raises:
         ValueError: An argument is out of its range, a variable has no derivative, or normalised orders are too many.
@@ -239,10 +264,12 @@ def order_efficiencies(
     )  # fmt: skip
     if energy is None:
         energy = "normalised" if (normal == 1.0 if material is None else material.is_opaque) else "stam"
-    if material is not None and "wavelengths_nm" in names:
-        _warn_of_table(material, wavelengths)
     normalised = energy in ("normalised", "normalized")
     call = _OrderCall(relief, lights, wavelengths, normalised=normalised, ior=index_of(ior), material=material)
+    if set(names) & set(_MOVING):
+        call.warn_of_kinks()
+    if material is not None and "wavelengths_nm" in names:
+        _warn_of_table(material, wavelengths)
     value = call.value()
     shape = value.shape[1:] if is_single else value.shape
     per_nm, lengths = (len(wavelengths),), validation.lengths(to_light)
@@ -267,9 +294,10 @@ def order_efficiencies(
 
 
 def _warn_of_table(material: Material, wavelengths_nm: NDArray[np.float64]) -> None:
-    """Warn of wavelengths at which the index of refraction, linear between table entries, has a kink."""
-    tables = [np.asarray(part.wavelengths_nm) for part in (material, material.film) if part is not None]
-    count = sum(np.isin(wavelengths_nm, table).sum() for table in tables if len(table) > 1)
+    """Warn of wavelengths at table entries of the index of refraction, where the interpolated index has a kink."""
+    # The first and the last entry of a table are no kinks, because the index is not known beyond them.
+    tables = [np.asarray(part.wavelengths_nm)[1:-1] for part in (material, material.film) if part is not None]
+    count = int(np.isin(wavelengths_nm, np.concatenate(tables)).sum())
     if count:
         warn(
             f"{count} of {len(wavelengths_nm)} wavelengths are entries of the table of {ref('material')}, where its "

@@ -1,8 +1,13 @@
-"""Efficiencies of the orders of one light and wavelength, with derivatives by every variable.
+"""Efficiencies of the orders of one light and wavelength, with their derivatives with respect to every variable.
 
-Order m has the efficiency η = R K |H|², where K is the geometry factor of ``energy_normalisation.stam``. A normalised
-efficiency is an element of the balanced matrix P = diag(x) (K |H|²) diag(y), whose sums over rows and columns are
-prescribed. Its derivatives follow from those of the prescribed sums, by the linear equations of ``balance_response``.
+Order m has the efficiency η = R K |H|². R is the reflectance of the flat surface, K the geometry factor of
+``energy_normalisation.stam``, and H the Fourier coefficient of exp(2πiκh) of the heights h. Here κ = w/λ for the
+wavelength λ and the normal component w of the scattering vector.
+
+A normalised efficiency is R times an element of the matrix P = diag(x) (K |H|²) diag(y). The rows of the matrix are
+directions to the light, and its columns are orders. The vectors x and y are such that the sums over rows and columns
+have prescribed values, which conserve energy. Derivatives follow from those of the prescribed sums, by the linear
+equations of ``balance_response``. The adjoint of a quantity is the derivative of a scalar loss with respect to it.
 """
 
 from __future__ import annotations
@@ -23,40 +28,40 @@ if TYPE_CHECKING:
     from warpdiff.adjoint.linearised import Derivatives
     from warpdiff.optics.materials import Material
 
-# Variables of the geometry: tangential components of the light, size of the surface [µm], wavelength [µm], and the
-# scale of the heights.
+# Names of the variables of the geometry: tangential components of the direction to the light, size of the period along
+# x and y [µm], wavelength [µm], and a factor that scales the heights.
 GEOMETRY = ("light_x", "light_y", "length_x", "length_y", "wavelength_um", "height_scale")
 
 
 class OrderModel:
-    """Orders of one light at one wavelength.
+    """Orders of one light at one wavelength, whose efficiencies are elements of a matrix.
 
     Attributes:
-        indices: Pair (s, r) of the Fourier coefficient of each element of the matrix, shape (rows · columns, 2).
-        kappas: |κ| of each element [1/µm], shape (rows · columns,).
+        indices: Pair (s, r) of the frequency of each matrix element's Fourier coefficient, shape (rows · columns, 2).
+        kappas: |κ| of each matrix element [1/µm], shape (rows · columns,).
     """
 
     def __init__(
-        self, light: NDArray[np.float64], orders: NDArray[np.int64], wavelength_um: float,
+        self, light: NDArray[np.float64], orders: NDArray[np.int64], wavelength_nm: float,
         size_um: tuple[float, float], is_constant: tuple[bool, bool], *, normalised: bool, ior: float,
         material: Material | None,
     ) -> None:  # fmt: skip
-        """Describe the orders.
+        """Set the orders and compute their geometry.
 
         Args:
             light: Unit vector to the light, shape (3,).
             orders: Pairs (m_y, m_x) of the orders that propagate, shape (n, 2).
-            wavelength_um: Wavelength [µm].
+            wavelength_nm: Wavelength [nm].
             size_um: Size (y, x) of one period [µm].
             is_constant: Whether the surface is constant along (y, x).
             normalised: Whether the energy is normalised.
-            ior: Index of refraction, if there is no material.
-            material: Material, or None.
+            ior: Index of refraction, which is used if there is no material.
+            material: Material of the surface, or None.
         """
-        self._normalised, self._ior, self._material, self._wavelength_um = normalised, ior, material, wavelength_um
+        self._normalised, self._ior, self._material, self._wavelength_nm = normalised, ior, material, wavelength_nm
         shifts = np.zeros((1, 2), dtype=np.int64)
         if normalised:
-            steps = wavelength_um / np.array(size_um)
+            steps = 1e-3 * wavelength_nm / np.array(size_um)
             ranges = [
                 np.zeros(1, dtype=np.int64)
                 if constant
@@ -67,7 +72,7 @@ class OrderModel:
             shifts = shifts[1.0 - np.sum((light[1::-1] + shifts * steps) ** 2, axis=1) > HORIZON**2]
         self._own = int(np.flatnonzero(~shifts.any(axis=1))[0])
         self._is_mirror = ~orders.any(axis=1)
-        # Derivatives that `slopes` has computed.
+        # Result of `slopes`, which is stored because adjoint and tangent use it several times.
         self._derivatives: Derivatives | None = None
         self.indices = -(shifts[:, None] + orders[None]).reshape(-1, 2)
         self._set_geometry(light, orders, shifts, size_um)
@@ -77,8 +82,8 @@ class OrderModel:
         self, light: NDArray[np.float64], orders: NDArray[np.int64], shifts: NDArray[np.int64],
         size_um: tuple[float, float],
     ) -> None:  # fmt: skip
-        """Compute the geometry factors, |κ| and the prescribed sums, with derivatives by ``GEOMETRY``."""
-        values = (light[0], light[1], size_um[1], size_um[0], self._wavelength_um, 1.0)
+        """Compute geometry factors, |κ| and the prescribed sums, with derivatives with respect to ``GEOMETRY``."""
+        values = (light[0], light[1], size_um[1], size_um[0], 1e-3 * self._wavelength_nm, 1.0)
         x, y, length_x, length_y, wavelength, scale = Jet.variables(*(np.full((1, 1), value) for value in values))
         per_x, per_y = wavelength / length_x, wavelength / length_y
         entering = x + per_x * shifts[:, 1:].astype(float), y + per_y * shifts[:, :1].astype(float)
@@ -86,7 +91,6 @@ class OrderModel:
         cos_i, cos_r = ((1.0 - a * a - b * b).power(0.5) for a, b in (entering, leaving))
         overlap = 1.0 + entering[0] * leaving[0] + entering[1] * leaving[1] + cos_i * cos_r
         w = cos_i + cos_r
-        self.least_cosine = float(cos_r.value.min())
         self._factor = overlap * overlap / (cos_i * cos_r * w * w)
         self._kappa = w / wavelength * scale
         self._cosine = Jet(overlap.value[self._own], overlap.partials[:, self._own]) * 0.5
@@ -94,11 +98,11 @@ class OrderModel:
         self._rows, self._columns = (_rise(cosine) for cosine in (cos_i, cos_r))
 
     def value(self, powers: NDArray[np.float64], slopes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the efficiencies, shape (n,).
+        """Return the efficiencies of the n orders, shape (n,).
 
         Args:
-            powers: |H|² of all elements, shape (rows · columns,).
-            slopes: Their derivatives by |κ| [µm].
+            powers: Power |H|² of each matrix element, shape (rows · columns,).
+            slopes: Derivatives of these powers with respect to |κ| [µm].
         """
         self._derivatives = None
         self._powers, self._slopes = (array.reshape(self._kappa.value.shape) for array in (powers, slopes))
@@ -115,7 +119,7 @@ class OrderModel:
         return np.asarray(self._mirrors * self._reflected.value)
 
     def power_adjoints(self, adjoints: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the adjoints of |H|² of all elements from those of the efficiencies, shape (rows · columns,)."""
+        """Return the adjoints of |H|² of matrix elements, (rows · columns,), from the adjoints of the efficiencies."""
         mirrors = adjoints * self._reflected.value
         result = np.zeros_like(self._shares)
         result[self._own] = mirrors
@@ -128,13 +132,16 @@ class OrderModel:
         return np.asarray(result * self._weights * self._factor.value).ravel()
 
     def power_tangent(self, changes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the change of the efficiencies for changes of |H|² of all elements, shape (rows · columns,)."""
+        """Return the changes of the efficiencies for changes of |H|² of matrix elements, shape (rows · columns,)."""
         of_matrix = self._factor.value * changes.reshape(self._shares.shape)
         zero = np.zeros((1, *self._rows.value.shape)), np.zeros((1, *self._columns.value.shape))
         return np.asarray(self._mirror_changes(of_matrix[None], *zero)[0] * self._reflected.value)
 
     def slopes(self) -> Derivatives:
-        """Return the derivatives of the efficiencies by ``GEOMETRY`` and by the variables of the reflectance, (n,)."""
+        """Return the derivatives of the n efficiencies, shape (n,) each, by the name of the variable.
+
+        The variables are those of ``GEOMETRY``, and those of the reflectance.
+        """
         if self._derivatives is not None:
             return self._derivatives
         of_matrix = self._powers * self._factor.partials + self._factor.value * self._slopes * self._kappa.partials
@@ -152,10 +159,10 @@ class OrderModel:
     def _mirror_changes(
         self, of_matrix: NDArray[np.float64], of_rows: NDArray[np.float64], of_columns: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the changes of the efficiencies of a perfect mirror, shape (p, n), for p changes of the matrix.
+        """Return the changes of the efficiencies of a perfect mirror (R = 1), shape (p, n), for p matrix changes.
 
         Args:
-            of_matrix: Changes of the elements, shape (p, rows, columns).
+            of_matrix: Changes of the elements K |H|², shape (p, rows, columns).
             of_rows: Changes of the prescribed sums of rows, shape (p, rows, 1).
             of_columns: Changes of the prescribed sums of columns, shape (p, 1, columns).
         """
@@ -172,11 +179,11 @@ class OrderModel:
         cosines = np.minimum(self._cosine.value, 1.0)
         if self._material is None:
             return reflection.schlick(cosines, self._ior, relative=False)
-        return reflection.fresnel(cosines, self._material, np.full_like(cosines, 1e3 * self._wavelength_um))
+        return reflection.fresnel(cosines, self._material, np.full_like(cosines, self._wavelength_nm))
 
 
 def _rise(cosine: Jet) -> Jet:
-    """Return the prescribed sum over orders of a direction, ``energy_normalisation.rise``, by its cosine."""
+    """Return the prescribed sum of a row or column, ``energy_normalisation.rise`` of its cosine, as a jet."""
     share = np.minimum(cosine.value / energy_normalisation.RISEN, 1.0)
     slope = 6.0 * share * (1.0 - share) / energy_normalisation.RISEN
     return Jet(energy_normalisation.rise(cosine.value), slope * cosine.partials)

@@ -1,7 +1,14 @@
-"""Exact Fourier coefficients of exp(2πiκh) of an outline, with adjoint and tangent.
+"""Exact Fourier coefficients of exp(2πiκh) of an outline (polygon), with adjoint and tangent.
 
-On a segment, the phase φ = 2π(κh + ru) is linear in the position u [periods]. Its integral is therefore exact:
-H_r(κ) = Σ Δu e^{i(φ₀ + φ₁)/2} sinc((φ₁ − φ₀)/2), with the phases φ₀ and φ₁ of the ends of each segment.
+h are heights and κ = w/λ, where w is the normal component of the scattering vector and λ the wavelength. On a segment
+of the outline, the phase φ = 2π(κh + ru) of order r is linear in the position u [periods]. The integral over the
+segment is therefore known exactly. With the phases φ₀ and φ₁ at the ends of a segment of width Δu, the sum over all
+segments is
+
+    H_r(κ) = Σ Δu e^{i(φ₀ + φ₁)/2} sinc((φ₁ − φ₀)/2),   sinc(y) = sin(y)/y.
+
+The tangent is the change of a result to first order. The adjoint of a quantity is the derivative of a scalar loss with
+respect to this quantity.
 """
 
 from __future__ import annotations
@@ -25,26 +32,29 @@ if TYPE_CHECKING:
 
 
 class OutlineTerms:
-    """Coefficients of an outline at the orders of ``sites`` and at nodes of |κ|."""
+    """Fourier coefficients of an outline at the orders of ``sites``, and at nodes (selected values) of |κ|."""
 
     def __init__(self, outline: Outline, sites: Sites, kappas: NDArray[np.float64]) -> None:
         self._positions = np.append(outline.positions, outline.positions[0] + 1.0)
         heights = outline.heights_um - (outline.heights_um.max() + outline.heights_um.min()) / 2.0
         self._heights = np.append(heights, heights[0])
-        # κ is negative, and the nodes are |κ|.
+        # κ is negative, and `kappas` has its magnitude.
         self._kappas, self._orders = -kappas, sites.columns.astype(np.float64)
 
     def at(self, part: slice) -> tuple[Complex, Complex]:
-        """Return H at some orders and the conjugates of H at their opposites, at all nodes, shapes (k, p) both."""
+        """Return H at p orders r, and the complex conjugates of H at the orders −r, for all κ, shapes (k, p) each."""
         plus, minus = (self._segments(sign * self._orders[part])[0].sum(axis=2) for sign in (1.0, -1.0))
         return plus, np.conj(minus)
 
     def tangent(self, change: NDArray[np.float64]) -> OutlineTangent:
-        """Return the change of the coefficients for a change of positions and heights, shape (k, 2)."""
+        """Return the change of the Fourier coefficients for a change of vertices (position and height), (k, 2)."""
         return OutlineTangent(self, np.concatenate([change, change[:1]]))
 
     def adjoint(self, parts: Iterable[tuple[slice, Complex, Complex]]) -> NDArray[np.float64]:
-        """Return the adjoint of positions and heights, shape (k, 2), from those of the two values of ``at``."""
+        """Return the adjoint of positions and heights of the vertices, shape (k, 2).
+
+        ``parts`` has slices of the orders, each with the adjoints of the two results of ``at`` for this slice.
+        """
         result = np.zeros((len(self._heights), 2))
         for part, plus, minus in parts:
             for sign, adjoints in ((1.0, plus), (-1.0, np.conj(minus))):
@@ -59,7 +69,10 @@ class OutlineTerms:
         return result[:-1]
 
     def change(self, orders: NDArray[np.float64], change: NDArray[np.float64]) -> Complex:
-        """Return the change of the coefficients of orders (p,) for a change of the vertices, (k + 1, 2), as (k, p)."""
+        """Return the change of the Fourier coefficients of p orders for a change of the vertices, shape (k, p).
+
+        ``change`` has the changes of the position and height of each vertex, with the first vertex repeated at the end.
+        """
         _, of_first, of_second, of_width = self._segments(orders)
         of_phase = 2.0 * math.pi * (
             self._kappas[:, None, None] * change[:, 1] + orders[:, None] * change[:, 0]
@@ -68,12 +81,16 @@ class OutlineTerms:
         return np.asarray(result.sum(axis=2))
 
     def changes(self, part: slice, change: NDArray[np.float64]) -> tuple[Complex, Complex]:
-        """Return the changes of the two values of ``at``."""
+        """Return the changes of the two results of ``at`` for a change of the vertices."""
         plus, minus = (self.change(sign * self._orders[part], change) for sign in (1.0, -1.0))
         return plus, np.conj(minus)
 
     def _segments(self, orders: NDArray[np.float64]) -> tuple[Complex, Complex, Complex, Complex]:
-        """Return the integrals over segments, and their derivatives by both phases and by the width, (k, p, s) each."""
+        """Return the integrals over the s segments, and their derivatives, for p orders and k values of κ.
+
+        The derivatives are with respect to the phase at the first end of a segment, the phase at its second end, and
+        its width. All four arrays have the shape (k, p, s).
+        """
         phases = 2.0 * math.pi * (
             self._kappas[:, None, None] * self._heights + orders[:, None] * self._positions
         )  # fmt: skip
@@ -86,11 +103,11 @@ class OutlineTerms:
 
 
 class OutlineTangent:
-    """Change of the coefficients of ``OutlineTerms`` for one change of the vertices."""
+    """Change of the Fourier coefficients of ``OutlineTerms`` for one change of the vertices."""
 
     def __init__(self, origin: OutlineTerms, change: NDArray[np.float64]) -> None:
         self._origin, self._change = origin, change
 
     def at(self, part: slice) -> tuple[Complex, Complex]:
-        """Return the changes of the two values that ``OutlineTerms.at`` returns."""
+        """Return the changes of the two results of ``OutlineTerms.at``."""
         return self._origin.changes(part, self._change)

@@ -1,7 +1,11 @@
-"""|P|² of finitely many periods of a patch, as explicit sums over all height samples, with derivatives.
+"""Diffracted power |P|² of finitely many periods of a patch, as explicit sums over all samples, with derivatives.
 
-P(q, κ) = (1/N) Σ exp(2πi(κh + q·x)), times the interference factors of the periods along y and x. The sums have no
-expansion, and cost as much per pair of a direction and a wavelength as ``method="direct"``.
+P(q, κ) = (1/N) Σ exp(2πi(κh + q·x)) is the sum over the N samples with heights h at positions x, times an interference
+factor along each axis. A factor is sin(πnt)/(n sin(πt)) for n periods of length L, with t = qL. Here q = (u, v)/λ and
+κ = w/λ, for the scattering vector (u, v, w) and the wavelength λ.
+
+The sums have no expansion in κ. They require as much time per pair of a direction and a wavelength as
+``method="direct"``. The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
 """
 
 from __future__ import annotations
@@ -28,7 +32,7 @@ if TYPE_CHECKING:
 
 
 class PeriodSums:
-    """|P|² of ``periods`` (y, x) periods of a height field."""
+    """Power |P|² of ``periods`` (y, x) periods of a height field, for pairs of a direction and a wavelength."""
 
     def __init__(self, heightfield: HeightField, periods: tuple[int, int]) -> None:
         self._heights, self._periods = heightfield.heights_um, periods
@@ -37,7 +41,7 @@ class PeriodSums:
 
     @single_threaded_blas()
     def sums(self, pairs: Pairs) -> NDArray[np.float64]:
-        """Return |P|², shape (p,)."""
+        """Return |P|² of each of the p pairs, shape (p,)."""
         factors = self._interference(pairs)
         result = np.empty(len(pairs))
         for k in range(len(pairs)):
@@ -47,7 +51,7 @@ class PeriodSums:
 
     @single_threaded_blas()
     def derivatives(self, pairs: Pairs) -> NDArray[np.float64]:
-        """Return |P|² and its derivatives, the columns ``Q_X`` to ``VALUE``, shape (p, 9)."""
+        """Return |P|² and its derivatives for each of the p pairs, in the columns ``Q_X`` to ``VALUE``, (p, 9)."""
         of_y, of_x = self._interference(pairs)
         result = np.zeros((len(pairs), 9))
         for k in range(len(pairs)):
@@ -60,7 +64,7 @@ class PeriodSums:
             ])  # fmt: skip
             slope_x, slope_y, slope_kappa = 2.0 * (np.conj(amplitude) * slopes).real * of_y[k, 0] * of_x[k, 0]
             power, (qx, qy) = abs(amplitude) ** 2, pairs.centres[k]
-            # The phase of one period is q L turns.
+            # The interference factors depend on t = qL, the change of the phase over one period in turns.
             by_turns_x, by_turns_y = power * of_y[k, 0] * of_x[k, 1], power * of_x[k, 0] * of_y[k, 1]
             result[k, KAPPA], result[k, VALUE] = slope_kappa, power * of_y[k, 0] * of_x[k, 0]
             result[k, Q_X] = slope_x + by_turns_x * self._size_um[1]
@@ -71,7 +75,7 @@ class PeriodSums:
 
     @single_threaded_blas()
     def adjoint(self, parts: Iterable[tuple[Pairs, NDArray[np.float64]]]) -> NDArray[np.float64]:
-        """Return the adjoint of the heights [1/µm], shape (ny, nx), from those of the sums of all pairs."""
+        """Return the adjoint of the heights [1/µm], (ny, nx). ``parts`` has pairs with the adjoints of their |P|²."""
         result = np.zeros_like(self._heights)
         for pairs, adjoints in parts:
             factors = self._interference(pairs)
@@ -84,7 +88,7 @@ class PeriodSums:
         return result
 
     def tangent(self, change: NDArray[np.float64]) -> TangentSums:
-        """Return a function that computes the changes of |P|² for a change of the heights [µm]."""
+        """Return a function of pairs that computes the changes of |P|² for one change of the heights [µm]."""
 
         @single_threaded_blas()
         def changes(pairs: Pairs) -> NDArray[np.float64]:
@@ -100,20 +104,23 @@ class PeriodSums:
         return changes
 
     def _field(self, pairs: Pairs, k: int) -> tuple[Complex, Complex, Complex]:
-        """Return exp(2πiκh) of all samples, and the phases of their positions along y and x, for one pair."""
+        """Return exp(2πiκh) of all samples, and the factors exp(2πi q·x) along y and along x, for pair number k."""
         qx, qy = pairs.centres[k]
-        # κ = w/λ is negative; the pairs have its magnitude.
+        # κ = w/λ is negative, and `pairs.kappas` has its magnitude.
         phases = -2.0 * math.pi * pairs.kappas[k] * self._heights
         return np.exp(1j * phases), np.exp(2j * math.pi * qy * self._y), np.exp(2j * math.pi * qx * self._x)
 
     def _interference(self, pairs: Pairs) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the interference factors along y and x with their derivatives by turns per period, (p, 2) both."""
+        """Return the squared interference factors along y and x with their derivatives by t = qL, shape (p, 2) each."""
         turns = pairs.centres[:, ::-1] * self._size_um
         return _interference(turns[:, 0], self._periods[0]), _interference(turns[:, 1], self._periods[1])
 
 
 def _interference(turns: NDArray[np.float64], periods: int) -> NDArray[np.float64]:
-    """Return [sin(πNt)/(N sin(πt))]² of N periods, and its derivative by the turns t, shape (p, 2)."""
+    """Return the squared interference factor [sin(πNt)/(N sin(πt))]² of N periods, and its derivative, shape (p, 2).
+
+    The derivative is with respect to t (``turns``), the change of the phase over one period in turns.
+    """
     one = math.pi * (turns - np.rint(turns))
     all_turns = periods * one
     ratio = np.sinc(all_turns / math.pi) / np.sinc(one / math.pi)

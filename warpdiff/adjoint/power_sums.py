@@ -1,4 +1,12 @@
-"""⟨|P|²⟩ of pairs of a direction and a wavelength, with derivatives, adjoint and tangent, under Gaussian lobes."""
+"""Diffracted power ⟨|P|²⟩ of pairs of a direction and a wavelength under Gaussian lobes, with its derivatives.
+
+⟨|P|²⟩ is a sum of powers of Fourier coefficients with Gaussian weights, or the squared magnitude of a sum of their
+amplitudes. The weights exp(−dᵀMd) depend on the distance d of a coefficient's frequency from q = (u, v)/λ. L_x and L_y
+are the lengths of the patch, and κ = w/λ, for the scattering vector (u, v, w) and the wavelength λ.
+
+The number of pairs is p. The tangent is the change of a result to first order. The adjoint of a quantity is the
+derivative of a scalar loss with respect to this quantity.
+"""
 
 from __future__ import annotations
 
@@ -21,60 +29,61 @@ if TYPE_CHECKING:
     from warpdiff.adjoint.sites import Block, Sites
     from warpdiff.adjoint.surface_terms import SurfaceTerms
 
-# Columns of ``derivatives``: derivatives of ⟨|P|²⟩ by q_x, q_y, M_xx, M_xy, M_yy, κ, L_x and L_y, and ⟨|P|²⟩ itself.
+# Columns of the results of ``derivatives``: derivatives of ⟨|P|²⟩ with respect to the components of q, the elements of
+# the symmetric matrix M, |κ|, and the lengths of the patch. The last column is ⟨|P|²⟩ itself.
 Q_X, Q_Y, M_XX, M_XY, M_YY, KAPPA, L_X, L_Y, VALUE = range(9)
 
-# Column of the sum itself in the result of ``GaussianLobes.derivatives``.
+# Index of the column with the sum itself in the result of ``GaussianLobes.derivatives``.
 _SUM = lobe_sums.DERIVATIVES - 1
 
 
 class TangentSums(Protocol):
-    """Change of ⟨|P|²⟩ for one change of the surface."""
+    """Function that computes the change of ⟨|P|²⟩ of pairs, for one change of the surface."""
 
     def __call__(self, pairs: Pairs) -> NDArray[np.float64]:
-        """Return the changes, shape (p,)."""
+        """Return the change of ⟨|P|²⟩ of each of the p pairs, shape (p,)."""
         ...
 
 
 class PowerSums(Protocol):
-    """⟨|P|²⟩ of a surface under one coherence."""
+    """Diffracted power ⟨|P|²⟩ of a surface, for one coherence of the light."""
 
     def sums(self, pairs: Pairs) -> NDArray[np.float64]:
-        """Return ⟨|P|²⟩, shape (p,)."""
+        """Return ⟨|P|²⟩ of each of the p pairs, shape (p,)."""
         ...
 
     def derivatives(self, pairs: Pairs) -> NDArray[np.float64]:
-        """Return ⟨|P|²⟩ and its derivatives, the columns ``Q_X`` to ``VALUE``, shape (p, 9)."""
+        """Return ⟨|P|²⟩ and its derivatives for each of the p pairs, in the columns ``Q_X`` to ``VALUE``, (p, 9)."""
         ...
 
     def adjoint(self, parts: Iterable[tuple[Pairs, NDArray[np.float64]]]) -> NDArray[np.float64]:
-        """Return the adjoint of the surface from those of the sums of all pairs, which come in parts."""
+        """Return the adjoint of the surface. ``parts`` has groups of pairs, each with the adjoints of their ⟨|P|²⟩."""
         ...
 
     def tangent(self, change: NDArray[np.float64]) -> TangentSums:
-        """Return a function that computes the changes of the sums for a change of the surface."""
+        """Return a function of pairs that computes the changes of ⟨|P|²⟩ for one change of the surface."""
         ...
 
 
 class LobeSums:
-    """Sums under Gaussian lobes: of powers (averaged windows and sources), or of amplitudes (centred windows)."""
+    """Sums with Gaussian weights: of powers for averaged windows and sources, of amplitudes for centred windows."""
 
     def __init__(
         self, terms: SurfaceTerms, rows: CoefficientRows, block: Block, sites: Sites,
         size_um: tuple[float, float], exponent: float, centre: tuple[float, float] = (0.0, 0.0),
         moving_um: tuple[float, float] = (0.0, 0.0),
     ) -> None:  # fmt: skip
-        """Compute the rows of the coefficients.
+        """Compute the Chebyshev series of the Fourier coefficients.
 
         Args:
-            terms: Coefficients of the surface.
-            rows: Rows to fill; their kind decides between powers and amplitudes.
-            block: Orders of the coefficients.
-            sites: Rows of the orders of the block.
+            terms: Fourier coefficients of the surface.
+            rows: Chebyshev series, which are computed here. They are series of powers or of amplitudes.
+            block: Rectangle of orders that have coefficients.
+            sites: Indices of the series of the orders of the block.
             size_um: Size of the patch (y, x) [µm].
-            exponent: Coefficients with weights below e^−exponent are truncated.
-            centre: Centre of the window (y, x) for amplitudes, in sizes of the patch.
-            moving_um: Part of the centre [µm] that remains in place if the size of the patch changes.
+            exponent: Coefficients with weights below e^−exponent are neglected.
+            centre: Centre of the coherence window (y, x), relative to the size of the patch; only for amplitudes.
+            moving_um: Coordinates (y, x) of the centre [µm] that do not change if the size of the patch changes.
         """
         self._terms, self._rows, self._block, self._sites = terms, rows, block, sites
         self._size_um, self._moving_um = size_um, moving_um
@@ -82,23 +91,26 @@ class LobeSums:
             rows.fill(terms)
         s, r = block.orders()
         self._phases = np.exp(-2j * np.pi * ((s * centre[0]) % 1.0 + (r * centre[1]) % 1.0))[:, None]
-        # Orders that alias onto one coefficient have phases of their own, so that amplitudes are copied to each order.
+        # Different orders may alias onto the same Fourier coefficient, but have different phases for a window's centre.
+        # Amplitudes are therefore stored per order, with these phases. Powers have no phases and are stored per
+        # coefficient.
         cells = sites.places if rows.powers else np.arange(block.size, dtype=np.int32)
         self._coefficients = rows.rows if rows.powers else self._shifted(rows.rows)
         self._lobes = GaussianLobes(rows, block, cells, size_um, exponent)
 
     def sums(self, pairs: Pairs) -> NDArray[np.float64]:
-        """Return ⟨|P|²⟩, shape (p,)."""
+        """Return ⟨|P|²⟩ of each of the p pairs, shape (p,)."""
         parts = self._parts(pairs, self._coefficients)
         return parts[0] if self._rows.powers else parts[0] ** 2 + parts[1] ** 2
 
     def derivatives(self, pairs: Pairs) -> NDArray[np.float64]:
-        """Return ⟨|P|²⟩ and its derivatives, the columns ``Q_X`` to ``VALUE``, shape (p, 9)."""
+        """Return ⟨|P|²⟩ and its derivatives for each of the p pairs, in the columns ``Q_X`` to ``VALUE``, (p, 9)."""
         slopes = [self._lobes.derivatives(pairs, row) for row in self._coefficients]
         if self._rows.powers:
             return slopes[0][:, [*range(VALUE), _SUM]]
         slope = slopes[0] + 1j * slopes[1]
-        # A centre that remains in place while the patch grows changes the phases exp(−2πi r c/L) of coefficients.
+        # The coefficient of order r has the phase −2πrc/L for a window's centre c and the length L of the patch. If c
+        # is constant, this phase also changes with L.
         for column, along, axis in ((L_X, 8, 1), (L_Y, 9, 0)):
             slope[:, column] += 2j * np.pi * self._moving_um[axis] / self._size_um[axis] ** 2 * slope[:, along]
         amplitude = slope[:, _SUM]
@@ -107,7 +119,7 @@ class LobeSums:
 
     @single_threaded_blas()
     def adjoint(self, parts: Iterable[tuple[Pairs, NDArray[np.float64]]]) -> NDArray[np.float64]:
-        """Return the adjoint of the surface from those of the sums of all pairs, which come in parts."""
+        """Return the adjoint of the surface. ``parts`` has groups of pairs, each with the adjoints of their ⟨|P|²⟩."""
         blocks = [np.zeros((self._block.size, self._rows.terms)) for _ in self._rows.rows]
         for pairs, adjoints in parts:
             factors = [adjoints]
@@ -124,7 +136,7 @@ class LobeSums:
 
     @single_threaded_blas()
     def tangent(self, change: NDArray[np.float64]) -> TangentSums:
-        """Return a function that computes the changes of the sums for a change of the surface."""
+        """Return a function of pairs that computes the changes of ⟨|P|²⟩ for one change of the surface."""
         rows = self._rows.tangent(self._terms, self._terms.tangent(change))
         if not self._rows.powers:
             rows = self._shifted(rows)
@@ -142,7 +154,7 @@ class LobeSums:
         return [self._lobes.sums(pairs, row) for row in rows]
 
     def _shifted(self, rows: Rows) -> Rows:
-        """Return the amplitudes of all orders of the block, with the phases of the centre of the window."""
+        """Return the amplitudes of all orders of the block, with the phases that the window's centre causes."""
         return _parts_of((rows[0][self._sites.places] + 1j * rows[1][self._sites.places]) * self._phases)
 
 

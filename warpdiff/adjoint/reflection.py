@@ -1,4 +1,10 @@
-"""Geometry factor C·M and reflectance R of the relative reflectance, with their derivatives."""
+"""Geometry factor C·M and reflectance R of the relative reflectance ρ, with their derivatives.
+
+ρ is the product of C, M, R and the diffracted power ⟨|P|²⟩. C is the geometry factor without masking, and M is the
+V-cavity's masking and shadowing. θi and θr are the angles of light and viewer from the normal, and θd is half of the
+angle between both directions. n + ik is the complex index of refraction. A kink is a point at which a function is
+continuous and its derivative is not.
+"""
 
 from __future__ import annotations
 
@@ -16,29 +22,30 @@ if TYPE_CHECKING:
 
     from warpdiff.optics.materials import Material
 
-# Variables of the reflectance of a material, in the order of the partial derivatives.
+# Names of the variables of a material's reflectance, in the order of the partial derivatives; "cosine" is cos θd.
 MATERIAL_VARIABLES = ("cosine", "n", "k", "film_nm", "wavelengths_nm")
-# Variables of Schlick's reflectance.
+# Names of the variables of Schlick's reflectance, in the order of the partial derivatives; "cosine" is cos θd.
 IOR_VARIABLES = ("cosine", "ior")
 
-# Difference of the cosines of light and viewer, or of M and 1, below which they count as equal. Limit: rounding errors
-# of directions.
+# Difference between cos θi and cos θr, or between M and 1, below which both numbers count as equal. The value is
+# limited by rounding errors of directions.
 _EQUAL_COSINES = 1e-9
 
 
 def geometry(
     lights: NDArray[np.float64], views: NDArray[np.float64], *, masking: bool, per_light_cosine: bool
 ) -> tuple[Jet, Jet]:
-    """Return C·M without R, and cos θd, for pairs of unit vectors above the horizon; see ``reflectance_factors.gain``.
+    """Return C·M, and cos θd, for pairs of unit vectors above the horizon; see ``reflectance_factors.gain``.
 
-    The six variables are the components of the direction to the light, and then those of the direction to the viewer.
-    Their derivatives are for vectors of any length near 1, so that they must be projected onto the sphere.
+    Both results are jets of six variables: the components of the direction to the light, and then those of the
+    direction to the viewer. Their derivatives do not assume that the directions remain unit vectors. The caller must
+    therefore project them onto the sphere.
 
     Args:
         lights: Directions to the light, shape (n, 3).
         views: Directions to the viewer, shape (n, 3).
-        masking: Whether to include M. Where both cosines are equal, the derivative is that for a smaller cosine of the
-            light.
+        masking: Whether to include M; without it, the first result is C. At equal cosines of light and viewer, the
+            derivative is the one-sided derivative towards a smaller cosine of the light.
         per_light_cosine: Whether to divide by cos θi.
     """
     variables = Jet.variables(*lights.T, *views.T)
@@ -57,7 +64,7 @@ def geometry(
 
 
 def kinks(lights: NDArray[np.float64], views: NDArray[np.float64]) -> int:
-    """Return the number of pairs at a kink of the V-cavity's masking: equal cosines where M < 1, or M just 1."""
+    """Return the number of pairs at a kink of M: cosines of light and viewer are equal and M < 1, or M is just 1."""
     overlap = 0.5 * np.sum((lights + views) ** 2, axis=1)
     total, smaller = lights[:, 2] + views[:, 2], np.minimum(lights[:, 2], views[:, 2])
     masking = 2.0 * total * smaller / np.maximum(overlap, TINY)
@@ -71,7 +78,7 @@ def index_of(ior: float | None) -> float:
 
 
 def schlick(cosines: NDArray[np.float64], ior: float, *, relative: bool) -> Jet:
-    """Return Schlick's reflectance, optionally divided by R(0), by the variables cosine and ``ior``."""
+    """Return Schlick's reflectance, divided by R(0) if ``relative``, as a jet of the variables ``IOR_VARIABLES``."""
     if ior == math.inf:
         return Jet(np.ones_like(cosines), np.zeros((2, *cosines.shape)))
     cosine, index = Jet.variables(cosines, np.full_like(cosines, ior))
@@ -81,9 +88,10 @@ def schlick(cosines: NDArray[np.float64], ior: float, *, relative: bool) -> Jet:
 
 
 def fresnel(cosines: NDArray[np.float64], material: Material, wavelengths_nm: NDArray[np.float64]) -> Jet:
-    """Return the unpolarised reflectance of a material by its ``MATERIAL_VARIABLES``.
+    """Return the unpolarised reflectance of a material as a jet of the variables ``MATERIAL_VARIABLES``.
 
-    n and k are those of the material below a film. Between the wavelengths of its table, they change linearly.
+    n and k are those of the material below a film. They change linearly between the wavelengths of the material's
+    table.
 
     Args:
         cosines: cos θd, shape (...).
@@ -127,13 +135,15 @@ def _index(material: Material, wavelengths_nm: NDArray[np.float64]) -> tuple[NDA
 
 
 def _dispersion(material: Material, wavelength: Jet) -> Jet:
-    """Return a jet with the value 0 and the derivatives of n + ik that follow from its dependence on the wavelength."""
+    """Return a jet of the value 0, whose derivatives are those of n + ik with respect to the wavelength."""
     table = np.asarray(material.wavelengths_nm)
     index = np.asarray(material.n) + 1j * np.asarray(material.k)
     if len(table) == 1:
         slope = np.zeros(wavelength.value.shape, dtype=np.complex128)
     else:
-        place = np.searchsorted(table, wavelength.value, side="right") - 1
-        inside = (place >= 0) & (place < len(table) - 1)
-        slope = np.where(inside, (np.diff(index) / np.diff(table))[np.clip(place, 0, len(table) - 2)], 0.0)
+        # At the last entry of a table, the derivative is that towards shorter wavelengths, because n + ik is not known
+        # at longer ones.
+        place = np.clip(np.searchsorted(table, wavelength.value, side="right") - 1, 0, len(table) - 2)
+        inside = (wavelength.value >= table[0]) & (wavelength.value <= table[-1])
+        slope = np.where(inside, (np.diff(index) / np.diff(table))[place], 0.0)
     return Jet(np.zeros_like(slope), slope * wavelength.partials)

@@ -1,4 +1,8 @@
-"""Numbers of terms of Jacobi-Anger and Chebyshev series for a relative truncation error."""
+"""Numbers of terms of Jacobi-Anger and Chebyshev series that meet a relative truncation error.
+
+The series expand e^{ixg} for |g| ≤ 1 in terms that are Bessel functions of the argument x times Chebyshev polynomials
+of g. κ = w/λ, where w is the normal component of the scattering vector and λ the wavelength.
+"""
 
 from __future__ import annotations
 
@@ -9,22 +13,30 @@ import numpy as np
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.diffraction.phase_series import bessel_j
 
-# Share of the truncation error that the series of a value may have. Derivatives of the last terms are larger than the
-# terms by about their number, which is at most some hundreds.
+# Fraction of the permitted truncation error that the series of a value may have. The derivatives of the last terms are
+# larger than these terms by a factor of about the number of terms, which is at most a few hundred. With this fraction,
+# derivatives also meet the truncation error.
 _MARGIN = 1e-2
-# Largest argument of a series. Limit: kernels have space for 1024 terms; a height range of about 250 wavelengths.
+# Largest argument x of a series. The value is limited by kernels, which have memory for 1024 terms. It corresponds to a
+# height range of about 250 wavelengths.
 _MOST_ARGUMENT = 800.0
-# Sum of Bessel functions that may consist of rounding errors alone.
+# Sum of the magnitudes of Bessel functions below which the sum may consist of rounding errors alone.
 _ROUNDING = 4e-15
-# Share of |κ| by which a range of it is widened at both ends. If doubled, nothing changes.
-_LEAST_RANGE = 1e-6
+# A range of |κ| must not be too narrow, because rounding errors of a series become errors of its derivative in
+# proportion to 1/width. `_LEAST_RANGE` is the smallest width relative to |κ|. `_LEAST_PHASE` is the smallest change of
+# the phase over the width, for a height of half of the height range [radians]. The smaller of both widths is used. If
+# doubled, series need one more term.
+_LEAST_RANGE, _LEAST_PHASE = 0.1, 1.0
+# Fraction of its width by which a range is widened. Without it, rounding errors would place some |κ| outside of the
+# range.
+_MARGIN_OF_RANGE = 1e-6
 
 
 def term_count(argument: float, truncation: float) -> int:
-    """Return the number of terms of e^{ixg}, |g| <= 1, for arguments up to |x|, so that the rest is negligible.
+    """Return the number of terms of the series of e^{ixg} for |x| up to ``argument`` and |g| ≤ 1.
 
-    The terms are Chebyshev polynomials in g with Bessel functions as coefficients. Their sum beyond the returned number
-    is at most a small share of ``truncation``.
+    The terms are Chebyshev polynomials in g with Bessel functions as coefficients. The sum of all further terms is at
+    most a hundredth of ``truncation``, or a rounding error.
 
     Raises:
         ValueError: The height range is too large.
@@ -40,6 +52,14 @@ def term_count(argument: float, truncation: float) -> int:
     return max(int(np.argmax(is_enough)), 2) if is_enough.any() else count
 
 
-def kappa_range(low: float, high: float) -> tuple[float, float]:
-    """Return a range of |κ| [1/µm] that is slightly wider, so that it can be divided by its width."""
-    return (1.0 - _LEAST_RANGE) * low, (1.0 + _LEAST_RANGE) * high
+def kappa_range(low: float, high: float, scale_um: float) -> tuple[float, float]:
+    """Return a range of |κ| [1/µm] that contains the range ``low`` to ``high`` and is wide enough for derivatives by κ.
+
+    Args:
+        low: Smallest |κ| [1/µm], more than 0.
+        high: Largest |κ| [1/µm].
+        scale_um: Half of the height range [µm].
+    """
+    least = min(_LEAST_RANGE * high, _LEAST_PHASE / (2.0 * math.pi * scale_um))
+    middle, half = (low + high) / 2.0, (1.0 + _MARGIN_OF_RANGE) * max(high - low, least) / 2.0
+    return middle - half, middle + half

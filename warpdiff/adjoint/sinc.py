@@ -1,4 +1,4 @@
-"""Derivative of sin(y)/y, which integrals of linear phases and interference factors require."""
+"""Derivative of sin(y)/y, which the integrals over linear phases and the interference factors of periods require."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Argument below which a power series replaces the quotient, and its number of terms. Derived: the series has an error
-# of 1e-16 at this argument, and the quotient loses at most two digits above it.
+# Argument |y| below which a power series with `_TERMS` terms is used instead of the formula, which is a quotient. At
+# this argument, the series has an error of 1e-16. At larger arguments, the quotient loses at most two digits.
 _SMALL, _TERMS = 0.8, 8
 
 

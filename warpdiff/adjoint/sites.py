@@ -1,4 +1,8 @@
-"""Frequencies of Fourier coefficients, reduced to half of the plane, with transforms and their transposes."""
+"""Frequencies of Fourier coefficients, reduced to half of the frequency plane, and their Fourier transforms.
+
+An order (s, r) is a frequency of s cycles along y and r cycles along x over the array. Its opposite is (−s, −r). A site
+is an order in half of the frequency plane, together with all orders that have the same Fourier coefficient.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Block:
-    """Rectangle of orders (s, r).
+    """Rectangular block of orders (s, r).
 
     Attributes:
         first: Lowest order along (y, x).
@@ -25,8 +29,14 @@ class Block:
 
     @property
     def size(self) -> int:
-        """Number of orders of the block."""
+        """Number of orders in the block."""
         return self.shape[0] * self.shape[1]
+
+    def joined(self, other: Block) -> Block:
+        """Return the smallest block that contains both."""
+        first = np.minimum(self.first, other.first)
+        beyond = np.maximum(np.add(self.first, self.shape), np.add(other.first, other.shape))
+        return Block((int(first[0]), int(first[1])), (int(beyond[0] - first[0]), int(beyond[1] - first[1])))
 
     def orders(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return s and r of all orders of the block, row by row, both of shape (size,)."""
@@ -35,19 +45,20 @@ class Block:
 
 
 class Sites:
-    """Distinct coefficients of real arrays in half of the frequency plane.
+    """Different Fourier coefficients of real arrays, which lie in half of the frequency plane.
 
-    A coefficient of a real array at (−s, −r) is the complex conjugate of that at (s, r), and coefficients are periodic
-    in s and r. A coefficient of any order is therefore one of the sites, or the conjugate of one.
+    The coefficient of a real array at (−s, −r) is the complex conjugate of the coefficient at (s, r), and coefficients
+    are periodic in s and r. The coefficient of any order is therefore that of a site, or the complex conjugate of it.
 
     Attributes:
         count: Number of sites p.
-        places: For each order, the number of its site, plus p if it is the opposite of the site, shape (n,).
-        are_distinct: Whether no two orders have the same place.
+        places: For each of n orders, the number of its site, or this number plus p if the order is the opposite of the
+            site, shape (n,).
+        are_distinct: Whether all elements of ``places`` are different.
     """
 
     def __init__(self, shape: tuple[int, int], s: NDArray[np.int64], r: NDArray[np.int64]) -> None:
-        """Find the sites of orders (s, r), shape (n,) both, for arrays of ``shape``, (ny, nx)."""
+        """Find the sites of n orders (s, r) for arrays of the given shape (ny, nx)."""
         self._shape = ny, nx = shape
         column = r % nx
         is_opposite = column > nx // 2
@@ -57,30 +68,30 @@ class Sites:
         self.count = len(flat)
         self.places = (index + self.count * is_opposite).astype(np.int32)
         self.are_distinct = bool(np.bincount(self.places, minlength=1).max() <= 1)
-        # All columns up to the largest one are transformed along y.
+        # Only the columns from 0 to the largest column of a site are transformed along y.
         self._columns = int(column.max()) + 1
         self._flat = flat
 
     @property
     def columns(self) -> NDArray[np.int64]:
-        """Orders r of the sites, at least 0, shape (p,)."""
+        """Orders r along x of the sites, at least 0, shape (p,)."""
         return np.asarray(self._flat // self._shape[0])
 
     def transform(self, values: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """Return ifft2 of a real array, shape (ny, nx), at the sites, shape (p,)."""
+        """Return the inverse Fourier transform (ifft2) of a real array (ny, nx) at the p sites, shape (p,)."""
         half = np.ascontiguousarray(np.fft.rfft(values, axis=1)[:, : self._columns].T)
         return np.asarray(np.conj(np.fft.fft(half, axis=1).ravel()[self._flat]) / values.size)
 
     def transposed(self, values: NDArray[np.complex128]) -> NDArray[np.float64]:
-        """Return the transpose of ``transform``: the array a with Re Σ conj(v) transform(b) = Σ a b for any b.
+        """Return the transpose of ``transform``: the real array a with Re Σ conj(v) transform(b) = Σ a b for every b.
 
         Args:
-            values: v, shape (p,).
+            values: Complex numbers v at the sites, shape (p,).
         """
         ny, nx = self._shape
         half = np.zeros(self._columns * ny, dtype=np.complex128)
         half[self._flat] = values
         half = np.conj(np.fft.fft(half.reshape(self._columns, ny), axis=1).T)
-        # irfft counts the columns 0 and nx/2 once, and all others twice.
+        # NumPy's irfft counts the columns 0 and nx/2 once and all other columns twice. The factor 0.5 cancels the 2.
         half[:, 1 : (nx + 1) // 2] *= 0.5
         return np.asarray(np.fft.irfft(half, n=nx, axis=1) / ny)

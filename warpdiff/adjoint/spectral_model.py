@@ -1,8 +1,13 @@
-"""Relative reflectance ρ = g R ⟨|P|²⟩ of pairs of directions at wavelengths, with derivatives by every variable.
+"""Relative reflectance ρ = g R ⟨|P|²⟩ for pairs of directions at wavelengths, with its derivatives.
 
-g is the geometry factor C·M, R the reflectance, and ⟨|P|²⟩ the sum over coefficients near q = (u, v)/λ at κ = w/λ.
-Derivatives by numbers and directions are computed for each pair, so that adjoint and tangent contract the same array.
-Only the derivative by the surface, which has a million variables, has a separate adjoint and tangent.
+g is the geometry factor C·M, R the reflectance, and ⟨|P|²⟩ the sum over Fourier coefficients near q = (u, v)/λ at
+κ = w/λ, for the scattering vector (u, v, w) and the wavelength λ. θd is half of the angle between the directions to
+light and viewer. The sum has the weights exp(−a dᵀQd) for the distance d of a coefficient's frequency from q.
+
+The tangent is the change of ρ to first order. The adjoint of a quantity is the derivative of a scalar loss with respect
+to this quantity. Derivatives with respect to numbers and directions are computed for each pair, and adjoint and tangent
+use the same array. The derivative with respect to the surface would be too large an array, because a surface has a
+million variables. The surface therefore has separate functions for adjoint and tangent.
 """
 
 from __future__ import annotations
@@ -27,25 +32,27 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.materials import Material
 
-# Number of pairs of a direction and a wavelength that are computed together. Limit: memory, about 700 bytes per pair.
+# Number of pairs of a direction and a wavelength that are computed at once. The value is limited by memory: a pair
+# requires about 700 bytes.
 PAIRS_TOGETHER = 1 << 18
-# Number of pairs whose derivatives remain in memory after the value has been computed. Limit: memory, 72 bytes each.
+# Largest number of pairs whose derivatives are stored after the value has been computed. The value is limited by
+# memory: a pair requires 72 bytes.
 MOST_KEPT = 1 << 23
-# Variables of the surface itself, by which adjoint and tangent are computed in one step for all pairs.
+# Names of the variables that are the surface itself. Their adjoint and tangent are computed for all pairs in one step.
 SURFACE = ("heights_um", "vertices")
 
 
 @dataclass(frozen=True)
 class Illumination:
-    """Pairs of directions above the horizon, wavelengths, and optics of a call.
+    """Pairs of directions above the horizon, wavelengths, and optical settings of a call.
 
     Attributes:
         lights: Unit vectors to the light, shape (n, 3).
         views: Unit vectors to the viewer, shape (n, 3).
         wavelengths_nm: Wavelengths [nm], shape (m,).
-        coherence: Coherence.
-        ior: Index of refraction, if there is no material.
-        material: Material, or None.
+        coherence: Coherence of the light.
+        ior: Index of refraction, which is used if there is no material.
+        material: Material of the surface, or None.
         masking: Whether V-cavity masking is included.
     """
 
@@ -59,46 +66,49 @@ class Illumination:
 
     @property
     def wavenumbers(self) -> NDArray[np.float64]:
-        """1/λ [1/µm], shape (m,)."""
+        """Wavenumbers 1/λ [1/µm], shape (m,)."""
         return np.asarray(1e3 / self.wavelengths_nm)
 
     @property
     def falloffs(self) -> NDArray[np.float64]:
-        """Factor a [µm²] of the weights exp(−a dᵀQd) at each wavelength, shape (m,)."""
+        """Factor a [µm²] of the weights exp(−a dᵀQd) at each of the m wavelengths, shape (m,)."""
         if self.coherence.kind == "source":
             return np.asarray((1e-3 * self.wavelengths_nm / self.coherence.spread) ** 2 / 2.0)
         factor = 4.0 if self.coherence.kind == "averaged" else 2.0
         return np.full(len(self.wavelengths_nm), factor * (math.pi * (self.coherence.sigma_um or 1.0)) ** 2)
 
     def shapes(self, part: slice) -> NDArray[np.float64]:
-        """Return Q_xx, Q_xy and Q_yy of the weights, which a source's foreshortening determines, shape (n, 3)."""
+        """Return the elements Q_xx, Q_xy and Q_yy of the matrix Q of the weights for each direction, shape (n, 3).
+
+        For a source, the foreshortening of the source determines Q.
+        """
         if self.coherence.kind != "source":
             return np.tile([1.0, 0.0, 1.0], (len(self.lights[part]), 1))
         x, y = (self.lights[part, :2] / self.lights[part, 2:]).T
         return np.stack([1.0 + x * x, x * y, 1.0 + y * y], axis=1)
 
     def parts(self) -> Iterator[slice]:
-        """Yield slices of the directions with at most ``PAIRS_TOGETHER`` pairs each, or one direction."""
+        """Yield slices of the directions, which have at most ``PAIRS_TOGETHER`` pairs each, or a single direction."""
         size = max(PAIRS_TOGETHER // len(self.wavelengths_nm), 1)
         for first in range(0, len(self.lights), size):
             yield slice(first, min(first + size, len(self.lights)))
 
     def pairs(self, part: slice) -> Pairs:
-        """Return the pairs of some directions with all wavelengths, direction by direction."""
+        """Return the pairs of the directions ``part`` with all wavelengths, sorted by direction."""
         half, per_um = self.lights[part] + self.views[part], self.wavenumbers
         centres = -half[:, None, :2] * per_um[:, None]
         forms = self.shapes(part)[:, None] * self.falloffs[:, None]
         return Pairs(centres.reshape(-1, 2), forms.reshape(-1, 3), np.outer(half[:, 2], per_um).ravel())
 
     def gains(self, part: slice) -> tuple[Jet, Jet]:
-        """Return the geometry factors g and cos θd of some directions, with derivatives by both directions."""
+        """Return g and cos θd of the directions ``part``, as jets of the components of both directions."""
         return reflection.geometry(
             self.lights[part], self.views[part], masking=self.masking,
             per_light_cosine=self.coherence.kind == "source",
         )  # fmt: skip
 
     def reflectances(self, cosines: NDArray[np.float64]) -> Jet:
-        """Return R of cosines (n,) by the variables of ``reflection``, shape (n, m), or (n, 1) without a material."""
+        """Return R at n values of cos θd as a jet, shape (n, m) for m wavelengths, or (n, 1) without a material."""
         if self.material is None:
             return reflection.schlick(cosines[:, None], self.ior, relative=True)
         grid = np.repeat(cosines[:, None], len(self.wavelengths_nm), axis=1)
@@ -106,25 +116,25 @@ class Illumination:
 
 
 class SpectralModel:
-    """ρ of pairs of directions at wavelengths, with adjoint and tangent."""
+    """Relative reflectance ρ of n pairs of directions at m wavelengths, with adjoint and tangent."""
 
     def __init__(self, illumination: Illumination, sums: power_sums.PowerSums, samples: tuple[int, int]) -> None:
-        """Describe the model.
+        """Set the pairs and the surface.
 
         Args:
             illumination: Directions, wavelengths and optics.
-            sums: ⟨|P|²⟩ of the surface.
-            samples: Factors (y, x) by which a pitch is multiplied to the size of the surface.
+            sums: Function object that computes ⟨|P|²⟩ of the surface.
+            samples: Numbers of samples (y, x). The size of the surface is the pitch times these numbers.
         """
         self._illumination, self._sums, self._samples = illumination, sums, samples
-        # Sums and their derivatives by the first direction of a part; see `value`.
+        # Stored sums and derivatives of the pairs, by the first direction of a part of the directions; see `value`.
         self._columns: dict[int, NDArray[np.float64]] = {}
 
     def value(self, *, with_slopes: bool) -> NDArray[np.float64]:
-        """Return ρ, shape (n, m).
+        """Return ρ of the n pairs of directions at the m wavelengths, shape (n, m).
 
-        ``with_slopes`` states whether derivatives by numbers or directions will follow. The sums and their derivatives
-        are then computed together, and those of the first ``MOST_KEPT`` pairs remain in memory.
+        ``with_slopes`` states whether derivatives with respect to numbers or directions will be requested later. The
+        sums and their derivatives are then computed together, and are stored for the first ``MOST_KEPT`` pairs.
         """
         illumination = self._illumination
         result = np.empty((len(illumination.lights), len(illumination.wavelengths_nm)))
@@ -140,7 +150,10 @@ class SpectralModel:
         return result
 
     def adjoint(self, adjoints: NDArray[np.float64], names: tuple[str, ...]) -> Derivatives:
-        """Return the adjoints of variables from those of ρ, shape (n, m). Those of directions have the shape (n, 3)."""
+        """Return the adjoints of the variables ``names`` from the adjoints of ρ, shape (n, m).
+
+        The adjoint of a direction to the light or viewer has the shape (n, 3).
+        """
         result: Derivatives = {}
         others = tuple(name for name in names if name not in SURFACE)
         for name in names:
@@ -160,7 +173,7 @@ class SpectralModel:
         return result
 
     def tangent(self, changes: Derivatives) -> NDArray[np.float64]:
-        """Return the change of ρ, shape (n, m), for changes of variables. Those of directions have the shape (n, 3)."""
+        """Return the change of ρ, shape (n, m), for changes of variables; those of directions have the shape (n, 3)."""
         illumination = self._illumination
         result = np.zeros((len(illumination.lights), len(illumination.wavelengths_nm)))
         others = tuple(name for name in changes if name not in SURFACE)
@@ -179,12 +192,15 @@ class SpectralModel:
         return result
 
     def _factors(self, part: slice) -> NDArray[np.float64]:
-        """Return g R of some directions, shape (n, m), or (n, 1) without a material."""
+        """Return the products g R for the directions ``part``, shape (n, m), or (n, 1) without a material."""
         gain, cosine = self._illumination.gains(part)
         return np.asarray(gain.value[:, None] * self._illumination.reflectances(cosine.value).value)
 
     def _slopes(self, part: slice, names: tuple[str, ...]) -> Derivatives:
-        """Return the derivatives of ρ of some directions by variables, each of shape (p, n, m)."""
+        """Return the derivatives of ρ for the directions ``part`` with respect to each variable, shape (p, n, m).
+
+        p is the number of elements of the variable.
+        """
         illumination, pairs = self._illumination, self._illumination.pairs(part)
         gain, cosine = illumination.gains(part)
         reflected = illumination.reflectances(cosine.value)
@@ -228,12 +244,12 @@ class SpectralModel:
         return reflection.IOR_VARIABLES if material is None else reflection.MATERIAL_VARIABLES
 
     def _along(self, slopes: NDArray[np.float64], shapes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the derivative for a change of Q, shape (n, 3), at all wavelengths, shape (n, m)."""
+        """Return the change of ρ, shape (n, m), for a change ``shapes`` of the elements of Q, shape (n, 3)."""
         by_form = slopes[[M_XX, M_XY, M_YY]]
         return np.asarray(np.einsum("pnm,np->nm", by_form, shapes) * self._illumination.falloffs)
 
     def _through_source(self, part: slice, slopes: NDArray[np.float64]) -> NDArray[np.float64] | float:
-        """Return the derivatives by the direction to the light that its foreshortening of a source causes."""
+        """Return the derivatives of ρ by the direction to the light through the foreshortening of a source in Q."""
         if self._illumination.coherence.kind != "source":
             return 0.0
         light = self._illumination.lights[part]

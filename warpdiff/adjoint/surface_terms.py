@@ -1,4 +1,9 @@
-"""``SurfaceTerms``: protocol of a surface whose Fourier coefficients can be differentiated."""
+"""``SurfaceTerms``: protocol of a surface whose Fourier coefficients can be differentiated.
+
+H(κ) is a Fourier coefficient of exp(2πiκh), for heights h and κ = w/λ, where w is the normal component of the
+scattering vector and λ the wavelength. A site is a frequency in half of the frequency plane, and its opposite is the
+negative frequency.
+"""
 
 from __future__ import annotations
 
@@ -16,16 +21,19 @@ if TYPE_CHECKING:
 
 
 class SurfaceTerms(Protocol):
-    """Coefficients of a surface at sites and at nodes of |κ|, with adjoint and tangent."""
+    """Fourier coefficients of a surface at p sites (frequencies) and k values of |κ|, with adjoint and tangent."""
 
     def at(self, part: slice) -> tuple[Complex, Complex]:
-        """Return H at some sites and the conjugates of H at their opposites, at all nodes, shapes (k, p) both."""
+        """Return H at the sites ``part``, and the complex conjugates of H at their opposites, shapes (k, p) each."""
         ...
 
     def tangent(self, change: NDArray[np.float64]) -> Amplitudes:
-        """Return the change of the coefficients for a change of the surface."""
+        """Return the change of the Fourier coefficients, to first order, for a change of the surface."""
         ...
 
     def adjoint(self, parts: Iterable[tuple[slice, Complex, Complex]]) -> NDArray[np.float64]:
-        """Return the adjoint of the surface from those of the two values that ``at`` returns, which come in parts."""
+        """Return the adjoint of the surface: the derivative of a scalar loss with respect to heights or vertices.
+
+        ``parts`` has slices of the sites, each with the adjoints of the two results of ``at`` for this slice.
+        """
         ...

@@ -1,4 +1,4 @@
-"""``Relief``: a height field or an outline as the functions with derivatives use it."""
+"""``Relief``: a height field or an outline, with the properties that the functions with derivatives require."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ if TYPE_CHECKING:
     from warpdiff.adjoint.surface_terms import SurfaceTerms
     from warpdiff.evaluate.orders import Periodic
 
-# Number of samples that an outline counts as having along x. Limit: its coefficients of all orders are distinct, and
-# orders are at most some thousands.
+# Number of samples along x that an outline counts as having. The number is larger than any order. Different orders of
+# an outline therefore have different Fourier coefficients, without aliasing.
 _OUTLINE_SAMPLES = 2**40
-# Number of coefficients that are computed together, of a height field or of one vertex of an outline. Limit: memory.
+# Number of Fourier coefficients that are computed at once, divided by the number of vertices for an outline. The value
+# is limited by memory: if doubled, the computation requires twice the memory.
 _SITES_TOGETHER = 8192
 
 
 @dataclass(frozen=True)
 class _Lattice:
-    """Size of one period of an outline; see ``Periodic``."""
+    """Shape and size of one period of an outline, as the protocol ``Periodic`` requires them."""
 
     shape: tuple[int, int]
     size_um: tuple[float, float]
@@ -37,11 +38,11 @@ class _Lattice:
 
 @dataclass(frozen=True)
 class Relief:
-    """One period of a surface.
+    """One period of a surface: a height field or an outline.
 
     Attributes:
         surface: Height field or outline.
-        shape: Numbers of samples (y, x); one sample is a constant axis.
+        shape: Numbers of samples (y, x); a surface with one sample along an axis is constant along this axis.
         size_um: Size (y, x) [µm].
         scale_um: Half of the height range [µm].
     """
@@ -53,7 +54,7 @@ class Relief:
 
     @classmethod
     def of(cls, surface: HeightField | Outline) -> Relief:
-        """Check a height field or an outline."""
+        """Check that the argument is a height field without missing samples, or an outline, and return its relief."""
         scale = offset_and_scale(surface.heights_um)[1] if isinstance(surface, (HeightField, Outline)) else 0.0
         if isinstance(surface, Outline):
             return cls(surface, (1, _OUTLINE_SAMPLES), (surface.period_um, surface.period_um), scale)
@@ -72,33 +73,36 @@ class Relief:
 
     @property
     def variable(self) -> str:
-        """Name of the variable of the surface itself."""
+        """Name of the variable that is the surface itself: ``"heights_um"`` or ``"vertices"``."""
         return "vertices" if self.is_outline else "heights_um"
 
     @property
     def variable_shape(self) -> tuple[int, ...]:
-        """Shape of the variable of the surface itself."""
+        """Shape of the variable that is the surface itself."""
         return (len(self.surface.heights_um), 2) if self.is_outline else self.shape
 
     @property
     def lattice(self) -> Periodic:
-        """Size and constant axes, on which the directions of orders depend."""
+        """Size of the period and its constant axes, which determine the directions of orders."""
         if isinstance(self.surface, HeightField):
             return self.surface
         return _Lattice((1, 2), self.size_um, self.surface.height_range_um)
 
     @property
     def sites_together(self) -> int:
-        """Number of coefficients that are computed together."""
+        """Number of Fourier coefficients that are computed at once."""
         return max(_SITES_TOGETHER // len(self.surface.heights_um), 16) if self.is_outline else _SITES_TOGETHER
 
     @property
     def samples(self) -> int:
-        """Number of heights that are stored."""
+        """Number of heights that are stored: samples of a height field, or vertices of an outline."""
         return int(self.surface.heights_um.size)
 
     def terms(self, sites: Sites, kappas: NDArray[np.float64], count: int) -> SurfaceTerms:
-        """Return the coefficients at sites and nodes of |κ| [1/µm]; ``count`` terms expand those of a height field."""
+        """Return the Fourier coefficients at the sites, for the values ``kappas`` of |κ| [1/µm].
+
+        For a height field, the coefficients are series of ``count`` terms. For an outline, they are exact.
+        """
         if isinstance(self.surface, Outline):
             return OutlineTerms(self.surface, sites, kappas)
         return HeightTerms(self.surface.heights_um, sites, kappas, count)

@@ -1,4 +1,4 @@
-"""Variables of derivatives: which function has which, and errors for those that have none."""
+"""Variables of derivatives: the functions that have derivatives with respect to each variable, and error messages."""
 
 from __future__ import annotations
 
@@ -17,27 +17,29 @@ if TYPE_CHECKING:
 
 Function = TypeVar("Function", bound="Callable[..., object]")
 
-_ALL = ("order_efficiencies", "spectral_reflectance", "reflectance")
+_ALL = ("order_efficiencies", "spectral_reflectance", "reflectance", "pixels")
+_PLAIN = ("order_efficiencies", "spectral_reflectance", "reflectance")
 _LOBES = ("spectral_reflectance", "reflectance")
 _SPECTRA = ("order_efficiencies", "spectral_reflectance")
-# Variables with the functions that have a derivative by them, the shape of the derivative, and a condition.
+# Variables of derivatives: for each variable, the functions that have a derivative with respect to it, the shape of the
+# derivative, and a condition on the arguments of the call.
 VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "heights_um": (_ALL, "(ny, nx)", "height field"),
     "vertices": (_ALL, "(k, 2): position in periods, height [µm]", "outline"),
     "height_scale": (_ALL, "()", ""),
-    "pitch_um": (_ALL, "(2,), in the order (y, x)", "height field"),
-    "period_um": (_ALL, "()", "outline"),
+    "pitch_um": (_PLAIN, "(2,), in the order (y, x)", "height field"),
+    "period_um": (_PLAIN, "()", "outline"),
     "sigma_um": (_LOBES, "()", 'coherence "averaged" or "centred"'),
     "angular_diameter_deg": (_LOBES, "()", 'coherence "source"'),
-    "to_light": (_ALL, "as the argument", ""),
+    "to_light": (_PLAIN, "as the argument", ""),
     "to_view": (_LOBES, "as the argument", ""),
-    "ior": (_ALL, "()", "finite index, no material"),
+    "ior": (_ALL, "()", "finite index, no material; pixels: no base colour"),
     "n": (_SPECTRA, "(m,), one per wavelength", "material"),
     "k": (_SPECTRA, "(m,), one per wavelength", "material"),
-    "film_nm": (_ALL, "()", "material with a film"),
+    "film_nm": (_PLAIN, "()", "material with a film"),
     "wavelengths_nm": (("order_efficiencies",), "(m,)", ""),
 }
-# Names that look like variables and have no derivative, with the reason.
+# Names that users may take for variables, but that have no derivative, with the reason for the error message.
 _WITHOUT = {
     "duty": "duty cycles of wd.gratings.lamellar move samples in steps; use wd.profiles.Trapezoid, whose duty is exact",
     "duty_cycle": "duty cycles of wd.gratings.lamellar move samples in steps; use wd.profiles.Trapezoid",
@@ -50,18 +52,18 @@ _WITHOUT = {
     "missing": "missing samples have no height",
     "masking": "masking is on or off",
 }
-# Arguments of the plain functions that have no derivative, with the reason.
+# Arguments of the functions without derivatives that the functions of this package refuse, with the reason.
 _ARGUMENTS = {
     "method": "adjoints have one method of their own; use truncation",
     "integration": "adjoints integrate over sampled wavelengths; use truncation",
     "plan": "plans describe tables, which have no derivative; use truncation",
-    "tolerance": "adjoints have no plan; use truncation",
+    "tolerance": "adjoints of single directions have no plan; use truncation",
     "energy": "factors of the normalised energy of colours are interpolated on a grid; use energy='stam'",
 }
 
 
 def differentiable(function: Function) -> Function:
-    """Return a function that refuses arguments without a derivative, and checks the others by their annotations."""
+    """Decorate a function: arguments without a derivative are refused, others are checked by annotations."""
     inner, name = checked(function), function.__name__
 
     @functools.wraps(function)
@@ -78,16 +80,20 @@ def differentiable(function: Function) -> Function:
 
 def available(
     function: str, *, coherence: Coherence | None = None, ior: float | None = None, material: Material | None = None,
-    is_outline: bool | None = None,
+    is_outline: bool | None = None, has_material: bool = False,
 ) -> tuple[str, ...]:  # fmt: skip
-    """Return the variables by which a function has derivatives, for the arguments of a call."""
+    """Return the names of the variables with respect to which a call of a function has derivatives.
+
+    ``has_material`` states whether the reflectance depends on more than ``ior``, also without a single ``material``.
+    """
     absent = set()
     if coherence is not None:
         absent |= {"sigma_um"} if coherence.sigma_um is None else {"angular_diameter_deg"}
         absent |= {"angular_diameter_deg"} if coherence.angular_diameter_deg is None else set()
     if is_outline is not None:
         absent |= {"heights_um", "pitch_um"} if is_outline else {"vertices", "period_um"}
-        absent |= {"ior"} if material is not None or ior == math.inf else set()
+        has_material = has_material or material is not None
+        absent |= {"ior"} if has_material or ior == math.inf else set()
         absent |= {"n", "k"} if material is None else set()
         absent |= {"film_nm"} if material is None or material.film is None else set()
     return tuple(name for name, (functions, _, _) in VARIABLES.items() if function in functions and name not in absent)
@@ -98,12 +104,12 @@ def check_variables(function: str, wrt: Sequence[str], names: tuple[str, ...]) -
 
     Args:
         function: Name of the function, for messages.
-        wrt: Names of variables.
+        wrt: Names of the variables that the caller requests.
         names: Names of the variables that have a derivative.
 
     Raises:
         TypeError: ``wrt`` is a string or not a sequence of strings.
-        ValueError: A name has no derivative.
+        ValueError: A name is not that of a variable with a derivative.
     """
     if not isinstance(wrt, (tuple, list)) or not all(isinstance(name, str) for name in wrt):
         raise ArgumentTypeError(f"{ref('wrt')} must be a tuple of names, such as ('heights_um',), got {wrt!r}")
@@ -125,7 +131,7 @@ def _sentence(function: str, names: tuple[str, ...]) -> str:
 
 
 def table() -> str:
-    """Return the table of variables and functions for the documentation, in Markdown."""
+    """Return the documentation's table of all variables and the functions with their derivatives, in Markdown."""
     lines = [
         f"| variable | {' | '.join(f'`{function}`' for function in _ALL)} | shape | condition |",
         f"| --- |{' --- |' * (len(_ALL) + 2)}",

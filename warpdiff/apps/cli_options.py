@@ -1,4 +1,7 @@
-"""Flags of the command line, generated from the descriptions of options. A flag is the Python name with dashes."""
+"""Flags of the command line, generated from the descriptions of options.
+
+The name of a flag is the option's Python name with dashes instead of underscores, for example ``--delta-e``.
+"""
 
 from __future__ import annotations
 
@@ -77,7 +80,7 @@ CLEANING = {
 
 
 class Flags:
-    """Flags of one command, with the names that its messages use for the arguments.
+    """Flags of one command, and the names by which its error messages refer to Python arguments.
 
     Attributes:
         parser: Parser of the command.
@@ -131,9 +134,9 @@ class Flags:
             group.add_argument(self.words[how["dest"]], **how)
 
     def finish(self, **words: str) -> None:
-        """Store the flag of each Python argument with the parsed arguments, so that error messages can name the flag.
+        """Store the name of the flag of each Python argument with the parsed arguments, for error messages.
 
-        ``words`` has the flags that are not generated from descriptions of options, by the arguments that they set.
+        ``words`` has the names of the flags that are not generated from descriptions of options, by Python argument.
         """
         self.parser.set_defaults(words=self.words | words, stored=frozenset(self._stored))
 
@@ -201,11 +204,11 @@ def given(options: argparse.Namespace, described: Mapping[str, Option], prefix: 
 
 
 def with_joined_tangents(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments with the words of ``--tangents`` joined to one after the command, as ``--tangents=1 0 0``.
+    """Join ``--tangents`` and its values to one argument, such as ``--tangents=1 0 0``, directly after the command.
 
-    The flag has one word for a rule, and all numbers that follow for a vector. Without this, argparse would use MESH
-    after the flag as one more of its words, and ``-1e-3`` as a flag. It would also not accept MESH after a flag if
-    MESH is optional.
+    The value of the flag is either a rule, which is one word, or a vector, which is several numbers. If the words were
+    separate, argparse would accept a mesh file after them as another value, and would mistake ``-1e-3`` for a flag. It
+    would also not accept a mesh file after a flag if the mesh file is optional.
     """
     others: list[str] = []
     joined: list[str] = []

@@ -16,16 +16,16 @@ if TYPE_CHECKING:
 # Before a command starts, Python imports modules for up to 1 s, so a user waits for at most 2 s until the first
 # display. If doubled, the user waits for up to 3 s.
 _FIRST_S = 1.0
-# Longest interval between two lines of text [s]. It was chosen so that a log of a day has 150 lines. Twice the value
-# halves the number of lines.
+# Longest interval between two lines of text [s]. It was chosen so that a log of a day has 150 lines. If doubled, such a
+# log has half as many lines.
 _MOST_BETWEEN_LINES_S = 600.0
 
 
 class CommandProgress:
-    """Display of a running command's progress on standard error. Calling it sets the finished share of the work.
+    """Display of a running command's progress on standard error. A call of the object sets the finished fraction.
 
-    A thread draws the display, because planning and compilation report no share for many seconds. Commands shorter
-    than a second display nothing.
+    A thread draws the display, because planning and compilation report no progress for many seconds. Commands that
+    take less than a second display nothing.
     """
 
     def __init__(self, command: str) -> None:
@@ -38,7 +38,7 @@ class CommandProgress:
         self._thread = threading.Thread(target=self._run, name="warpdiff-progress", daemon=True)
 
     def __call__(self, share: float) -> None:
-        """Set the finished share of the command's work, 0 to 1."""
+        """Set the finished fraction of the command's work, 0 to 1."""
         self._share = share
 
     def __enter__(self) -> Self:

@@ -88,8 +88,8 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[DemoPicture]:
     """Return the pictures of the demonstration.
 
     Args:
-        data: Folder with the real scan and mesh. Pictures that need a file which the folder lacks are omitted; None
-            omits all of these.
+        data: Folder with the real scan and mesh. Pictures whose files are absent from the folder are omitted. None
+            omits all pictures that need a file.
         scale: Factor on the width and height of each picture.
     """
 

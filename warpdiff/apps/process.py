@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 # Number of attempts to delete the temporary folders, and pause between two attempts. All attempts together take 0.1 s.
-# Several are necessary, because other threads may still write into the folders. If one of the values is doubled, an
-# interrupted process ends up to 0.1 s later.
+# Several attempts are necessary, because other threads may still write into the folders. If one of the values is
+# doubled, an interrupted process ends up to 0.1 s later.
 _SWEEPS, _BETWEEN_SWEEPS_S = 20, 0.005
 
 

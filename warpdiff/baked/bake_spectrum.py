@@ -1,4 +1,8 @@
-"""``bake_spectrum``: tabulates the power spectrum over q = (u, v)/λ, for renderers that sample wavelengths."""
+"""``bake_spectrum``: tabulates the power spectrum over q = (u, v)/λ, for renderers that sample wavelengths.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal.
+"""
 
 from __future__ import annotations
 

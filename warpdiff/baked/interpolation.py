@@ -4,6 +4,9 @@ The lobe of a diffraction order is a narrow peak whose distance |(u, v)| from th
 visible wavelengths spread the lobe along the radius over one octave, so that colours vary slowly along the radius, like
 the colour-matching functions. Colours vary fast with the azimuth, within the width of a lobe. A Cartesian grid that
 resolves a lobe requires ten times as many nodes.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ from warpdiff.tables.polar_grid import PolarGrid, azimuth_counts
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Largest |(u, v)| of a scattering vector, that of light and view in the same direction along the surface.
+# Largest |(u, v)| of a scattering vector. It occurs if light and view have the same direction along the surface.
 _LARGEST = 2.0
 # Radius |(u, v)| of the innermost ring, as a share of the standard deviation of a lobe (the peak of a diffraction
 # order). Within this radius, colours are constant.

@@ -1,4 +1,9 @@
-"""``BakedLobes``: table of a height field's colours in all directions, and its file; the height field is not needed."""
+"""``BakedLobes``: table of a height field's colours in all directions, and its file; the height field is not needed.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal, and κ is w/λ. K is the number of functions of w in a
+table.
+"""
 
 from __future__ import annotations
 
@@ -21,19 +26,20 @@ from warpdiff.tables.zeroth_order import ZerothOrder, between_entries
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-# Largest |w| of a scattering vector (u, v, w), which light and view along the normal have.
+# Largest |w| of a scattering vector (u, v, w). It occurs if light and view are both along the normal.
 LARGEST_W = 2.0
 # Largest |κ| at which the zeroth order is tabulated [1/µm]. It is derived from κ = w/λ: the largest |w|, divided by the
 # shortest visible wavelength.
 LARGEST_KAPPA = 1e3 * LARGEST_W / colorimetry.LAMBDA_MIN_NM
-# Largest number of functions of w in a table. The number is limited because a shader stores the values of all functions
-# in its registers.
+# Largest number of functions of w in a table. The number is limited because a shader of another renderer stores the
+# values of all functions in its registers.
 MOST_W_BASIS = 16
 # Number of wavelengths over which the colour of the zeroth diffraction order is summed.
 _ZEROTH_WAVELENGTHS = 40
 # Measured memory of a look-up [bytes per direction].
 _BYTES_PER_LOOK_UP = 400
-# Largest numbers that the grid of a loaded file may have: rings per octave, octaves, and azimuth samples per ring.
+# A file may have a grid with at most these numbers of rings per octave, of octaves, and of azimuth samples per ring. A
+# file with larger numbers counts as damaged.
 _MOST_RINGS, _MOST_OCTAVES, _MOST_AZIMUTHS = 512, 64, 2**20
 # Largest values of arguments: cells per side of a Cartesian grid, and wavelength at which a lobe's variance is computed
 # [µm].

@@ -15,7 +15,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Scales of quantised numbers are powers of 2^(1/8): this is the number of scales per factor of 2.
+# Scales of quantised numbers are powers of 2^(1/8). This number is the number of scales per factor of 2.
 EIGHTHS = 8
 
 

@@ -1,4 +1,8 @@
-"""``BakedSpectrum``: table of a height field's power spectrum, and its file; the height field is not needed."""
+"""``BakedSpectrum``: table of a height field's power spectrum, and its file; the height field is not needed.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal, and κ is w/λ.
+"""
 
 from __future__ import annotations
 

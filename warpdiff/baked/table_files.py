@@ -67,7 +67,8 @@ class SavedTable:
         except (OSError, MemoryError):
             raise
         except Exception as error:
-            # Damaged archives make zipfile, zlib and NumPy raise errors of many types.
+            # A damaged archive can cause errors of many types in zipfile, zlib and NumPy. All of them are replaced by
+            # one error that names the file.
             raise ArgumentValueError(
                 f"{ref('path')} must be a file that {cls.__name__}.save wrote, got {str(path)!r}: "
                 f"{type(error).__name__}: {error}"

@@ -12,8 +12,8 @@ from warpdiff.core.wording import ArgumentValueError, ref
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-# A direction counts as the normal, which has the azimuth 0, if the sine of its angle from the normal is smaller than
-# this number. The number is far above the rounding errors of unit vectors.
+# The azimuth of the normal is not defined, and counts as 0. A direction counts as the normal if the sine of its angle
+# from the normal is smaller than this number. The number is far above the rounding errors of unit vectors.
 _LEAST_SINE = 1e-12
 # Decimal places of angles [degrees]. The rounding error of unit vectors changes angles by about 1e-14°, so that ten
 # decimal places are reliable.

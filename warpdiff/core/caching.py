@@ -1,4 +1,7 @@
-"""Cache that removes its least recently used values first. Renderers keep meshes and tables in such caches."""
+"""Cache of values by keys, which removes the least recently used values first.
+
+Renderers store meshes and tables in such caches.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
 _T = TypeVar("_T")
-# All caches share one lock, because it is held only briefly. A fork of the process waits until no thread holds it.
+# All caches share one lock, because every thread releases the lock after a short time. A fork of the process waits
+# until no thread holds the lock.
 _lock = forks.lock()
 
 
@@ -43,8 +47,8 @@ class LruCache(Generic[_T]):
         with _lock:
             value = self._values.get(key)
             if value is not None:
-                # Only the position of the stored key in the order of use changes. The caller's key, which is equal to
-                # the stored one, does not replace the stored key, because the caller may modify its own key later.
+                # The key in the cache becomes the most recently used one. It is not replaced by the caller's key,
+                # although both are equal: the caller may modify its own key later.
                 self._values.move_to_end(key)
             return value
 

@@ -1,6 +1,6 @@
 """Disk cache of arrays that are slow to compute. Several processes share the cache.
 
-The files that were not used for the longest time are deleted if the cache is too large.
+If the cache is too large, the files that were not used for the longest time are deleted.
 
 The environment variable ``WARPDIFF_CACHE_DIR`` names the folder of the cache; an empty value disables the cache.
 Without the variable, the folder is ``warpdiff`` in the user's cache folder.
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 # Maximum total size of all files of the cache [bytes]. A larger maximum only uses more disk space.
 MOST_BYTES = 2**30
-# Arrays are stored in a file if their computation took at least this long [s]. Faster computations are repeated in each
-# process.
+# Least computing time of arrays that are stored in a file [s]. Arrays that are computed faster are computed again in
+# each process.
 _LEAST_SECONDS = 0.25
 # Size of a SHA-256 checksum [bytes].
 _CHECKSUM_BYTES = 32
@@ -80,7 +80,8 @@ def cached_on_disk(key: object, heights: NDArray[np.float64], make: Callable[[],
     begin = time.perf_counter()
     made = make()
     if time.perf_counter() - begin >= _LEAST_SECONDS:
-        # On a full disk, or in a folder that is not writable, the result is used without being stored.
+        # If the disk is full or the folder is not writable, the arrays are returned to the caller, but not stored in
+        # the cache.
         with contextlib.suppress(OSError):
             _write(path, digest.digest(), made)
             trim(folder, MOST_BYTES)
@@ -111,7 +112,7 @@ def cache_folder() -> Path | None:
     try:
         return _user_folder()
     except RuntimeError:
-        # pathlib raises RuntimeError if the user has no home folder.
+        # If the user has no home folder, pathlib raises a RuntimeError. The cache is then disabled.
         return None
 
 
@@ -129,7 +130,8 @@ def _read(path: Path, key: bytes) -> dict[str, Any] | None:
     A file for which the result is None is deleted.
     """
     arrays = None
-    # NumPy and zipfile raise errors of many types for a damaged archive.
+    # A damaged archive can cause errors of many types in NumPy and zipfile. All of them mean that the file cannot be
+    # used.
     with contextlib.suppress(Exception), path.open("rb") as file:
         if file.read(_CHECKSUM_BYTES) == _checksum(file, key):
             file.seek(_CHECKSUM_BYTES)
@@ -139,8 +141,8 @@ def _read(path: Path, key: bytes) -> dict[str, Any] | None:
         if arrays is None:
             path.unlink()
         else:
-            # The modification time of a file is set to the time of its last use. In a read-only folder this fails and
-            # is ignored.
+            # Each use sets the modification time of a file to the present time, which marks it as recently used. In a
+            # read-only folder this fails, which has no consequence.
             os.utime(path)
     return arrays
 

@@ -32,13 +32,14 @@ def atomic_write(target: Path, *, suffix: str = "", durable: bool = True) -> Ite
     temporary = target.with_name(f".warpdiff-{os.urandom(8).hex()}{suffix}")
     _unfinished.add(temporary)
     try:
-        # `os.open` applies the umask of the process to the permissions of the new file. `os.umask` could only read the
-        # umask by changing it for a moment, which would affect files of other threads.
+        # `os.open` applies the umask of the process to the permissions of the new file. The alternative would be to
+        # read the umask by `os.umask`. This function can only change the umask, which would for a moment affect files
+        # that other threads create.
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield temporary
         if durable:
-            # Some file systems allocate disk space only after a write. On a full disk, only `fsync` then raises an
-            # error.
+            # Some file systems allocate disk space only some time after a write. If the disk is full, only `fsync` then
+            # raises an error.
             with temporary.open("rb+") as file:
                 os.fsync(file.fileno())
         temporary.replace(target)

@@ -42,8 +42,8 @@ def lock() -> threading.RLock:
 class cached_property(functools.cached_property[_T]):  # noqa: N801 (named after the standard library's)
     """Cached property without a lock. Two threads may compute the value at the same time.
 
-    In Python 3.11, ``functools.cached_property`` has one lock for all objects of a class, so that threads would wait
-    for each other.
+    In Python 3.11, ``functools.cached_property`` has one lock for all objects of a class. Threads that compute the
+    properties of different objects would therefore wait for each other.
     """
 
     def __init__(self, compute: Callable[..., _T]) -> None:

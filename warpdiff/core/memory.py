@@ -23,8 +23,9 @@ _NO_LIMIT = 2**60
 # recognised.
 _REFUSED = re.compile(r"[Aa]llocate (?P<size>[\d.]+) (?P<unit>bytes|[KMGTPE]iB)(?:.* on device '(?P<device>[^']+)')?")
 _UNITS = {"bytes": 1.0, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30, "TiB": 2.0**40, "PiB": 2.0**50, "EiB": 2.0**60}
-# Measured peaks of memory: while a synthetic height field is made [bytes per height sample], and while a mesh of
-# ``warpdiff.meshes`` is made [bytes per face]. If doubled, requests that would fit are refused.
+# Memory that is allocated at most while a synthetic height field is made [bytes per height sample], and while a mesh of
+# ``warpdiff.meshes`` is made [bytes per face]. Both values were measured. If they were doubled, requests that would fit
+# into memory would be refused.
 _BYTES_PER_SAMPLE, _BYTES_PER_FACE = 80.0, 160.0
 
 
@@ -80,8 +81,8 @@ def available() -> float:
     for limit, usage, statistics in _limits_of_groups():
         with contextlib.suppress(OSError, ValueError):
             numbers = dict(line.split() for line in statistics.read_text().splitlines())
-            # Memory for cached files that are not in use counts as free, because the operating system releases it on
-            # demand.
+            # Memory with cached files that are not in use counts as free. The operating system releases it if a process
+            # needs memory.
             cached_files = int(numbers.get("total_inactive_file", numbers.get("inactive_file", "0")))
             free = min(free, float(limit - int(usage.read_text()) + cached_files))
     return free
@@ -103,7 +104,7 @@ def _limits_of_groups() -> list[tuple[int, Path, Path]]:
             most, usage = ("limit_in_bytes", "usage_in_bytes") if controllers else ("max", "current")
             top = _GROUPS / controllers
             group = top / path.lstrip("/")
-            # Every parent of the control group may have a limit, too. In a container, only the top group is visible.
+            # The control group and each of its parents may have a limit. In a container, only the top group is visible.
             for folder in (group, *(parent for parent in group.parents if parent.is_relative_to(top))):
                 with contextlib.suppress(OSError, ValueError):
                     # If a control group has no limit, its file contains the text "max" (version 2), or a huge number

@@ -74,7 +74,8 @@ class _Library:
         self._forking = True
         self._changed.wait_for(lambda: not self._users, timeout=_MOST_WAIT_S)
         oiio: Any = sys.modules.get("OpenImageIO")
-        # Another thread may be importing OpenImageIO at this moment. The module then exists, but not yet its functions.
+        # Another thread may be importing OpenImageIO at this moment. The module then exists, but its functions may
+        # still be missing.
         self._threads = oiio.get_int_attribute("threads") if hasattr(oiio, "get_int_attribute") else 0
         self._set_threads(1)
 
@@ -99,7 +100,7 @@ class _Library:
 in_use = _Library().in_use
 
 
-def opened(oiio: ModuleType, file: Path, formats: Sequence[str], configuration: Any = None) -> Any | None:
+def opened(oiio: ModuleType, file: Path, formats: Sequence[str], configuration: object = None) -> Any | None:
     """Open an image file of one of the named formats; None if OpenImageIO cannot open it or it has another format.
 
     After None, the library may have an error message, which the caller reads.

@@ -50,7 +50,8 @@ class _Work(Generic[_T]):
     def finish(self, threads: int) -> None:
         """Run the loop on this thread and on at most ``threads`` − 1 other threads. The first error ends the loop."""
         others = min(threads, self._count) - 1
-        # If the loop uses more threads than the shared pool has, it makes a pool of its own, which ends with the loop.
+        # The pool that all loops share has one thread per core. A loop with more threads makes a separate pool, which
+        # ends with the loop.
         own = ThreadPoolExecutor(others) if others > cores() else None
         # If the system cannot start another thread, the loop continues on fewer threads.
         with contextlib.suppress(RuntimeError):
@@ -60,8 +61,8 @@ class _Work(Generic[_T]):
             self._run()
         finally:
             if not self._is_cut_off:
-                # Tasks that no thread has started yet are cancelled and not awaited. Waiting for them could deadlock,
-                # because all threads of the shared pool may be waiting for this thread.
+                # Tasks that no thread has started yet are cancelled. This thread does not wait for them, because this
+                # could deadlock: all threads of the shared pool may be waiting for this thread.
                 self._futures = [future for future in self._futures if not future.cancel()]
                 wait(self._futures)
                 if own is not None:

@@ -24,10 +24,10 @@ _Choice = TypeVar("_Choice", bound=str | int)
 MOST, LEAST = 1e15, 1e-15
 # Largest accepted integer, which is the largest number of the type int64; larger integers would overflow.
 MOST_COUNT = 2**63 - 1
-# A warning follows if vectors look like angles in degrees, which requires three conditions. Each component of all
-# vectors is ±1 or a multiple of `_ROUND_DEGREES`. The largest magnitude of all components is from `_LEAST_DEGREES` to
-# `_MOST_DEGREES`. At least one vector has two components that are not 0. The numbers were chosen because directions
-# that are not normalised rarely fulfil these conditions.
+# Vectors that look like angles in degrees cause a warning. They look so if three conditions are met. Each component of
+# all vectors is ±1 or a multiple of `_ROUND_DEGREES`. The largest magnitude of all components is from `_LEAST_DEGREES`
+# to `_MOST_DEGREES`. At least one vector has two components that are not 0. The numbers were chosen because vectors of
+# other lengths that are meant as directions rarely meet these conditions.
 _ROUND_DEGREES, _LEAST_DEGREES, _MOST_DEGREES = 5.0, 10.0, 360.0
 
 
@@ -161,8 +161,8 @@ def directions(value: object, name: str) -> tuple[NDArray[np.float64], bool]:
         raise ArgumentValueError(f"{ref(name)} must have shape (3,) or (n, 3), got {array.shape}")
     single = array.ndim == 1
     array = np.atleast_2d(array)
-    # Each vector is first divided by the magnitude of its largest component. The squares of its components, whose sum
-    # gives its length, then neither underflow nor overflow to infinity.
+    # Each vector is first divided by the magnitude of its largest component. The squares of its components are then
+    # neither too small nor too large for float64, and their sum gives the length.
     largest = np.max(np.abs(array), axis=1, keepdims=True, initial=0.0)
     if not np.all(largest > 0.0):
         raise ArgumentValueError(

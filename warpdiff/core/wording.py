@@ -57,11 +57,11 @@ class _MarkedError(Exception):
 
 
 class ArgumentValueError(_MarkedError, ValueError):
-    """Error that is raised if the value of an argument is not accepted."""
+    """Error for an argument whose value is not accepted."""
 
 
 class ArgumentTypeError(_MarkedError, TypeError):
-    """Error that is raised if the type of an argument is not accepted."""
+    """Error for an argument whose type is not accepted."""
 
 
 def marked(kind: type[_E], message: str) -> _E:

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 
-# Largest number of threads that compile or load kernels. It was chosen because each additional thread first reads
-# Warp's headers, which takes seconds.
+# Largest number of threads that compile or load kernels. The number was chosen because each compiling thread first
+# reads Warp's headers, which takes seconds.
 _LOADERS = 2
 _loading: dict[wp.Module, Future[None]] = {}
 # Longest time that ``os.fork`` waits for kernels that are being compiled or loaded [s]. It was chosen because a fork
@@ -34,7 +34,8 @@ _MOST_WAIT_S = 1.0
 def resolve_device(device: str | wp.Device | None) -> wp.Device:
     """Return the Warp device of a name such as ``"cpu"``, ``"cuda"`` or ``"cuda:1"``; None is the CPU."""
     _refuse_cut_off()
-    # By default, Warp prints a banner and a line for each module that it loads. At this log level it prints neither.
+    # By default, Warp prints a banner and a line for each module that it loads. With the log level of errors, Warp
+    # prints neither.
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_ERROR
     if wp.config.kernel_cache_dir is None and "WARP_CACHE_PATH" not in os.environ and not _has_cache_folder():
@@ -102,8 +103,8 @@ def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> list[Future[None]]:
     with _load_lock:
         for kernel in kernels:
             if kernel.module not in _loading:
-                # CPU kernels are compiled for blocks of one thread, because Warp launches CPU kernels in blocks of this
-                # size.
+                # CPU kernels are compiled for blocks of one thread, because Warp launches kernels on the CPU in such
+                # blocks.
                 _loading[kernel.module] = _loaders().submit(_load, kernel.module, device)
         return [_loading[kernel.module] for kernel in kernels]
 
@@ -152,7 +153,7 @@ _cut_off: list[str] = []
 def _refuse_cut_off() -> None:
     """Raise an error if this process was forked while another thread compiled kernels or imported a module.
 
-    Without the error, kernels of this process would wait for ever for the end of this compilation or import.
+    Without the error, kernels of this process would wait forever for the end of this compilation or import.
     """
     if _cut_off:
         raise RuntimeError(f"this process was forked while a thread {_cut_off[0]}: {forks.REMEDY}")
@@ -171,8 +172,8 @@ def codegen_lock() -> threading.Lock | None:
 # While this process forks, the list has one element: the lock that Warp holds while it parses kernels. Otherwise the
 # list is empty.
 _acquired: list[threading.Lock] = []
-# Futures for a forked child process, one for each of Warp's modules of kernels that was loaded before the fork. These
-# futures are new, because the original ones have locks, which another thread may hold during the fork.
+# Futures for a forked child process, one for each Warp module whose kernels were loaded before the fork. The original
+# futures cannot be used in the child process, because another thread may hold their locks during the fork.
 _loaded: dict[wp.Module, Future[None]] = {}
 
 
@@ -214,9 +215,9 @@ def _in_child() -> None:
         lock.release()
 
 
-# Python calls functions that are registered for a fork in reverse order. First, `finish_imports` waits for imports.
-# Second, the acquisition of `_load_lock` prevents that another thread loads kernels. Third, `_before_fork` waits for
-# kernels that are being loaded.
+# Python calls functions that are registered for a fork in reverse order. First, `finish_imports` waits until other
+# threads have finished their imports. Second, this process acquires `_load_lock`, so that no other thread can load
+# kernels. Third, `_before_fork` waits for kernels that are being loaded.
 forks.at_fork(before=_before_fork, after_in_parent=_release, after_in_child=_in_child)
 _load_lock = forks.lock()
 forks.at_fork(before=forks.finish_imports)

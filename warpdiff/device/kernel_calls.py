@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 
-# Default number of elements per slice on the CPU. It was chosen because with fewer elements, the overhead of launches
-# is larger.
+# Default number of elements per slice on the CPU. The number was chosen because launches of fewer elements have a
+# larger overhead per element.
 ELEMENTS_OF_SLICE = 512
 # On the CPU, a thread processes several slices in one turn. Between turns it checks for interrupts and reports
 # progress. `_MOST_AT_ONCE` is the largest number of elements per turn, and `_TURNS_PER_THREAD` is the least number of
@@ -153,10 +153,10 @@ def launch_pipeline(
         slices = -(-len(indices) // size)
         at_once = max(min(_MOST_AT_ONCE // size, slices // (_TURNS_PER_THREAD * threads)), 1)
         take = Pipeline(steps).slices(indices, size, at_once)
-        # Each call of ``take`` processes at most ``at_once`` slices, namely the next ones that no earlier call has
-        # taken. The operating system may pause a thread before its call of ``take``, and the slices of this call would
-        # have to wait. There is therefore one additional call for each other thread: if a thread is paused, an
-        # additional call processes the slices that the thread would have processed.
+        # Each call of ``take`` processes the next ``at_once`` slices, or fewer at the end. The operating system may
+        # pause a thread just before it calls ``take``. Its slices would then wait for it. There is therefore one
+        # additional call for each other thread. If a thread is paused, an additional call on another thread processes
+        # these slices.
         times = -(-slices // at_once) + (threads - 1 if at_once > 1 else 0)
         parallel_for(lambda _: take(), range(times), threads=threads, progress=progress)
         return

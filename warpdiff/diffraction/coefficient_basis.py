@@ -11,6 +11,9 @@ requires:
   powers add, and amplitudes otherwise. On an interval of length L, functions of bandwidth B have about B·L dimensions.
   Polynomials need π/2 times as many terms, and a series about κ = 0 several times as many. Coefficients of real
   surfaces span even fewer dimensions.
+
+H_rs is the Fourier coefficient of exp(2πiκh) at the frequency (r/Lx, s/Ly), where h are the heights and Lx and Ly the
+sides of the period.
 """
 
 from __future__ import annotations
@@ -36,12 +39,12 @@ METHODS = ("low-rank", "power", *EXPANSIONS)
 POWER_METHODS = ("power",)
 
 # Number n of entries in the table of a basis over κ = w/λ, per radian of the phase 2πκ · (height range). A power
-# oscillates at most as fast as this phase. The error of cubic interpolation between entries is then 3/(128 n⁴), which
-# is 4e-7. Amplitudes oscillate half as fast, if heights are measured from the middle of the height range. For them, the
-# error is 2e-8.
+# oscillates at most as fast as this phase. With n entries, the error of cubic interpolation is 3/(128 n⁴), which is
+# 4e-7. Amplitudes oscillate half as fast if heights are measured from the middle of the height range. For amplitudes,
+# the error is therefore 2e-8.
 _STEPS_PER_RADIAN = 16
-# Smallest number of steps in the table of a basis over κ = w/λ. It applies to shallow surfaces. The powers of their
-# coefficients do not oscillate over κ, but grow in proportion to κ², κ⁴ or a higher power of κ.
+# Smallest number of steps in the table of a basis over κ = w/λ. Only shallow surfaces would need fewer steps. Their
+# powers do not oscillate over κ, but grow in proportion to κ², κ⁴ or a higher power of κ.
 _FEWEST_STEPS = 64
 # Largest truncation error of the Jacobi-Anger series to which other bases are fitted. The value was chosen as about the
 # rounding error of float32.
@@ -49,8 +52,8 @@ _SERIES_TOLERANCE = 1e-7
 # Truncation error below which a fitted basis gets no further terms. The value was chosen as about the rounding error of
 # float32.
 _LEAST_TRUNCATION_ERROR = 1e-7
-# Number of the largest Fourier coefficients with a special weight in the fit of a basis: together they have the same
-# weight as all coefficients together. Without this weight, the specular reflection, which is only one of a million
+# In the fit of a basis, this number of the largest Fourier coefficients has a special weight: their total weight equals
+# that of all coefficients together. Without this weight, the specular reflection, which is only one of a million
 # coefficients, would hardly affect the fit.
 _STRONGEST_ROWS = 64
 # Number of Fourier coefficients of a height field on which the truncation error of a fitted basis is measured.
@@ -58,17 +61,17 @@ _SAMPLED_ROWS = 20_000
 # Percentile of the truncation errors of coefficients that is reported; 0.1 % of the coefficients may have larger
 # errors.
 _PERCENTILE = 99.9
-# Power of the rounding errors of the Fourier transforms, relative to the power of a mirror. A fit minimises the errors
-# of coefficients relative to the size of each coefficient. A coefficient that is smaller than this noise counts as if
-# it had the size of the noise.
+# A fit minimises the errors of coefficients relative to the size of each coefficient. This number is the power of the
+# rounding errors of the Fourier transforms, relative to the power of a mirror. A coefficient with a smaller power
+# counts as if it had this power.
 _NOISE_POWER = 1e-26
-# Errors in a fit are divided by |κ| = |w|/λ, because all coefficients except the specular one vanish at κ = 0. The
+# In a fit, errors are divided by |κ| = |w|/λ, because all coefficients except the specular one vanish at κ = 0. The
 # divisor is at least this share of the largest |κ|. With a smaller share, the specular coefficient would lose digits.
 _SMALL_KAPPA = 0.1
 # Number of coefficients that a fit processes at once. The value is limited by memory, which is proportional to it.
 _CHUNK = 65_536
-# Largest magnitude of the values of a Taylor basis, within the range of float32. Where |κ| = |w|/λ is too large for the
-# series to converge in float32, values would be larger than this, and are clipped.
+# Largest magnitude of the values of a Taylor basis, which is within the range of float32. If |κ| = |w|/λ is too large
+# for the series to converge in float32, larger values occur. They are clipped to this magnitude.
 _LARGEST = 1e30
 
 
@@ -157,8 +160,8 @@ def of_series(
     )
     rows = np.stack([series.real, series.imag], axis=2).astype(np.float32, copy=False)
     step, table_kappas = _table_kappas(heightfield, kappas)
-    # The argument of the basis functions is x = 2πκa, where a is the scale by which the expansion divides heights.
-    # κ = w/λ is negative. ``table_kappas`` contains |κ|, so that the sign of the argument is reversed here.
+    # The argument of the basis functions is x = 2πκa, where a is the scale by which the expansion divides heights. κ =
+    # w/λ is negative, but ``table_kappas`` contains |κ|. The sign of the argument is therefore reversed here.
     basis = expansion.basis(-2.0 * math.pi * expansion.offset_and_scale(heightfield)[1] * table_kappas, terms)
     bounded = np.clip(basis, -_LARGEST, _LARGEST).astype(np.float32)
     return Coefficients(rows, bounded, kappas[0], step, np.zeros(0))

@@ -4,6 +4,9 @@ The sum has no expansion in κ = w/λ, no FFT and no table. At every wavelength 
 samples h, and its Fourier coefficients are explicit sums over these samples. The result includes every coefficient
 whose frequency is within eight standard deviations of the direction's frequency (u, v)/λ. For a finite number of
 periods, there is no such neighbourhood: the spectrum is computed at the direction itself.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal.
 """
 
 from __future__ import annotations
@@ -87,9 +90,9 @@ def _coefficient_sum(
     if to_light is not None:
         tangential, cos_light = (float(to_light[0]), float(to_light[1])), float(to_light[2])
     falloff, cutoff = _falloff(coherence, wavelength), _cutoff(coherence, wavelength)
-    # Largest distances from q, along x and along y, of the coefficients that are summed. For a source, t is the
-    # component of the direction to the light along an axis. Along this axis, the Gaussian weight under the source is
-    # narrower by the factor √(1 − t²), and so is the largest distance.
+    # Largest distances from q, along x and along y, of the coefficients that are summed. Under a source, let t be the
+    # component of the direction to the light along an axis. The Gaussian weight is narrower along this axis by the
+    # factor √(1 − t²), and so is the largest distance.
     cutoff_x, cutoff_y = (cutoff * math.sqrt(1.0 - t**2) for t in tangential)
     ny, nx = heightfield.shape
     length_y, length_x = heightfield.size_um
@@ -120,14 +123,17 @@ def _coefficient_sum(
 
 
 def _falloff(coherence: Coherence, wavelength: float) -> float:
-    """Return the factor a [µm²] of the Gaussian weight exp(−a d²) of a Fourier coefficient at the distance d from q."""
+    """Return the factor a [µm²] of the Gaussian weight exp(−a d²) of a Fourier coefficient.
+
+    d is the distance of the coefficient from the frequency q of the direction [1/µm].
+    """
     if coherence.kind == "source":
         return wavelength**2 / (2.0 * coherence.spread**2)
     return (4.0 if coherence.kind == "averaged" else 2.0) * (math.pi * (coherence.sigma_um or 0.0)) ** 2
 
 
 def _cutoff(coherence: Coherence, wavelength: float) -> float:
-    """Return the distance in frequency [1/µm] from q up to which the sum includes Fourier coefficients."""
+    """Return up to which distance in frequency [1/µm] from q = (u, v)/λ the sum includes Fourier coefficients."""
     # The standard deviation of the weight exp(−a d²) is 1/√(2a).
     return _WIDTHS / math.sqrt(2.0 * _falloff(coherence, wavelength))
 
@@ -172,8 +178,8 @@ def _periods_power(
 
 def _interference(turns: float, periods: int) -> float:
     """Return the interference factor [sin(πNt)/(N sin(πt))]² of N periods, with a phase of t turns per period."""
-    # Whole turns are subtracted from the phase before it is multiplied by N: whole turns do not change the result, and
-    # float64 would lose digits of large phases.
+    # Whole turns are subtracted from the phase before it is multiplied by N. They do not change the result, but float64
+    # would lose digits of large phases.
     part = math.pi * (turns - round(turns))
     if part == 0.0:
         return 1.0

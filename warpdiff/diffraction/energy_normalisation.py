@@ -11,6 +11,9 @@ K grows without bound where an order leaves along the horizon. For directions ne
 therefore not 1. It is given by the function `rise`, which falls to 0 at the horizon, so that efficiencies are
 continuous where an order begins or ceases to propagate. The remaining power of such a direction goes to its mirror
 direction: at grazing incidence every surface becomes a mirror.
+
+ωi and ωr are the unit vectors to the light and along an order, with the angles θi and θr from the normal. (u, v, w) is
+−ωi − ωr, and κ is w/λ. H_q is the Fourier coefficient of exp(2πiκh) at the frequency q, where h are the heights.
 """
 
 from __future__ import annotations
@@ -36,50 +39,53 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
 
-# Largest number of orders for which ``order_efficiencies`` computes the energy factors exactly. For more orders, it
-# interpolates the factors on a grid of directions. The cost of exact factors is proportional to the square of this
-# number.
+# Largest number of orders for which ``order_efficiencies`` computes the energy factors exactly. For more orders, the
+# function interpolates the factors on a grid of directions. The computing time of exact factors is proportional to the
+# square of the number of orders.
 MOST_EXACT = 600
 # Number of elevations and of azimuths of the grid of directions, on which energy factors are computed and between which
 # they are interpolated. A finer grid has smaller errors and costs more.
 _ELEVATIONS, _AZIMUTHS = 16, 16
-# Width of the bins in which the powers of neighbouring orders are summed, to save time [units of (u, v)]. It is about
-# the distance of two nodes of the grid of directions.
+# Width of the bins in which the powers of neighbouring orders are summed, to save time [units of (u, v)]. The value is
+# about the distance between two nodes of the grid of directions.
 _BIN = 0.08
-# Number of sweeps of Sinkhorn's iteration before Newton's method takes over. Sweeps always approach the factors, and
-# Newton's method needs a start near them. Measured: after 20 sweeps it needs one to five steps, also for shallow
-# profiles, for which 200 sweeps leave an error of 3e-4 of a weak order. If doubled, only time is lost.
+# Number of sweeps of Sinkhorn's iteration before Newton's method starts. Sweeps always approach the factors. Newton's
+# method is faster, but needs a start near them. It was measured that after 20 sweeps Newton's method needs one to five
+# steps. This holds also for shallow profiles, for which even 200 sweeps leave an error of 3e-4 of a weak order. If the
+# number was doubled, only computing time would be lost.
 _SWEEPS = 20
-# Largest number of steps of Newton's method. Limit: an iteration that has not converged by then never does, because the
-# prescribed sums contradict the zeros of the matrix.
+# Largest number of steps of Newton's method. If the method has not converged after this number of steps, it never does,
+# because the prescribed sums contradict the zeros of the matrix.
 _MOST_STEPS = 60
-# Largest deviation of a sum over orders from its prescribed value, relative to it, at which the factors count as
-# converged: rounding errors of sums over `MOST_EXACT` orders.
+# The factors count as converged if no sum over orders deviates from its prescribed value by more than this number,
+# relative to the value. The number is about the rounding error of a sum over `MOST_EXACT` orders.
 _CONVERGED = 2e-13
-# Largest change of the logarithm of a factor in one step of Newton's method. Choice: the quadratic model of the step
-# is not valid for larger changes.
+# Largest change of the logarithm of a factor in one step of Newton's method. The value was chosen because the quadratic
+# model of a step is not valid for larger changes.
 _LONGEST_STEP = 1.0
-# Number that is added to the diagonal of Newton's equations, relative to its largest element. The equations determine
-# the factors only up to one number for each group of orders without exchange of power. Derived: rounding error.
+# Number that is added to the diagonal of Newton's equations, relative to the largest element of the diagonal. Without
+# it, the equations would have no unique solution: in each group of orders that exchange no power with other orders, all
+# factors may be multiplied by one number. The value was derived from the rounding error of float64.
 _RIDGE = 1e-15
-# Largest number of sweeps that balance the grid of directions, and the relative change of a factor that ends them.
-# Newton's method then takes over if the factors have not converged.
+# The factors on the grid of directions are balanced by sweeps. `_MOST_GRID_SWEEPS` is the largest number of sweeps.
+# Sweeps end earlier if no factor changes by more than `_GRID_CONVERGED`, relative to the factor. If the factors have
+# not converged, Newton's method continues.
 _MOST_GRID_SWEEPS, _GRID_CONVERGED = 200, 1e-10
-# Number of entries in the table of a bin's power over |κ|, per radian of π|κ| · (height range). The phase of the
-# fastest oscillation of a power is twice that. Parabolas interpolate between entries.
+# The power of a bin of orders is tabulated over |κ|. This number is the number of entries per radian of π|κ| · (height
+# range). The fastest oscillation of a power has twice this phase. Parabolas interpolate between entries.
 _PER_RADIAN = 6.0
 # Largest number of entries of each cache of energy factors; an entry belongs to one height field.
 _CACHED = 8
 # Number of random light directions, each with a wavelength, over which the energy factors for colours are balanced.
-# Time is proportional to it.
+# Computing time is proportional to this number.
 _LIGHTS = 4096
 # Range of the wavelengths of the random lights [nm]; it contains nearly all visible power.
 _VISIBLE_RANGE_NM = (400.0, 700.0)
 # Constant of Roberts' quasi-random sequence in three dimensions, the real root of x⁴ = x + 1.
 _PLASTIC = 1.22074408460575947536
-# Largest angle between the direction to the light and the normal [radians] for which `AchromaticFactors.spread` is
-# measured. The energy factors for colours conserve only the total power of all wavelengths. At a single wavelength, the
-# reflected power therefore deviates from the incident power.
+# `AchromaticFactors.spread` is measured for directions to the light within this angle of the normal [radians]. The
+# energy factors for colours conserve only the total power of all wavelengths. At a single wavelength, the reflected
+# power therefore deviates from the incident power, and `spread` states by how much.
 _STEEPEST = math.radians(80.0)
 # Wavelengths are divided into fixed bands, so that the energy factors of a wavelength do not depend on the other
 # wavelengths of a call. In each band, the factors are computed at this number of wavelengths and interpolated linearly.
@@ -88,12 +94,12 @@ _NODES, _BAND_NM = 5, (colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM)
 # Largest number of different incident directions in a call for which the orders are made to sum to exactly 1. For more
 # directions that would require too much time, and the factors are interpolated instead.
 _MOST_LIGHTS = 64
-# Cosine of the angle from the normal at which the prescribed sum over orders reaches 1 (`rise`): 5.7° above the
-# horizon. Fitted: of the values from 0.05 to 1, it gives the smallest mean error of the efficiencies of perfect
-# mirrors, compared with rigorous solutions (bench/reproduce/theory_verdict.py). If doubled, this mean error is 3 %
-# larger.
+# The prescribed sum over orders (`rise`) reaches 1 at this cosine of the angle from the normal, which is 5.7° above the
+# horizon. The value was fitted among values from 0.05 to 1. It gives the smallest mean error of the efficiencies of
+# perfect mirrors, compared with rigorous solutions (bench/reproduce/theory_verdict.py). If doubled, the mean error is 3
+# % larger.
 RISEN = 0.1
-# Smallest sum over orders that is used as a divisor. Sums are smaller only if the power of all propagating orders is
+# Smallest sum over orders that is used as a divisor. A sum is smaller only if the power of all propagating orders is
 # zero.
 _LEAST_SUM = 1e-12
 
@@ -113,13 +119,13 @@ class Powers:
             highest_kappa: Largest |κ| [1/µm].
             bin_um: Largest width of a bin [1/µm]; 0 gives each order a bin of its own.
         """
-        # Number of Chebyshev polynomials in κ that represent the power of an order; it follows from the oscillation of
-        # the power over κ.
+        # Number of Chebyshev polynomials in κ that represent the power of an order. The number follows from the number
+        # of oscillations of the power over κ.
         argument = math.pi * highest_kappa * heightfield.height_range_um
         count = math.ceil(argument + 4.0 * math.cbrt(argument)) + 6
         heights = heightfield.heights_um - (heightfield.heights_um.max() + heightfield.heights_um.min()) / 2.0
-        # With an even number of samples, the orders n/2 and −n/2 are aliases of one another and have the same
-        # coefficient. It is copied, so that both orders have it.
+        # If the number n of samples is even, the orders n/2 and −n/2 are aliases of each other. The Fourier transform
+        # contains their common coefficient only once. The coefficient is copied, so that both orders have it.
         counts = [n + 1 - n % 2 if n > 1 else 1 for n in heightfield.shape]
         starts = [
             _block_starts(n, max(1, min(round(bin_um * length), n)))
@@ -244,7 +250,8 @@ def achromatic_factors(heightfield: HeightField) -> AchromaticFactors:
         nodes, weights = grid_weights(lights)
         entering = np.zeros((len(lights), _ELEVATIONS * _AZIMUTHS))
         np.put_along_axis(entering, nodes, weights, axis=1)
-        # All nodes in the first row of the grid have the same direction, the normal. They are merged to one.
+        # All nodes in the first row of the grid have the same direction, the normal. Their columns of the matrix are
+        # therefore added to one column.
         entering, leaving = (
             np.column_stack([matrix[:, :_AZIMUTHS].sum(axis=1), matrix[:, _AZIMUTHS:]])
             for matrix in (entering, _distributed(powers, lights, wavelengths_um))
@@ -416,8 +423,8 @@ def balance_response(
     """
     sums = np.maximum(shares.sum(axis=1), _LEAST_SUM)
     per_row = (1.0 / sums).reshape(-1, *(1,) * (rows.ndim - 1))
-    # The Schur complement of diag(P1) is a Laplacian matrix. A constant does not change its product; the mean of y is
-    # therefore set to 0.
+    # The Schur complement of diag(P1) is a Laplacian matrix: its product with a constant vector is 0. The mean of y is
+    # therefore not determined by the equations, and is set to 0.
     complement = np.diag(shares.sum(axis=0)) - shares.T @ (shares / sums[:, None])
     scale = float(np.max(np.abs(complement.diagonal()), initial=_LEAST_SUM))
     complement += scale / len(complement) + scale * _RIDGE * np.eye(len(complement))

@@ -9,6 +9,9 @@ Here N is the number of samples, and g = (h − c)/a are the heights after an of
 polynomials p_n(g) and the functions b_n(x) belong to the series: gⁿ and xⁿ/n! to the Taylor series, Chebyshev
 polynomials and Bessel functions to the Jacobi-Anger series. The first factor is a phase that is common to all
 coefficients and does not change a power.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer. w is its component along the normal.
 """
 
 from __future__ import annotations
@@ -29,8 +32,8 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
 
 
-# Size that is assumed for an axis with a single sample [µm]. Neighbouring diffraction orders have a distance of λ
-# divided by the size in (u, v). With a size far below a wavelength, order 0 is the only order near any direction.
+# Size that is assumed for an axis with a single sample [µm]. In (u, v), the distance between neighbouring diffraction
+# orders is λ divided by the size. With a size far below a wavelength, order 0 is the only order near any direction.
 _CONSTANT_AXIS_UM = 0.01
 
 
@@ -164,8 +167,8 @@ def series_coefficients(
         result[:, :, n] = (1j**n) * np.where(r[None, :] >= 0, half.conj(), half) * phase
 
     with ThreadPoolExecutor(max_workers=max(1, threads)) as pool:
-        # The number of polynomials that are computed at a time is the number that the threads can transform at a time,
-        # because a polynomial is an array as large as the heights.
+        # A polynomial is an array as large as the heights. To save memory, only as many polynomials are computed at a
+        # time as the threads can transform at a time.
         for first in range(0, terms, max(1, threads)):
             batch = [(n, next(polynomials)) for n in range(first, min(terms, first + max(1, threads)))]
             list(pool.map(lambda task: transform(*task), batch))

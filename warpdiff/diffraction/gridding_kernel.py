@@ -4,6 +4,8 @@ The spectrum of a patch is a smooth function of frequency, because the patch has
 exp(2πiκh) at the heights h are divided by the Fourier transform of the kernel. Then the spectrum is computed at twice
 as many frequencies as the patch has samples. At any other frequency, the spectrum is a weighted sum over a few of these
 frequencies (non-uniform FFT; Fessler and Sutton 2003, Barnett et al. 2019).
+
+κ is w/λ, the normal component w of the scattering vector divided by the wavelength.
 """
 
 from __future__ import annotations
@@ -23,14 +25,17 @@ _DEGREE = 12
 
 
 def _shape(taps: int) -> float:
-    """Return the shape parameter β of the Kaiser-Bessel kernel for an oversampling of 2 (Beatty et al. 2005, eq. 5)."""
+    """Return the shape parameter β of the Kaiser-Bessel kernel that covers ``taps`` frequencies.
+
+    The formula is for an oversampling of 2 (Beatty et al. 2005, eq. 5).
+    """
     return math.pi * math.sqrt((taps / 2.0 * 1.5) ** 2 - 0.8)
 
 
 def kernel(distance: NDArray[np.float64], taps: int) -> NDArray[np.float64]:
     """Return the Kaiser-Bessel kernel at distances in steps of the frequency grid: 1 at 0, and 0 beyond ``taps``/2.
 
-    It covers ``taps`` frequencies of the grid.
+    The kernel covers ``taps`` frequencies of the grid.
     """
     inside = 1.0 - (2.0 * distance / taps) ** 2
     values = np.i0(_shape(taps) * np.sqrt(np.maximum(inside, 0.0))) / np.i0(_shape(taps))

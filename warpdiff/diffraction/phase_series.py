@@ -23,13 +23,14 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
 
-# Largest number of terms of a series. With 128 terms, a series represents height ranges of about 30 cycles of phase.
-# The value is limited by memory: the size of a table of coefficients is proportional to the number of terms.
+# Largest number of terms of a series. A series of 128 terms represents heights over which the phase changes by about 30
+# cycles. The value is limited by memory: the size of a table of coefficients is proportional to the number of terms.
 MAX_TERMS = 128
-# Maximum number of cycles of phase over the height range. The value is limited by memory: tables of coefficients for
-# more cycles are very large.
+# Largest accepted number of cycles by which the phase changes over the height range. The value is limited by memory:
+# tables of coefficients for more cycles are very large.
 _MOST_CYCLES = 100.0
-# Maximum exponent of e when the error bound of a Taylor series is computed: e^710 would overflow float64.
+# Largest exponent of e in the error bound of a Taylor series. Larger exponents are replaced by it, because e^710 would
+# overflow float64.
 _LARGEST_EXPONENT = 700.0
 
 
@@ -128,7 +129,10 @@ def _jacobi_anger_basis(argument: ArrayLike, terms: int) -> NDArray[np.float64]:
 
 
 def _jacobi_anger_remainder(argument: float, terms: int) -> float:
-    """Return the bound 2 Σ_{n>=N} |J_n(x)| of the remainder for arguments up to x, as |J_n(x)| grows for x <= n."""
+    """Return the bound 2 Σ_{n>=N} |J_n(x)| of the remainder of a Jacobi-Anger series with N terms.
+
+    The bound holds for all arguments up to x, because |J_n(x)| grows with x for x <= n.
+    """
     if terms < argument:
         return 2.0
     beyond = math.ceil(12.0 * argument ** (1.0 / 3.0)) + 40
@@ -136,7 +140,7 @@ def _jacobi_anger_remainder(argument: float, terms: int) -> float:
 
 
 def _jacobi_anger_growth(argument: float) -> float:
-    """Return the bound √(1 + 2N) of |J_0| + 2 Σ |J_n| for N significant terms.
+    """Return the bound √(1 + 2N) of |J_0| + 2 Σ |J_n|, where N is the number of terms that are not negligible.
 
     The bound follows from J_0² + 2 Σ J_n² = 1 by the inequality of Cauchy and Schwarz.
     """

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 # Measured memory of `order_angles` [bytes per diffraction order and wavelength].
 _BYTES_PER_ORDER = 150
-# Lower bound of the sine of an angle from the normal where this sine is a divisor; the bound prevents a division by
+# The sine of an angle from the normal counts as at least this number where it is a divisor. This prevents a division by
 # zero.
 _LEAST_SINE = 1e-12
 
@@ -87,8 +87,8 @@ def order_angles(
     }  # fmt: skip
     for (frequency, period, error), most in zip(waves, highest, strict=True):
         orders = np.arange(-most, most + 1)
-        # The x and y components of the sum of the directions of light and order, by the grating equation, shape
-        # (wavelengths, orders, 2).
+        # By the grating equation, these are the x and y components of the sum of the unit vectors to the light and
+        # along the order, shape (wavelengths, orders, 2).
         steps = wavelengths_um[:, None, None] * orders[:, None] * frequency[::-1]
         tangential = steps - light[:2]
         upward = 1.0 - np.sum(tangential**2, axis=-1)

@@ -45,15 +45,15 @@ if TYPE_CHECKING:
 # power. The value was chosen from gratings with a larger deviation: nine in ten of them have an order whose efficiency
 # differs from the rigorous solution by more than a tenth of the reflected power.
 _MOST_DEVIATION = 0.2
-# Lower bound of the reflectance of a flat surface where this reflectance divides the sum of the efficiencies. The
-# reflectance of an antireflective film may be 0 up to rounding.
+# The sum of the efficiencies is divided by the reflectance of a flat surface. This reflectance counts as at least this
+# number, because the reflectance of an antireflective film may be 0 up to rounding.
 _LEAST_REFLECTANCE = 1e-12
 # Measured memory of `order_efficiencies` [bytes]. `_BYTES_A_SAMPLE` is per height sample, and `_BYTES_A_LINE` is per
 # order and wavelength. `_BYTES_A_TERM` is per order and per term of the polynomials that interpolate Fourier
 # coefficients over κ = w/λ.
 _BYTES_A_SAMPLE, _BYTES_A_LINE, _BYTES_A_TERM = 100, 120, 16
-# Number of matrix elements up to which the directions to the light share Fourier transforms of the height field. The
-# matrices are those of the energy normalisation. The value is limited by memory.
+# Several directions to the light share Fourier transforms of the height field if their matrices for the energy
+# normalisation have at most this number of elements in total. The value is limited by memory.
 _MOST_TOGETHER = 100_000
 
 
@@ -234,8 +234,8 @@ def order_efficiencies(
         else:
             cosines = np.append(np.linalg.norm(entering + views, axis=1) / 2.0, lights[:, 2])
             reflected = reflectance_factors.schlick(np.minimum(cosines, 1.0), normal)
-        # The array `reflected` begins with the reflectance for each pair of a light and an order. The reflectance of a
-        # flat surface for each light follows.
+        # The array `reflected` consists of two parts. The first part has the reflectance for each pair of a light and
+        # an order, and the second part has the reflectance of a flat surface for each light.
         reflected, of_flat = np.split(reflected, [len(order)])
         efficiencies[which, column, order] = reflected * mirrors
         sums = np.bincount(which, reflected * stam, len(lights))
@@ -253,7 +253,7 @@ def order_efficiencies(
 
 
 class Periodic(Protocol):
-    """What the directions of orders depend on: the size of one period, and which axes are constant."""
+    """Properties of a surface on which the directions of its orders depend."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -434,8 +434,8 @@ class _OrderMatrix:
         rows, columns = energy_normalisation.rise(cosines), energy_normalisation.rise(views[:, 2])
         first, second = energy_normalisation.balanced(matrix, rows, columns)
         result = first[self._own] * second * matrix[self._own]
-        # For a light near the horizon, the normalised orders sum to less than 1. The rest of the light's power goes to
-        # the mirror direction, order 0.
+        # If the light is near the horizon, the normalised orders sum to less than 1. The remaining power of the light
+        # goes to the mirror direction, which is order 0.
         result[self._is_mirror] += 1.0 - rows[self._own]
         return np.asarray(result)
 

@@ -41,14 +41,15 @@ if TYPE_CHECKING:
     from warpdiff.request.keywords import BrdfKeywords, EvaluationKeywords, PlannedKeywords, SpectralKeywords
     from warpdiff.request.plan import Plan
 
-# The direct method halves the step between wavelengths until the change of XYZ, relative to XYZ, is at most this share
-# of the tolerance.
+# The direct method halves the step between wavelengths until XYZ has converged: the change of XYZ, relative to XYZ, is
+# at most this share of the tolerance.
 _DIRECT_SETTLED = 0.05
 # Maximum number of wavelengths of the direct method. The value is limited by computing time, which is proportional to
 # it; one direction with so many wavelengths requires several seconds.
 _DIRECT_MOST_WAVELENGTHS = 20_000
-# Measured memory [bytes]. `_BYTES_PER_DIRECTION` is per direction of a call. A spectrum requires `_BYTES_PER_VALUE`
-# more, per direction and wavelength. `_BYTES_OF_MAP` is per direction of a reflectance map.
+# Measured memory of calls [bytes]. Each direction requires `_BYTES_PER_DIRECTION`. In a spectrum, each pair of a
+# direction and a wavelength requires `_BYTES_PER_VALUE` in addition. Each direction of a reflectance map requires
+# `_BYTES_OF_MAP`.
 _BYTES_PER_DIRECTION, _BYTES_PER_VALUE, _BYTES_OF_MAP = 170, 16, 190
 _REMEDY = "take a larger tolerance, fewer directions at a time, or a smaller heightfield"
 

@@ -1,4 +1,8 @@
-"""Reflectance spectra of many directions by one plan: sums over Fourier coefficients on a device, or the direct sum."""
+"""Reflectance spectra of many directions by one plan: sums over Fourier coefficients on a device, or the direct sum.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal.
+"""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Fits of measured orders, spectra and colours by the derivatives of ``warpdiff.adjoint``."""
+"""Fits of profiles to measured orders, spectra and colours, with the derivatives of ``warpdiff.adjoint``."""

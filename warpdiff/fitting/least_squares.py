@@ -1,4 +1,7 @@
-"""``fit``: parameters of a profile that explain measured data, with standard errors and all equivalent minima."""
+"""``fit``: parameters of a profile that explain measured data, with standard errors and all equivalent minima.
+
+χ² is the sum of the squared residuals (prediction − measured)/sd, where sd is the standard deviation of a value.
+"""
 
 from __future__ import annotations
 
@@ -19,51 +22,66 @@ from warpdiff.plot.axes import axes_for, clean_grid
 from warpdiff.profiles.profile_base import Profile
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from matplotlib.axes import Axes
     from numpy.typing import ArrayLike, NDArray
 
     Array = NDArray[np.float64]
 
-# Largest difference of χ² between the best minimum and others that are listed. Choice: a minimum that is worse by 4 is
-# excluded at two standard deviations of one parameter.
+# Largest difference between the χ² of a listed minimum and the χ² of the best one. The value was chosen because a
+# minimum that is worse by 4 is excluded at two standard deviations of one parameter.
 _LISTED_CHI2 = 4.0
-# Distance of two minima, in standard errors of the parameters, below which they count as one. Limit: the accuracy of
-# the minimiser, which ends at a small fraction of a standard error.
+# Distance of two minima, in standard errors of the parameters, below which they count as one minimum. The value is
+# limited by the accuracy of the minimiser, which ends at a small fraction of a standard error.
 _SAME = 0.5
-# Relative changes of parameters and of χ² at which the minimiser ends, and its largest number of steps. Limit: starts
-# near a minimum need fewer than 30 steps.
+# Relative changes of parameters and of χ² at which the minimiser ends, and its largest number of steps. The number of
+# steps was chosen because a start near a minimum needs fewer than 30 steps.
 _CHANGE, _MOST_STEPS = 1e-9, 60
-# Largest number of starts. Limit: computing time is proportional to it.
+# Gradient of χ² that counts as 0, relative to χ² of the start and for parameters in units of their ranges. The value is
+# limited by rounding errors of float64.
+_ROUNDING = 2.3e-16
+# Largest number of starts. The value is limited by the computing time, which is proportional to it.
 _MOST_STARTS = 1000
-# Difference of χ², relative to it, below which two minima are equally good. The one of the earlier start is then best.
+# Relative difference of two χ² below which both minima count as equally good. The minimum of the earlier start is then
+# the best.
 _TIE = 1e-6
-# Singular value of the Jacobian, relative to the largest, below which a change of parameters counts as undetermined.
-# The second number is the component of a parameter in such a change above which its standard error is NaN. Limit:
-# rounding errors.
+# The data do not determine a change of the parameters that hardly changes the residuals. `_LEAST_SINGULAR` is the
+# largest singular value of the Jacobian for such a change, relative to the largest singular value. If a parameter's
+# component of such a change exceeds `_SHARE`, its standard error is NaN. Both numbers are limited by rounding errors.
 _LEAST_SINGULAR, _SHARE = 1e-9, 1e-3
-# Share of the range of a parameter within which it counts as being at a bound.
+# Measured power in an order that does not propagate, in standard deviations, above which a fit warns. The value was
+# chosen because noise exceeds it only once in 16,000 values.
+_SIGNIFICANT = 4.0
+# χ² per degree of freedom above which a report states that the model does not explain the data. The value was chosen
+# because noise alone exceeds it once in a thousand fits, for ten degrees of freedom.
+_BAD_CHI2 = 3.0
+# Distance of a parameter from a bound, relative to the range of the parameter, within which it counts as being at this
+# bound. The range is the difference of both bounds.
 _AT_BOUND = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """Parameters of one minimum of χ².
+    """Parameters of one minimum of χ² (the sum of squared residuals in standard deviations).
 
     Attributes:
         values: Parameters, shape (p,).
         chi2: Sum of the squared residuals, each divided by its standard deviation.
+        has_converged: Whether the minimiser ended because neither parameters nor χ² changed. Otherwise it reached its
+            largest number of steps, and a smaller χ² may exist near these parameters.
 
     Examples:
         >>> import numpy as np
         >>> import warpdiff as wd
-        >>> wd.Minimum(np.array([0.1]), 3.0).chi2
-        3.0
+        >>> minimum = wd.Minimum(np.array([0.1]), 3.0, has_converged=True)
+        >>> minimum.chi2, minimum.has_converged
+        (3.0, True)
     """
 
     values: Array
     chi2: float
+    has_converged: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,14 +92,16 @@ class Fit:
         names: Names of the parameters.
         values: Parameters of the best minimum, shape (p,).
         standard_errors: Standard errors of the parameters, shape (p,). NaN for parameters at a bound, and for those
-            that the data do not determine.
-        covariance: Covariance matrix of the parameters, shape (p, p).
+            that the data do not determine within their bounds.
+        covariance: Covariance matrix of the parameters, shape (p, p). Parameters at a bound count as constants.
         correlations: Correlation matrix of the parameters, shape (p, p).
         chi2: Sum of the squared residuals, each divided by its standard deviation.
-        degrees_of_freedom: Number of measured values minus the number of parameters.
-        residuals: (prediction − measured)/sd, shape (n,).
-        minima: All minima whose χ² exceeds the best by at most 4, the best first. The data cannot distinguish them.
-        evaluations: Number of evaluated predictions with derivatives, of all starts.
+        degrees_of_freedom: Number of measured values minus the number of parameters, at least 0.
+        residuals: (prediction − measured)/sd for each of the n measured values, shape (n,).
+        minima: All minima whose χ² exceeds that of the best by at most 4, the best first. The data cannot distinguish
+            them.
+        evaluations: Number of computed predictions with derivatives, summed over all starts.
+        at_bounds: Names of the parameters whose best value is at a bound.
 
     Examples:
         >>> import math
@@ -111,6 +131,7 @@ class Fit:
     residuals: Array
     minima: tuple[Minimum, ...]
     evaluations: int
+    at_bounds: tuple[str, ...]
 
     def __repr__(self) -> str:
         shown = ", ".join(f"{name}={value:.4g}" for name, value in zip(self.names[:6], self.values[:6], strict=True))
@@ -119,20 +140,26 @@ class Fit:
     def report(self) -> str:
         """Return parameters, standard errors, correlations and equivalent minima as text."""
         lines = [f"χ² = {self.chi2:.4g} for {self.degrees_of_freedom} degrees of freedom"]
+        if not self.minima[0].has_converged:
+            lines.append("the minimiser has not converged")
+        if self.chi2 > _BAD_CHI2 * max(self.degrees_of_freedom, 1):
+            lines.append("the model does not explain the data, or sd is too small: standard errors are too small")
         width = max(len(name) for name in self.names)
         for name, value, error in zip(self.names, self.values, self.standard_errors, strict=True):
             text = "not determined" if math.isnan(error) else f"± {error:.2g}"
+            text = "at a bound" if name in self.at_bounds else text
             lines.append(f"{name:<{width}}  {value:.6g} {text}")
         for i, j in zip(*np.triu_indices(len(self.names), 1), strict=True):
             if abs(self.correlations[i, j]) >= 0.5:
                 lines.append(f"correlation of {self.names[i]} and {self.names[j]}: {self.correlations[i, j]:+.2f}")
         for minimum in self.minima[1:]:
             values = ", ".join(f"{name} = {value:.4g}" for name, value in zip(self.names, minimum.values, strict=True))
-            lines.append(f"equivalent minimum, χ² = {minimum.chi2:.4g}: {values}")
+            state = "" if minimum.has_converged else " (not converged)"
+            lines.append(f"equivalent minimum{state}, χ² = {minimum.chi2:.4g}: {values}")
         return "\n".join(lines)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Plot the residuals in standard deviations over the number of the measured value.
+        """Plot the residuals in standard deviations against the number of the measured value.
 
         Args:
             ax: Matplotlib axes to draw into; None makes a figure.
@@ -148,7 +175,7 @@ class Fit:
 
 
 class _Problem:
-    """Residuals of a fit and their Jacobian; values of the same parameters are computed once."""
+    """Residuals of a fit and their Jacobian matrix; the results for the last parameters are stored for reuse."""
 
     def __init__(self, profile: Profile, measured: Measured, sd: Array) -> None:
         self._profile, self._measured, self._sd = profile, measured, sd
@@ -156,7 +183,7 @@ class _Problem:
         self.evaluations = 0
 
     def forget(self) -> None:
-        """Evaluate the next parameters in any case, so that their warnings are shown."""
+        """Delete the stored results. The next call then computes them again and issues its warnings."""
         self._last = None
 
     def residuals(self, x: Array) -> Array:
@@ -165,12 +192,23 @@ class _Problem:
         return self._residuals
 
     def jacobian(self, x: Array) -> Array:
-        """Return the derivatives of the residuals by the parameters, shape (n, p)."""
+        """Return the derivatives of the n residuals with respect to the p parameters, shape (n, p)."""
         self._evaluate(x)
         columns = [
             self._result.jvp(**self._profile.pushforward(x, direction)) / self._sd for direction in np.eye(len(x))
         ]
         return np.stack(columns, axis=1)
+
+    def warn_of_evanescent_orders(self, x: Array) -> None:
+        """Warn if power was measured in orders that do not propagate, and whose prediction is therefore 0."""
+        self._evaluate(x)
+        is_dark = (self._result.value == 0.0) & (np.abs(self._residuals) > _SIGNIFICANT)
+        if self._measured.kind == "orders" and is_dark.any():
+            warn(
+                f"{np.count_nonzero(is_dark)} of {len(is_dark)} measured orders do not propagate, such as value "
+                f"{np.flatnonzero(is_dark)[0]}, so that their prediction is 0: check that {ref('orders')} are pairs "
+                "(m_y, m_x), and the period of the profile"
+            )
 
     def _evaluate(self, x: Array) -> None:
         if self._last is None or not np.array_equal(x, self._last):
@@ -186,27 +224,30 @@ def fit(
 ) -> Fit:
     """Fit the parameters of a profile to measured orders, spectra or colours.
 
-    Least squares with exact Jacobians (trust region, Branch, Coleman and Li 1999, as in SciPy) from several starts. The
-    first start is that of the profile, the others are random within its bounds. With more than one start, parameters
-    that are equivalent to the best ones are tried, too, if the profile states them.
+    The residuals are minimised by least squares with exact Jacobian matrices, from several starts. The method is the
+    trust region method of Branch, Coleman and Li (1999), as in SciPy. The first start is that of the profile, and the
+    other starts are random within the bounds of the parameters. With more than one start, the fit also starts from
+    parameters that are equivalent to the best ones, if the profile states such parameters.
 
     Args:
         profile: Profile from ``warpdiff.profiles``, with start values and bounds.
         measured: Measured values with their geometry and optics.
-        sd: Standard deviation of the measured values, more than 0, one number or shape (n,).
+        sd: Standard deviation of the measured values, more than 0, one number or shape (n,). A common factor of all
+            standard deviations does not change the best parameters; it changes only their standard errors and χ².
         starts: Number of starts, 1 to 1000, by default 8.
         seed: Seed of the random starts, by default 0.
-        progress: Function that is called with the finished share, 0 to 1; True shows a progress bar.
+        progress: Function that is called with the finished fraction, 0 to 1; True shows a progress bar.
 
     Returns:
         Parameters with standard errors, correlations, χ², residuals and all equivalent minima.
 
     Warns:
-        WarpdiffWarning: A parameter is at a bound, or the data do not determine it.
+        WarpdiffWarning: The best minimum has not converged, parameters are at a bound, the data do not determine
+            parameters, there are fewer values than parameters, or measured orders do not propagate.
 
     Raises:
         TypeError: An argument has a wrong type.
-        ValueError: ``sd`` is not positive or has a wrong shape, or there are fewer values than parameters.
+        ValueError: ``sd`` is not positive or has a wrong shape, or bounds of the profile are equal.
 
     Examples:
         >>> import math
@@ -229,18 +270,29 @@ def fit(
     validation.instance(measured, Measured, "measured")
     count, parameters = len(measured.values), len(profile.start)
     deviations = validation.finite_array(sd, "sd")
-    if deviations.shape not in ((), (1,), (count,)) or np.any(deviations <= 0.0):
+    if deviations.shape not in ((), (1,), (count,)):
         raise ArgumentValueError(
-            f"{ref('sd')} must be more than 0, one number or one per measured value, ({count},), got shape "
-            f"{deviations.shape}"
+            f"{ref('sd')} must be one number or one per measured value, shape ({count},), got shape {deviations.shape}"
+        )
+    if deviations.min() < validation.LEAST:
+        raise ArgumentValueError(
+            f"{ref('sd')} must be more than 0, at least {validation.LEAST:g}, got {deviations.min():g}: give the "
+            "standard deviation of each measured value"
         )
     if count < parameters:
-        raise ArgumentValueError(
-            f"{ref('measured')} must have at least as many values as there are parameters, {parameters}, got {count}"
+        warn(
+            f"{ref('measured')} has {count} values for {parameters} parameters, which they cannot determine: measure "
+            "other angles or wavelengths, or take a profile with fewer parameters"
         )
     report = reporter(progress, "fit")
     rng = np.random.default_rng(validation.count(seed, "seed", least=0))
     low, high = profile.bounds.T
+    if np.any(low >= high):
+        k = int(np.argmax(low >= high))
+        raise ArgumentValueError(
+            f"{ref('profile')} must have lower bounds below the upper ones, got {low[k]:g} to {high[k]:g} for "
+            f"{profile.names[k]}: widen its bounds, or remove the parameter"
+        )
     points = [profile.start]
     points += [rng.uniform(low, high) for _ in range(validation.count(starts, "starts", most=_MOST_STARTS) - 1)]
     problem = _Problem(profile, measured, np.broadcast_to(deviations, (count,)))
@@ -261,48 +313,44 @@ def _minimum(problem: _Problem, start: Array, bounds: Array) -> Minimum:
 
     low, high = bounds.T
     inside = np.clip(start, low + _AT_BOUND * (high - low), high - _AT_BOUND * (high - low))
+    # The residuals are divided by their norm at the start, so that the tolerances of the minimiser have the same
+    # meaning for all data.
+    size = float(np.linalg.norm(problem.residuals(inside))) or 1.0
     with warnings.catch_warnings():
-        # Warnings about parameters on the way, such as an order at the horizon, do not concern the result.
+        # Warnings about intermediate parameters, such as an order at the horizon, do not concern the result.
         warnings.simplefilter("ignore", WarpdiffWarning)
         result = least_squares(
-            problem.residuals, inside, problem.jacobian, bounds=(low, high), x_scale=high - low, xtol=_CHANGE,
-            ftol=_CHANGE, gtol=_CHANGE, max_nfev=_MOST_STEPS,
+            lambda x: problem.residuals(x) / size, inside, lambda x: problem.jacobian(x) / size, bounds=(low, high),
+            x_scale=high - low, xtol=_CHANGE, ftol=_CHANGE, gtol=_ROUNDING, max_nfev=_MOST_STEPS,
         )  # fmt: skip
-    return Minimum(np.asarray(result.x), float(2.0 * result.cost))
+    return Minimum(np.asarray(result.x), float(2.0 * result.cost) * size**2, has_converged=bool(result.status > 0))
 
 
 def _best(minima: list[Minimum]) -> Minimum:
-    """Return the minimum with the least χ², that of the earliest start among equally good ones."""
+    """Return the minimum with the smallest χ²; among equally good minima, return that of the earliest start."""
     least = min(minimum.chi2 for minimum in minima)
     return next(minimum for minimum in minima if minimum.chi2 <= least + _TIE * (1.0 + least))
 
 
 def _result(profile: Profile, problem: _Problem, minima: list[Minimum], report: Callable[[float], None] | None) -> Fit:
-    """Return the result of a fit: the best minimum with its covariance, and the others that are as good."""
+    """Return the result of a fit: the best minimum with its covariance, and the other minima that are about as good."""
     best = _best(minima)
     problem.forget()
     jacobian, residuals = problem.jacobian(best.values), problem.residuals(best.values)
+    problem.warn_of_evanescent_orders(best.values)
     low, high = profile.bounds.T
     margin = _AT_BOUND * 10.0 * (high - low)
     is_free = (best.values > low + margin) & (best.values < high - margin)
     covariance = np.full((len(low), len(low)), np.nan)
-    # A parameter is not determined if some change of the parameters, in units of their ranges, changes no residual.
-    scaled = jacobian[:, is_free] * (high - low)[is_free]
-    _, singular, rows = np.linalg.svd(scaled, full_matrices=False)
-    is_weak = singular < _LEAST_SINGULAR * singular.max(initial=0.0)
-    undetermined = (
-        np.any(np.abs(rows[is_weak]) > _SHARE, axis=0) if is_weak.any() else np.zeros(int(is_free.sum()), bool)
-    )
-    inverse = (rows[~is_weak].T / singular[~is_weak] ** 2) @ rows[~is_weak]
-    inverse[undetermined] = inverse[:, undetermined] = np.nan
-    covariance[np.ix_(is_free, is_free)] = inverse * np.outer((high - low)[is_free], (high - low)[is_free])
+    ranges = (high - low)[is_free]
+    covariance[np.ix_(is_free, is_free)] = _covariance(jacobian[:, is_free] * ranges) * np.outer(ranges, ranges)
     errors = np.sqrt(np.diag(covariance))
-    without = [name for name, error in zip(profile.names, errors, strict=True) if np.isnan(error)]
-    if without:
-        warn(
-            f"{ref('measured')} does not determine {', '.join(without[:6])}, or the best value is at a bound: its "
-            "standard error is NaN; measure other angles or wavelengths, or change the bounds of the profile"
-        )
+    # A standard error that is larger than the range between the bounds gives less information than the bounds.
+    beyond = errors > high - low
+    covariance[beyond] = covariance[:, beyond] = errors[beyond] = np.nan
+    names = np.array(profile.names)
+    at_bounds = tuple(names[~is_free].tolist())
+    _warn_of_result(best, at_bounds, names[is_free & np.isnan(errors)].tolist())
     distinct: list[Minimum] = []
     scale = np.where(np.isnan(errors), high - low, errors)
     for minimum in [best, *sorted(minima, key=lambda minimum: minimum.chi2)]:
@@ -313,5 +361,42 @@ def _result(profile: Profile, problem: _Problem, minima: list[Minimum], report: 
         report(1.0)
     return Fit(
         profile.names, best.values, errors, covariance, covariance / np.outer(errors, errors), best.chi2,
-        len(residuals) - len(best.values), residuals, tuple(distinct), problem.evaluations,
+        max(len(residuals) - len(best.values), 0), residuals, tuple(distinct), problem.evaluations, at_bounds,
     )  # fmt: skip
+
+
+def _covariance(jacobian: Array) -> Array:
+    """Return the covariance matrix of parameters, shape (p, p); NaN for parameters that the data do not determine."""
+    count = jacobian.shape[1]
+    _, values, rows = np.linalg.svd(jacobian, full_matrices=len(jacobian) < count)
+    singular = np.zeros(count)
+    singular[: len(values)] = values
+    is_weak = singular <= _LEAST_SINGULAR * singular.max(initial=0.0)
+    undetermined = np.any(np.abs(rows[is_weak]) > _SHARE, axis=0)
+    result = (rows[~is_weak].T / singular[~is_weak] ** 2) @ rows[~is_weak]
+    result[undetermined] = result[:, undetermined] = np.nan
+    return np.asarray(result)
+
+
+def _warn_of_result(best: Minimum, at_bounds: tuple[str, ...], undetermined: list[str]) -> None:
+    """Warn if the best parameters or their standard errors are not reliable, and state why."""
+    if not best.has_converged:
+        warn(
+            f"the best minimum has not converged in {_MOST_STEPS} steps, χ² = {best.chi2:.3g}: increase "
+            f"{ref('starts')}, start nearer to the solution, or take a profile with fewer parameters"
+        )
+    if at_bounds:
+        warn(
+            f"the best {_listed(at_bounds)} is at a bound of {ref('profile')}, so that its standard error is NaN and "
+            "others are those for a constant: change the start values, from which the bounds follow"
+        )
+    if undetermined:
+        warn(
+            f"{ref('measured')} does not determine {_listed(undetermined)} within the bounds, so that the covariance "
+            "is singular and standard errors are NaN: measure other angles or wavelengths, or fit fewer parameters"
+        )
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return names as text: at most six names, and the number of further names."""
+    return ", ".join(names[:6]) + (f" and {len(names) - 6} others" if len(names) > 6 else "")

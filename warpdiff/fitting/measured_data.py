@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, get_args
 
@@ -14,8 +13,10 @@ from warpdiff.adjoint.spectral_derivatives import reflectance, spectral_reflecta
 from warpdiff.adjoint.surfaces import Relief
 from warpdiff.core import files, validation
 from warpdiff.core.angles import direction
+from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref, renaming
 from warpdiff.evaluate.orders import propagating
+from warpdiff.fitting import csv_columns
 from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry
 from warpdiff.optics.coherence import Coherence
@@ -25,7 +26,6 @@ from warpdiff.request.settings import Energy
 if TYPE_CHECKING:
     import os
     from collections.abc import Callable
-    from pathlib import Path
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _LIGHT, _VIEW = ("light_theta_deg", "light_phi_deg"), ("view_theta_deg", "view_phi_deg")
-# Columns of the CSV files, which are those of the tables of results, by the kind of data.
+# Columns of CSV files by the kind of data. They are the columns of the tables that results of this package save.
 COLUMNS = {
     "orders": (*_LIGHT, "wavelength_nm", "m_y", "m_x", "efficiency"),
     "spectra": (*_LIGHT, *_VIEW, "wavelength_nm", "relative_reflectance"),
@@ -45,8 +45,13 @@ COLUMNS = {
 }
 
 
+# Efficiency above which values are probably in percent. The value is slightly above 1, because an order reflects at
+# most the incident power, and noise is added.
+_LARGEST_EFFICIENCY = 1.5
+
+
 class _Grid(NamedTuple):
-    """Distinct rows of an array, and the index of each row among them."""
+    """Different rows of an array, and for each row of the array the index of the equal row among them."""
 
     rows: Array
     which: NDArray[np.int64]
@@ -75,11 +80,11 @@ class Measured:
         return f"Measured({self.kind}, {len(self.values)} values)"
 
     def predict(self, surface: HeightField | Outline, wrt: tuple[str, ...] = ()) -> Linearised:
-        """Return the values that a surface would have, shape (n,), with their derivatives.
+        """Return the values that would be measured on a surface, shape (n,), with their derivatives.
 
         Args:
             surface: Height field or outline.
-            wrt: Variables of the derivatives, as in ``warpdiff.adjoint``.
+            wrt: Names of the variables of the derivatives, as in ``warpdiff.adjoint``.
         """
         with renaming({"heightfield": "surface"}):
             return self._predict(surface, wrt)
@@ -95,15 +100,24 @@ class Measured:
             to_light: Directions to the light, shape (3,) or (n, 3).
             wavelengths_nm: Wavelength of each efficiency [nm], one number or shape (n,).
             orders: Pairs (m_y, m_x), shape (n, 2).
-            efficiencies: Reflected power relative to the incident power, shape (n,).
+            efficiencies: Reflected power relative to the incident power, shape (n,). The prediction of an order that
+                does not propagate is 0.
             ior: Index of refraction; None is 1.5 unless a material is given.
             material: Material of the surface.
             energy: ``"stam"`` or ``"normalised"``, as for :func:`warpdiff.order_efficiencies`.
+
+        Warns:
+            WarpdiffWarning: Efficiencies look like percent.
 
         Raises:
             ValueError: Shapes do not match, or an argument is out of its range.
         """
         values = _values(efficiencies, "efficiencies")
+        if values.max() > _LARGEST_EFFICIENCY:
+            warn(
+                f"{ref('efficiencies')} must be at most about 1, got {values.max():g}: divide percent by 100, and "
+                "powers by the incident power"
+            )
         pairs = validation.finite_array(orders, "orders", ndim=2)
         if pairs.shape != (len(values), 2) or np.any(pairs != np.rint(pairs)):
             raise ArgumentValueError(f"{ref('orders')} must be integers of shape ({len(values)}, 2), got {pairs.shape}")
@@ -111,17 +125,19 @@ class Measured:
         wavelengths = _wavelengths(wavelengths_nm, len(values))
         _check_optics(ior, material, wavelengths.rows, energy=energy)
         if lights.rows[:, 2].min() <= HORIZON:
-            raise ArgumentValueError(f"{ref('to_light')} must be above the horizon (z > 0)")
+            raise _below_horizon("to_light", lights.rows[:, 2])
 
         def predict(surface: HeightField | Outline, wrt: tuple[str, ...]) -> Linearised:
-            known, _ = propagating(Relief.of(surface).lattice, lights.rows, wavelengths.rows[:, 0])
+            known, views = propagating(Relief.of(surface).lattice, lights.rows, wavelengths.rows[:, 0])
             matches = np.all(known == pairs[:, None], axis=2)
+            column = np.argmax(matches, axis=1)
+            lives = matches.any(axis=1)
+            if len(known):
+                lives &= ~np.isnan(views[lights.which, wavelengths.which, column, 0])
             result = order_efficiencies(
                 surface, lights.rows, wavelengths.rows[:, 0], wrt=wrt, ior=ior, material=material, energy=energy
             )
-            # An order that is evanescent everywhere has no power.
-            places = (lights.which, wavelengths.which, np.argmax(matches, axis=1))
-            return _picked(result, places, matches.any(axis=1))
+            return _picked(result, (lights.which, wavelengths.which, column), lives)
 
         return cls("orders", values, predict)
 
@@ -137,8 +153,8 @@ class Measured:
             to_light: Directions to the light, shape (3,) or (n, 3).
             to_view: Directions to the viewer, shape (3,) or (n, 3).
             wavelengths_nm: Wavelength of each reflectance [nm], one number or shape (n,).
-            reflectances: ρ as of :func:`warpdiff.spectral_reflectance`, shape (n,).
-            coherence: Window or source; None is an averaged window of σ = 16.25 µm.
+            reflectances: Relative reflectances ρ, as in :func:`warpdiff.spectral_reflectance`, shape (n,).
+            coherence: Coherence window or source; None is an averaged window of σ = 16.25 µm.
             ior: Index of refraction; None is 1.5 unless a material is given.
             material: Material of the surface.
             masking: Whether V-cavity masking is included.
@@ -171,9 +187,9 @@ class Measured:
         Args:
             to_light: Directions to the light, shape (3,) or (n, 3).
             to_view: Directions to the viewer, shape (3,) or (n, 3).
-            xyz: CIE XYZ as of :func:`warpdiff.reflectance`, shape (n, 3).
+            xyz: CIE XYZ, as in :func:`warpdiff.reflectance`, shape (n, 3).
             illuminant: Illuminant under which the colours were measured.
-            coherence: Window or source; None is an averaged window of σ = 16.25 µm.
+            coherence: Coherence window or source; None is an averaged window of σ = 16.25 µm.
             ior: Index of refraction; None is 1.5 unless a material is given.
             material: Material of the surface.
             masking: Whether V-cavity masking is included.
@@ -205,8 +221,12 @@ class Measured:
     ) -> Measured:  # fmt: skip
         """Read measured data from a CSV file, whose first line names the columns.
 
-        The columns decide the kind of the data. They are those of the tables that
-        :class:`warpdiff.OrderEfficiencies` and :class:`warpdiff.ReflectanceSpectra` save; others are ignored.
+        The columns determine the kind of the data. They are the columns of the tables that
+        :class:`warpdiff.OrderEfficiencies` and :class:`warpdiff.ReflectanceSpectra` save; other columns are ignored.
+        Separators are commas, semicolons or tabs. With semicolons and tabs, numbers may have decimal commas. Names may
+        have
+        units in brackets, such as ``wavelength [µm]`` or ``efficiency (%)``, and cells may have percent signs. Empty
+        lines and comments (#) are skipped.
 
         - orders: ``light_theta_deg``, ``light_phi_deg``, ``wavelength_nm``, ``m_y``, ``m_x``, ``efficiency``
         - spectra: ``light_theta_deg``, ``light_phi_deg``, ``view_theta_deg``, ``view_phi_deg``, ``wavelength_nm``,
@@ -220,20 +240,21 @@ class Measured:
             ior: Index of refraction.
             material: Material of the surface.
             masking: Whether V-cavity masking is included in spectra and colours.
-            energy: Energy of orders.
+            energy: Energy of orders, ``"stam"`` or ``"normalised"``.
 
         Raises:
             FileNotFoundError: The file does not exist.
-            ValueError: Columns are missing, or a cell is not a number.
+            ValueError: Columns are missing, a cell is empty or not a number, or a line has too many cells.
 
         Examples:
             >>> import math
+            >>> import warpdiff as wd
             >>> grating = wd.gratings.sinusoidal(2.0, 0.1)
             >>> path = wd.order_efficiencies(grating, (0, 0, 1), 550.0).save("orders.csv")
             >>> wd.Measured.from_csv(path, ior=math.inf)
             Measured(orders, 7 values)
         """
-        # Options that the kind of the data does not use are checked, too.
+        # All options are checked, also those that this kind of data does not use.
         validation.instance(coherence, Coherence, "coherence", optional=True)
         validation.flag(masking, "masking")
         colorimetry.check_illuminant(illuminant)
@@ -241,39 +262,34 @@ class Measured:
             validation.choice(energy, "energy", get_args(Energy))
         file = validation.path(path, "path")
         with files.describing(file):
-            return cls._of_columns(
-                _columns(file), illuminant=illuminant, coherence=coherence, ior=ior, material=material,
-                masking=masking, energy=energy,
+            names = dict.fromkeys(name for columns in COLUMNS.values() for name in columns)
+            columns = csv_columns.read(file, names)
+            kinds = [kind for kind, required in COLUMNS.items() if set(required) <= set(columns)]
+            if len(kinds) != 1:
+                rule = "; ".join(f"{kind}: {', '.join(required)}" for kind, required in COLUMNS.items())
+                raise ArgumentValueError(
+                    f"{ref('path')} must have the columns of one kind of data ({rule}), got "
+                    f"{', '.join(columns) or 'none of them'}"
+                )
+            (kind,) = kinds
+            light = direction(columns[_LIGHT[0]], columns[_LIGHT[1]])
+            if kind == "orders":
+                pairs = np.stack([columns["m_y"], columns["m_x"]], axis=1)
+                return cls.orders(
+                    light, columns["wavelength_nm"], pairs, columns["efficiency"], ior=ior, material=material,
+                    energy=energy,
+                )  # fmt: skip
+            view = direction(columns[_VIEW[0]], columns[_VIEW[1]])
+            if kind == "spectra":
+                return cls.spectra(
+                    light, view, columns["wavelength_nm"], columns["relative_reflectance"], coherence=coherence,
+                    ior=ior, material=material, masking=masking,
+                )  # fmt: skip
+            xyz = np.stack([columns[name] for name in "XYZ"], axis=1)
+            return cls.colours(
+                light, view, xyz, illuminant=illuminant, coherence=coherence, ior=ior, material=material,
+                masking=masking,
             )  # fmt: skip
-
-    @classmethod
-    def _of_columns(
-        cls, columns: dict[str, Array], *, illuminant: str | Spectrum, coherence: Coherence | None, ior: float | None,
-        material: Material | None, masking: bool, energy: Energy | None,
-    ) -> Measured:  # fmt: skip
-        """Return the measured data in the columns of a file, whose names decide the kind of the data."""
-        kind = next((kind for kind, names in COLUMNS.items() if set(names) <= set(columns)), None)
-        if kind is None:
-            wanted_columns = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in COLUMNS.items())
-            raise ArgumentValueError(
-                f"{ref('path')} must have the columns of one kind of data ({wanted_columns}), got {', '.join(columns)}"
-            )
-        light = direction(columns[_LIGHT[0]], columns[_LIGHT[1]])
-        if kind == "orders":
-            pairs = np.stack([columns["m_y"], columns["m_x"]], axis=1)
-            return cls.orders(
-                light, columns["wavelength_nm"], pairs, columns["efficiency"], ior=ior, material=material, energy=energy
-            )
-        view = direction(columns[_VIEW[0]], columns[_VIEW[1]])
-        if kind == "spectra":
-            return cls.spectra(
-                light, view, columns["wavelength_nm"], columns["relative_reflectance"], coherence=coherence, ior=ior,
-                material=material, masking=masking,
-            )  # fmt: skip
-        xyz = np.stack([columns[name] for name in "XYZ"], axis=1)
-        return cls.colours(
-            light, view, xyz, illuminant=illuminant, coherence=coherence, ior=ior, material=material, masking=masking
-        )
 
 
 def _values(values: object, name: str) -> Array:
@@ -288,7 +304,7 @@ def _check_optics(
     ior: float | None, material: Material | None, wavelengths_nm: Array, *, coherence: Coherence | None = None,
     masking: bool = True, energy: Energy | None = None,
 ) -> None:  # fmt: skip
-    """Raise an error for invalid optics, before a fit starts."""
+    """Raise an error before a fit starts if a material, an index of refraction or a coherence is invalid."""
     check_reflection(ior, material)
     if material is not None:
         check_covers(material, float(wavelengths_nm.min()), float(wavelengths_nm.max()))
@@ -298,30 +314,16 @@ def _check_optics(
         validation.choice(energy, "energy", get_args(Energy))
 
 
-def _columns(path: Path) -> dict[str, Array]:
-    """Return the numeric columns of a CSV file by their names."""
-    if not path.is_file():
-        raise FileNotFoundError(f"path: {str(path)!r} is not a file")
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.DictReader(file))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ArgumentValueError(f"{ref('path')}: {str(path)!r} is not a CSV file: {error}") from None
-    known = {name for names in COLUMNS.values() for name in names}
-    result = {}
-    for name in rows[0] if rows else ():
-        if name in known:
-            try:
-                result[name] = np.array([float(row[name]) for row in rows])
-            except (TypeError, ValueError):
-                result[name] = np.array([np.nan])
-            if not np.isfinite(result[name]).all():
-                raise ArgumentValueError(f"{ref('path')}: column {name!r} must contain finite numbers in each row")
-    return result
+def _below_horizon(name: str, heights: Array) -> Exception:
+    """Return the error for directions of which at least one is not above the horizon; ``heights`` are z components."""
+    return ArgumentValueError(
+        f"{ref(name)} must be above the horizon (z > 0), got z = {heights.min():.3g} after normalisation: nothing is "
+        "measured there; remove the value"
+    )
 
 
 def _grid(rows: Array, count: int, name: str) -> _Grid:
-    """Return the distinct rows of an array with one row per value, or with one row for all values."""
+    """Return the different rows of an array. The array has one row per measured value, or one row for all values."""
     if len(rows) not in (1, count):
         raise ArgumentValueError(f"{ref(name)} must have one row, or one per value, {count}, got {len(rows)}")
     distinct, index = np.unique(np.broadcast_to(rows, (count, rows.shape[1])), axis=0, return_inverse=True)
@@ -334,16 +336,27 @@ def _wavelengths(wavelengths_nm: ArrayLike, count: int) -> _Grid:
 
 def _pairs(to_light: ArrayLike, to_view: ArrayLike, count: int) -> _Grid:
     lights, views, _ = validation.light_and_view(to_light, to_view)
+    for name, directions in (("to_light", lights), ("to_view", views)):
+        if len(directions) and directions[:, 2].min() <= HORIZON:
+            raise _below_horizon(name, directions[:, 2])
     return _grid(np.concatenate([lights, views], axis=1), count, "to_view")
 
 
 def _picked(result: Linearised, places: tuple[NDArray[np.int64], ...], exists: NDArray[np.bool_]) -> Linearised:
-    """Return elements of a linearised value as a linearised vector; elements that do not exist are 0."""
+    """Return selected elements of a linearised value as a vector; elements that do not exist are 0.
+
+    ``places`` are the indices of the elements, and ``exists`` states which of them exist.
+    """
     value, vjp, jvp = result
 
-    def adjoint(adjoints: ArrayLike) -> dict[str, Array]:
+    def adjoint(adjoint_of_value: ArrayLike) -> dict[str, Array]:
+        array = validation.finite_array(adjoint_of_value, "adjoint_of_value")
+        if array.shape != exists.shape:
+            raise ArgumentValueError(
+                f"{ref('adjoint_of_value')} must have the shape of the value, {exists.shape}, got {array.shape}"
+            )
         full = np.zeros(value.shape)
-        np.add.at(full, places, np.where(exists, adjoints, 0.0))
+        np.add.at(full, places, np.where(exists, array, 0.0))
         return vjp(full)
 
     def tangent(**changes: ArrayLike) -> Array:

@@ -22,18 +22,18 @@ if TYPE_CHECKING:
 
 # A summary of a height field lists only periods that are certain and strong enough. `_MOST_STANDARD_ERROR` is the
 # largest standard error relative to the period; if doubled, less certain periods are listed. `_LEAST_SHARE` is the
-# least share of the variance of the heights that the period explains; if doubled, fewer periods are listed. Both values
-# were chosen.
+# smallest fraction of the variance of the heights that the period explains; if doubled, fewer periods are listed. Both
+# values were chosen.
 _MOST_STANDARD_ERROR, _LEAST_SHARE = 0.1, 0.01
 
-# Spatial frequency κ of the phase 2πκh of light that a height h reflects [1/µm]. Aliasing is estimated at the largest
-# κ: that of light at 380 nm, if the directions to light and view are along the normal.
+# Aliasing is estimated for the phase 2πκh of light that a height h reflects. The number is the largest κ [1/µm]: that
+# of the wavelength 380 nm, if the directions to light and view are along the normal.
 _KAPPA = 2.0 / 0.38
 # Largest number of samples along each axis for the spectrum from which aliasing is estimated. Of larger fields, only
 # the first samples are used.
 _SAMPLES = 512
-# Half width of the rings of the frequency plane over which powers are averaged to estimate aliasing, relative to the
-# Nyquist limit of the samples.
+# Powers are averaged over rings of the frequency plane to estimate aliasing. The number is the half width of a ring,
+# relative to the Nyquist limit of the samples.
 _RING = 0.1
 # Number of samples whose slopes are computed at once. The value is limited by memory: if doubled, the computation of
 # slopes requires twice the memory.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.core.warnings import warn
-from warpdiff.core.wording import ref
+from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.heightfield import cleaning
 
 if TYPE_CHECKING:
@@ -30,11 +30,11 @@ _EXACT = 1e6
 # opposite edges count as unequal. The smooth part is that of Moisan's decomposition, which `HeightField.periodic`
 # subtracts; that method warns from the same ratio. Patches with many features have a smaller ratio.
 _MOST_CHANGE = 0.4
-# Ratio of the jump across opposite edges of a field to the largest steps between neighbouring samples, up to which no
-# warning follows. Such a jump may be a wall of a grating.
+# The jump across opposite edges of a field is compared with the largest steps between neighbouring samples. A warning
+# follows only if the ratio of both is above this number, because a smaller jump may be a wall of a grating.
 _MOST_JUMP = 1.5
-# Least share of the interfering pairs of points with an edge of the field between both points, from which a warning
-# about unequal edges follows.
+# Light from two points of a surface interferes if their distance is short enough. The number is the least fraction of
+# such pairs of points between which an edge of the field lies, from which a warning about unequal edges follows.
 _LEAST_SHARE = 0.1
 _warned: weakref.WeakSet[HeightField] = weakref.WeakSet()
 
@@ -80,6 +80,23 @@ def warn_of_edges(heightfield: HeightField, coherence: Coherence, longest_um: fl
         )
 
 
+def check_periodic(heightfield: HeightField) -> None:
+    """Raise an error if opposite edges of a field do not match, or if it is tilted, whatever its coherence is."""
+    heights = heightfield.heights_um
+    jumps = [_jump(heights, axis) for axis in (0, 1)]
+    plane = heights - cleaning.level(heights, heightfield.missing, 1)
+    if max(jumps) <= _MOST_JUMP or float(np.std(plane)) >= _EXACT * float(np.std(heights - plane)):
+        return
+    change = float(np.sqrt(np.mean(cleaning.smooth_part(heights) ** 2)))
+    if change > _MOST_CHANGE * heightfield.rms_um:
+        worst = jumps.index(max(jumps))
+        raise ArgumentValueError(
+            f"{ref('heightfield')} must be periodic, but its opposite edges differ along {'yx'[worst]} by "
+            f"{jumps[worst]:.2g} times the largest steps of its roughness: use {ref('periodic()')}, or cut whole "
+            f"periods with {ref('whole_periods()')}"
+        )
+
+
 def _jump(heights: NDArray[np.float64], axis: int) -> float:
     """Return the rms jump across opposite edges, relative to the largest steps within the field; 0 without a jump."""
     if heights.shape[axis] < 3:
@@ -94,10 +111,10 @@ def _jump(heights: NDArray[np.float64], axis: int) -> float:
 
 
 def _share(coherence: Coherence, size_um: float, axis: int, longest_um: float) -> float:
-    """Return the share of interfering pairs of points that have an edge of the field between them, if it is repeated.
+    """Return the fraction of interfering pairs of points of the repeated field that have an edge between them.
 
     Points interfere within a Gaussian coherence window of standard deviation σ. Two points in the window have a mean
-    distance of 2σ/√π along an axis. The share is this distance relative to the length of the field.
+    distance of 2σ/√π along an axis. The fraction is this distance relative to the length of the field.
     """
     if coherence.periods is not None:
         return 0.0 if coherence.periods[axis] == 1 else 1.0
@@ -105,8 +122,8 @@ def _share(coherence: Coherence, size_um: float, axis: int, longest_um: float) -
     if sigma is None:
         sigma = longest_um / (2.0 * math.sqrt(2.0) * math.pi * coherence.spread)
     if coherence.kind == "centred" and coherence.centre_um is None:
-        # A single coherence window is in the middle of the patch. The part of the window beyond the edges contains
-        # points of a neighbouring period, so that an edge lies between them and the middle. The share is the weight of
-        # this part of the window.
+        # A single coherence window is centred on the patch. The part of the window beyond the edges contains points of
+        # a neighbouring period, so that an edge lies between them and the middle. The result is the weight of this
+        # part, relative to the weight of the window.
         return math.erfc(0.5 * size_um / (math.sqrt(2.0) * sigma))
     return min(2.0 * sigma / (math.sqrt(math.pi) * size_um), 1.0)

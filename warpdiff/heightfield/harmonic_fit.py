@@ -1,4 +1,7 @@
-"""Least-squares fit of a wave of unknown frequency and its harmonics, with the covariance of the fitted frequency."""
+"""Least-squares fit of a wave of unknown frequency and its harmonics, with the covariance of the fitted frequency.
+
+Frequencies q are pairs (y, x) in 1/µm. Some functions count a frequency in cycles over the length of the field instead.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +22,8 @@ MOST_HARMONICS = 16
 # Largest frequency of a fitted harmonic, relative to the Nyquist limit. A sine at the Nyquist limit may vanish on all
 # samples.
 OF_NYQUIST = 0.9
-# Number of values per period of the shortest harmonic of a wave. Samples that are closer together are averaged over
-# blocks before a fit, which saves time. With two values per period, harmonics would alias.
+# Samples that are close together are averaged over blocks before a fit, which saves time. The number is that of block
+# means per period of the shortest harmonic of a wave. With two means per period, harmonics would alias.
 _SAMPLES_PER_PERIOD = 4
 # Largest number of elements of the matrix of a least-squares fit. The value is limited by time and memory: if doubled,
 # the largest fits require twice as much of both.

@@ -20,8 +20,8 @@ _CONVERGED = 1e-10
 # Maximum number of steps of the conjugate gradient method that fills gaps; about twenty steps suffice.
 _MOST_STEPS = 200
 # In the equations for missing heights, neighbours along the axis with the coarser pitch have a smaller weight than
-# neighbours along the other axis. The number is the least ratio of these weights. The value is limited by rounding:
-# smaller weights are lost.
+# neighbours along the other axis. The number is the smallest ratio of these weights; smaller ratios are raised to it.
+# The value is limited by rounding errors, in which smaller weights are lost.
 _LEAST_WEIGHT = 1e-10
 # Damping factor of the Jacobi iterations, which smooth the errors on each grid of the multigrid method; the usual value
 # for five-point Laplacians.

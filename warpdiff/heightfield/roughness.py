@@ -45,9 +45,9 @@ _COARSE = 1024
 # Ratio of the largest computed lag to the extent of the region of lags where the autocorrelation exceeds
 # `autocorrelation.THRESHOLD`. If doubled, the Fourier transforms of the autocorrelation take longer.
 _MARGIN = 1.3
-# A field with grooves is divided into blocks for the standard errors. If the angle between the grooves and an axis is
-# at most this [degrees], the blocks are stripes along this axis, because parts of a field along the same groove
-# resemble each other. The value is half of the angle between an axis and the diagonal.
+# A field with grooves is divided into blocks for the standard errors. The number is the largest angle between the
+# grooves and an axis [degrees] at which the blocks are stripes along this axis. Stripes are necessary because parts of
+# a field along the same groove resemble each other. The value is half of the angle between an axis and the diagonal.
 _ALONG_AXIS_DEG = 22.5
 # Standard error of a parameter, relative to the parameter, above which the result also states a reason for the large
 # error. The value was chosen: two standard errors are then as large as the parameter.

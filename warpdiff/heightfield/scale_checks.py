@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from warpdiff.heightfield.field import HeightField
-
 # Size of an atom [µm]. A smaller pitch or height range is probably not in µm but in another unit.
 _ATOM_UM = 1e-4
 # Height range [µm] and mean slope. If a field is below both numbers, its unit is doubtful. A warning follows only if
@@ -27,9 +25,9 @@ _SUSPICIOUS_RANGE_UM, _SUSPICIOUS_SLOPE = 5e-4, 1e-3
 _MOST_PITCH_UM = 2.0
 # Half of the shortest visible wavelength [µm]. A grating of a smaller period has only the zeroth diffraction order.
 _LEAST_SIZE_UM = 0.19
-# Mean slopes above which a field gets a warning. A mean slope above the first number causes a warning if the median
-# slope also exceeds this number. A mean slope above the second number always causes a warning. An echelle grating of
-# 76° has a mean slope of 8 but a median slope of 4, and gets no warning.
+# Mean slopes above which a field gets a warning. A mean slope above `_STEEP` causes a warning if the median slope also
+# exceeds `_STEEP`. A mean slope above `_TOO_STEEP` always causes a warning. An echelle grating of 76° has a mean slope
+# of 8 but a median slope of 4, and gets no warning.
 _STEEP, _TOO_STEEP = 5.0, 10.0
 # Height range, relative to the largest absolute height, up to which a field counts as flat with rounding errors. Flat
 # fields get no warning about their unit.
@@ -72,9 +70,8 @@ def check_magnitude(heights: NDArray[np.float64], most: float) -> None:
         )
 
 
-def warn_of_scale(heightfield: HeightField) -> None:
-    """Warn of codes for missing data among the heights, and of a size or slope that no diffracting surface has."""
-    heights = heightfield.heights_um
+def warn_of_scale(heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> None:
+    """Warn of codes for missing data among heights [µm], and of a size or slope that no diffracting surface has."""
     code = _missing_code(heights)
     if code is not None:
         value, count = code
@@ -83,7 +80,7 @@ def warn_of_scale(heightfield: HeightField) -> None:
             f"for missing data: replace them with NaN, as by numpy.where(heights == {value:.10g}, numpy.nan, heights)"
         )
         heights = np.where(heights == value, np.nan, heights)
-    scale = _Scale.of(heights, heightfield.pitch_um)
+    scale = _Scale.of(heights, pitch_um)
     if scale is None:
         return
     symptom = scale.symptom()

@@ -30,8 +30,8 @@ _FALSE_ALARM, _SINGLE_FALSE_ALARM = 5e-4, 1e-2
 # Smallest ratio of the power of a broad spectral line to the background around it. Estimates of the background are
 # wrong by less than this factor. If doubled, weak waves with a varying phase are lost.
 _LEAST_CONTRAST = 4.0
-# Maxima of the spectrum that noise reaches with a higher probability than this are not examined further. The power of
-# the noise is here the coarse background, which is estimated in rings and sectors of the frequency plane (`_RINGS`).
+# Largest probability that noise alone causes a maximum of the spectrum for which this maximum is examined further. The
+# power of the noise is here the coarse background, which is estimated in rings and sectors of the frequency plane.
 _EXAMINED = 1e-3
 # Largest number of maxima of the spectrum that are examined for each width of the boxes over which it is averaged. The
 # value is limited by time: if doubled, the search takes up to twice as long.
@@ -43,9 +43,9 @@ _MAIN_LOBE = 1.8
 # the same direction. `_STRIP` is the half width of each strip, relative to the frequency of the line. `_MOST_ALONG` is
 # the largest number of positions along a strip.
 _STRIP, _MOST_ALONG = 0.15, 40
-# The background of a spectral line is estimated at higher frequencies up to this multiple of the frequency of the line.
-# The first number is for fields with several samples along both axes. The second number is for single rows or columns
-# of samples, which have fewer Fourier coefficients.
+# The background of a spectral line is estimated at higher frequencies up to a multiple of the frequency of the line.
+# The multiple is 1.8 for fields with several samples along both axes. It is 2.4 for single rows or columns of samples,
+# which have fewer Fourier coefficients.
 _HIGHEST = (1.8, 2.4)
 # The coarse background is estimated in rings and sectors of the frequency plane. `_RINGS` is the number of rings per
 # octave of frequency, and `_SECTORS` the number of sectors in half of the plane. At most about `_MOST_SAMPLED` Fourier
@@ -257,7 +257,7 @@ class WindowedSpectrum:
         """Return the line in a box of the spectrum around a coefficient, or None if the line is not significant.
 
         The mean power in the box must exceed the spectrum at lower and at higher frequencies of the same direction, and
-        the rest of each straight line through the box in the frequency plane.
+        at the other points of each straight line through the box in the frequency plane.
         """
         width = max(sides)
         box = tuple(slice(max(i - side // 2, 0), i + side // 2 + 1) for i, side in zip(place, sides, strict=True))
@@ -348,11 +348,11 @@ class WindowedSpectrum:
         return np.asarray(self.power.ravel()[np.unique(row[inside] * nx + column[inside])])
 
     def _over_ridge(self, cycles: NDArray[np.float64], mean: float, width: int) -> tuple[float, float, int]:
-        """Return the smallest ratio of a maximum's power to the power on the rest of a straight line through it.
+        """Return the smallest ratio of a maximum's power to the other powers on a straight line through the maximum.
 
         Grinding marks and steps between scan lines make ridges in the spectrum, and noise makes many maxima along a
-        ridge. Such a maximum hardly exceeds the rest of its ridge. Also return the number of independent coefficients
-        of the maximum, and the number of coefficients of the rest, for the straight line with the smallest ratio.
+        ridge. Such a maximum hardly exceeds the other powers on its ridge. Also return the number of independent
+        coefficients of the maximum, and of the other coefficients, for the straight line with the smallest ratio.
         """
         core = 0.5 * (width - 1) + _MAIN_LOBE
         reach = int(core + max(9, width // 2))

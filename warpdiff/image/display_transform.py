@@ -36,9 +36,9 @@ SCENE = "CIE XYZ-D65 - Scene-referred"
 # white of the display. The value for ACES is larger, because ACES displays middle tones 0.8 stops darker and can
 # display values above 1. The values were chosen by eye; if doubled, pictures are a stop brighter.
 MEAN_SHOWN: dict[Display, float] = {"aces": 0.7, "colorimetric": 0.5, "clip": 0.5}
-# Fraction of the illuminated pixels of a picture, the brightest ones, that automatic exposure excludes. The pixels are
-# excluded because mirror reflections of a light may be a thousand times as bright as diffraction orders. If doubled,
-# pictures with small bright areas become brighter.
+# Automatic exposure excludes this fraction of the illuminated pixels of a picture, namely the brightest ones. They are
+# excluded because mirror reflections of a light may be a thousand times as bright as diffraction orders. If the
+# fraction was doubled, pictures with small bright areas would become brighter.
 _TOO_BRIGHT = 1e-4
 
 # Matrix from CIE XYZ to linear Display P3 with the white point D65, from CSS Color Module Level 4.
@@ -76,21 +76,21 @@ UNCHANGED, COMPRESSED = 0.8, 4.0
 # Number of hues for which the largest chroma in Display P3 is tabulated, one per 0.25°. The value was chosen so that
 # linear interpolation between the hues suffices. If doubled, the table takes twice as long.
 _HUES = 1440
-# Largest linear RGB component that is passed to ACES. Larger components are clipped, because ACES displays this one as
-# white already, and much larger components overflow.
+# Largest linear RGB component that is passed to ACES. Larger components are replaced by this number. ACES displays this
+# number as white already, and much larger components would overflow.
 WHITE = 1024.0
 # Table of ACES colours. `_NODES` is the number of its grid points along each axis: 33 points give an interpolation
 # error of 0.6 ΔE2000 at the 99th percentile, and twice as many points require 8 times the memory. `TOE` is the linear
 # RGB component up to which the grid points are nearly evenly spaced. Above it, the ratios of neighbouring grid points
 # are nearly equal.
 _NODES, TOE = 33, 0.01
-# Number of bisections that find the largest chroma of a colour in a gamut. The value was chosen so that the remaining
-# interval, 2^-20 of the first one, is smaller than a step of a 16-bit file.
+# Number of bisections that find the largest chroma of a colour in a gamut. After them, the interval is 2^-20 of the
+# first interval. The number was chosen so that this is less than a step of a 16-bit file.
 _BISECTIONS = 20
-# Number of colours that one thread transforms at once. The value is limited by small pictures: if doubled, they use
-# fewer threads.
+# Number of colours that one thread transforms at once. If it was doubled, small pictures would be transformed by fewer
+# threads.
 _TOGETHER = 8192
-# Lower bound of a divisor, which prevents a division by zero.
+# Divisors that may be 0 count as at least this number, which prevents a division by zero.
 _LEAST = 1e-30
 
 
@@ -129,8 +129,8 @@ def auto_exposure(luminances: ArrayLike, display: Display) -> float:
     """
     luminance = np.sort(np.asarray(luminances, dtype=np.float64).ravel())
     most = luminance[: len(luminance) - math.ceil(_TOO_BRIGHT * len(luminance))]
-    # If there are very few luminances, the brightest 0.01 % round up to all of them. In this case the mean includes all
-    # luminances.
+    # The brightest 0.01 % are rounded up to a whole number of luminances. If there is only one luminance, this would
+    # exclude it. The mean is then this luminance.
     mean = float(np.mean(most if most.size else luminance)) if luminance.size else 0.0
     return MEAN_SHOWN[display] / mean if mean > 0.0 else 1.0
 
@@ -300,8 +300,8 @@ def _reduce_chroma(xyz: NDArray[np.float64], to_rgb: NDArray[np.float64]) -> NDA
     roots_to_rgb = (to_rgb @ _CONES_TO_XYZ).T
 
     def with_chroma(share: NDArray[np.float64]) -> NDArray[np.float64]:
-        # The cube roots of the three cone responses of a grey all equal the lightness L of the grey. A multiple of
-        # ``slopes``, the change of these roots per unit of chroma, is added to them.
+        # The three cone responses of a grey have equal cube roots, the lightness L of the grey. ``slopes`` is the
+        # change of these roots per unit of chroma. A multiple of it is added to the roots.
         roots = grey + share[:, None] * slopes
         return np.asarray((roots * roots * roots) @ roots_to_rgb)
 

@@ -2,6 +2,8 @@
 
 The constants were fitted such that the estimates bound 95 % of the errors of pictures, relative to pictures with many
 rays per pixel: see docs/decisions/error_estimates.md.
+
+Y* is the reference luminance of a picture, about the luminance of its brightest pixels.
 """
 
 from __future__ import annotations
@@ -17,18 +19,19 @@ from warpdiff.kernels.thresholds import FLOOR, PERCENTILE, TINY
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Factor a in the ratio a (c/‖XYZ‖)^(1/8) of two relative errors: that of a pixel, and that which the plan predicts at
-# the 99th percentile of directions. Here c is the largest ‖ΔXYZ‖ between the pixel and its four neighbours. The ratio
-# is below 1, because a pixel averages many directions. The value was fitted as the module's docstring describes.
+# The estimated relative error of a pixel is the error that the plan predicts at the 99th percentile of directions,
+# times a (c/‖XYZ‖)^(1/8). Here c is the largest ‖ΔXYZ‖ between the pixel and its four neighbours, and a is this number.
+# It is below 1, because a pixel averages many directions. The number was fitted as the module's docstring describes.
 _MEAN_ERROR_PER_PLAN_ERROR = 0.32
-# A pixel has two independent errors: the error of the colours and the error of the subdivision into subpixel cells. The
-# root of the sum of both squared errors is multiplied by this factor, so that the product bounds 95 % of all errors.
-# The value was fitted as the module's docstring describes.
+# A pixel has two independent errors: the error of the colours, and the error of the subdivision into subpixel cells.
+# The root of the sum of their squares is multiplied by this factor, so that the product bounds 95 % of all errors. The
+# factor was fitted as the module's docstring describes.
 _BOUND_OF_BOTH = 1.1
 
-# Relative error of the filter of textures, and its largest share of the tolerance. Pictures at tolerances of 0.1 and
-# 0.03 have the same errors of the filter, because nearly all pixels of far textures have cells of the same level.
-# Fitted to bound 90 % of the pixels of far textures (docs/decisions/textures.md).
+# `_FILTER_OF_TEXTURES` is the relative error of the filter of textures. `_MOST_OF_TOLERANCE` is its largest share of
+# the tolerance. The error does not depend on the tolerance: pictures at tolerances of 0.1 and 0.03 have the same
+# errors, because nearly all pixels of far textures have cells of the same level. The error was fitted to bound 90 % of
+# the errors of pixels with far textures (docs/decisions/textures.md).
 _FILTER_OF_TEXTURES, _MOST_OF_TOLERANCE = 0.01, 0.33
 
 # Model of the probability that the true error of a pixel exceeds the tolerance. `_ODDS_AT_TOLERANCE` are the odds if
@@ -74,7 +77,7 @@ def combined_errors(parts: ErrorParts, plan_error: float) -> NDArray[np.float64]
 
 
 def texture_error(tolerance: float) -> float:
-    """Return the relative error of the filter of textures in a picture with a tolerance."""
+    """Return the relative error that the filter of textures causes in a picture with the given tolerance."""
     return min(_FILTER_OF_TEXTURES, _MOST_OF_TOLERANCE * tolerance)
 
 

@@ -13,8 +13,8 @@ from warpdiff.image.error_model import share_beyond
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Factor by which pixels at edges (of the mesh or of shadows) may have a larger error than interior pixels. The value
-# was chosen because, at edges, means over the pixel filter converge slowly.
+# Factor by which pixels at edges may have a larger error than interior pixels. Edges are those of the mesh and of
+# shadows. The value was chosen because means over the pixel filter converge slowly at edges.
 EDGES_PER_TOLERANCE = 3.0
 # Largest fractions of interior pixels and of edge pixels that may exceed their tolerance in a picture that counts as
 # converged. Both values were chosen; if doubled, pictures with visible errors count as converged.

@@ -14,20 +14,21 @@ from warpdiff.optics import colorimetry
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Azimuth of the sun in the image, from −z towards +x [rad]. The angle was derived as the middle of a column of pixels.
+# Azimuth of the sun in the image, from −z towards +x [rad]. At this azimuth, the sun is in the middle of a column of
+# pixels.
 SUN_AZIMUTH = 0.5 * math.pi / ROWS
-# CIE standard general sky, type 12, "clear sky, low illuminance turbidity" (CIE S 011/E:2003, ISO 15469:2004, table 1):
-# The numbers a and b are parameters of the gradation; c, d and e are parameters of the indicatrix.
+# Parameters of type 12 of the CIE standard general sky, "clear sky, low illuminance turbidity" (CIE S 011/E:2003, ISO
+# 15469:2004, table 1). a and b are parameters of the gradation, and c, d and e are parameters of the indicatrix.
 _A, _B, _C, _D, _E = -1.0, -0.32, 10.0, -3.0, 0.45
 # Formulas of illuminances [klx] for a sun at the altitude h. The sun has the illuminance 127.5 exp(−0.21 / sin h),
 # normal to its direction. The clear sky has the illuminance 0.8 + 15.5 √sin h on the horizontal (IES, Recommended
 # Practice for the Calculation of Daylight Availability, Journal of the IES 13, 1984).
 _SUN_KLX, _EXTINCTION, _SKY_KLX, _SKY_KLX_OF_SINE = 127.5, 0.21, 0.8, 15.5
-# Standard deviation of the sun's directions along one axis [rad]. It was derived from the disc of the sun, which has a
-# diameter of 0.53°.
+# Standard deviation of the sun's directions along one axis [rad]. It is that of a uniform disc with the sun's diameter
+# of 0.53°: a quarter of the diameter.
 SUN_DEVIATION = math.radians(0.53) / 4.0
-# Largest angle between a pixel and the sun at which the pixel gets a share of the sun's power [rad]. The angle was
-# derived as 3.5 rows of the image; pixels farther away would get less than 1e-5 of the power.
+# Largest angle between a pixel and the sun at which the pixel gets a part of the sun's power [rad]. With 3.5 rows of
+# the image, pixels farther away would get less than 1e-5 of the power.
 _SUN_REACH = 3.5 * math.pi / ROWS
 # Colour temperatures of CIE daylight [K]: light of a blue sky, and light of the sun behind the atmosphere.
 _SKY_K, _SUN_K = 15_000.0, 5_500.0
@@ -41,7 +42,7 @@ def clear_sky_radiance(sun_altitude: float, sun: float, ground_albedo: float) ->
     Args:
         sun_altitude: Angle of the sun above the horizon [rad], above 0.
         sun: Linear factor of the sun.
-        ground_albedo: Share of the light that the ground reflects.
+        ground_albedo: Fraction of the light that the ground reflects.
     """
     # The pixels of the image are the cells of the grid on which environments store a sky. Resampling would spread the
     # power of the sun.
@@ -99,12 +100,12 @@ def illuminance_ratio(sun_altitude: float) -> float:
 def _shares_of_sun(
     along: NDArray[np.float64], solid: NDArray[np.float64], towards: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the share of the sun's power of each pixel, with the mean direction and the variance of the sun's disc.
+    """Return the fraction of the sun's power of each pixel, with the mean direction and the variance of the sun's disc.
 
-    A pixel is 0.35° wide. If shares were proportional to the disc's area in each pixel, the sun would become 18 to 28 %
-    wider. Among all shares with the required mean and variance, this function selects the shares with the largest
-    entropy. These shares are proportional to s exp(θ·x), where s is the solid angle of a pixel. The vector x has the
-    pixel's two offsets from the sun and its squared distance. The three parameters θ minimise a convex function.
+    A pixel is 0.35° wide. If the fractions were proportional to the disc's area in each pixel, the sun would become 18
+    to 28 % wider. Among all fractions with the required mean and variance, this function selects those with the largest
+    entropy. They are proportional to s exp(θ·x), where s is the solid angle of a pixel. The vector x has the pixel's
+    two offsets from the sun and its squared distance. The three parameters θ minimise a convex function.
     """
     from scipy.optimize import minimize
 

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.optics.spectra import Spectrum
 
-# Largest diameter of a disc light [°]. The value was chosen because softboxes are smaller, and larger lights can be
-# described by environments.
+# Largest diameter of a disc light [°]. The value was chosen because typical softboxes are smaller than 60°. Larger
+# lights can be described by environments.
 _WIDEST_DEG = 60.0
 # Largest diameters [°] of disc lights that are approximated by one Gaussian lobe: in refined pictures, and in pictures
 # with ``refine=False``. The values are limited by shadows, because a lobe has no penumbra. Directions to wider discs

@@ -18,13 +18,14 @@ if TYPE_CHECKING:
     from warpdiff.lights.base import DiscPart
     from warpdiff.lights.light_pass import Counting, PassContext, RayBatch
 
-# Effective number of pixels that contribute to a pixel through the pixel filter, a Gaussian of σ pixels. The number was
-# derived as 4πσ².
+# Effective number of pixels that contribute to a pixel through the pixel filter, a Gaussian of σ pixels. For such a
+# filter, the number is 4πσ².
 _COVERED_PIXELS = 4.0 * math.pi * FILTER_SIGMA**2
 # A sample of a disc light counts as a Gaussian source around its direction, which lowers the noise. The standard
 # deviation of the Gaussian, in radii of the disc, is `_EXTENT` divided by the square root of the samples per pixel. It
-# is at most `_MOST_EXTENT`, the standard deviation of the whole disc. `_EXTENT` was chosen for sharp shadows: if it is
-# doubled, directions are drawn on a smaller part of the disc, and penumbrae become narrower.
+# is at most `_MOST_EXTENT`, the standard deviation of the whole disc. `_EXTENT` was chosen so that shadows are sharp.
+# If it is doubled, directions are drawn on a smaller part of the disc, and penumbrae become narrower than those of the
+# disc.
 _EXTENT, _MOST_EXTENT = 1.0, 0.5
 # Number of samples per pixel whose scattering vectors determine the range for which a plan is chosen. The value is
 # limited by time, which is proportional to it.

@@ -25,18 +25,18 @@ class EmissionPass(LightPass):
     """
 
     def __init__(self, context: PassContext, plain: PlainFaces, brightness: float) -> None:
-        """Make the pass for the plain faces of a picture, and a luminance of an emission of 1."""
+        """Make the pass for the plain faces of a picture. ``brightness`` is the luminance of an emission of 1."""
         super().__init__(context, [[]])
         self._plain, self._luminance = plain, brightness
         self._brightness = wp.empty(1, dtype=wp.float32, device=context.device)
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
-        """Type of the pass; its only other value is in an array."""
+        """Type of the pass, as the key of a recorded CUDA graph. The luminance is in an array and not in the key."""
         return (type(self),)
 
     def begin(self, previous: LightPass | None) -> None:
-        """Write the luminance of an emission of 1 into the array of the previous emission pass, or into a new one."""
+        """Write the luminance of an emission of 1 into the array of the previous emission pass, or into a new array."""
         if isinstance(previous, EmissionPass):
             self._brightness = previous._brightness
         self._brightness.fill_(self._luminance)

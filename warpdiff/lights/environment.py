@@ -44,8 +44,8 @@ _FEWEST_DIRECTIONS, _MOST_DIRECTIONS = 16, 32_768
 # Number of directions per pixel in pictures with ``refine=False``. The value was chosen so that the noise of such
 # pictures is about 7 %; time is proportional to it.
 _DEFAULT_DIRECTIONS = 64
-# Approximate memory per pixel [bytes]: to load an image, and to compute a background. With larger numbers, images that
-# would fit in memory would raise ``MemoryError``.
+# Approximate memory per pixel [bytes] that is required to load an image, and to compute a background. If doubled,
+# images that would fit into memory are refused with a ``MemoryError``.
 _BYTES_PER_PIXEL, _BYTES_OF_BACKGROUND = 24.0, 400.0
 # Largest linear factor of the sun of a clear sky. The value was chosen so that the sun's radiance remains below the
 # largest radiance.
@@ -189,7 +189,7 @@ class Environment(Checked, Light):
         Args:
             sun_direction: Direction towards the sun, above the horizon, +y up, shape (3,), of any length.
             sun: Linear factor of the sun; 0 is a sky without a sun.
-            ground_albedo: Share of the sky's and the sun's light that the ground reflects.
+            ground_albedo: Fraction of the light of sky and sun that the ground reflects.
             scale: Linear factor of the radiance, 0 to 1e9.
             directions: Number of random directions per pixel in pictures with ``refine=False``, 16 to 32768; None is
                 64.
@@ -331,7 +331,10 @@ def _make_parts(environment: Environment, sigma_um: float, directions: int) -> t
 
 @functools.cache
 def _spectra() -> tuple[tuple[Spectrum, Spectrum, Spectrum], NDArray[np.float64]]:
-    """Return the illuminants L/λ² of red, green and blue light, and ∫ L ȳ/λ² dλ [1/µm²] for a radiance of 1."""
+    """Return the illuminants L/λ² of red, green and blue light, and ∫ L ȳ/λ² dλ [1/µm²] for a radiance L of 1.
+
+    λ is the wavelength, and ȳ the luminous efficiency.
+    """
     colour: Any = colour_science()
     shape = colour.SpectralShape(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, 1)
     basis = np.maximum(colour.recovery.MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019.copy().align(shape).values, 0.0)

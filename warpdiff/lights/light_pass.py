@@ -1,14 +1,16 @@
 """Passes of lights: each pass samples one part of a light at the hits of rays, and looks up its colours.
 
 The hits are in ``scene.gbuffer``. This module defines the samples of one lobe (:class:`LightSamples`), and rays with
-the sums to which their colours are added (:class:`RayBatch`).
+the sums to which their colours are added (:class:`RayBatch`). A lobe is a Gaussian of directions, or a single
+direction. A plain surface has no height field. (u, v, w) is the scattering vector, and R(0) the reflectance at normal
+incidence.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -17,7 +19,9 @@ from warpdiff.device.kernel_calls import KernelCall
 from warpdiff.kernels import light_samples
 from warpdiff.kernels.refinement_levels import rays_at
 from warpdiff.kernels.structs import Footprint
+from warpdiff.lights.grating_dots import DotSamples, GratingDots, LookupSamples, material_of_dots
 from warpdiff.lights.plain_materials import plain_faces
+from warpdiff.lights.surface_optics import Finish, PictureUnit
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial, transmittances
 
@@ -27,63 +31,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.lights.plain_materials import PlainFaces
-    from warpdiff.optics.coherence import Coherence
-    from warpdiff.optics.materials import Material
+    from warpdiff.lights.surface_optics import SurfaceOptics
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.scene.camera_rays import CameraRays
     from warpdiff.scene.gbuffer import GBuffer
     from warpdiff.tables.lookup import Lookups
-
-
-@dataclass(frozen=True, eq=False)
-class SurfaceOptics:
-    """Optics of one surface of a picture, except for the diffraction of its height field.
-
-    Attributes:
-        coherence: Coherence of the light at the surface.
-        area_um2: Area of the height field [µm²].
-        normal_reflectance: R(0) of Schlick's approximation; 1 if the surface has materials.
-        materials: Materials of the faces. An entry of None stands for Schlick's R with ``normal_reflectance``.
-        masking: Whether V-cavity masking is included.
-        energy: Factors of the energy normalisation
-            (:class:`~warpdiff.diffraction.energy_normalisation.AchromaticFactors`); without them, the orders of a
-            perfect mirror do not sum to 1.
-        pigment: Linear factor of the light that the pigment reflects; 0 is no pigment.
-        shadows: Whether the mesh may occlude the lights.
-        is_plain: Whether the surface has no height field: it reflects light by its base colour and its material.
-        unit: Factor from the colours of this surface to the unit of the picture. None if the colours of the picture are
-            relative to this surface's own R(0) and coherence.
-    """
-
-    coherence: Coherence
-    area_um2: float
-    normal_reflectance: float
-    materials: tuple[Material | None, ...] = (None,)
-    masking: bool = True
-    energy: NDArray[np.float32] | None = None
-    pigment: float = 0.0
-    shadows: bool = True
-    is_plain: bool = False
-    unit: float | None = None
-
-
-class PictureUnit(NamedTuple):
-    """Light to which the colours of a picture are relative: a perfect mirror shows it at the coherence of the unit.
-
-    Attributes:
-        coherence: Coherence of the unit.
-        area_um2: Area of the height field [µm²], used for periods only.
-    """
-
-    coherence: Coherence
-    area_um2: float
-
-
-class Finish(NamedTuple):
-    """Surface of a picture with one of its materials. Each face has one finish."""
-
-    surface: int
-    material: Material | None
 
 
 class PassContext:
@@ -91,15 +43,18 @@ class PassContext:
 
     Attributes:
         rays: Camera rays, on whose hits the light is sampled.
-        surfaces: Optics of the surfaces, without the diffraction of their height fields. The last one may be that of
-            all glossy faces: plain faces with a roughness, whose light ``kernels.plain_reflection`` computes.
-        plain: Materials of plain surfaces; None if all are matte and dark.
-        finishes: All surfaces with all of their materials.
+        surfaces: Optics of the surfaces, without the diffraction of their height fields. If there are glossy faces
+            (plain faces with a roughness), the last entry is for all of them. Kernels of ``kernels.plain_reflection``
+            compute their light.
+        plain: Materials of plain surfaces; None if all are matte and emit no light.
+        finishes: Finishes of the picture: all surfaces with all of their materials.
         is_pigmented: Whether the mesh has base colours and the pigment is visible.
-        is_textured: Whether textures have some of these base colours.
+        has_maps: Whether textures have metallic, roughness or emission of plain faces.
+        is_textured: Whether colours depend on any texture.
         no_colours: An empty array of colours.
         finish_of_faces: Index of each face's finish on the device; empty for a single finish.
         refines: Whether pixels with large errors are subdivided.
+        dots: Dots of the surfaces with a grating map; None without any.
         reflection: The struct ``Reflection``, from which kernels compute reflectance, masking and the light of the
             pigment.
     """
@@ -117,27 +72,35 @@ class PassContext:
         self.rays, self.surfaces, self.refines = rays, tuple(surfaces), refines
         self._unit = unit or PictureUnit(surfaces[0].coherence, surfaces[0].area_um2)
         self.finishes = [
-            Finish(index, material) for index, optics in enumerate(surfaces) for material in optics.materials
+            Finish(index, material, material_of_dots(material, optics.grating_map))
+            for index, optics in enumerate(surfaces)
+            for material in optics.materials
         ]
         self.plain = self._plain_faces(finish_of_faces)
         if finish_of_faces is not None and self.plain is not None and self.plain.has_glossy_faces:
-            # Glossy faces form a surface and a finish of their own, without a pigment and without a look-up.
+            # All glossy faces together form an additional surface and finish, without a pigment and without a height
+            # field.
             plain = next(optics for optics in surfaces if optics.is_plain)
             self.surfaces += (replace(plain, pigment=0.0),)
             self.finishes.append(Finish(len(surfaces), None))
             finish_of_faces = np.where(self.plain.is_glossy, len(self.finishes) - 1, finish_of_faces).astype(np.int32)
         self.is_pigmented = rays.surface.has_base_colour and any(optics.pigment > 0.0 for optics in surfaces)
-        self.is_textured = self.is_pigmented and rays.surface.is_textured
+        self.has_maps = self.plain is not None and rays.surface.has_maps
+        self.is_textured = self.has_maps or (self.is_pigmented and rays.surface.is_textured)
         self.no_colours = wp.empty(0, dtype=wp.vec3f, device=self._device)
         by_face = np.zeros(0, dtype=np.int32) if finish_of_faces is None else finish_of_faces
         self.finish_of_faces = self._array(by_face, wp.int32)
+        self.dots = GratingDots.of(
+            [optics.grating_map for optics in surfaces],
+            np.array([finish.surface for finish in self.finishes], dtype=np.int32)[by_face], rays,
+        )  # fmt: skip
         self.reflection = self._reflection()
 
     def _array(self, values: Any, dtype: Any) -> wp.array:
         return wp.array(np.asarray(values), dtype=dtype, device=self._device)
 
     def _plain_faces(self, finish_of_faces: NDArray[np.int32] | None) -> PlainFaces | None:
-        """Return the materials of plain surfaces; None if all are matte and dark."""
+        """Return the materials of plain surfaces; None if all are matte and emit no light."""
         is_plain = np.array([self.surfaces[finish.surface].is_plain for finish in self.finishes])
         if finish_of_faces is None or not is_plain.any():
             return None
@@ -152,7 +115,8 @@ class PassContext:
         reflection.surfaces = self._array([finish.surface for finish in self.finishes], wp.int32)
         reflection.normal_reflectances = self._array([surface.normal_reflectance for surface in optics], wp.float64)
         reflection.units = self._array([surface.unit or 1.0 for surface in optics], wp.float64)
-        # A picture in the unit of its surface is relative to R(0), and so is the light of its pigment.
+        # If the picture is in the unit of its surface, its colours are relative to R(0). The light of the pigment is
+        # divided by R(0), too.
         units = [surface.unit or surface.normal_reflectance for surface in optics]
         pigments = [surface.pigment / unit for surface, unit in zip(optics, units, strict=True)]
         reflection.pigments = self._array(pigments if self.is_pigmented else [], wp.float64)
@@ -190,7 +154,7 @@ class PassContext:
         return self.surfaces[0].shadows and self.rays.may_be_occluded
 
     def finishes_of_hits(self) -> NDArray[np.int32] | None:
-        """Return the index of the finish at the hit of each ray, any index for other rays; None for one finish."""
+        """Return the index of the finish at the hit of each ray (any index without a hit); None for a single finish."""
         if not self.has_finishes:
             return None
         faces = self.rays.gbuffer.pixels.face.numpy()
@@ -226,14 +190,15 @@ class LightSamples:
         occluded: Whether the mesh occludes the lobe at each hit, (n,).
         scattering_vectors: (u, v, w), (n,) of ``wp.vec3d``.
         to_lights: Directions to the light in the local frame, (n,) of ``wp.vec3f``.
-        gains: Geometry factors, (n,); 0 where no light arrives. For a sky, gains are 1 at hits.
-        spectral_gains: Geometry factors times the sky's radiance by spectrum, (3, n); (0, 0) unless rays have their own
-            directions.
-        towards: Each ray's own direction to the light, world frame, and its weight, (n,) of ``wp.vec4f``; empty unless
-            a light is sampled or has an emission profile.
+        gains: Geometry factors, (n,); 0 where no light arrives. For a sky, they are 1 at hits.
+        spectral_gains: Geometry factors times the sky's radiance by spectrum, (3, n); the shape is (0, 0) unless each
+            ray has its own direction to the light.
+        towards: Direction to the light of each ray, world frame, and its weight, (n,) of ``wp.vec4f``. The array is
+            empty unless directions are drawn at random or a light has an emission profile.
         footprints: Footprints of the rays' filters in (u, v), (n,); empty if pixels show points.
-        finish_gains: Geometry factors where faces have one of several finishes, else 0, (n,); empty for a single
-            finish.
+        finish_gains: Geometry factors at faces with the finish that is evaluated, and 0 at other faces, (n,); empty for
+            a single finish.
+        of_dots: Samples in the frames of dots; None without a grating map.
     """
 
     occluded: wp.array
@@ -244,10 +209,11 @@ class LightSamples:
     towards: wp.array
     footprints: wp.array
     finish_gains: wp.array
+    of_dots: DotSamples | None = None
 
     @classmethod
     def allocate(
-        cls, rays: int, *, means: bool, has_finishes: bool, has_directions: bool, device: wp.Device
+        cls, rays: int, *, means: bool, has_finishes: bool, has_directions: bool, has_dots: bool, device: wp.Device
     ) -> LightSamples:
         """Return uninitialised arrays for a number of rays; footprints are empty unless pixels show ``means``."""
 
@@ -259,7 +225,16 @@ class LightSamples:
             wp.empty((3 * has_directions, rays * has_directions), dtype=wp.float32, device=device),
             empty(wp.vec4f, rays * has_directions),
             empty(Footprint, rays * means), empty(wp.float32, rays * has_finishes),
+            DotSamples.allocate(rays, means=means, device=device) if has_dots else None,
         )  # fmt: skip
+
+    @property
+    def signals(self) -> wp.array:
+        """Vectors of the rays whose changes between pixels tell refinement how evenly colours change.
+
+        They are scattering vectors. With a grating map they also differ from dot to dot.
+        """
+        return self.scattering_vectors if self.of_dots is None else self.of_dots.scattering_vectors
 
     @property
     def directions(self) -> list[wp.array]:
@@ -273,13 +248,13 @@ class RayBatch:
 
     Attributes:
         gbuffer: Hits of the rays.
-        samples: Samples of one lobe at the hits; each lobe overwrites those of the lobe before.
+        samples: Samples of one lobe at the hits; the samples of the next lobe overwrite them.
         xyz: Sums of colours, (n,).
         coverage: Sums of hits, (n,); an empty array is not written.
         illuminated: Whether light reached the ray's hit, (n,); an empty array is not written.
-        unserved_gain: Geometry factors of directions that a table excludes, (n,); empty if it excludes none.
-        tiles: Indices of the pixels whose cells are the rays; −1 is no pixel. If empty, the rays are one per pixel of
-            the picture.
+        unserved_gain: Geometry factors of directions that a table does not contain, (n,); empty if it contains all.
+        tiles: Indices of the pixels whose subpixel cells are the rays; −1 is no pixel. If empty, there is one ray for
+            each pixel of the picture.
         level: Level of the cells; 0 is one ray per pixel.
         deviation: Standard deviation of the filter of a ray [pixels]; 0 without footprints.
     """
@@ -296,7 +271,7 @@ class RayBatch:
 
     @property
     def sums(self) -> list[wp.array]:
-        """The arrays to which samples are added: colours, number of hits, and marks of illuminated rays."""
+        """The arrays to which the values of a ray are added: colours, number of hits, and marks of illuminated rays."""
         return [self.xyz, self.coverage, self.illuminated]
 
 
@@ -306,7 +281,7 @@ class Counting:
 
     Attributes:
         weight: Weight of the lobe's colours in the sum of colours.
-        counted: Weight of a hit in the sum of coverage; 0 if an earlier lobe has counted the same hits.
+        counted: Weight of a hit in the sum of coverage; 0 if the same hits were counted with an earlier lobe.
         begins: Whether all sums are set to zero before this lobe is added.
         resets: Whether the sum of colours is set to zero before this lobe is added.
     """
@@ -318,13 +293,13 @@ class Counting:
 
 
 class LightPass(ABC):
-    """Base class of passes: one part of a light over the rays of one picture. A pass is made before the plan is known.
+    """Base class of passes: a pass evaluates one part of a light for the rays of a picture; it exists before the plan.
 
     Attributes:
         is_sampled: Whether directions to the light are drawn at random, so that colours have noise.
-        has_directions: Whether each ray has its own direction or weight: sampled lights and emission profiles.
-        first_level: Level of the first cells. Sampled lights begin at a finer one, because four cells are too few to
-            estimate noise.
+        has_directions: Whether each ray has its own direction or weight, for random directions or emission profiles.
+        first_level: Level of the first subdivision. It is higher for random directions, because four cells are too few
+            to estimate noise.
         context: Context that all passes of the picture share.
         lobe_count: Number of lobes, which are processed one after the other; for sampled lights, number of directions
             per pixel in a picture whose pixels are not subdivided.
@@ -338,7 +313,7 @@ class LightPass(ABC):
         self.context, self.lobe_count = context, len(spectra_of_lobes)
         self.illuminated = [
             tuple(
-                tuple(IlluminatedMaterial(spectrum, finish.material) for spectrum in spectra)
+                tuple(IlluminatedMaterial(spectrum, finish.looked_up) for spectrum in spectra)
                 for finish in context.finishes
             )
             for spectra in spectra_of_lobes
@@ -408,7 +383,7 @@ class LightPass(ABC):
 
     @property
     def white_luminance(self) -> float:
-        """Luminance of a white matte surface that faces the brightest lobe."""
+        """Luminance of a white matte surface that faces the brightest lobe of the pass."""
         return 0.0
 
     @abstractmethod
@@ -433,21 +408,36 @@ class LightPass(ABC):
             lookups: Look-ups of the surfaces.
             surface: The only surface whose colours are added; None stands for all surfaces.
         """
-        samples, context, calls = batch.samples, self.context, []
+        samples, context = batch.samples, self.context
+        calls: list[KernelCall] = []
+        of_rays = LookupSamples(samples.scattering_vectors, samples.to_lights, footprints)
         for index, (finish, spectra) in enumerate(zip(context.finishes, self.illuminated[lobe], strict=True)):
             lookup = lookups[finish.surface] if finish.surface < len(lookups) else None
             if lookup is None or surface not in (None, finish.surface):
                 continue
+            own = of_rays
+            if context.dots is not None and samples.of_dots is not None and context.dots.has_map(finish.surface):
+                own, transforms = context.dots.transform(
+                    finish.surface, batch.gbuffer, of_rays, samples.of_dots, batch.level
+                )
+                calls += transforms
             for gain, illuminated in zip(gains, spectra, strict=True):
                 used = gain
                 if context.has_finishes:
                     inputs = [gain, batch.gbuffer.pixels.face, context.finish_of_faces, index]
                     used = samples.finish_gains
                     calls.append(KernelCall(light_samples.select_finish, inputs, [used], in_runs=True))
+                if own is not of_rays and context.dots is not None and samples.of_dots is not None:
+                    used, scales = context.dots.scaled_gains(
+                        finish.looked_up, samples.scattering_vectors, used, samples.of_dots
+                    )
+                    calls += scales
                 calls += lookup.kernel_calls(
-                    samples.scattering_vectors, samples.to_lights, used, illuminated, batch.xyz,
-                    footprints if lookup.plan.uses_footprints else None, batch.unserved_gain,
+                    own.scattering_vectors, own.to_lights, used, illuminated, batch.xyz,
+                    own.footprints if lookup.plan.uses_footprints else None, batch.unserved_gain,
                 )  # fmt: skip
+        if context.dots is not None and samples.of_dots is not None and context.refines and batch.level == 0:
+            calls += context.dots.signal_calls(batch.gbuffer, samples.scattering_vectors, samples.of_dots)
         return calls
 
     def shade(self, batch: RayBatch, lookups: Lookups) -> list[KernelCall]:

@@ -47,7 +47,7 @@ class LobePass(LightPass):
     def begin(self, previous: LightPass | None) -> None:
         """Write the lobes into arrays. Arrays of the previous pass are reused if it had equally many lobes.
 
-        The occluder grids of the previous pass are reused if also the directions of its lobes are the same.
+        The occluder grids of the previous pass are reused only if the directions of its lobes are the same, too.
         """
         lobes, context = self.part.lobes, self.context
         reused = previous if isinstance(previous, LobePass) and len(previous.part.lobes) == len(lobes) else None
@@ -71,16 +71,17 @@ class LobePass(LightPass):
     def _grid_key(self) -> tuple[Hashable, ...]:
         """Values on which the occluder grids depend.
 
-        A disc has no grid, and a position or a profile has an empty one, also if its direction is that of another lobe.
+        A disc has no grid. A lobe with a position or an emission profile has an empty grid, even if its direction is
+        that of another lobe.
         """
         lobes = self.part.lobes
         return type(self), *((lobe.to_light, lobe.position is None, lobe.profile is None) for lobe in lobes)
 
     def _source(self, lobe: Lobe) -> tuple[tuple[float, ...], NDArray[np.float64], float]:
-        """Return place, standard deviations and power of a lobe (a Gaussian of directions), in mesh coordinates.
+        """Return position or direction, standard deviations and power of a lobe, in coordinates of the mesh.
 
-        The place has four homogeneous coordinates: a direction and 0, or a position and 1. For a position, the returned
-        power is the power at a distance of one mesh radius; users specify the power at a distance of one mesh unit.
+        The first result has four homogeneous coordinates: a direction and 0, or a position and 1. For a position, the
+        power is that at a distance of one mesh radius; users specify the power at a distance of one mesh unit.
         """
         deviations = np.zeros((2, 3)) if lobe.deviations is None else lobe.deviations
         if lobe.position is None:
@@ -98,7 +99,7 @@ class LobePass(LightPass):
     def white_luminance(self) -> float:
         """Luminance of a white matte surface that faces the brightest lobe.
 
-        A light at a position counts with its distance from the centre of the mesh.
+        For a light at a position, the luminance is that at the centre of the mesh.
         """
         return max(
             power * float(self.context.white_xyz(lobe.illuminant, is_of_sky=lobe.is_of_sky)[1])
@@ -156,7 +157,7 @@ class LobePass(LightPass):
             share: Factor by which the lobe's colours are multiplied.
             batch: The rays.
             counting: Rule by which samples are added.
-            lobe: Index of the lobe whose footprints the rays have; None is that of the light.
+            lobe: Index of the lobe for which the footprints of the rays were computed; None is the lobe of the light.
         """
         samples, pixels = batch.samples, batch.gbuffer.pixels
         occluded = self.occlusion(samples)

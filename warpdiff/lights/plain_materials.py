@@ -1,4 +1,7 @@
-"""Materials of plain surfaces on a device: which faces reflect by a roughness, and which emit light."""
+"""Materials of plain surfaces (surfaces without a height field) on a device: their roughness and emission.
+
+α is the roughness parameter of the GGX distribution of microfacets: the square of the perceptual roughness.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +19,8 @@ if TYPE_CHECKING:
 
     from warpdiff.scene.mesh_import import Surface
 
-# Least α of a plain surface. Limit: smaller ones cannot be computed with directions in float32. It corresponds to a
-# roughness of 0.045, the least of common renderers of glTF.
+# Smallest α of a plain surface. The value is limited by directions in float32, with which narrower highlights cannot be
+# computed. It corresponds to a perceptual roughness of 0.045, the smallest roughness in common renderers of glTF.
 _LEAST_ALPHA = 0.002
 
 
@@ -26,7 +29,7 @@ class PlainFaces:
     """Materials of the plain faces of a mesh.
 
     Attributes:
-        struct: The struct of the kernels.
+        struct: The struct ``PlainMaterials`` of the kernels.
         is_glossy: Whether each face is plain and has a roughness, shape (m,).
         emits: Whether any plain face emits light.
     """
@@ -44,21 +47,21 @@ class PlainFaces:
 def plain_faces(
     mesh: Surface, is_plain: NDArray[np.bool_], white_luminance: float, device: wp.Device
 ) -> PlainFaces | None:
-    """Return the materials of plain faces; None if all are matte and dark.
+    """Return the materials of plain faces; None if all are matte and emit no light.
 
     Args:
         mesh: The prepared mesh.
         is_plain: Whether each face is plain, shape (m,).
-        white_luminance: Luminance of a white matte surface that faces a light under which a mirror has 1. A smooth
-            surface gets the α with which its highlight has a luminance of at most 1, too.
+        white_luminance: Luminance of a white matte surface that faces a light under which a mirror has the luminance 1.
+            The α of a smooth surface is increased until the luminance of its highlight is at most 1, too.
         device: The Warp device.
     """
     factors = mesh.material_factors
     if factors is None:
         return None
     count = len(factors.roughness)
-    # The index −1 of a face without a material selects the last row, which is matte and dark.
-    rows = np.where(is_plain & (mesh.materials >= 0), mesh.materials, count)
+    # Faces without a material use the last row, which is that of a matte material without emission.
+    rows = np.where(is_plain & (mesh.rows >= 0), mesh.rows, count)
     roughness, emission = np.append(factors.roughness, -1.0), np.append(factors.emission, [[0.0] * 3], axis=0)
     is_glossy, emits = roughness[rows] >= 0.0, bool(np.any(emission[np.unique(rows)] > 0.0))
     if not (is_glossy.any() or emits):
@@ -67,8 +70,8 @@ def plain_faces(
     struct.rows = wp.array(rows, dtype=wp.int32, device=device)
     pairs = np.stack([np.append(factors.metallic, 0.0), roughness], axis=1)
     struct.metallic_roughness = wp.array(pairs, dtype=wp.vec2f, device=device)
-    struct.is_white = wp.array(np.append(factors.is_white, False), dtype=wp.bool, device=device)
     struct.emission = wp.array(emission, dtype=wp.vec3f, device=device)
-    # The peak of a mirror-like highlight is π D V = 1/(4 α²) times the luminance of a white surface.
+    # The maximum of the highlight is π D V = 1/(4 α²) times the luminance of a white surface, for the distribution D of
+    # microfacets and the masking V at normal incidence.
     struct.least_alpha = max(_LEAST_ALPHA, 0.5 * math.sqrt(white_luminance))
     return PlainFaces(struct, is_glossy, emits)

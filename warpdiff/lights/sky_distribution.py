@@ -1,4 +1,7 @@
-"""Distributions from which directions to a sky are drawn: by the sky's brightness, and by the surface's colours."""
+"""Distributions from which directions to a sky are drawn: by the sky's brightness, and by the surface's colours.
+
+(u, v, w) is the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the light and to the viewer.
+"""
 
 from __future__ import annotations
 
@@ -25,13 +28,12 @@ if TYPE_CHECKING:
 
 # Grid of (u, v) on which directions are drawn by the surface's colours. `_RINGS_PER_OCTAVE` is the number of rings per
 # octave of |(u, v)|, and `_FARTHEST` is the largest |(u, v)|. `_DISC_RADIUS` is the radius of a disc in the middle
-# without rings, in standard deviations of the lobe of a diffraction order. All values were chosen freely: they change
-# only the noise.
+# without rings, in standard deviations of the lobe of a diffraction order. Other values would change only the noise.
 _RINGS_PER_OCTAVE, _FARTHEST, _DISC_RADIUS = 6, 2.05, 0.5
-# Azimuth samples on a ring of (u, v). The first number is the distance of neighbouring samples, in standard deviations
-# of the lobe of a diffraction order. The other numbers are the least and the largest number of samples per ring. The
-# largest number was chosen by the errors of pictures: with at most 64 samples per ring, the errors are 1.5 times as
-# large (docs/decisions/environments.md).
+# Azimuth samples on a ring of (u, v). `_SPOKES_APART` is the distance of neighbouring samples, in standard deviations
+# of the lobe of a diffraction order. `_FEWEST_SPOKES` and `_MOST_SPOKES` are the smallest and the largest number of
+# samples per ring. The largest number was chosen by the errors of pictures: with at most 64 samples per ring, the
+# errors are 1.5 times as large (docs/decisions/environments.md).
 _SPOKES_APART, _FEWEST_SPOKES, _MOST_SPOKES = 1.0, 16, 512
 # Values of |w| = cos θi + cos θr at which colours of the surface are looked up. θi and θr are the angles of light and
 # view from the normal. The mean of the colours determines the probability of a direction. The values were chosen
@@ -40,9 +42,9 @@ _WS = (0.8, 1.3, 1.8)
 # Standard deviation of the footprint with which the colour at an azimuth sample is looked up, relative to the distance
 # of samples. The value was chosen so that footprints do not blur the distribution, as wider footprints would.
 _WIDTH = 0.4
-# Share of the probability that is distributed evenly, both over the azimuths of a ring and over all rings. It exists
-# because a point of (u, v) that is dark at the few tabulated |w| may be bright at another |w|. Such a point must have a
-# chance to be drawn.
+# Fraction of the probability that is distributed evenly, both over the azimuths of a ring and over all rings. It is
+# necessary because a point of (u, v) that is dark at the few tabulated |w| may be bright at another |w|. Such a point
+# must have a chance to be drawn.
 _EVEN_SHARE = 0.05
 # Number of cells per side of a block of the sky's grid. All cells of a block have the same probability per solid angle.
 # The value is limited by memory and search time, which are larger for smaller blocks.
@@ -87,7 +89,7 @@ def distribution_for(
         lookup: Look-up of the surface's colours; None for a surface without a height field.
         illuminated: Illuminated materials by material and spectrum.
         blocks: Cumulative probabilities and densities of the blocks of the sky, as :func:`upload_sky` returns them.
-        sky_share: Share of the samples that are drawn by the brightness of the sky.
+        sky_share: Fraction of the samples that are drawn by the brightness of the sky.
     """
     result = surface_distribution(lookup, illuminated, blocks[0].device)
     result.row_cdf, result.column_cdf, result.block_densities = blocks

@@ -24,9 +24,9 @@ ROWS = 512
 # of a pixel if that is larger. If this radius exceeds `_FARTHEST_SUN_REACH`, no suns are extracted from the image. The
 # largest radius is limited because one Gaussian lobe is too coarse for larger lights.
 _SUN_REACH, _SUN_PIXELS, _FARTHEST_SUN_REACH = math.radians(2.5), 1.5, math.radians(4.5)
-# Conditions for a sun: largest brightness of its surroundings relative to the sun, least share of the sky's light, and
-# largest number of suns. The values were chosen freely: other bright spots remain in the sky, where they cause more
-# noise.
+# Conditions for a sun. `_AROUND_SUN` is the largest brightness of its surroundings relative to the sun, `_SUN_SHARE`
+# the smallest fraction of the sky's light that it must have, and `_MOST_SUNS` the largest number of suns. Other values
+# would change only the noise: bright spots that are no suns remain in the sky and cause more noise.
 _AROUND_SUN, _SUN_SHARE, _MOST_SUNS = 0.1, 0.005, 4
 
 
@@ -34,8 +34,8 @@ class Sun(NamedTuple):
     """Bright and small part of a sky, which becomes a separate light."""
 
     towards: NDArray[np.float64]
-    rgb: NDArray[np.float64]  # linear sRGB radiance times solid angle
-    deviation: float  # standard deviation of the sun's directions along one axis [rad]
+    rgb: NDArray[np.float64]  # linear sRGB radiance of the sun, multiplied by its solid angle
+    deviation: float  # standard deviation of the directions to the sun along one axis [rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ def sample_grid(grid: NDArray[np.float64], along: NDArray[np.float64], turn: flo
     top, left = np.minimum(row.astype(int), height - 2), np.floor(column).astype(int)
     down, right = (row - top)[..., None], (column - left)[..., None]
     left, next_left = left % width, (left + 1) % width
-    # np.take with flat indices is five times as fast as indexing by a pair of arrays.
+    # NumPy's function take with flat indices takes a fifth of the time of indexing by a pair of arrays.
     flat, top = grid.reshape(height * width, -1), top * width
     upper = (1.0 - right) * np.take(flat, top + left, axis=0) + right * np.take(flat, top + next_left, axis=0)
     top += width
@@ -116,7 +116,7 @@ def _sun_in(grid: NDArray[np.float64], sun_extent: float) -> tuple[Sun, NDArray[
         towards /= np.linalg.norm(towards)
     if bright[around].max() > _AROUND_SUN * brightest:
         return None
-    # Behind the extracted sun, the sky gets the brightness of the sun's surroundings.
+        # Where the sun was extracted, the sky gets the brightness of the sun's surroundings.
     share = np.where(inside, np.minimum(background / np.maximum(bright, 1e-300), 1.0), 1.0)[..., None]
     rgb = ((1.0 - share) * grid[rows] * solid[..., None]).sum(axis=(0, 1))
     rest = grid.copy()
@@ -134,7 +134,7 @@ def grid_directions() -> NDArray[np.float64]:
 
 
 def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the radiance of an image on the grid of the sky, shape (ROWS, 2 ROWS, 3).
+    """Return the radiance of an image on the latitude-longitude grid of the sky, shape (ROWS, 2 ROWS, 3).
 
     An image with smaller pixels is averaged over the cells of the grid. An image with larger pixels is interpolated.
     """

@@ -20,12 +20,13 @@ if TYPE_CHECKING:
     from warpdiff.lights.light_pass import Counting, PassContext, RayBatch
     from warpdiff.lights.sky_grid import SkyGrid
 
-# Share of the directions that are drawn by the brightness of the sky alone, without and with a pigment. The others are
-# drawn by the colours of the surface. A pigment reflects light from all directions, so that more are drawn by the sky.
-# Choices: they change only the noise.
+# Fraction of the directions that are drawn by the brightness of the sky alone. `_SKY_SHARE` is used without a pigment
+# (base colour of the mesh), and `_SKY_SHARE_OF_PIGMENT` with a pigment. The other directions are drawn by the colours
+# of the surface. With a pigment the fraction is larger, because a pigment reflects light from all directions. Other
+# values would change only the noise.
 _SKY_SHARE, _SKY_SHARE_OF_PIGMENT = 0.25, 0.5
-# Number of directions per pixel before pixels are subdivided. Choice: these colours serve only to estimate the
-# reference luminance of the picture.
+# Number of directions per pixel before pixels are subdivided. The resulting colours serve only to estimate the
+# reference luminance of the picture, for which a few directions suffice.
 _FIRST_SAMPLES = 4
 
 
@@ -49,12 +50,12 @@ class SkyPass(LightPass):
 
     @property
     def first_lobes(self) -> range:
-        """Indices of the directions that a pixel draws with one ray: all, or a few if it is subdivided afterwards."""
+        """Indices of the directions that each ray draws: a few if pixels are subdivided afterwards, otherwise all."""
         return range(min(self.lobe_count, _FIRST_SAMPLES) if self.context.refines else self.lobe_count)
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
-        """Grid of the sky, as a part of the key of a recorded CUDA graph: the recorded launches read its arrays."""
+        """Grid of the sky, as a part of the key of a recorded CUDA graph, because recorded launches read its arrays."""
         return type(self), self.grid
 
     def begin(self, previous: LightPass | None) -> None:
@@ -76,7 +77,7 @@ class SkyPass(LightPass):
         """Luminance of a white matte surface under the mean radiance of the sky over all directions."""
         rows = len(self.grid.powers)
         solid = -np.diff(np.cos(np.arange(rows + 1) / rows * math.pi)) * 0.5 / self.grid.powers.shape[1]
-        # The light of a white surface under an even sky is π times the power per solid angle.
+        # Under a sky of constant radiance, a white matte surface has a luminance of π times the power per solid angle.
         mean = np.einsum("rcs,r->s", self.grid.powers.astype(np.float64), solid)
         whites = [self.context.white_xyz(spectrum, is_of_sky=True)[1] for spectrum in self.grid.spectra]
         return float(math.pi * mean @ np.array(whites))
@@ -84,7 +85,7 @@ class SkyPass(LightPass):
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:  # noqa: ARG002 (of lobes)
         """Return the kernel call that computes scattering vectors as if all light came from the mirror direction.
 
-        They are required for footprints. :meth:`colour` draws the actual directions later.
+        These scattering vectors are required for footprints. :meth:`colour` draws the actual directions later.
         """
         inputs = [batch.gbuffer.pixels, counting.counted, counting.begins, counting.resets]
         outputs = [batch.samples.scattering_vectors, batch.samples.gains, *batch.sums]

@@ -14,8 +14,8 @@ from warpdiff.core.wording import ArgumentValueError, ref
 
 Kind = Literal["averaged", "centred", "centered", "source", "replicas"]
 KINDS = tuple(kind for kind in get_args(Kind) if kind not in SPELLINGS)
-# Default standard deviation σ of the window [µm], a convention: a coherence length of 65 µm counts as 4σ. If doubled,
-# the orders of a grating become half as wide in angle.
+# Default standard deviation σ of the window [µm]. The value is a convention: a coherence length of 65 µm is interpreted
+# as 4σ. If σ is doubled, the orders of a grating are half as wide in angle.
 DEFAULT_SIGMA_UM = 16.25
 # Angular diameter of the sun [degrees], from astronomy.
 _DEFAULT_DIAMETER_DEG = 0.53
@@ -24,7 +24,8 @@ _WINDOWS = ("averaged", "centred")
 # that touches the unit sphere at the centre of the source, instead of points of the sphere. For wider sources this is
 # not accurate.
 _MAX_DIAMETER_DEG = 30.0
-# Largest number of periods along an axis. 100,000 periods of 1 µm are ten centimetres, larger than typical gratings.
+# Largest number of periods along an axis. The value was chosen because 100,000 periods of 1 µm are ten centimetres,
+# which is more than the size of typical gratings.
 _MAX_PERIODS = 100_000
 
 

@@ -13,7 +13,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -33,15 +33,15 @@ if TYPE_CHECKING:
 METALS = Path(__file__).with_name("metals.json")
 Metal = Literal["Al", "Ag", "Au", "Cr", "Cu", "Ni"]
 Polarisation = Literal["s", "p"]
-# Largest thickness of a film [nm]. As functions of the wavelength, the interference fringes of thicker films are too
-# narrow for the sampling of colours.
+# Largest thickness of a film [nm]. In thicker films, interference fringes are so narrow in wavelength that the
+# wavelengths of a colour computation would miss them.
 _THICKEST_FILM_NM = 1000.0
-# Imaginary part k of the index above which a material counts as opaque, so that a pigment below it is invisible: at
-# this k, the power of light of 500 nm falls to 1/e within 4 µm of the material. If doubled, more materials show the
-# pigment below them.
+# A material with a larger imaginary part k of the index counts as opaque, so that a pigment below it is invisible. At
+# this k, the power of light of 500 nm falls to 1/e within 4 µm of the material. If the value was doubled, more
+# materials would show the pigment below them.
 _OPAQUE = 0.01
-# Number of angles at which the transmittance of a surface is tabulated. For a surface with Schlick's reflectance, the
-# transmittance that is linearly interpolated between these angles has an absolute error of at most 3e-6.
+# Number of angles at which the transmittance of a surface is tabulated. Between these angles it is interpolated
+# linearly. For Schlick's reflectance, the interpolated transmittance has an absolute error of at most 3e-6.
 _TRANSMITTANCE_ANGLES = 1025
 
 # Index of refraction if the caller gives neither an index nor a material: glass.
@@ -81,6 +81,8 @@ class Material:
     film: Material | None = None
     film_nm: float = 0.0
     _key: tuple[object, ...] = field(init=False, repr=False)
+    # Whether the reflectance depends on the angle of incidence; ``fixed_reflectance`` has materials without.
+    has_angles: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         wavelengths = colorimetry.check_wavelengths(self.wavelengths_nm)
@@ -270,7 +272,7 @@ def reflectance_at(
     polarisation: Polarisation | None = None,
 ) -> NDArray[np.float64]:
     """Return the power reflectance R at wavelengths [nm] and cosines of the angle of incidence, which broadcast."""
-    cosine = np.clip(cosine, 0.0, 1.0)
+    cosine = np.clip(cosine, 0.0, 1.0) if material.has_angles else np.ones_like(cosine)
     media = [_index(medium, wavelengths_nm) for medium in (material.film, material) if medium is not None]
     # Cosines of the angle of refraction in each medium, by Snell's law. They are complex in an absorbing medium. The
     # principal square root belongs to the wave that decays into the medium.
@@ -328,8 +330,8 @@ def _fresnel(
     """Return Fresnel's amplitude reflectance at the boundary of two media, from their indices and cosines."""
     a, b = (first * cosine, second * next_cosine) if polarisation == "s" else (second * cosine, first * next_cosine)
     total = a + b
-    # The divisor is 0 only for grazing incidence at the boundary of media with equal indices. The divisor is then
-    # replaced by 1.
+    # The divisor is 0 only for grazing incidence on the boundary between media with equal indices. It is then replaced
+    # by 1.
     return np.asarray((a - b) / np.where(total == 0.0, 1.0, total))
 
 

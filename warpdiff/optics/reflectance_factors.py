@@ -1,6 +1,11 @@
 """Factors of the reflectance that depend on directions, material and coherence, but not on the height field.
 
 Directions are unit vectors in the local frame, away from the surface: x along the tangent, z along the normal.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal. |P|² is the power that the surface diffracts into a
+direction, relative to a flat mirror in its mirror direction. ρ is the reflectance relative to a flat mirror, and C is
+the geometry factor between ⟨|P|²⟩ and ρ without masking.
 """
 
 from __future__ import annotations
@@ -64,8 +69,8 @@ def gain(
     cos_i, cos_r = to_light[:, 2], to_view[:, 2]
     above = (cos_i > HORIZON) & (cos_r > HORIZON)
     half = to_light + to_view
-    # 1 + ωi·ωr is computed as |ωi + ωr|²/2, because the direct formula would subtract nearly equal numbers. The sum is
-    # 0 only for opposite directions, one of which is below the horizon.
+    # 1 + ωi·ωr is computed as |ωi + ωr|²/2, because the direct formula would subtract nearly equal numbers. The result
+    # is 0 only if ωi and ωr are opposite directions. One of them is then below the horizon.
     overlap = np.sum(half * half, axis=1) / 2.0
     safe = np.where(above, overlap, 1.0)
     cos_d = np.sqrt(safe / 2.0)
@@ -148,7 +153,7 @@ def brdf_scale(
     With ρ = C ⟨|P|²⟩, or C/cos θi ⟨|P|²⟩ for a source, the BRDF is R(θd) (1 + ωi·ωr)² / (cos θi cos θr w²) · ⟨|P|²⟩
     times a factor. Here θd is half of the angle between ωi and ωr. For Gaussian windows, the factor is 4πσ²/λ². For N1
     × N2 periods of a patch of area A, it is A N1 N2/λ². For a source of the spread s, the factor is 1/(2πs² cos θi),
-    because the source is foreshortened in (u, v).
+    because the source is foreshortened in (u, v). Ω is the result of :func:`light_solid_angle`.
 
     Args:
         cos_light: cos θi > 0, shape (n,).

@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 
 # Shortest and longest wavelength that a material accepts [µm], from the limits in `warpdiff.optics.colorimetry`.
 _LEAST_UM, _MOST_UM = SHORTEST_NM / NM_PER_UM, LONGEST_NM / NM_PER_UM
-# Number of wavelengths at which the index of a formula is tabulated. Consecutive wavelengths have equal ratios, and the
-# index is linear between them. If halved, the index of the glass N-BK7 is wrong by up to 4e-5.
+# Number of wavelengths at which the index of a formula is tabulated. Consecutive wavelengths have equal ratios. Between
+# them, the index is interpolated linearly. If the number was halved, the index of the glass N-BK7 would be wrong by up
+# to 4e-5.
 _STEPS = 512
 # Constant in Herzberger's formula for the index of refraction [µm²]. It is a part of the formula's definition.
 _HERZBERGER_UM2 = 0.028
@@ -205,7 +206,7 @@ _FORMULAS: dict[str, tuple[Callable[[NDArray[np.float64], NDArray[np.float64]], 
         ),
         range(1, 18),
     ),
-    # Cauchy's formula is a polynomial for n, whereas the formulas above are for n².
+    # Cauchy's formula is a polynomial for n. The formulas above are for n².
     "5": (lambda um, c: c[0] + _pair_sum(c, 1, lambda b, power: b * um**power), range(1, 12)),
     # Formula for gases, with resonances in 1/µm².
     "6": (lambda um, c: 1.0 + c[0] + _pair_sum(c, 1, lambda b, a: b / (a - um**-2.0)), range(1, 12)),
@@ -241,7 +242,7 @@ def _csv(text: str) -> dict[str, Table]:
             continue
         if all(_number(cell) is None for cell in cells):
             finish()
-            # Cells that begin with a bracket are units, such as "[nm]" in "wl [nm]", and no names of columns.
+            # Cells that begin with a bracket are not names of columns, but units, such as "[nm]" in "wl [nm]".
             names = [cell.lower() for cell in cells[1:] if not cell.startswith(("[", "("))]
             if not set(names) <= {"n", "k"} or not names:
                 raise ValueError(f"columns must be a wavelength, n and k, got {line.strip()!r} in line {number}")

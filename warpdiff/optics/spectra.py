@@ -27,8 +27,8 @@ _DAYLIGHT_K = (4000.0, 25_000.0)
 def colour_science() -> Any:
     """Return the package colour-science, which is imported at its first use only, because the import is slow."""
     with warnings.catch_warnings(), np.printoptions():
-        # At its import, colour-science warns of absent optional packages, which warpdiff does not use, and changes
-        # NumPy's print options. Both effects are prevented here.
+        # The import of colour-science has two side effects, which are prevented here. It warns of absent optional
+        # packages, which warpdiff does not use, and it changes NumPy's print options.
         warnings.simplefilter("ignore")
         import colour
 

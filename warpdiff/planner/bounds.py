@@ -29,52 +29,52 @@ if TYPE_CHECKING:
 
 # Largest error of an amplitude that the truncation of its series may cause, as a share of the tolerance. The number was
 # derived as the product of two factors of 0.03. First, errors of luminance are relative to at least 1e-3 of a picture's
-# luminance (FLOOR). This is a factor of 0.03 in amplitude. Second, the amplitudes of all diffraction orders may be only
-# 0.03 of the amplitude of the mirror reflection. If doubled, surfaces that have only weak orders can exceed the
-# tolerance.
+# luminance (FLOOR), which is a factor of 0.03 in amplitude. Second, the amplitudes of all diffraction orders may be
+# only 0.03 of the amplitude of the mirror reflection. If the number was doubled, surfaces that have only weak orders
+# could exceed the tolerance.
 AMPLITUDE_MARGIN = 1e-3
-# Smallest Gaussian weight with which a Fourier coefficient is still included in the sum of a direction, as a share of
-# the tolerance. The key is whether powers add (True) or amplitudes add (False). The entry for powers was derived from
-# the zeroth order, whose peak has the power 1. If all directions of a call are far from this peak, they may be darker
-# than the peak by a factor of 1e-5. Errors are relative to at least 1e-3 of the luminance of these directions. The
-# product of both factors is 1e-8. The entry for amplitudes was derived as the square root of the entry for powers,
-# 1e-4, divided by 100 as a margin. If doubled, the errors of the darkest calls exceed the tolerance, because tails of
-# the zeroth order are missing.
+# Fourier coefficients with a smaller Gaussian weight are excluded from the sum of a direction. The weight is a share of
+# the tolerance. The key is True if powers add, and False if amplitudes add. The entry for powers was derived from the
+# zeroth order, whose peak has the power 1. If all directions of a call are far from this peak, they may be darker than
+# the peak by a factor of 1e-5. Errors are relative to at least 1e-3 of the luminance of these directions. The product
+# of both factors is 1e-8. The entry for amplitudes was derived as the square root of the entry for powers, 1e-4,
+# divided by 100 as a margin. If the entries were doubled, the errors of the darkest calls would exceed the tolerance,
+# because tails of the zeroth order would be missing.
 _WEIGHT_MARGINS = {True: 1e-8, False: 1e-6}
-# Smallest Gaussian weight with which a Fourier coefficient is still included in the sum of a direction, as a share of
-# the tolerance, for plans that no trial has validated. The number was derived from the darkest calls, whose luminance
-# may be as small as 1e-10 of the luminance of a mirror (DARK).
+# Least Gaussian weight of Fourier coefficients, as in `_WEIGHT_MARGINS`, for plans that no trial has validated. The
+# number was derived from the darkest calls, whose luminance may be as small as 1e-10 of the luminance of a mirror
+# (DARK).
 _DARKEST = trial.NEGLIGIBLE_SHARE * trial.DARK
 # Number of wavelength samples per unit of 1/λ [µm] that the colour-matching functions and the illuminant require. The
 # number was fitted for the illuminants D65, FL11 and HP1 at tolerances from 1e-1 to 1e-4
-# (docs/decisions/plans_and_tolerance.md). If halved, the integral over the wavelength alone exceeds the tolerance under
-# illuminants with spectral lines.
+# (docs/decisions/plans_and_tolerance.md). If the number was halved, the error of the integral over the wavelength alone
+# would exceed the tolerance under illuminants with spectral lines.
 _COLOUR_BANDWIDTH_UM = 48.0
 # Number of wavelength samples per standard deviation of a diffraction order, whose light is a Gaussian over 1/λ. The
 # number is for a tolerance of 1. It increases for smaller tolerances, to 0.95 at 1e-2. It was fitted for the
 # illuminants D65, FL11 and HP1 with standard deviations of 1/18 to 1/222 per µm.
 _SAMPLES_PER_DEVIATION = 0.441
-# Number of wavelength samples per cycle of interference. In the mirror direction, the interference of two height levels
-# oscillates over 1/λ. These samples are additional to `_COLOUR_BANDWIDTH_UM`. The number is for a tolerance of 1. It
-# increases for smaller tolerances, to 6 at 1e-2. It was fitted for levels 3 and 5.5 µm apart under the illuminants HP2
-# and FL12.
+# In the mirror direction, the interference of two height levels oscillates over 1/λ. This number of wavelength samples
+# is required per cycle of this oscillation, in addition to the samples of `_COLOUR_BANDWIDTH_UM`. The number is for a
+# tolerance of 1. It increases for smaller tolerances, to 6 at 1e-2. It was fitted for levels 3 and 5.5 µm apart under
+# the illuminants HP2 and FL12.
 _SAMPLES_PER_CYCLE = 2.785
-# Orders p of convergence of the integral over the wavelength λ: the error of the integral is proportional to n^−p for n
-# samples. The orders were derived from the interpolations over λ. For coherence windows and light sources, quintics
-# through six samples interpolate the reflectance. For replicated patches, cubics through four samples interpolate the
-# power of one patch.
+# Orders p of convergence of the integral over the wavelength λ: for n samples, the error of the integral is
+# proportional to n^−p. The orders were derived from the interpolations over λ. For coherence windows and light sources,
+# quintic polynomials through six samples interpolate the reflectance. For replicated patches, cubic polynomials through
+# four samples interpolate the power of one patch.
 _QUINTIC_ORDER, _CUBIC_ORDER = 6.0, 4.0
 # Typical error of an upper-bound plan, as a share of the tolerance. The number is used twice: for the error of the
 # integral over the wavelength λ, and for the error by excluded Fourier coefficients. It was fitted to the 99th
 # percentile of the errors of such plans. Plans report the number; no decision depends on it.
 _TYPICAL_SHARE = 0.05
-# Number of wavelength samples per diffraction order that passes a direction while λ runs over the visible range. These
-# samples resolve the power of one patch of a replicated surface. The number is for a tolerance of 1. It increases for
-# smaller tolerances, to 25 at 1e-2. It was fitted for random patches of fingers under illuminants from D65 to HP1. If
-# halved, the error is 16 times as large.
+# While λ runs over the visible range, diffraction orders pass a direction. This number of wavelength samples per order
+# resolves the power of one patch of a replicated surface. The number is for a tolerance of 1. It increases for smaller
+# tolerances, to 25 at 1e-2. It was fitted for random patches of fingers under illuminants from D65 to HP1. If it was
+# halved, the error would be 16 times as large.
 _SAMPLES_PER_ORDER = 8.0
-# Largest number of wavelengths of a colour. The value is limited by time, which is proportional to it: one direction
-# with so many wavelengths already requires seconds.
+# Largest number of wavelengths of a colour. The value is limited by computing time, which is proportional to it. With
+# this number, one direction already requires seconds.
 MOST_WAVELENGTHS = 65_536
 # Largest number of wavelengths under a light source whose light arrives near the horizon. The foreshortening of the
 # source there increases the required number without bound. This number suffices for a foreshortening by a factor of 50.

@@ -7,6 +7,9 @@ have a number of subdivisions per wavelength. The search makes one coordinate af
 budget permits. The budget grows from coordinate to coordinate; the part of the budget that one coordinate does not use
 remains for the coordinates after it. Errors are measured on the training set against a reference. The validation set
 then checks the result. If the result fails, the coordinate with the largest effect is refined.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal.
 """
 
 from __future__ import annotations
@@ -27,10 +30,10 @@ if TYPE_CHECKING:
     from warpdiff.planner.trial import Trial
     from warpdiff.request.plan import Plan
 
-# Largest number of repairs of a plan whose error on the validation set is too large. A repair refines the coordinates
-# of the plan one at a time, and uses the best of the results. The first repair refines by one step, and each further
-# repair by twice as many steps as the repair before. The value was chosen so that a search tries fewer than fifty
-# plans.
+# Largest number of repairs of a plan whose error on the validation set is too large. A repair refines each coordinate
+# of the plan separately, and uses the best of the resulting plans. The first repair refines by one step. Each further
+# repair refines by twice as many steps as the repair before. The value was chosen so that a search tries fewer than
+# fifty plans.
 _REPAIRS = 3
 # Largest number of factors of 2 by which a search reduces a bandwidth, the number of wavelength samples per unit of
 # 1/λ. Upper bounds are less than 2³ times as large as the bandwidth that calls require.
@@ -44,9 +47,9 @@ _GRID_TOLERANCE = 1e-2
 # not represent the bright directions of a call well. The number was fitted to random calls with few bright directions
 # (docs/decisions/plans_and_tolerance.md).
 MIN_BRIGHT = 64
-# Share of the remaining error budget that a search uses if fewer than MIN_BRIGHT validation directions are bright. The
-# same number, as a share of the tolerance, is the least error that a search predicts. It was fitted to random calls
-# with few bright directions.
+# If fewer than MIN_BRIGHT validation directions are bright, a search uses only this share of its remaining error
+# budget. The same number has a second use: a predicted error is at least this share of the tolerance. The number was
+# fitted to random calls with few bright directions.
 _SHARE_BY_FEW = 0.1
 
 
@@ -135,8 +138,7 @@ def refine(plan: Plan, trial: Trial, coordinates: Sequence[Coordinate], target: 
         else:
             least, best = min(tried, key=lambda entry: entry[0])
         if best == plan:
-            # No single coordinate reduces the error if only this coordinate is refined. All coordinates are therefore
-            # refined together.
+            # If no single refined coordinate reduces the error, all coordinates are refined together.
             for coordinate in coordinates:
                 best = coordinate.coarser(best, -steps)
             least = trial.validation_error(best)
@@ -195,10 +197,10 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
     if trial.integrates and plan.subdivisions > 1:
         steps.append(("quadrature", bright, octave_steps, subdivisions))
     if trial.integrates:
-        # The bandwidth, the number of wavelength samples per unit of 1/λ, has three parts: for the order rate (how fast
-        # orders pass as 1/λ changes), for |w| and for the colour-matching functions. The search first coarsens all
-        # parts together. It then coarsens the part for the order rate alone, and the other two parts alone. In the
-        # reverse order, the first of these coordinates could use the whole error budget.
+        # The bandwidth is the number of wavelength samples per unit of 1/λ. It has three parts: for the order rate (how
+        # fast orders pass as 1/λ changes), for |w|, and for the colour-matching functions. The search first coarsens
+        # all parts together. It then coarsens the part for the order rate alone, and after this the other two parts. In
+        # the opposite sequence, the part for the order rate could use the whole error budget.
         steps += [("quadrature", bright, octave_steps, part) for part in (bandwidth, order_rate, rest)]
     return [
         Coordinate(source, error + share * max(target - error, 0.0) * number / len(steps), most, coarser)
@@ -303,10 +305,10 @@ def _sufficient(plan: Plan, trial: Trial, target: float, *, automatic: bool) -> 
         wider = _with_bandwidth(plan, trial, _scaled(plan.bandwidth_um, 2.0, 2.0))
         trial.refine_reference(wider)
         wider_error = trial.training_error(wider)
-        # If a plan has fewer wavelengths than are needed to resolve an order (`needed`), the error may not decrease yet
-        # when the number of wavelengths is doubled. The loop then doubles it again. If a plan has enough wavelengths,
-        # doubling their number at least halves the error of the integral. An error that remains is then the rounding
-        # error of float32, and the loop ends.
+        # As long as a plan has too few wavelengths to resolve an order (`needed`), its error may not decrease when
+        # their number is doubled. The loop then doubles it again. If a plan has enough wavelengths, doubling their
+        # number at least halves the error of the integral. An error that remains is then the rounding error of float32,
+        # and the loop ends.
         if wider_error > error / 2.0 and wider.wavelengths >= needed:
             break
         plan, error = wider, wider_error

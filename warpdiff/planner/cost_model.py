@@ -60,8 +60,8 @@ def sampling_multiply_adds(
     parts = 1 if holds_powers(plan.method, adds_powers=plan.coherence.adds_powers) else 2
     samples: NDArray[np.float64] = np.full(len(w), max(plan.wavelengths, 1.0))
     if plan.adaptive and plan.wavelengths:
-        # Only certain numbers of wavelengths are available. Each of these numbers is a constant ratio times the number
-        # before it. On average, the number that is used exceeds the required one by the square root of this ratio.
+        # Only certain numbers of wavelengths are available, with a constant ratio between consecutive numbers. The
+        # number that is used exceeds the required number. On average, it does so by the square root of this ratio.
         needed = wavelength_count(plan, order_rates, w)
         samples = np.minimum(samples, needed * 2.0 ** (0.5 / coefficient_table.SETS_PER_OCTAVE))
     factors = 1

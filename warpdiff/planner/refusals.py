@@ -1,4 +1,8 @@
-"""Errors and warnings of the planner, with remedies, for calls that it cannot plan or that may be inaccurate."""
+"""Errors and warnings of the planner, with remedies, for calls that it cannot plan or that may be inaccurate.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +28,8 @@ if TYPE_CHECKING:
     from warpdiff.request.evaluation import Evaluation
     from warpdiff.request.plan import Plan
 
-# Largest number of Fourier coefficients that contribute to a direction. A call whose directions need more coefficients
-# is refused, because it suggests a wrong unit, or a patch that is much larger than the coherence window.
+# Largest number of Fourier coefficients that contribute to a direction. A call that needs more coefficients per
+# direction is refused. Such a call indicates a wrong unit, or a patch that is much larger than the coherence window.
 _MOST_NEIGHBOURS = 40_000
 # Size to which an error message recommends to crop a patch, in standard deviations σ of the coherence window. The
 # number was derived from an averaged window: points at half this distance interfere with the weight
@@ -34,8 +38,8 @@ _PATCH_IN_SIGMAS = 20.0
 # Largest number of wavelengths times subdivisions for replicated patches. The value is limited by the memory of the
 # integral over wavelengths, which is proportional to it.
 _MOST_SAMPLES = 2_000_000
-# Relative excess of a call over the range of an explicit plan up to which no warning is raised. Such an excess is
-# harmless, because coefficients are computed for a range that exceeds the range of the plan by more than this.
+# A call may exceed the range of an explicit plan by this relative amount without a warning. Such an excess is harmless,
+# because coefficients are computed for a range that exceeds the range of the plan by more than this amount.
 _RANGE_MARGIN = 0.03
 _LESS_COHERENT = {
     "averaged": f"a smaller {ref('sigma_um')}",

@@ -48,15 +48,15 @@ if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.request.keywords import PlanKeywords
 
-# Typical ratio of the cost of the upper-bound plan to the cost of the plan that a search finds, by kind of coherence.
-# The ratios were fitted: they are medians of 32 random calls (docs/decisions/plans_and_tolerance.md).
+# Typical cost of the upper-bound plan, divided by the cost of the plan that a search finds, by kind of coherence. The
+# numbers were fitted: they are medians of 32 random calls (docs/decisions/plans_and_tolerance.md).
 _SAVINGS = {"averaged": 2.6, "centred": 3.0, "source": 2.2, "replicas": 4.0}
-# Time that a search requires, expressed as a number of directions: the plan that the search finds evaluates so many
-# directions in the same time. The number was fitted to 32 random calls.
+# Cost of a search, expressed as a number of directions. In the time of a search, the plan that it finds could evaluate
+# this number of directions. The number was fitted to 32 random calls.
 _SEARCH_DIRECTIONS = 16_000
-# Smallest number of directions for which a trial measures the rounding error of a method in float32, if the caller
-# selects a method that adds powers. The value was chosen because a trial requires about a second, which fewer
-# directions do not justify.
+# If the caller selects a method that adds powers, a trial measures the rounding error of this method in float32. The
+# trial is made only for calls with at least this number of directions. The number was chosen because a trial requires
+# about a second, which fewer directions do not justify.
 _FEWEST_TRIED = 16
 # Assumed number of calls that use the same table, because pictures are often rendered again with another light or view.
 # If the number is doubled, the planner prefers a table already for calls with about half as many directions.
@@ -230,8 +230,8 @@ def _affordable_table_cost(request: Evaluation, unmeasured: Callable[[], Plan], 
 
 def _pays_to_search(request: Evaluation, upper: Plan, direction_range: DirectionRange, count: float) -> bool:
     """Whether a search saves more time than it requires, or is necessary because the upper-bound plan fails."""
-    # For a source near the horizon, the number of wavelengths of the upper-bound plan is limited. It may be so small
-    # that the plan misses orders.
+    # For a source near the horizon, the number of wavelengths of the upper-bound plan is limited. With too few
+    # wavelengths, the plan misses orders, and a search must find another plan.
     if upper.max_order_rate < direction_range.max_order_rate:
         return True
     # In a method that adds powers, Fourier coefficients that vanish towards κ = w/λ = 0 may lose all digits in float32,
@@ -302,5 +302,6 @@ def _coarse_plan(request: Evaluation, direction_range: DirectionRange) -> Plan:
     """Return a cheap, inaccurate plan, which only serves to find the bright directions of a call."""
     coarse = bounds.upper_bound_plan(request, direction_range, method=_method(request), tolerance=0.5)
     terms = coarse.terms if coarse.method in EXPANSIONS else min(coarse.terms, coefficient_table.LANES)
-    # Upper bounds are conservative; half of the wavelengths of an upper-bound plan suffice to find bright directions.
+    # The numbers of an upper-bound plan suffice for any surface. To find bright directions, half of its wavelengths
+    # suffice.
     return replace(coarse, wavelengths=math.ceil(coarse.wavelengths / 2.0), terms=terms)

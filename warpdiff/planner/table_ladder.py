@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 
-# Largest expected error of the table that a search tries first, as a share of the tolerance. The value was fitted to
-# the planning times of 32 calls (docs/decisions/plans_and_tolerance.md). If doubled, half of the first tables miss the
-# tolerance, and another table must be computed.
+# A search first tries the smallest table whose expected error is at most this share of the tolerance. The share was
+# fitted to the planning times of 32 calls (docs/decisions/plans_and_tolerance.md). If it was doubled, half of the first
+# tables would miss the tolerance, and another table would have to be computed.
 _FIRST_SHARE = 0.35
-# A search tries a larger table only if the present table was better than the tables before. This number is the largest
-# ratio of the present error to the least error before. The present error must also be at most twice the error that the
-# order of convergence predicts. The ratio must exceed 0.6, because the smallest step of the table size, 1.3 times the
-# rings, reduces the error to 0.6.
+# A search tries a larger table only if the present table has reduced the error enough: to at most this number times the
+# least error of the tables before. In addition, the present error must be at most twice the error that the order of
+# convergence predicts. The number must exceed 0.6, because the smallest step of the table size, 1.3 times the rings,
+# reduces the error to 0.6.
 _HELPS = 0.7
 
 

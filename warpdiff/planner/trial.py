@@ -1,6 +1,9 @@
 """Trial of plans: errors on a training set and on a validation set, against a reference plan.
 
 A search may try any number of plans on the training set. The validation set judges only the result of the search.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal.
 """
 
 from __future__ import annotations
@@ -36,14 +39,15 @@ if TYPE_CHECKING:
 # The factor was fitted by bench.reproduce.tolerance_sweep. In one call of a hundred, the error over all directions
 # exceeds the error on the validation set by more than this factor.
 SEARCH_SAFETY = 1.6
-# Number of the brightest candidate directions that may be outliers, if the call has more directions than candidates.
-# The floor of relative errors is computed both with and without these candidates. The number was fitted to a call in
-# which one of 6,312 directions, in the mirror lobe, had half of the total luminance.
+# If a call has more directions than there are candidates, this number of the brightest candidates may be outliers. The
+# floor of relative errors is therefore computed both with and without these candidates. The number was fitted to a call
+# in which one of 6,312 directions, in the mirror lobe, had half of the total luminance.
 _LUCKY_BRIGHTEST = 4
-# Least luminance that counts as light, as a share of the luminance of a mirror. Weaker light is invisible.
+# Least luminance that counts as light, as a share of the luminance of a mirror. Light with a smaller luminance is
+# invisible.
 DARK = 1e-10
-# Share of the tolerance below which an error of the reference plan, or of a fitted basis, is neglected. The value was
-# chosen so that such errors are small compared with the errors that a trial measures.
+# An error of the reference plan, or of a fitted basis, is neglected if it is below this share of the tolerance. The
+# share was chosen so that such an error is small compared with the errors that a trial measures.
 NEGLIGIBLE_SHARE = 1e-2
 # Method of the reference plan. It expands the amplitudes of Fourier coefficients in a series. In float32, amplitudes
 # are accurate even for coefficients that vanish like a high power of κ = w/λ. Series of powers are not accurate there.
@@ -340,8 +344,8 @@ def _percentile(values: NDArray[np.float64], weights: NDArray[np.float64], share
     total = np.cumsum(weights[order])
     if not len(total) or not total[-1] > 0.0:
         return 0.0
-    # A small margin is subtracted from the share of the total weight. Otherwise rounding errors in the sum of equal
-    # weights could select the next larger value.
+    # The share of the total weight is reduced by a small margin. Without the margin, rounding errors in the sum of
+    # equal weights could select the next larger value.
     least = (share - float(np.finfo(np.float32).eps)) * total[-1]
     return float(values[order[min(np.searchsorted(total, least), len(order) - 1)]])
 

@@ -6,6 +6,9 @@ Edge cases are near the mirror direction, near strong diffraction orders, at the
 the ends of the ranges of the call, such as grazing directions. A coarse plan estimates the luminance of the candidates.
 The training set and the validation set are drawn from the candidates; bright candidates are drawn with a higher
 probability. The weight of a drawn direction is proportional to the number of the call's directions that it represents.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal.
 """
 
 from __future__ import annotations
@@ -26,9 +29,9 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange, DirectionSample
     from warpdiff.request.plan import Plan
 
-# Number of candidates that are selected uniformly among the directions of a call, and number of training directions.
-# Both numbers were fitted. If both are halved, more than 1 % of the calls exceed the tolerance; if both are doubled,
-# planning requires twice the time.
+# `_CANDIDATES` is the number of candidates that are selected uniformly among the directions of a call. `_TRAINING` is
+# the number of training directions. Both numbers were fitted. If both were halved, more than 1 % of the calls would
+# exceed the tolerance. If both were doubled, planning would require twice the time.
 _CANDIDATES, _TRAINING = 1024, 128
 # Number of validation directions. The validation set is larger than the training set, because it decides whether a plan
 # is accepted.
@@ -37,9 +40,10 @@ _VALIDATION = 2 * _TRAINING
 # own: the directions near it are edge cases. The same number of strong orders is examined. The value was chosen so that
 # all edge cases together are at most a third of the candidates.
 _EDGE_CASES = 16
-# Candidates are drawn into a set for three reasons: uniformly, because they are bright, or because they are edge cases.
-# This number is the probability of the third reason divided by the probability of each of the other two. About a ninth
-# of a set is therefore drawn as edge cases. Further edge cases are drawn for the other two reasons.
+# A candidate is drawn into a set for one of three reasons: by a uniform draw, because it is bright, or because it is an
+# edge case. This number is the probability of the third reason, divided by the probability of each of the other two.
+# About a ninth of a set is therefore drawn as edge cases. Among the directions that are drawn for the other two
+# reasons, there are further edge cases.
 _EDGE_CASE_SHARE = 0.25
 
 
@@ -112,8 +116,8 @@ def _draw(
     if len(among) <= count:
         return candidates.some(among, represents * candidates.weights[among])
     share = measure[among] / measure[among].sum() * count
-    # A direction whose computed probability exceeds 1 is drawn exactly once, and the probabilities of the other
-    # directions increase accordingly.
+    # A direction whose computed probability exceeds 1 is drawn exactly once. The probabilities of all other directions
+    # are increased, so that the number of drawn directions remains the same.
     while (excess := share > 1.0).any():
         share[excess] = 1.0
         rest = share < 1.0
@@ -157,8 +161,8 @@ def _order_light(
     rows, columns = block.orders()
     row, column = np.unravel_index(strongest, (len(rows), len(columns)))
     q = np.stack([columns[column] / grid.lengths_um[1], rows[row] / grid.lengths_um[0]], axis=1)
-    # The zeroth order is excluded here, because directions near this order are edge cases already: their |(u, v)| is
-    # small.
+    # The zeroth order is excluded from the strong orders. Directions near the zeroth order are edge cases for another
+    # reason: their |(u, v)| is small.
     others = np.flatnonzero(q.any(axis=1))[:_EDGE_CASES]
     q, powers = q[others], powers[others]
     u = sample.scattering_vectors[:, :2]

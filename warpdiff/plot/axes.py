@@ -19,15 +19,14 @@ LINE_STYLES = ("-", "--", ":", "-.")
 # `FAINT` is the colour of grid lines and backgrounds, a light grey. `MISSING` is the colour of missing samples in
 # height maps.
 FAINT, MISSING = "0.85", "white"
-# Maximum length of a scale bar, as a share of the width of the map that it describes. The value was chosen: a longer
-# bar hides more of the map.
+# Maximum length of a scale bar, relative to the width of its map. The value was chosen because a longer bar hides more
+# of the map.
 _LONGEST_BAR = 0.25
 # Length of the longer side of a map in a new figure [inches].
 _MAP_INCHES = 4.3
 # The length of a scale bar is one of these numbers times a power of ten.
 _ROUND_LENGTHS = (1.0, 2.0, 5.0)
-# First number: range of the heights [µm] from which plots show heights in µm instead of nm. Second number: nanometres
-# per micrometre.
+# Range of the heights [µm] from which plots show heights in µm instead of nm, and number of nanometres per micrometre.
 _LEAST_MICROMETRES, _NM_PER_UM = 1.0, 1e3
 
 

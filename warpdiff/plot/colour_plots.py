@@ -196,7 +196,7 @@ def colour_strip(
             )
     ax = axes_for(ax, width=7.0, height=1.9)
     colours = to_srgb(xyz, display, **settings)
-    # The strip shows each colour up to half of the distance to the neighbouring view angles.
+    # In the strip, each colour extends halfway to the neighbouring view angles.
     edges = np.concatenate([[angles[0]], 0.5 * (angles[1:] + angles[:-1]), [angles[-1]]])
     ax.pcolormesh(edges, [0.0, 1.0], colours[None], rasterized=True)
     ax.set_yticks([])

@@ -33,14 +33,14 @@ def error_image(
 ) -> Axes:  # fmt: skip
     """Plot the estimated relative error of each pixel, with the tolerance in the middle of the colours.
 
-    Pixels that meet the tolerance are blue and purple, the others are orange. The background and pixels without light
-    are grey.
+    Pixels that meet the tolerance are blue and purple, and the other pixels are orange. The background and pixels
+    without light are grey.
 
     Args:
         image: Picture of :func:`warpdiff.shade`, :class:`warpdiff.Renderer` or :func:`warpdiff.reflectance_map`.
         ax: Axes to draw into; None makes a figure.
         tolerance: Tolerance to mark; None is the tolerance with which the picture was computed.
-        title: Title; None states the share of pixels within the tolerance.
+        title: Title; None states the percentage of pixels that meet the tolerance.
 
     Returns:
         The axes.

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 # contrast of 3 that WCAG 2 requires of graphics. WCAG 2 adds 0.05 to both luminances of a contrast, so that the
 # contrast is at least (1 + 0.05)/(0.3 + 0.05) = 3.
 _LINE_LUMINANCE = 0.3
-# A band below the wavelength axis shows the colour of each wavelength. First number: height of the band as a share of
-# the height of the plot. Second number: number of colours in the band.
+# A band below the wavelength axis shows the colour of each wavelength. `_BAND_HEIGHT` is the height of the band
+# relative to the height of the plot, and `_BAND_COLOURS` the number of colours in the band.
 _BAND_HEIGHT, _BAND_COLOURS = 0.03, 256
-# Lower bound of an RGB component before a division by this component, which prevents a division by zero.
+# RGB components are replaced by at least this number before they are divisors, which prevents a division by zero.
 _LEAST_RGB = 1e-9
 # Maximum number of diffraction orders that a plot against the view angle labels with their numbers. The value is
 # limited by space: more labels overlap.
@@ -61,8 +61,9 @@ def orders(
 
     Raises:
         ImportError: matplotlib is not installed.
-        ValueError: ``against`` does not fit the result: ``"incidence"`` requires several lights and one wavelength;
-            ``"wavelength"`` and ``"angle"`` require one light. Or ``errors`` does not have one number per wavelength.
+        ValueError: ``against`` does not suit the result: ``"incidence"`` requires several lights and one wavelength;
+            ``"wavelength"`` and ``"angle"`` require one light. The error is also raised if ``errors`` does not have one
+            number per wavelength.
 
     Examples:
         >>> import warpdiff as wd

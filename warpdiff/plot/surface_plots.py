@@ -9,7 +9,8 @@ from annotated_types import Ge, Gt
 
 from warpdiff.core import validation
 from warpdiff.core.wording import ArgumentValueError, ref
-from warpdiff.heightfield.field import Axis, HeightField  # noqa: TC001 (the decorator checks its instances)
+from warpdiff.heightfield.cleaning_methods import Axis  # noqa: TC001 (the decorator checks its instances)
+from warpdiff.heightfield.field import HeightField  # noqa: TC001 (the decorator checks its instances)
 from warpdiff.heightfield.spectral_lines import WindowedSpectrum
 from warpdiff.plot.axes import (
     LINE_COLOURS,
@@ -29,27 +30,26 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.periods import Period
 
-# Share of the total power of a spectrum that its plot shows; the highest frequencies are cut off. The value was chosen
-# because the frequencies that are cut off contain noise only.
+# Fraction of the total power of a spectrum that its plot shows; the highest frequencies are cut off. The value was
+# chosen because the frequencies that are cut off contain only noise.
 _SHOWN_POWER = 0.999
 # The frequency axes in the plot of a power spectrum extend at least to this multiple of the highest frequency of the
 # periods that the plot marks. The value is more than 1, so that these marks are not at the edge of the plot.
 _AROUND_PERIODS = 1.4
-# Colours in the plot of a power spectrum. First number: share of the frequencies that have the darkest colour, because
-# their power is below the range of the colours. Second number: largest value at which this range may begin, as a share
-# of the largest power.
+# In the plot of a power spectrum, frequencies whose power is below the range of the colours have the darkest colour.
+# `_DARKEST` is the fraction of such frequencies. The range begins at most at `_POWER_RANGE` times the largest power.
 _DARKEST, _POWER_RANGE = 0.3, 1e-2
 # Smallest power on the power axis, relative to the largest power. It applies to the spectrum of a field that is
 # constant along x or y, which is plotted as a line.
 _LINE_RANGE = 1e-7
-# A profile may be drawn below a map of heights. First number: height of the profile. Second number: height of the gap
-# between map and profile. Both are relative to the width of the map.
+# A profile may be drawn below a map of heights. `_PROFILE` is the height of the profile, and `_GAP` the height of the
+# gap between map and profile, both relative to the width of the map.
 _PROFILE, _GAP = 0.3, 0.24
 # Lower bound of a power density before its logarithm is drawn, which prevents a logarithm of 0.
 _LEAST_POWER = 1e-30
 # Mean slope to which the heights of a map are scaled before the map is shaded as a relief. The value was chosen because
 # brightness saturates at slopes of about 1, the slope of the light's direction. If doubled, steep walls of grooves look
-# like even steeper ones.
+# as if they were even steeper.
 _RELIEF_SLOPE = 0.5
 # Marker shapes of matplotlib for the periods in a power spectrum, the strongest period first.
 _MARKERS = "osD^vph*"

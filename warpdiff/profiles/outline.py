@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 class Outline:
     """One period of a grating along x as a polygon of straight segments; immutable.
 
-    Samples represent a vertical wall only to within a sample. An outline has exact Fourier coefficients instead, and
-    derivatives by the positions and heights of its vertices. The last segment leads from the last vertex to the first
-    one of the next period.
+    A height field represents the position of a vertical wall only to within a sample. An outline has exact Fourier
+    coefficients instead, and derivatives with respect to the positions and heights of its vertices. The last segment
+    leads from the last vertex to the first vertex of the next period.
 
     Args:
         positions: Positions of the vertices in periods, 0 to 1, in increasing order, shape (k,). Two equal positions
@@ -90,6 +90,7 @@ class Outline:
             samples: Number of samples per period, at least 2, by default 1024. Walls are accurate to half a sample.
 
         Examples:
+            >>> import warpdiff as wd
             >>> wd.profiles.Outline([0.0, 0.5], [0.0, 0.1], period_um=2.0).height_field(4).heights_um
             array([[0.  , 0.05, 0.1 , 0.05]])
         """

@@ -20,32 +20,37 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Range of a period, relative to its start value. Choice: angles of orders determine a period to better than that, and
-# fits that start further away end at other minima.
+# Range of a period, relative to its start value. The range was chosen because angles of orders determine a period more
+# precisely than 5 %, and because fits that start further away end at other minima.
 _PERIOD_RANGE = 0.95, 1.05
-# Range of heights of vertices around their start values [µm]. Limit: scalar diffraction describes no steeper surfaces.
+# Largest difference between the height of a vertex and its start value [µm]. The value is limited because scalar
+# diffraction does not describe steeper surfaces.
 _HEIGHT_MARGIN_UM = 10.0
-# Upper bound of a depth, relative to its start value. Choice: random starts of a fit lie within the bounds.
+# Upper bound of a depth, relative to its start value. A factor of 3 was chosen because the random starts of a fit lie
+# between the bounds; with a larger factor, more of them end at other minima.
 _DEPTH_RANGE = 3.0
-# Least upper bound of the width of a wall [periods], so that vertical walls can become sloped.
+# Largest distance by which a vertex may be beyond its neighbour or the end of the period, because of rounding errors
+# [periods].
+_ROUNDING = 1e-9
+# Smallest upper bound of the width of a wall [periods]. It is above 0, so that a fit can make vertical walls sloped.
 _WIDEST_WALL = 0.05
 
 
 class _OutlineProfile(Profile):
-    """Profile whose vertices are a linear function of all parameters but the last one, which is the period."""
+    """Profile whose vertices are a linear function of all parameters except the last parameter, which is the period."""
 
     def __init__(
         self, names: tuple[str, ...], start: list[float], bounds: list[list[float]], base: Array, modes: Array,
         period_um: float,
     ) -> None:  # fmt: skip
-        """Describe the vertices.
+        """Set the linear function that computes the vertices from the parameters.
 
         Args:
             names: Names of the parameters except the period.
-            start: Their start values.
-            bounds: Their ranges.
-            base: Positions and heights of the vertices where these parameters are 0, shape (k, 2).
-            modes: Derivatives of positions and heights by these parameters, shape (p − 1, k, 2).
+            start: Start values of these parameters.
+            bounds: Smallest and largest values of these parameters.
+            base: Positions and heights of the k vertices if all of these parameters are 0, shape (k, 2).
+            modes: Derivatives of positions and heights with respect to these parameters, shape (p − 1, k, 2).
             period_um: Start value of the period [µm].
         """
         self._base, self._modes = base, modes
@@ -55,21 +60,29 @@ class _OutlineProfile(Profile):
 
     @property
     def wrt(self) -> tuple[str, ...]:
-        """Variables of the surface that depend on the parameters."""
+        """Names of the variables of the surface that depend on the parameters."""
         return ("vertices", "period_um")
 
     def surface(self, x: ArrayLike) -> Outline:
         """Return the outline for parameters, shape (p,)."""
         values = self.check(x)
         vertices = self._base + np.tensordot(values[:-1], self._modes, axes=1)
-        return Outline(np.clip(vertices[:, 0], 0.0, 1.0), vertices[:, 1], float(values[-1]))
+        positions = np.clip(vertices[:, 0], 0.0, 1.0)
+        positions = np.maximum.accumulate(positions)
+        if np.max(np.abs(positions - vertices[:, 0])) > _ROUNDING:
+            shown = ", ".join(f"{name} = {value:.4g}" for name, value in zip(self.names[:6], values[:6], strict=True))
+            raise ArgumentValueError(
+                f"{ref('x')} must give vertices in increasing order within one period, got {shown}: keep within "
+                f"{ref('bounds')} of the profile"
+            )
+        return Outline(positions, vertices[:, 1], float(values[-1]))
 
     def height_field(self, x: ArrayLike) -> HeightField:
         """Return samples of the outline for parameters, shape (p,)."""
         return self.surface(x).height_field()
 
     def pullback(self, x: ArrayLike, adjoints: Mapping[str, Array]) -> Array:
-        """Return the adjoints of the parameters, shape (p,), from those of the vertices and the period."""
+        """Return the adjoints of the parameters, shape (p,), from the adjoints of the vertices and of the period."""
         self.check(x)
         return np.append(np.tensordot(self._modes, adjoints["vertices"], axes=2), adjoints["period_um"])
 
@@ -83,11 +96,14 @@ class _OutlineProfile(Profile):
 class Polygon(_OutlineProfile):
     """Vertices of a polygon as parameters: positions and heights of all vertices but the first, and the period.
 
-    The first vertex is fixed: a shift of the whole polygon changes no efficiency.
+    The first vertex is fixed, because a shift of the whole polygon along x changes no efficiency.
 
     Args:
         vertices: Start values of positions [periods] and heights [µm], shape (k, 2), in the order of the positions.
         period_um: Start value of the period [µm]; its range is ± 5 %.
+
+    Raises:
+        ValueError: Positions are outside of 0 to 1 or decrease, or three of them are equal.
 
     Examples:
         >>> import warpdiff as wd
@@ -105,10 +121,16 @@ class Polygon(_OutlineProfile):
         names = tuple(f"{name}[{k}]" for k in range(1, count) for name in ("position", "height_um"))
         bounds = []
         for k in range(1, count):
-            # Vertices remain in order: a position may move by less than half of the distance to its neighbours.
+            # Each position may move by less than half of the distance to its neighbours, so that vertices remain in
+            # order.
             gaps = np.diff(
                 np.concatenate([array[: k + 1, 0][-2:], array[k + 1 : k + 2, 0] if k + 1 < count else [1.0]])
             )
+            if not gaps.any():
+                raise ArgumentValueError(
+                    f"{ref('vertices')} must not have three equal positions, got {array[k, 0]:g} of vertex {k} and of "
+                    "both of its neighbours: remove it"
+                )
             position, height = array[k]
             bounds += [
                 [position - 0.499 * gaps[0], position + 0.499 * gaps[1]],
@@ -124,13 +146,15 @@ class Polygon(_OutlineProfile):
 class Trapezoid(_OutlineProfile):
     """Lamellar grating with sloped walls: depth, duty cycle, width of a wall and period as parameters.
 
-    Scalar theory cannot distinguish a duty cycle from 1 − duty, so that ``equivalents`` returns both.
+    Scalar diffraction gives the same efficiencies for a duty cycle and for 1 minus this duty cycle. The method
+    ``equivalents`` therefore returns the parameters with the other duty cycle.
 
     Args:
         depth_um: Start value of the depth [µm], more than 0. Its range is 0 to three times this value.
-        duty: Start value of the width of the ridge at half of its height, in periods. Its range is that in which ridge
-            and groove are wider than the widest wall.
-        wall: Start value of the width of each wall, in periods. Its range is 0 to twice this value, or to 0.05.
+        duty: Start value of the width of the ridge at half of its height, in periods. Its range is limited so that
+            ridge and groove are wider than the widest wall.
+        wall: Start value of the width of each wall, in periods. Its range is 0 to twice this value, or 0 to 0.05 if
+            this is larger.
         period_um: Start value of the period [µm]; its range is ± 5 %.
 
     Raises:
@@ -153,14 +177,14 @@ class Trapezoid(_OutlineProfile):
         if not start[2] >= 0.0 or widest > min(start[1], 1.0 - start[1]):
             raise ArgumentValueError(
                 f"{ref('wall')} must be at least 0 and at most half of ridge and groove, and {ref('duty')} within "
-                f"{_WIDEST_WALL:g} to {1.0 - _WIDEST_WALL:g}, got {start[2]:g} and {start[1]:g}"
+                f"{_WIDEST_WALL:g} to {1.0 - _WIDEST_WALL:g}, got {start[2]:g} and {start[1]:g}: take a narrower wall"
             )
         base = np.array([[0.5, 0.0]] * 4)
         modes = np.zeros((3, 4, 2))
         modes[0, 1:3, 1] = 1.0
         modes[1, :, 0] = [-0.5, -0.5, 0.5, 0.5]
         modes[2, :, 0] = [-0.5, 0.5, -0.5, 0.5]
-        # The walls never meet: ridge and groove are at least as wide as the widest wall.
+        # Ridge and groove are at least as wide as the widest wall, so that the two walls of a ridge never meet.
         bounds = [[0.0, _DEPTH_RANGE * start[0]], [widest, 1.0 - widest], [0.0, widest]]
         super().__init__(("depth_um", "duty", "wall"), start, bounds, base, modes, period_um)
 

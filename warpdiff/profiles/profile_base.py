@@ -1,4 +1,4 @@
-"""``Profile``: a surface with a few parameters, whose heights or vertices depend linearly on them."""
+"""``Profile``: a surface with a few parameters, on which its heights or vertices depend linearly."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Profile(ABC):
-    """Surface with p parameters: start values, bounds, and the chain rule to and from them.
+    """Surface with p parameters: start values, bounds, and the chain rule between surface and parameters.
 
     Attributes:
         names: Names of the parameters, with units, shape (p,).
@@ -52,7 +52,7 @@ class Profile(ABC):
     @property
     @abstractmethod
     def wrt(self) -> tuple[str, ...]:
-        """Variables of the surface that depend on the parameters, for ``wrt`` of ``warpdiff.adjoint``."""
+        """Names of the surface's variables that depend on the parameters, for ``wrt`` of ``warpdiff.adjoint``."""
 
     @abstractmethod
     def surface(self, x: ArrayLike) -> HeightField | Outline:
@@ -64,14 +64,17 @@ class Profile(ABC):
 
     @abstractmethod
     def pullback(self, x: ArrayLike, adjoints: Mapping[str, Array]) -> Array:
-        """Return the adjoints of the parameters, shape (p,), from those of the variables ``wrt``."""
+        """Return the adjoints of the parameters, shape (p,), from the adjoints of the variables ``wrt``.
+
+        The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
+        """
 
     @abstractmethod
     def pushforward(self, x: ArrayLike, dx: ArrayLike) -> dict[str, Array]:
         """Return the changes of the variables ``wrt`` for a change of the parameters, shape (p,)."""
 
     def equivalents(self, x: Array) -> list[Array]:
-        """Return parameters with the same order efficiencies, which no measurement of them can tell from ``x``."""
+        """Return other parameters with the same order efficiencies, which a measurement of orders cannot exclude."""
         del x
         return []
 

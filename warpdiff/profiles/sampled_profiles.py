@@ -1,4 +1,4 @@
-"""Profiles that are height fields: all samples, square pixels, or a few modes of a scan."""
+"""Profiles that are height fields. Their parameters are all samples, square pixels, or a few modes of a scan."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Range of heights around the start values [µm]. Limit: scalar diffraction describes no steeper surfaces of this size.
+# Largest difference between a height and its start value [µm]. The value is limited because scalar diffraction does not
+# describe steeper surfaces.
 _HEIGHT_MARGIN_UM = 10.0
 
 
 class _SampledProfile(Profile):
-    """Profile whose heights are a linear function of the parameters, at a fixed pitch."""
+    """Profile with a fixed pitch, whose heights are a linear function of the parameters."""
 
     def __init__(
         self, names: tuple[str, ...], start: ArrayLike, bounds: ArrayLike, pitch_um: tuple[float, float]
@@ -32,7 +33,7 @@ class _SampledProfile(Profile):
 
     @property
     def wrt(self) -> tuple[str, ...]:
-        """Variables of the surface that depend on the parameters."""
+        """Names of the variables of the surface that depend on the parameters."""
         return ("heights_um",)
 
     def surface(self, x: ArrayLike) -> HeightField:
@@ -44,7 +45,7 @@ class _SampledProfile(Profile):
         return self.surface(x)
 
     def pullback(self, x: ArrayLike, adjoints: Mapping[str, Array]) -> Array:
-        """Return the adjoints of the parameters, shape (p,), from that of the heights."""
+        """Return the adjoints of the parameters, shape (p,), from the adjoint of the heights."""
         self.check(x)
         return self._transposed(adjoints["heights_um"])
 
@@ -89,12 +90,18 @@ class Samples(_SampledProfile):
 
 
 class Pixels(_SampledProfile):
-    """Heights of square pixels as parameters, row by row.
+    """Heights of square pixels as parameters, row by row. A single row is a grating that is constant along y.
 
     Args:
         pixel_um: Size of a pixel [µm].
         levels: Heights of the pixels [µm], the start values, shape (ny, nx).
-        samples: Number of samples along each side of a pixel, at least 1, by default 4.
+        samples: Number of samples along each side of a pixel, at least 1, by default 4; a single row has one sample
+            along y.
+
+    Attributes:
+        pixel_um: Size of a pixel [µm].
+        pixels: Numbers of pixels (ny, nx).
+        samples: Number of samples along each side of a pixel.
 
     Examples:
         >>> import warpdiff as wd
@@ -105,23 +112,25 @@ class Pixels(_SampledProfile):
 
     def __init__(self, pixel_um: float, levels: ArrayLike, samples: int = 4) -> None:
         heights = validation.finite_array(levels, "levels", ndim=2, most=validation.MOST)
-        self._count, self._shape = validation.count(samples, "samples"), heights.shape
+        self.samples, self.pixels = validation.count(samples, "samples"), heights.shape
+        self.pixel_um = validation.positive(pixel_um, "pixel_um")
+        self._along_y = self.samples if heights.shape[0] > 1 else 1
         names = tuple(f"level_um[{j}, {i}]" for j, i in np.ndindex(heights.shape))
         flat = heights.ravel()
         bounds = np.stack([flat - _HEIGHT_MARGIN_UM, flat + _HEIGHT_MARGIN_UM], axis=1)
-        pitch = validation.positive(pixel_um, "pixel_um") / self._count
-        super().__init__(names, flat, bounds, (pitch, pitch))
+        super().__init__(names, flat, bounds, (self.pixel_um / self._along_y, self.pixel_um / self.samples))
 
     def _heights(self, x: Array) -> Array:
-        return np.asarray(np.repeat(np.repeat(x.reshape(self._shape), self._count, axis=0), self._count, axis=1))
+        rows = np.repeat(x.reshape(self.pixels), self._along_y, axis=0)
+        return np.asarray(np.repeat(rows, self.samples, axis=1))
 
     def _transposed(self, heights: Array) -> Array:
-        ny, nx = self._shape
-        return np.asarray(heights.reshape(ny, self._count, nx, self._count).sum(axis=(1, 3)).ravel())
+        ny, nx = self.pixels
+        return np.asarray(heights.reshape(ny, self._along_y, nx, self.samples).sum(axis=(1, 3)).ravel())
 
 
 class ScanModes(_SampledProfile):
-    """Scale, tilt and bow of a scan as parameters: what the calibration of an instrument leaves uncertain.
+    """Scale, tilt and bow of a scan as parameters, which the calibration of an instrument leaves uncertain.
 
     The heights are scale · h + tilt_y · y + tilt_x · x + bow · (x² + y² − mean), where x and y run from −½ to ½ over
     the patch.

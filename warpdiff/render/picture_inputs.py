@@ -11,14 +11,18 @@ import numpy as np
 from warpdiff.core import memory, validation
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref, renaming
 from warpdiff.heightfield.field import HeightField
+from warpdiff.heightfield.grating_map import GratingMap
 from warpdiff.kernels import refinement_levels
-from warpdiff.lights.base import MANY_LIGHTS, Light, LobeChoice, LobeSet, listed
-from warpdiff.lights.light_pass import PictureUnit, SurfaceOptics
+from warpdiff.lights.base import Light, listed
+from warpdiff.lights.grating_dots import material_of_dots
+from warpdiff.lights.surface_optics import PictureUnit, SurfaceOptics
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.planner.refusals import warn_outside
 from warpdiff.planner.strategy import directions_of, plan_for
+from warpdiff.render.light_parts import parts_of
+from warpdiff.render.map_inputs import check_texture_coordinates, settings_of_map
 from warpdiff.render.picture import Picture
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.plan import AUTOMATIC, Plan, has_table
@@ -36,18 +40,19 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from warpdiff.image.image import Image
-    from warpdiff.lights.base import LightPart, Lobe
+    from warpdiff.lights.base import LightPart
     from warpdiff.request.directions import DirectionRange, DirectionSample
     from warpdiff.request.settings import PictureSettings
     from warpdiff.scene.mesh_import import Surface as Mesh
 
-SurfacesOfMesh = HeightField | Mapping[str, HeightField | Surface | None]
+SurfaceOfPart = HeightField | GratingMap | Surface | None
+SurfacesOfMesh = HeightField | GratingMap | Mapping[str, SurfaceOfPart]
 
-# Largest memory per pixel that any kind of picture requires during its computation [bytes]. Fitted to measurements.
+# Largest memory per pixel that any kind of picture requires during its computation [bytes]. The value was measured.
 _BYTES_PER_PIXEL = 210
 
 
-# Height field of a plain surface, whose colours are never looked up.
+# Height field that stands for a plain surface in structures that require one. Its colours are never looked up.
 _FLAT = HeightField(np.zeros((1, 1)), 1.0)
 
 
@@ -61,6 +66,7 @@ class SurfaceInputs:
         parts: Parts that the lights consist of: lobes, discs and skies. Plans are chosen for their spectra.
         is_plain: Whether the surface has no height field, and reflects light by its base colour and material.
         unit: Factor from the colours of the surface to the unit of the picture; None if the surface defines the unit.
+        grating_map: Map of the surface's dots, whose ``reference`` is the height field of ``evaluation``; or None.
     """
 
     evaluation: Evaluation
@@ -68,10 +74,16 @@ class SurfaceInputs:
     parts: list[LightPart]
     is_plain: bool = False
     unit: float | None = None
+    grating_map: GratingMap | None = None
 
     @classmethod
-    def of(cls, heightfield: HeightField | None, lights: Sequence[Light], settings: PictureSettings) -> SurfaceInputs:
-        """Combine settings, lights and a height field, or None for a plain surface; raise errors about them."""
+    def of(
+        cls, heightfield: HeightField | GratingMap | None, lights: Sequence[Light], settings: PictureSettings
+    ) -> SurfaceInputs:
+        """Combine settings, lights and a height field or map; None is a plain surface. Raise errors about them."""
+        grating_map = heightfield if isinstance(heightfield, GratingMap) else None
+        if isinstance(heightfield, GratingMap):
+            settings, heightfield = settings_of_map(heightfield, settings), heightfield.reference
         footprint = settings.effective_footprint
         evaluation = Evaluation.of(
             _FLAT if heightfield is None else heightfield, settings, by_geometry=True, footprint=footprint
@@ -81,9 +93,10 @@ class SurfaceInputs:
         # The planner tries tables for the spectra of lobes. If only a sky illuminates, tables for one of its three
         # primary spectra suffice, because all three are smooth.
         spectra = [name for part in parts if part.has_lobes for name in part.spectra] or parts[0].spectra[:1]
-        illuminated = IlluminatedMaterial.of(spectra, evaluation.materials.values())
+        materials = [material_of_dots(material, grating_map) for material in evaluation.materials.values()]
+        illuminated = IlluminatedMaterial.of(spectra, materials)
         evaluation = replace(evaluation, plan=plan, illuminated=illuminated)
-        return cls(evaluation, settings, parts, heightfield is None)
+        return cls(evaluation, settings, parts, heightfield is None, grating_map=grating_map)
 
     def optics(self, mesh: Mesh) -> SurfaceOptics:
         """Return the optics of the surface on a mesh, except for the diffraction of its height field."""
@@ -93,7 +106,7 @@ class SurfaceInputs:
             evaluation.coherence, size_um[0] * size_um[1], evaluation.normal_reflectance,
             tuple(evaluation.materials.values()), evaluation.masking, None if energy is None else energy.values,
             settings.pigment if self.is_plain or mesh.has_base_colour else 0.0, settings.shadows, self.is_plain,
-            self.unit,
+            self.unit, self.grating_map,
         )  # fmt: skip
 
     def materials_of_faces(self, mesh: Mesh) -> NDArray[np.int32] | None:
@@ -114,10 +127,10 @@ class SurfaceInputs:
         """Return the user's plan, or choose a plan for the measured directions.
 
         Lights with an extent require a plan with a table. If no table meets the tolerance for lobes with an extent, the
-        plan has the best table. The smallest table that is expected to suffice is used for skies, and for lights under
-        which all measured directions are dark.
+        plan has the best table. For skies, and for lights under which all measured directions are dark, the plan has
+        the smallest table that is expected to suffice.
         """
-        request = evaluation = self.evaluation
+        request = evaluation = self._evaluation_of_table
         if evaluation.plan is not None:
             warn_outside(evaluation.plan, evaluation.heightfield, direction_range)
         if evaluation.integration == "auto" and not any(part.has_lobes for part in self.parts):
@@ -135,14 +148,25 @@ class SurfaceInputs:
             if not plan.uses_footprints:
                 rings, azimuths = polar_grid.size_for_skies(plan)
                 plan = replace(plan, method=method, rings_per_octave=rings, azimuths_per_width=azimuths, footprint=True)
-        return evaluation.with_energy(plan)
+        return evaluation.with_energy(replace(plan, coherence=self.evaluation.coherence))
 
     def lookup(self, plan: Plan, direction_range: DirectionRange) -> ColourLookup:
         """Return the look-up of the surface's colours by a plan."""
-        evaluation = self.evaluation
+        evaluation = self._evaluation_of_table
         return ColourLookup(
-            evaluation.heightfield, plan, direction_range, device=evaluation.device, threads=evaluation.threads
-        )
+            evaluation.heightfield, replace(plan, coherence=evaluation.coherence), direction_range,
+            pitch_scales=self.grating_map is not None, device=evaluation.device, threads=evaluation.threads,
+        )  # fmt: skip
+
+    @property
+    def _evaluation_of_table(self) -> Evaluation:
+        """Evaluation from which plans and tables are made. With a map, its coherence may differ from the picture's."""
+        evaluation = self.evaluation
+        if self.grating_map is None:
+            return evaluation
+        coherence = self.grating_map.table_coherence(evaluation.coherence)
+        plan = None if evaluation.plan is None else replace(evaluation.plan, coherence=coherence)
+        return replace(evaluation, coherence=coherence, plan=plan)
 
 
 @dataclass(frozen=True)
@@ -153,7 +177,7 @@ class PictureInputs:
         heightfield: Height field or surfaces, as the user gave them.
         settings: Options of the call.
         lights: Lights as the user gave them.
-        surfaces: Inputs of each surface by the key of its part; the key is ``""`` for one height field.
+        surfaces: Inputs of each surface by the key of its part; the key is ``""`` if the mesh has one height field.
         parts: Parts that the lights consist of, in the unit of the picture.
     """
 
@@ -167,7 +191,7 @@ class PictureInputs:
     def of(
         cls, heightfield: SurfacesOfMesh, lights: Light | Sequence[Light], view: View, settings: PictureSettings
     ) -> PictureInputs:
-        """Combine settings, surfaces, lights and view; raise errors about them before any kernel runs."""
+        """Combine settings, surfaces, lights and view; raise errors if they do not suit, before any kernel runs."""
         lights = listed(lights)
         if isinstance(heightfield, Mapping):
             surfaces = _inputs_by_key(heightfield, lights, settings)
@@ -176,7 +200,8 @@ class PictureInputs:
                 raise ArgumentValueError(
                     f"{ref('plan')} must be a warpdiff.Plan for one {ref('heightfield')}, got a mapping"
                 )
-            validation.instance(heightfield, HeightField, "heightfield")
+            if not isinstance(heightfield, GratingMap):
+                validation.instance(heightfield, HeightField, "heightfield")
             surfaces = {"": SurfaceInputs.of(heightfield, lights, settings)}
         first = next(iter(surfaces.values()))
         validation.instance(view, View, "view")
@@ -206,7 +231,7 @@ class PictureInputs:
 
     @property
     def plain(self) -> dict[str, bool] | None:
-        """Whether each surface is plain, by the key of its part; None for one height field."""
+        """Whether each surface is plain, by the key of its part; None if the mesh has one height field."""
         if not isinstance(self.heightfield, Mapping):
             return None
         return {key: own.is_plain for key, own in self.surfaces.items()}
@@ -227,7 +252,7 @@ class PictureInputs:
     def planned(
         self, directions: Iterable[tuple[DirectionRange, DirectionSample, float]] | None
     ) -> tuple[list[Plan], Lookups]:
-        """Return the plans of the surfaces that have a height field, and the objects that look up surfaces' colours.
+        """Return the plans of the surfaces that have a height field, and the look-ups of the colours of all surfaces.
 
         Args:
             directions: Directions for which each of these plans is required: their range, a sample of them, and the
@@ -246,13 +271,13 @@ class PictureInputs:
         return plans, Lookups(lookups)
 
     def parts_of_light(self, index: int) -> list[LightPart]:
-        """Return the parts of one light, which are not combined with those of other lights."""
+        """Return the parts of one light; they are not combined with the parts of other lights."""
         evaluation = _in_unit(self)
         light = self.lights[index]
         return parts_of([light], evaluation, refine=self.settings.refine, means=evaluation.footprint, first=index)
 
     def of_points(self, parts: Sequence[LightPart]) -> PictureInputs:
-        """Return the inputs of a picture of points with one ray per pixel, under other parts of lights."""
+        """Return the inputs for a picture of points with one ray per pixel, whose lights are the given parts."""
         settings = replace(self.settings, footprint=False, refine=False, samples_per_pixel=1)
         surfaces = {
             key: replace(own, evaluation=replace(own.evaluation, footprint=False)) for key, own in self.surfaces.items()
@@ -260,7 +285,7 @@ class PictureInputs:
         return replace(self, settings=settings, surfaces=surfaces, parts=list(parts))
 
     def by_key(self, plans: Sequence[Plan]) -> Plan | dict[str, Plan]:
-        """Return the plans of the surfaces as the user knows them: one plan, or plans by the keys of the parts.
+        """Return the plans in the form of the user's surfaces: one plan, or plans by the keys of the parts.
 
         Plain surfaces have no plan, and are omitted.
         """
@@ -279,10 +304,13 @@ class PictureInputs:
         if isinstance(self.heightfield, Mapping):
             finish_of_faces: NDArray[np.int32] | None = key_of_faces(mesh, list(self.surfaces), "heightfield")
             if not mesh.has_base_colour:
-                # Without a base colour, plain surfaces are white.
+                # On a mesh without a base colour, plain surfaces are white.
                 mesh = replace(mesh, plain_colour=np.ones(3, dtype=np.float32), has_base_colour=True)
         else:
             finish_of_faces = next(iter(self.surfaces.values())).materials_of_faces(mesh)
+        check_texture_coordinates(
+            mesh, optics, finish_of_faces if isinstance(self.heightfield, Mapping) else None
+        )  # fmt: skip
         unit = PictureUnit(_in_unit(self).coherence, self._reference_area_um2)
         return Picture(
             mesh, view, optics, unit=unit, finish_of_faces=finish_of_faces, smooth=settings.smooth,
@@ -321,18 +349,21 @@ class PictureInputs:
 
 
 def _in_unit(inputs: PictureInputs) -> Evaluation:
-    """Return the evaluation of a surface with the coherence to which colours of the picture are relative."""
+    """Return the evaluation of a surface with the coherence to which all colours of the picture are relative."""
     evaluation = inputs.evaluation
     if not isinstance(inputs.heightfield, Mapping):
         return evaluation
     return replace(evaluation, coherence=_unit_coherence(inputs.heightfield, inputs.settings))
 
 
-def _unit_coherence(surfaces: Mapping[str, HeightField | Surface | None], settings: PictureSettings) -> Coherence:
-    """Return the coherence to which colours of a picture are relative: that of surfaces without one of their own."""
+def _unit_coherence(surfaces: Mapping[str, SurfaceOfPart], settings: PictureSettings) -> Coherence:
+    """Return the coherence to which all colours of a picture are relative.
+
+    It is the coherence of the surfaces that do not have a coherence of their own.
+    """
     if settings.coherence is not None or not isinstance(settings.plan, Mapping):
         return settings.coherence or Coherence()
-    own = {key for key, value in surfaces.items() if isinstance(value, Surface) and value.coherence is not None}
+    own = {key for key, value in surfaces.items() if _has_own_coherence(value)}
     planned = {plan.coherence for key, plan in settings.plan.items() if key not in own}
     if len(planned) > 1:
         raise ArgumentValueError(
@@ -342,10 +373,17 @@ def _unit_coherence(surfaces: Mapping[str, HeightField | Surface | None], settin
     return planned.pop() if planned else Coherence()
 
 
+def _has_own_coherence(surface: SurfaceOfPart) -> bool:
+    """Whether the coherence of a surface does not define the unit of the picture. A map has a default of its own."""
+    if isinstance(surface, Surface):
+        return surface.coherence is not None or isinstance(surface.heightfield, GratingMap)
+    return isinstance(surface, GratingMap)
+
+
 def _inputs_by_key(
-    surfaces: Mapping[str, HeightField | Surface | None], lights: Sequence[Light], settings: PictureSettings
+    surfaces: Mapping[str, SurfaceOfPart], lights: Sequence[Light], settings: PictureSettings
 ) -> dict[str, SurfaceInputs]:
-    """Return the inputs of each surface of a mapping from keys of parts. The first one may be plain."""
+    """Return the inputs of each surface of a mapping from keys of parts to surfaces. The first surface may be plain."""
     checked = {key: _checked_surface(key, value) for key, value in surfaces.items()}
     gratings = {key: surface for key, surface in checked.items() if surface is not None}
     if not gratings:
@@ -364,7 +402,10 @@ def _inputs_by_key(
             f"{', '.join(map(repr, gratings))}: give {ref('plan')} by their keys, or another {ref('method')}"
         )
     of_plain = replace(settings, material=None, ior=None, plan=None)
-    in_unit = _mean_solid_angle(_unit_coherence(surfaces, settings), next(iter(gratings.values())).heightfield)
+    first = next(iter(gratings.values())).heightfield
+    in_unit = _mean_solid_angle(
+        _unit_coherence(surfaces, settings), first.reference if isinstance(first, GratingMap) else first
+    )
     inputs = {}
     for key, surface in checked.items():
         if surface is None:
@@ -375,7 +416,7 @@ def _inputs_by_key(
         unit = (
             own.evaluation.normal_reflectance
             * in_unit
-            / _mean_solid_angle(own.evaluation.coherence, surface.heightfield)
+            / _mean_solid_angle(own.evaluation.coherence, own.evaluation.heightfield)
         )
         inputs[key] = replace(own, unit=unit)
     if len({own.evaluation.footprint for own in inputs.values()}) > 1:
@@ -387,20 +428,21 @@ def _inputs_by_key(
 
 
 def _checked_surface(key: object, value: object) -> Surface | None:
-    """Return a value of the mapping as a surface; None is a plain surface."""
+    """Return a value of the user's mapping as a checked surface; None is a plain surface."""
     if not isinstance(key, str):
         raise ArgumentTypeError(f"{ref('heightfield')} must have names of parts as keys, got {type(key).__name__}")
-    if isinstance(value, HeightField):
+    if isinstance(value, (HeightField, GratingMap)):
         return Surface(value)
     if value is None or isinstance(value, Surface):
         return value
     raise ArgumentTypeError(
-        f"{ref(f'heightfield[{key!r}]')} must be a HeightField, a Surface or None, got {type(value).__name__}"
+        f"{ref(f'heightfield[{key!r}]')} must be a HeightField, a GratingMap, a Surface or None, got "
+        f"{type(value).__name__}"
     )
 
 
 def _settings_of(surface: Surface, key: str, settings: PictureSettings) -> PictureSettings:
-    """Return the options of the call with those of a surface."""
+    """Return the options of the call, in which the options of a surface replace those of the same name."""
     material = settings.material.get(key) if isinstance(settings.material, Mapping) else settings.material
     plan = settings.plan.get(key) if isinstance(settings.plan, Mapping) else settings.plan
     ior = settings.ior
@@ -414,7 +456,7 @@ def _settings_of(surface: Surface, key: str, settings: PictureSettings) -> Pictu
 
 
 def _mean_solid_angle(coherence: Coherence, heightfield: HeightField) -> float:
-    """Return Ω(λ) of a coherence [sr], averaged over the wavelengths with the luminous efficiency under D65."""
+    """Return the solid angle Ω(λ) of a coherence [sr], averaged over λ with the luminous efficiency under D65."""
     area_um2 = heightfield.size_um[0] * heightfield.size_um[1]
     wavelengths_um = 1e-3 * colorimetry.VISIBLE_NM
     solid_angle = reflectance_factors.light_solid_angle(wavelengths_um, coherence, area_um2)
@@ -437,57 +479,3 @@ def picture_memory(view: View) -> contextlib.AbstractContextManager[None]:
         f"larger {ref('tolerance')}"
     )
     return memory.as_memory_error(f"a picture of {view.width} × {view.height} pixels", remedy)
-
-
-def check_extent(light: Light, name: str, coherence: Coherence, *, means: bool) -> None:
-    """Raise an error for a light with an extent, if the coherence or the settings exclude it.
-
-    With a coherence of the kind ``"source"``, which has an angular diameter itself, lights must have no extent. With
-    other coherences, lights with an extent require footprints.
-    """
-    if coherence.kind == "source":
-        raise ArgumentValueError(
-            f"{ref(name)} must not have an extent of its own with {ref('coherence')} of kind 'source', whose diameter "
-            f"is that of all lights, got {light!r}: give one of them"
-        )
-    if not (means and coherence.adds_powers):
-        raise ArgumentValueError(
-            f"{ref(name)} has an extent and requires footprints, which {ref('coherence')} of kind {coherence.kind!r}, "
-            f"{ref('footprint', False)}, {ref('wavelengths_nm')}, {ref('method', 'direct')} or a {ref('plan')} without "
-            "footprints excludes, got "
-            f"{light!r}: give several lights without an extent"
-        )
-
-
-def parts_of(
-    lights: Sequence[Light], evaluation: Evaluation, *, refine: bool, means: bool, first: int = 0
-) -> list[LightPart]:
-    """Check lights and return their parts. Without refinement, discs of up to 5° become single lobes.
-
-    ``first`` is the index of the first light among the lights of the picture, for errors.
-
-    The lobes of all lights form one part, so that the error of a pixel is estimated under all of them. An uneven
-    surface causes errors under each light, and separate estimates would not bound the sum of these errors. Many
-    directional lights with the same illuminant are an exception: in refined pictures they form a part of their own, of
-    which each cell chooses one light.
-    """
-    lobes: list[Lobe] = []
-    others: list[LightPart] = []
-    for index, light in enumerate(lights, first):
-        name = f"lights[{index}]"
-        for part in light.parts(evaluation.coherence, single_lobe=not refine, name=name):
-            if part.has_extent:
-                check_extent(light, name, evaluation.coherence, means=means)
-            # A subclass of ``LobeSet`` with a pass of its own is a separate part.
-            if isinstance(part, LobeSet) and type(part).make_pass is LobeSet.make_pass:
-                lobes += [replace(lobe, name=f"{ref(name)} ({type(light).__name__})") for lobe in part.lobes]
-            else:
-                others.append(part)
-    chosen: list[LightPart] = []
-    if refine and evaluation.footprint and evaluation.coherence.kind == "averaged":
-        for spectrum in dict.fromkeys(lobe.illuminant for lobe in lobes):
-            group = tuple(lobe for lobe in lobes if lobe.illuminant == spectrum and lobe.is_direction)
-            if len(group) >= MANY_LIGHTS:
-                chosen.append(LobeChoice(group))
-                lobes = [lobe for lobe in lobes if lobe not in group]
-    return [*([LobeSet(tuple(lobes))] if lobes else []), *chosen, *others]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import warp as wp
 
+from warpdiff.lights.grating_dots import LookupSamples
 from warpdiff.lights.light_pass import Counting, LightSamples, RayBatch
 from warpdiff.render import pixel_filter
 from warpdiff.request.directions import DirectionRange, DirectionSample
@@ -22,10 +23,11 @@ if TYPE_CHECKING:
     from warpdiff.lights.light_pass import LightPass, PassContext
     from warpdiff.render.accumulators import Accumulators
 
-# Maximum numbers of rays whose scattering vectors are computed before a plan is chosen for their range; time is
-# proportional to them. If pixels show points, these are at most the first number of rays per pixel. If pixels show
-# means over footprints, they are about the second number of rays in total, and at most the third number per pixel.
-# Their positions in the pixel vary, because subpixel cells have directions that do not occur at pixel centres.
+# Rays are traced before a plan is chosen, to measure the range of scattering vectors. If pixels show points, there are
+# at most `_SAMPLES_MEASURED` rays per pixel. If pixels show means over footprints, there are about `_CELLS_MEASURED`
+# rays in total, and at most `_MOST_SAMPLES_MEASURED` per pixel. Their positions in the pixel vary, because subpixel
+# cells have directions that do not occur at pixel centres. The numbers are limited by time, which is proportional to
+# them.
 _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 
 
@@ -37,7 +39,7 @@ class LobeIndex(NamedTuple):
 
 
 class PixelSampler:
-    """Sampler that traces one ray for each pixel, and samples one lobe at the hits.
+    """Sampler that traces one ray for each pixel, and samples one lobe of a light at the hits.
 
     Attributes:
         samples: Samples of the lobe of the last call of :meth:`scatter`, one entry per pixel.
@@ -48,7 +50,7 @@ class PixelSampler:
         self._shadow_rays_per_hit = shadow_rays_per_hit
         self.samples = LightSamples.allocate(
             context.rays.size, means=means, has_finishes=context.has_finishes, has_directions=False,
-            device=context.device,
+            has_dots=context.dots is not None, device=context.device,
         )  # fmt: skip
         self._passes: Sequence[LightPass] = ()
         self._no_tiles = wp.empty(0, dtype=wp.int32, device=context.device)
@@ -91,7 +93,7 @@ class PixelSampler:
         )  # fmt: skip
 
     def trace(self, sample: int, samples_per_pixel: int | None = None) -> None:
-        """Trace one ray per pixel, the one with the index ``sample`` among the rays of a pixel."""
+        """Trace one ray per pixel: the ray with the index ``sample`` among the rays of a pixel."""
         self._context.rays.launch(self._trace_calls(sample, samples_per_pixel or self._samples_per_pixel))
         self._sample = sample
 
@@ -106,8 +108,8 @@ class PixelSampler:
         """Compute the light samples of a lobe in ``samples``, at the hits of one ray per pixel.
 
         The light that the pigment reflects is added to the colours in ``sums``. The light that the height field
-        diffracts is looked up later. ``sample`` is the index of the ray among the rays of a pixel. This ray is traced
-        first, unless the last traced one has the same index. If the previous call had the same ray and lobe, the method
+        diffracts is looked up later. ``sample`` is the index of the ray among the rays of a pixel. The ray is traced
+        first, unless the last traced ray has the same index. If the previous call had the same ray and lobe, the method
         does nothing.
         """
         if (self._sample, self._lobe) == (sample, index):
@@ -117,7 +119,7 @@ class PixelSampler:
         calls = self._trace_calls(sample, count) if self._sample != sample else []
         if self._context.casts_shadows and not light_pass.is_prepared:
             # The rays are traced before shadow rays are prepared, because the preparation depends on the number of
-            # hits: with many shadow rays, occluder grids save time.
+            # hits: occluder grids are made only if there are many shadow rays.
             rays.launch(calls)
             calls = []
             light_pass.prepare_shadow_rays(lambda: self._shadow_rays_per_hit * rays.gbuffer.hit_count)
@@ -138,6 +140,22 @@ class PixelSampler:
         """Return scattering vectors, directions to the light and geometry factors of the last lobe, one per pixel."""
         scattering_vectors, to_lights, gains = (values.numpy() for values in self.samples.directions)
         return scattering_vectors, to_lights, gains
+
+    def _of_dots(self, surface: int) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]] | None:
+        """Return the directions of the last lobe in the frames of a surface's dots; None without a grating map.
+
+        Directions to the light are unit vectors. A plan therefore meets its tolerance for the smallest pitch scale,
+        whose orders are narrowest relative to (u, v).
+        """
+        dots, of_dots = self._context.dots, self.samples.of_dots
+        if dots is None or of_dots is None or not dots.has_map(surface):
+            return None
+        samples = LookupSamples(self.samples.scattering_vectors, self.samples.to_lights, None)
+        result, transforms = dots.transform(surface, self._context.rays.gbuffer, samples, of_dots, level=0)
+        self._context.rays.launch(transforms)
+        to_lights = result.to_lights.numpy()
+        lengths = np.linalg.norm(to_lights, axis=1, keepdims=True)
+        return result.scattering_vectors.numpy(), to_lights / np.maximum(lengths, 1e-6), self.samples.gains.numpy()
 
     def measure_directions(
         self, heightfields: Sequence[HeightField | None], sums: Accumulators
@@ -172,7 +190,8 @@ class PixelSampler:
                 self.scatter(sample, index, sums, samples_per_pixel=1 if self._means and sample == 0 else per_pixel)
                 directions = self.directions()
                 for of_surface in surfaces:
-                    of_surface.add(self._context, directions, parts if self._means or sample == 0 else 0)
+                    own = self._of_dots(of_surface.surface) or directions
+                    of_surface.add(self._context, own, parts if self._means or sample == 0 else 0)
         if measured > self._samples_per_pixel:
             self.invalidate()
         return [
@@ -187,7 +206,7 @@ class PixelSampler:
 
 @dataclass
 class _Measured:
-    """Directions to and from one surface, collected ray by ray and lobe by lobe.
+    """Directions to the light and to the viewer on one surface, collected ray by ray and lobe by lobe.
 
     Attributes:
         heightfield: Height field of the surface.
@@ -209,7 +228,7 @@ class _Measured:
         directions: tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]],
         parts: int,
     ) -> None:
-        """Add the directions of one lobe. ``parts`` is the number of samples that will be joined; 0 takes no sample."""
+        """Add the directions of one lobe. ``parts`` is the number of samples that will be joined; 0 adds no sample."""
         scattering_vectors, to_lights, gains = directions
         gains = context.gains_on(self.surface, gains)
         is_lit = gains > 0.0

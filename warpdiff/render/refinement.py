@@ -15,7 +15,7 @@ import warp as wp
 
 from warpdiff.core.threads import subprogress
 from warpdiff.device.kernel_calls import KernelCall
-from warpdiff.kernels import refinement_levels, subdivision
+from warpdiff.kernels import dot_transforms, pixel_contrast, refinement_levels, subdivision
 from warpdiff.kernels.refinement_levels import ERROR_ORDER, ERROR_PER_CHANGES, SCATTER_FACTOR
 from warpdiff.kernels.structs import Sampling
 from warpdiff.render import pixel_filter
@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from warpdiff.render.tile_buffers import TileBuffers
     from warpdiff.tables.lookup import Lookups
 
-# Number of pixels per slice of a launch on the CPU. Fitted: launches then add 1 % to the time of the kernels.
+# Number of pixels per slice of a launch on the CPU. The value was fitted so that launches add 1 % to the time of the
+# kernels.
 SLICE = 32_768
 
 
@@ -45,6 +46,7 @@ class RefinementPolicy:
         first_level: Level of the first subdivision of a tile under this light, unless ``least_level`` is higher.
             Colours of these first cells decide whether the tile is subdivided further. Lights whose directions are
             random require more first cells.
+        has_dots: Whether a surface has a grating map. Colours then change abruptly within pixels.
     """
 
     tolerance: float
@@ -52,6 +54,12 @@ class RefinementPolicy:
     refine: bool
     is_sampled: bool = False
     first_level: int = 1
+    has_dots: bool = False
+
+    @property
+    def measures_scatter(self) -> bool:
+        """Whether levels and errors follow from the scatter of the colours of cells, instead of their curvature."""
+        return self.is_sampled or self.has_dots
 
     @property
     def subdivides(self) -> bool:
@@ -71,7 +79,7 @@ class RefinementPolicy:
 
     @property
     def silhouette_level(self) -> int:
-        """Least level at which pixels end if the outline of the mesh passes through them."""
+        """Smallest level at which the subdivision of a pixel may end if the outline of the mesh passes through it."""
         return pixel_filter.SILHOUETTE_LEVEL if self.refine else 0
 
 
@@ -84,7 +92,7 @@ class LightRefinement:
     Attributes:
         light_pass: Pass that samples the light and looks up its colours.
         lookups: Look-ups of the colours of the surfaces.
-        batch: The rays of whole pixels, whose colours are computed already.
+        batch: One ray for each pixel, whose colours are computed already.
         sums: Colours, errors and illuminated pixels of the light, which refinement updates.
         policy: Rule by which pixels are subdivided.
         is_first: Whether this is the first light of the picture.
@@ -102,12 +110,13 @@ class LightRefinement:
         """Flags that say which optional arrays of tile buffers this light requires."""
         context = self.light_pass.context
         return BufferKind(
-            self.lookups.needs_sampling, context.is_pigmented, context.has_finishes, self.light_pass.has_directions
-        )
+            self.lookups.needs_sampling, context.is_pigmented, context.has_finishes, self.light_pass.has_directions,
+            context.has_maps, context.dots is not None,
+        )  # fmt: skip
 
     @property
     def _resolved(self) -> list[wp.array]:
-        """Arrays with one value per pixel that refinement overwrites with the sums over the cells of each pixel."""
+        """Arrays with one value per pixel, which refinement overwrites with the sums over the cells of each pixel."""
         sums = self.sums
         return [sums.xyz, sums.errors, sums.coverage, sums.coverage_levels, sums.illuminated, sums.edges]
 
@@ -121,11 +130,24 @@ class LightRefinement:
         context, policy, pixels = self.light_pass.context, self.policy, self.batch.gbuffer.pixels
         bound = -1.0 if policy.is_sampled else policy.tolerance
         inputs = [
-            self.sums.xyz, self.batch.samples.scattering_vectors, pixels.hit,
-            pixels.base_colour if context.is_textured else context.no_colours, context.rays.width, floor,
+            self.sums.xyz, self.batch.samples.signals, pixels.hit,
+            pixels.base_colour if context.is_textured else context.no_colours, pixels.metallic_roughness,
+            pixels.emission, context.rays.width, floor,
             bound if policy.refine else np.inf, policy.least_level > 0, policy.refine,
         ]  # fmt: skip
-        return KernelCall(subdivision.estimate_errors, inputs, [self.sums.errors, marks], in_runs=True)
+        return KernelCall(pixel_contrast.estimate_errors, inputs, [self.sums.errors, marks], in_runs=True)
+
+    def mark_edges_of_dots(self, floor: wp.array, marks: wp.array) -> KernelCall | None:
+        """Return the kernel call that marks pixels near the edges of dots, which the previous call does not find.
+
+        It is None if there are no dots, or if all pixels are marked already.
+        """
+        policy, samples = self.policy, self.batch.samples
+        if samples.of_dots is None or policy.is_sampled or not policy.refine:
+            return None
+        rays, hit = self.light_pass.context.rays, self.batch.gbuffer.pixels.hit
+        inputs = [samples.signals, self.sums.xyz, hit, rays.width, floor, policy.tolerance]
+        return KernelCall(dot_transforms.mark_edges_of_dots, inputs, [self.sums.errors, marks], in_runs=True)
 
     def shade_cells(self, level: int, buffers: TileBuffers, sums: subdivision.FilteredSums) -> list[KernelCall]:
         """Return the kernel calls that trace and shade the cells in the buffers.
@@ -139,7 +161,7 @@ class LightRefinement:
         inputs = [
             batch.xyz, batch.gbuffer.pixels.hit, buffers.tiles[level], self.sums.xyz, sums.ranks,
             pixel_filter.weights_at(level, self._cells_are_means, device), level,
-            level == self.policy.base_level, self.policy.is_sampled,
+            level == self.policy.base_level, self.policy.measures_scatter,
         ]  # fmt: skip
         outputs = [sums.filtered_sums, sums.quadrants, sums.changes, sums.levels, sums.lighting]
         splat = KernelCall(
@@ -159,7 +181,7 @@ class LightRefinement:
         rays = self.light_pass.context.rays
         inputs = [
             group.sums, group.pixels, marks, rays.width, rays.height,
-            *((0.0, SCATTER_FACTOR) if self.policy.is_sampled else (ERROR_ORDER, ERROR_PER_CHANGES)),
+            *((0.0, SCATTER_FACTOR) if self.policy.measures_scatter else (ERROR_ORDER, ERROR_PER_CHANGES)),
         ]  # fmt: skip
         return KernelCall(subdivision.resolve_pixels, inputs, self._resolved, in_runs=True)
 
@@ -170,7 +192,7 @@ class LightRefinement:
             group.sums, group.tiles, marks, self.sums.xyz, rays.width, rays.height, floor, policy.tolerance, level,
             policy.most_level,
         ]  # fmt: skip
-        if policy.is_sampled:
+        if policy.measures_scatter:
             inputs.insert(4, self.sums.errors)
             return KernelCall(subdivision.raise_levels, inputs, [group.levels], in_runs=True)
         inputs.append(policy.silhouette_level)
@@ -198,7 +220,7 @@ class TileGroup:
         tiles: Pixels that are subdivided for the group. On a GPU the array is empty, and ``levels`` is used instead.
         sums: Sums over the cells of the tiles, the struct ``FilteredSums`` of the kernels.
         levels: For each pixel of the picture, the level of its tile; 0 is no tile.
-        share: Beginning and end of the group as shares of the light's progress.
+        share: Beginning and end of the group, as fractions of the light's progress.
     """
 
     pixels: wp.array
@@ -212,9 +234,9 @@ class TileExecutor(Protocol):
     """Interface of executors, which shade the tiles that :class:`RefinementLoop` requests.
 
     Attributes:
-        floor: Lower limit of ‖XYZ‖ in the denominator of relative errors, (1,).
-        marks: For each pixel, ``ACTIVE`` if it is subdivided, ``SHARED`` if it uses only the cells of its neighbours,
-            else 0.
+        floor: Smallest ‖XYZ‖ by which errors are divided to give relative errors, shape (1,).
+        marks: Mark of each pixel: ``ACTIVE`` if the pixel is subdivided, ``SHARED`` if it is computed from the cells of
+            its neighbours only, otherwise 0.
     """
 
     floor: wp.array
@@ -231,7 +253,7 @@ class TileExecutor(Protocol):
         """
 
     def begin(self, light: LightRefinement) -> None:
-        """Begin the refinement of a light at a tolerance: compute the floor of relative errors."""
+        """Begin the refinement of a light at a tolerance: compute the divisor ``floor`` of relative errors."""
 
     def groups(self, light: LightRefinement) -> Iterator[TileGroup]:
         """Yield groups of marked pixels. The tiles of a group are its pixels and the eight pixels around each."""
@@ -263,7 +285,7 @@ class RefinementLoop:
         self, light: LightRefinement, progress: Callable[[float], None] | None,
         previews: Sequence[tuple[float, Callable[[], None]]] = (),
     ) -> None:  # fmt: skip
-        """Refine a light: shade the base level of all tiles, select the level of each tile, and shade these levels.
+        """Refine a light: shade all tiles at the base level, select the level of each tile, and shade the tiles there.
 
         With previews, the light is first refined to the larger tolerance of each preview, and the preview's callable is
         called. Previews do not change the final picture, because each refinement begins again from one ray per pixel.
@@ -285,6 +307,8 @@ class RefinementLoop:
         tiles = self.tiles
         tiles.begin(light)
         tiles.launch(light.estimate_errors(tiles.floor, tiles.marks), tiles.marks)
+        if (mark_more := light.mark_edges_of_dots(tiles.floor, tiles.marks)) is not None:
+            tiles.launch(mark_more, tiles.marks)
         policy = light.policy
         for group in tiles.groups(light) if policy.subdivides else ():
             first, last = group.share
@@ -292,7 +316,7 @@ class RefinementLoop:
             for level in levels:
                 begin, end = (first + (last - first) * (level - levels.start + done) / len(levels) for done in (0, 1))
                 tiles.shade(level, group, light, subprogress(progress, begin, end))
-                if level == policy.base_level or policy.is_sampled:
+                if level == policy.base_level or policy.measures_scatter:
                     # Errors are relative to the filtered colours of pixels, which are therefore computed before levels
                     # are selected. The unfiltered colour of a dark pixel next to a bright one is too small, and the
                     # pixel would get too many cells.

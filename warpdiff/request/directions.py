@@ -1,4 +1,8 @@
-"""Range of the directions of a call, and a sample of these directions on which the planner tries plans."""
+"""Range of the directions of a call, and a sample of these directions on which the planner tries plans.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +22,8 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Largest number of directions of a call that the planner samples to try plans on. If doubled, planning requires more
-# time.
+# Largest number of directions that the planner samples from the directions of a call. It tries plans on the sampled
+# directions. If the number was doubled, planning would require more time.
 MOST_SAMPLED = 8192
 # If a call has fewer directions than this, the planner uses all of them. Otherwise it samples at most half of them.
 _SAMPLED_FROM = 4096
@@ -83,9 +87,10 @@ class DirectionSample:
 
 
 def sample_ranks(count: int, parts: int = 1) -> NDArray[np.int64]:
-    """Return the indices of the sampled directions, for one of ``parts`` passes of a call over the parts of its lights.
+    """Return the indices of the sampled directions for one pass of a call.
 
-    The pass has ``count`` illuminated directions.
+    A call with several lights computes each of its ``parts`` parts of the lights in a separate pass. The pass has
+    ``count`` illuminated directions.
     """
     # The sample of a call is divided equally among the ``parts`` passes. Each pass contributes at least one direction.
     most = max(min(MOST_SAMPLED // parts, count // 2), 1)

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 # Format of saved plans, written to each file. The number increases when a field of a plan changes its name or meaning.
 _FORMAT = "warpdiff plan 2"
-# Largest size of a file that is read as a plan [bytes]. Files of plans have about 1 kB, so that larger files are no
-# plans.
+# Largest size of a file that is read as a plan [bytes]. A plan has about 1 kB. A much larger file is therefore not a
+# plan, and is refused.
 _MOST_BYTES = 1 << 20
 METHODS = ("auto", *EXPANDED, "direct")
 AUTOMATIC = "low-rank"
@@ -41,7 +41,7 @@ LABELS = {
 _SUMMED_PER_SECOND, _LOOKED_UP_PER_SECOND = 9e9, 2.7e9
 # Smallest and largest number of rings per octave that a colour table may have.
 MIN_RINGS, MAX_RINGS = 4, 512
-# The number of functions of w (the normal component of the scattering vector) in a colour table is a multiple of
+# A colour table has functions of w, the normal component of the scattering vector. Their number is a multiple of
 # `W_BASIS_STEP`, and at most `MOST_W_BASIS`. Kernels are compiled separately for each number of functions that occurs.
 # A smaller step would cause more compilations.
 W_BASIS_STEP, MOST_W_BASIS = 4, 32
@@ -186,7 +186,7 @@ class Plan:
         for name, (least, most) in _SCOPE.items():
             validation.number(getattr(self, name), name, least=least, most=most)
         for name in (*_ERRORS, "energy_spread", "aliasing", "scalar_error", "multiply_adds", "table_multiply_adds"):
-            # Predicted errors may have any finite value, because the error bound of a diverging series may be very
+            # Predicted errors may have any finite value, because the error bound of a series that diverges may be very
             # large.
             validation.number(getattr(self, name), name, least=0.0, most=sys.float_info.max)
         validation.choice(self.scalar_reason, "scalar_reason", get_args(Reason))

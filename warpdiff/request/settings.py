@@ -40,7 +40,8 @@ GamutName = Literal["srgb", "display-p3"]
 Bits = Literal[8, 16]
 TangentRule = Literal["x", "y", "z", "around-x", "around-y", "around-z", "smooth"]
 TANGENT_RULES: tuple[str, ...] = get_args(TangentRule)
-# Maximum number of camera rays per pixel, 256 × 256. More rays do not change a picture with 8 bits per channel.
+# Maximum number of camera rays per pixel, 256 × 256. The value was chosen because more rays do not change a picture
+# with 8 bits per channel.
 MOST_SAMPLES = 2**16
 # Smallest step between the wavelengths of a spectral picture [nm]. The value is limited by the names of EXR channels,
 # which contain the wavelength with six decimals.

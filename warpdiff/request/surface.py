@@ -9,7 +9,9 @@ from typing import Annotated
 from annotated_types import Ge, Interval
 
 from warpdiff.core.options import Checked
-from warpdiff.heightfield.field import HeightField  # noqa: TC001 (fields are described at run time)
+from warpdiff.core.wording import ArgumentTypeError, ref
+from warpdiff.heightfield.field import HeightField
+from warpdiff.heightfield.grating_map import GratingMap
 from warpdiff.optics.coherence import Coherence  # noqa: TC001 (fields are described at run time)
 from warpdiff.optics.materials import Material  # noqa: TC001 (fields are described at run time)
 
@@ -21,8 +23,10 @@ class Surface(Checked):
     If a value is None, the setting of the call is used, such as ``shade(..., coherence=...)``.
 
     Attributes:
-        heightfield: Height field, whose x axis lies along the tangents of the mesh.
-        coherence: Coherence: a window, a light source or a number of periods.
+        heightfield: Height field, whose x axis lies along the tangents of the mesh, or a map of its turned and scaled
+            copies.
+        coherence: Coherence: a window, a light source or a number of periods. For a map without any,
+            ``Coherence("source")``.
         material: Material of the surface. None uses ``ior`` if that is not None, else the material of the call.
         ior: Index of refraction; ``math.inf`` is a perfect mirror.
         pigment: Strength of the mesh's base colour, which lies under the relief, at least 0.
@@ -34,8 +38,16 @@ class Surface(Checked):
         True
     """
 
-    heightfield: HeightField
+    heightfield: HeightField | GratingMap
     coherence: Coherence | None = None
     material: Material | None = None
     ior: Annotated[float, Interval(gt=1.0, le=math.inf)] | None = None
     pigment: Annotated[float, Ge(0.0)] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.heightfield, (HeightField, GratingMap)):
+            raise ArgumentTypeError(
+                f"{ref('heightfield')} must be a warpdiff.HeightField or a warpdiff.GratingMap, got "
+                f"{type(self.heightfield).__name__}"
+            )

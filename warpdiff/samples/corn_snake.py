@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 Tangent = Literal["around", "along"]
 
-# Length of the head, and largest length of the snake [radii of the body]. The length is limited because the centre line
-# is sampled at 4,097 points, with which longer snakes are bent inaccurately.
+# Length of the head, and largest length of the snake [radii of the body]. The centre line is sampled at 4,097 points.
+# The length is limited because bends of a longer snake would be inaccurate with this number of points.
 _HEAD_LENGTH, _LONGEST = 2.5, 1e3
 # Cross sections of the head and of the body, chosen by eye. Columns: position as a fraction of the length of the head
 # or of the body; half width, height above the centre line and depth below the centre line [radii of the body]; exponent
@@ -50,8 +50,9 @@ _SHIELDS = np.array(
     + [(at, 0.325) for at in (0.03, 0.13, 0.24, 0.35, 0.46, 0.58, 0.70, 0.82)]
     + [(at, 0.42) for at in (0.12, 0.32, 0.50, 0.66, 0.80, 0.93)]
 )
-# Centre of the eye (fractions of the head's length and of the circumference), radius of the eye [radii of the body],
-# and circumferential position of the mouth. Chosen by eye.
+# Position and size of the eye, and position of the mouth, chosen by eye. `_EYE` is the centre of the eye, as fractions
+# of the head's length and of the circumference. `_EYE_RADIUS` is its radius [radii of the body]. `_MOUTH` is a fraction
+# of the circumference.
 _EYE, _EYE_RADIUS, _MOUTH = (0.43, 0.165), 0.18, 0.28
 # Length and circumference of the head [radii of the body], by which positions on the head, given as fractions, are
 # converted to distances.
@@ -157,15 +158,15 @@ def snake(
     validation.count(ventrals, "ventrals", least=8)
     validation.count(segments, "segments", least=2)
     validation.count(seed, "seed", least=0)
-    # Peak memory while the snake is constructed [bytes], fitted to measurements. The belly counts as two more rows of
-    # scales.
+    # The memory is the peak while the snake is constructed [bytes]. The formula was fitted to measurements. The belly
+    # counts as two more rows of scales.
     memory.require_memory(
         (900.0 * segments**2 + 25_000.0) * (scale_rows + 2) * ventrals,
         f"a snake of {scale_rows} × {ventrals} scales of {segments} segments",
         f"take {{share}} of {ref('scale_rows')} or {ref('ventrals')}, or {{side}} of {ref('segments')}",
     )
-    # Snakes shorter than 16 radii are refused. A single spline interpolates the cross sections of head and body, so
-    # that neither can be missing.
+    # Snakes shorter than 16 radii are refused. In a longer snake, the cross sections of the head and of the body are
+    # both present, which the single spline through them requires.
     if not 16.0 * radius <= length <= _LONGEST * radius:
         raise ArgumentValueError(
             f"{ref('length')} must be 16 to {_LONGEST:g} radii ({16.0 * radius:g} to {_LONGEST * radius:g}), "
@@ -324,11 +325,11 @@ def _fade(skin: _Skin, tau: Floats) -> Floats:
 
 
 def _plate(skin: _Skin, x: ArrayLike, tau: ArrayLike, a: Floats, b: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return x, τ, shift and rise of points on scales.
+    """Return the positions x and τ, the shift and the rise of points on scales.
 
-    Shift (to the rear) and rise (outwards) increase linearly from the front corner to the rear corner of a scale. The
-    step from a free edge to the scale below therefore has the same height along the edge, and neighbouring scales meet
-    at their corners.
+    The shift (to the rear) and the rise (outwards) increase linearly from the front corner to the rear corner of a
+    scale. The step from a free edge to the scale below therefore has the same height along the edge, and neighbouring
+    scales meet at their corners.
 
     Args:
         skin: Map from the unrolled skin to space.

@@ -27,11 +27,12 @@ if TYPE_CHECKING:
 
 __all__ = ["blazed", "bumps", "disc", "fingers", "lamellar", "sinusoidal"]
 
-# Largest default pitch [µm], about a tenth of the shortest visible wavelength. If doubled, directions near the horizon
-# suffer from aliasing.
+# Largest default pitch [µm], about a tenth of the shortest visible wavelength. If it was doubled, aliasing would cause
+# errors in directions near the horizon.
 _COARSEST_PITCH_UM = 0.04
-# Distance from a ridge beyond which its contribution to the heights is neglected [distances of neighbouring ridges]. It
-# was derived from the profile of a ridge, whose height there is below 1e-40 of the height of the crest.
+# Distance from a ridge beyond which the ridge does not contribute to the heights [distances between neighbouring
+# ridges]. The number was derived from the profile of a ridge, whose height at this distance is below 1e-40 of the
+# height of its crest.
 _RIDGE_REACH = 4.0
 
 

@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from warpdiff.scene.mesh_import import Surface
 
 
-# Largest number of faces per leaf of a hierarchy on the CPU. Choice: it changes the time of rays, not their hits.
+# Largest number of faces per leaf of a hierarchy on the CPU. The value changes the time of rays, not their hits.
 _LEAF = 4
 # Lock that is held while a hierarchy is built, so that two threads do not build the same one.
 _once = forks.lock()
 _cached: weakref.WeakKeyDictionary[Surface, LruCache[SceneArrays]] = weakref.WeakKeyDictionary()
-# Number of cached occluder grids per mesh; those of the latest light directions are kept. Limit: a grid takes about 72
-# bytes per face.
+# Number of cached occluder grids per mesh. The grids for the last light directions remain in the cache. The number is
+# limited by memory: a grid requires about 72 bytes per face.
 _MOST_GRIDS = 4
 
 
@@ -35,12 +35,13 @@ class SceneArrays:
     Kernels refer to the mesh by an id only. Keep this object until all launches that use the id have finished.
 
     Attributes:
-        bare: The arrays as a struct for kernels. It has a hierarchy of faces after the first call of
+        bare: The mesh as a struct for kernels. It has a hierarchy of faces only after the first call of
             :meth:`with_hierarchy`.
         textures: Textures as a struct for kernels; empty without any.
         transparency: Transparency as a struct for kernels; empty if all faces are opaque.
         is_textured: Whether any base colour is that of a texture.
         is_opaque: Whether no ray passes through a face.
+        has_maps: Whether textures have metallic, roughness or emission of any plain face.
         face_count: Number of faces.
         grids: Cache of occluder grids by light direction.
     """
@@ -63,10 +64,15 @@ class SceneArrays:
         arrays.smooth = bool(smooth)
         self.face_count = len(surface.faces)
         self.bare = arrays
-        self.is_textured, self.is_opaque = surface.is_textured, surface.is_opaque
+        self.is_textured, self.is_opaque, self.has_maps = surface.is_textured, surface.is_opaque, surface.has_maps
         self.textures, self.transparency = Textures(), Transparency()
-        if surface.is_textured or not surface.is_opaque:
-            self.textures = table_of(surface.textures, surface.materials, device)
+        if surface.is_textured or surface.has_maps or not surface.is_opaque:
+            self.textures = table_of(surface.textures, surface.rows, device, surface.maps)
+        if surface.maps is not None:
+            for name in ("metallic_roughness_uvs", "emission_uvs"):
+                uvs = getattr(surface.maps, name)
+                array = arrays.uvs if uvs is None else wp.array(uvs, dtype=wp.vec2f, device=device)
+                setattr(self.textures, name, array)
         if not surface.is_opaque:
             self.transparency.cutoffs = wp.array(surface.alpha_cutoffs, dtype=wp.float32, device=device)
             alphas = np.zeros(0, np.float32) if surface.vertex_alphas is None else surface.vertex_alphas

@@ -24,8 +24,15 @@ class GBuffer:
     pixels: Pixels
 
     @classmethod
-    def allocate(cls, rays: int, *, coloured: bool, device: wp.Device) -> GBuffer:
-        """Return uninitialised arrays for a number of rays, with base colours if ``coloured``."""
+    def allocate(cls, rays: int, *, coloured: bool, has_maps: bool = False, device: wp.Device) -> GBuffer:
+        """Return uninitialised arrays for a number of rays.
+
+        Args:
+            rays: Number of rays.
+            coloured: Whether the arrays include base colours.
+            has_maps: Whether the arrays include metallic, roughness and emission from textures.
+            device: The Warp device.
+        """
 
         def empty(dtype: type, size: int = rays) -> wp.array:
             return wp.empty(size, dtype=dtype, device=device)
@@ -36,12 +43,19 @@ class GBuffer:
         for name in _VECTORS:
             setattr(pixels, name, empty(wp.vec3f))
         pixels.base_colour = empty(wp.vec3f, rays * coloured)
+        pixels.metallic_roughness = empty(wp.vec4f, rays * has_maps)
+        pixels.emission = empty(wp.vec3f, rays * has_maps)
         return cls(pixels)
 
     @property
     def is_coloured(self) -> bool:
         """Whether the arrays include base colours."""
         return len(self.pixels.base_colour) > 0
+
+    @property
+    def has_maps(self) -> bool:
+        """Whether the arrays include metallic, roughness and emission of textures."""
+        return len(self.pixels.emission) > 0
 
     @property
     def hit_count(self) -> int:

@@ -1,4 +1,4 @@
-"""Images that mesh files refer to: opened from bytes, and decoded to linear RGBA."""
+"""Images to which mesh files refer: opening from bytes, and decoding to linear RGBA."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def opened(data: bytes) -> Image.Image:
     """Open an image; its pixels are not decoded.
 
     Raises:
-        OSError: Pillow cannot open it. The message is the reason.
+        OSError: Pillow cannot open the image. The message is the reason.
     """
     from PIL import Image
 
@@ -40,25 +40,51 @@ def opened(data: bytes) -> Image.Image:
         raise OSError(f"Pillow cannot read it as an image of the formats {', '.join(_FORMATS)}") from None
 
 
-def linear_rgba(image: Image.Image) -> NDArray[np.float32] | None:
+def linear_rgba(image: Image.Image, *, is_data: bool = False) -> NDArray[np.float32] | None:
     """Return an image in linear RGBA, shape (h, w, 4), or None with a warning if it is damaged.
 
-    Alpha is 1 in images without an alpha channel.
+    Alpha is 1 in images without an alpha channel. Images of floating-point numbers are linear already.
+
+    Args:
+        image: The image.
+        is_data: Whether the numbers of the image are linear and not encoded in sRGB.
     """
-    if damage := _damage(image):
-        _warn_of_damage(image, damage)
+    try:
+        return _linear_rgba(image, is_data=is_data)
+    except OSError as error:
+        texture = image.info.get("file_path") or "an image"
+        warn(f"{ref('mesh')}: texture {texture!r} is damaged and ignored: {error}")
         return None
+
+
+def _linear_rgba(image: Image.Image, *, is_data: bool) -> NDArray[np.float32]:
+    """Return the result of :func:`linear_rgba`, or raise an OSError whose message is the reason of the damage."""
+    if damage := _damage(image):
+        raise OSError(damage)
     result = np.ones((image.height, image.width, 4), np.float32)
+    if image.mode == "F":
+        grey = np.asarray(image, dtype=np.float32)
+        if not np.all((grey >= 0.0) & (grey < np.inf)):
+            raise OSError("its numbers must be finite and at least 0")
+        result[..., :3] = grey[:, :, None]
+        return result
     if image.mode.startswith("I"):
         # Pillow's image modes that begin with the letter I have 16-bit grey values. Pillow's own conversion to RGB
         # would clip these at 255.
-        result[..., :3] = srgb_decode(np.asarray(image, dtype=np.float64) / 65535.0)[:, :, None]
+        whole = np.asarray(image, dtype=np.float64)
+        if whole.min() < 0.0 or whole.max() > 65535.0:
+            raise OSError(f"its numbers must be from 0 to 65535, got {whole.min():g} to {whole.max():g}")
+        result[..., :3] = (whole / 65535.0 if is_data else srgb_decode(whole / 65535.0))[:, :, None]
+        if "transparency" in image.info:
+            result[..., 3] = whole != image.info["transparency"]
         return result
     has_alpha = image.mode in ("P", *_MODES_WITH_ALPHA) or "transparency" in image.info
-    values = np.asarray(image.convert("RGBA" if has_alpha else "RGB"), dtype=np.uint8)
+    # Pillow converts its mode "La" to the mode "LA" only.
+    source = image.convert("LA") if image.mode == "La" else image
+    values = np.asarray(source.convert("RGBA" if has_alpha else "RGB"), dtype=np.uint8)
     # For speed, the sRGB transfer function is computed once for each of the 256 possible values, not for every pixel.
-    table = srgb_decode(np.arange(256) / 255.0).astype(np.float32)
-    result[..., :3] = table[values[..., :3]]
+    table = np.arange(256) / 255.0
+    result[..., :3] = (table if is_data else srgb_decode(table)).astype(np.float32)[values[..., :3]]
     if has_alpha:
         result[..., 3] = values[..., 3] / np.float32(255.0)
     return result
@@ -66,18 +92,11 @@ def linear_rgba(image: Image.Image) -> NDArray[np.float32] | None:
 
 def mean_values(image: Image.Image) -> tuple[float, float, float] | None:
     """Return the means of red, green and blue, 0 to 1, without decoding from sRGB; None with a warning if damaged."""
-    if damage := _damage(image):
-        _warn_of_damage(image, damage)
+    values = linear_rgba(image, is_data=True)
+    if values is None:
         return None
-    if image.mode == "P":
-        image = image.convert("RGBA")
-    red, green, blue = np.asarray(image.convert("RGB"), dtype=np.float64).reshape(-1, 3).mean(axis=0) / 255.0
+    red, green, blue, _ = values.mean(axis=(0, 1), dtype=np.float64)
     return float(red), float(green), float(blue)
-
-
-def _warn_of_damage(image: Image.Image, damage: str) -> None:
-    texture = image.info.get("file_path") or "an image"
-    warn(f"{ref('mesh')}: texture {texture!r} is damaged and ignored: {damage}")
 
 
 def _damage(image: Image.Image) -> str:

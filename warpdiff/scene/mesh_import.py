@@ -18,7 +18,8 @@ from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.request.settings import TANGENT_RULES, TangentRule, check_tangents
 from warpdiff.scene.direction_fields import Body, direction_field
-from warpdiff.scene.material_factors import factors_of, warn_of_hidden_emission
+from warpdiff.scene.material_factors import checked_parts, factors_of, warn_of_hidden_emission
+from warpdiff.scene.material_maps import NotSampled, maps_of
 from warpdiff.scene.mesh_files import UNNAMED
 from warpdiff.scene.mesh_geometry import (
     FaceGeometry,
@@ -42,6 +43,7 @@ from warpdiff.scene.scene_arrays import (
     joined,
     labelled_parts,
     warn_of_features,
+    with_missing_colours,
 )
 from warpdiff.scene.textures import TextureImages
 
@@ -53,16 +55,16 @@ if TYPE_CHECKING:
 
     from warpdiff.scene.material_factors import MaterialFactors
     from warpdiff.scene.scene_parts import ScenePart
-    from warpdiff.scene.textures import Texture
+    from warpdiff.scene.textures import MaterialMaps, Texture
 
-# Remedy in messages about a mesh without directions.
+# Remedy in the messages about a mesh that has neither tangents nor texture coordinates.
 _HOW_TO_GET_TANGENTS = (
     f"give {ref('tangents', 'smooth')}, another rule ({', '.join(TANGENT_RULES[:-1])}) or directions of the height "
     "field's x axis, one for all or one per vertex, or a mesh with texture coordinates, whose u axis is then the "
     "direction"
 )
-# Cosine of the smallest angle between faces at an edge that counts as sharp: 40°. Choice: faces of round bodies meet at
-# smaller angles.
+# An edge counts as sharp if the cosine of the angle between its faces is below this number. It is the cosine of 40°,
+# which was chosen because the faces of round bodies meet at smaller angles.
 _SHARP_COSINE = float(np.cos(np.radians(40.0)))
 
 
@@ -79,6 +81,7 @@ class Surface:
         handedness: −1 where the texture mapping is mirrored, else 1, shape (n,), float32; equal for all vertices of a
             face.
         uvs: Texture coordinates, v upwards, shape (n, 2), float32; zero where undefined.
+        lacks_uvs: Whether a corner of each face has no texture coordinates, shape (m,); None if all corners have them.
         plain_colour: Linear RGB of a uniform colour, shape (3,), float32; black without colour, −1 with textures.
         vertex_colours: Linear RGB, shape (n, 3), float32; negative at vertices whose base colour is that of a texture.
             None if the colour is uniform, or that of textures at all vertices.
@@ -87,12 +90,16 @@ class Surface:
         geometry_names: Names of the geometries, which all differ; "mesh 0" for a single mesh without a name.
         materials: For each face, the index of its material in ``material_names``, shape (m,), int32; −1 without one.
         material_names: Names of the materials, which all differ.
-        material_factors: Metallic, roughness and emission of the materials; None if all are matte and dark.
-        textures: Base-colour texture of each material; None without one.
-        alpha_cutoffs: Alpha below which rays pass through a face, by material; 0 for opaque materials, and negative for
-            materials that are blended with their background.
+        rows: For each face, the index of its row in ``material_factors``, ``textures``, ``alpha_cutoffs`` and ``maps``,
+            shape (m,), int32; −1 without a material. A material has several rows if only some of its faces have texture
+            coordinates or transparency.
+        material_factors: Metallic, roughness and emission by row; None if all are matte and emit no light.
+        textures: Base-colour texture of each row; None without one.
+        alpha_cutoffs: Alpha below which rays pass through a face, by row; 0 for opaque faces, and negative for faces
+            that are blended with their background.
         vertex_alphas: Alpha at the vertices, shape (n,), float32, which is 1 where a texture has the alpha; None if it
             is 1 at all vertices.
+        maps: Textures of metallic, roughness and emission of plain faces; None without any.
         is_convex: Whether the mesh bounds a convex body or is in a plane, so that no point on its outside is in shadow.
         centre: Origin of ``vertices``, world frame, shape (3,), float64.
         radius: Unit of ``vertices``, in mesh units.
@@ -109,6 +116,7 @@ class Surface:
     has_base_colour: bool
     geometries: NDArray[np.int32]
     materials: NDArray[np.int32]
+    rows: NDArray[np.int32]
     is_convex: bool
     centre: NDArray[np.float64]
     radius: float
@@ -118,6 +126,8 @@ class Surface:
     textures: tuple[Texture | None, ...] = ()
     alpha_cutoffs: tuple[float, ...] = ()
     vertex_alphas: NDArray[np.float32] | None = None
+    maps: MaterialMaps | None = None
+    lacks_uvs: NDArray[np.bool_] | None = None
 
     @property
     def is_textured(self) -> bool:
@@ -125,8 +135,13 @@ class Surface:
         return any(texture is not None for texture in self.textures)
 
     @property
+    def has_maps(self) -> bool:
+        """Whether textures have metallic, roughness or emission of any plain face."""
+        return self.maps is not None
+
+    @property
     def is_opaque(self) -> bool:
-        """Whether no ray passes through a face."""
+        """Whether every ray stops at the first face that it hits, because no face is transparent."""
         return not any(self.alpha_cutoffs)
 
     @forks.cached_property
@@ -141,19 +156,20 @@ def prepare_surface(
 ) -> Surface:  # fmt: skip
     """Check a mesh and compute its normals, tangents and base colours.
 
-    Vertices with normals in the input keep them. Other normals are angle-weighted means over all faces that meet at a
-    position, so that texture seams are invisible. STL files, and glTF meshes without normals, have one normal per face.
-    ``copy()`` of trimesh drops the normals of a mesh; ``copy(include_cache=True)`` keeps them. Tangents are
-    ``tangents``, or those of a glTF file, or ∂P/∂u of the texture coordinates of the base colour, averaged across seams
-    where directions differ by less than 30°.
+    If the input has a normal at a vertex, this normal is used. Other normals are means over all faces that meet at a
+    position, weighted by angle, so that texture seams are invisible. STL files, and glTF meshes without normals, have
+    one normal per face. ``copy()`` of trimesh drops the normals of a mesh; ``copy(include_cache=True)`` keeps them.
+    Tangents are ``tangents``, or those of a glTF file, or the derivatives ∂P/∂u of the position by the first texture
+    coordinate of the base colour. They are averaged across seams where their directions differ by less than 30°.
 
     Args:
         mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene`` (its transforms apply) or the path of a mesh file. trimesh
             merges vertices of a mesh that is built or loaded without ``process=False``. A :class:`Surface` is returned
             unchanged.
         tangents: Directions of the height field's x axis, world frame, of any length and not necessarily tangential.
-            Shape (n, 3) is one per vertex, for a scene in the order of its nodes; shape (3,) is one for all vertices.
-            A text is the rule of :mod:`warpdiff.scene.direction_fields`. None takes them from the texture coordinates.
+            The shape (n, 3) has one direction per vertex, for a scene in the order of its nodes. The shape (3,) is one
+            direction for all vertices. A text is a rule of :mod:`warpdiff.scene.direction_fields`. None takes the
+            directions from the texture coordinates.
         plain: For each key of a part, whether the part is plain. Plain parts need no tangents. None means that no part
             is plain.
 
@@ -171,7 +187,8 @@ def prepare_surface(
         return mesh
     field = _checked_field(tangents)
     with _naming_file(mesh):
-        scene = labelled_parts(mesh)
+        entries, labels = zip(*labelled_parts(mesh), strict=True)
+        scene = [*zip(checked_parts(entries), labels, strict=True)]
         with single_threaded_blas():
             images = TextureImages()
             part = joined([arrays_of(entry, label, images) for entry, label in scene])
@@ -179,12 +196,15 @@ def prepare_surface(
                 field = np.broadcast_to(field, (part.count, 3))
             roles = _FaceRoles.of([entry for entry, _ in scene], part, plain)
             _check_tangents(part, field, roles.is_plain)
+            part = with_missing_colours(part, roles.is_plain)
+            part = replace(part, maps=maps_of(scene, part, roles.is_plain, images))
             surface = _build(part, field, roles, in_memory=not isinstance(mesh, (str, os.PathLike)))
-        entries = [entry for entry, _ in scene]
-        warn_of_features(entries)
-        factors = factors_of(entries, surface.material_names)
+        not_sampled = NotSampled.of(part, roles.is_plain, part.maps)
+        warn_of_features([entry for entry, _ in scene], not_sampled.features(part.appearances))
+        factors = factors_of(part.appearances, not_sampled)
         if factors is not None:
-            warn_of_hidden_emission(factors, part.materials[~roles.is_plain], part.material_names)
+            names = [own.material.name for own in part.appearances]
+            warn_of_hidden_emission(factors, part.rows[~roles.is_plain], names)
         return replace(surface, material_factors=factors)
 
 
@@ -218,8 +238,8 @@ def _sphere(world: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     low, high = world.min(axis=1), world.max(axis=1)
     centre = low / 2.0 + high / 2.0
     largest = float(np.max(high - centre))
-    # The radius is half the diagonal of the box. Its sides are divided by the largest one, so that the squares of tiny
-    # and huge lengths neither underflow nor overflow.
+    # The radius is half of the diagonal of the box. The sides of the box are divided by the largest side before they
+    # are squared, so that the squares of tiny and huge lengths neither underflow nor overflow.
     radius = largest * float(np.linalg.norm((high - centre) / largest)) if largest > 0.0 else 1.0
     if not validation.LEAST <= radius <= validation.MOST:
         raise ArgumentValueError(
@@ -230,7 +250,7 @@ def _sphere(world: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
 
 @dataclass(frozen=True, eq=False)
 class _FaceRoles:
-    """Roles of the faces of a scene in the computation of tangents.
+    """Properties of the faces of a scene that determine how their tangents are computed.
 
     Attributes:
         is_plain: Whether the part of each face is plain and needs no tangents, shape (m,).
@@ -242,7 +262,7 @@ class _FaceRoles:
 
     @classmethod
     def of(cls, scene: list[ScenePart], part: SceneArrays, plain: Mapping[str, bool] | None) -> _FaceRoles:
-        """Return the roles of the faces of a scene, whose parts are joined to ``part``."""
+        """Return the properties of the faces of a scene, whose parts have been joined to ``part``."""
         is_plain = np.zeros(len(part.faces), np.bool_)
         if plain is not None:
             is_plain = np.array(list(plain.values()))[key_of_faces(part, list(plain), "heightfield")]
@@ -251,7 +271,7 @@ class _FaceRoles:
         return cls(is_plain, np.repeat(objects, [len(entry.faces) for entry in scene]))
 
     def kept(self, keep: NDArray[np.bool_]) -> _FaceRoles:
-        """Return the roles of some of the faces."""
+        """Return the properties of the faces that the mask ``keep`` selects."""
         return _FaceRoles(self.is_plain[keep], self.objects[keep])
 
 
@@ -265,18 +285,18 @@ def _build(
     # Positions are rounded to float32 before areas are tested, because kernels use the rounded positions.
     vertices = ((world - centre[:, None]) / radius).astype(np.float32).astype(np.float64)
     geometry = FaceGeometry(vertices, faces)
-    keep, geometries, materials = geometry.has_area, part.geometries, part.materials
+    keep, geometries, materials, rows = geometry.has_area, part.geometries, part.materials, part.rows
     dropped = int(np.count_nonzero(~keep))
     if dropped == len(keep):
         raise ArgumentValueError(f"{ref('mesh')} must have a face with an area, got {dropped} without")
     if dropped:
         warn(f"{ref('mesh')}: {dropped} of {len(keep)} faces have no area and are ignored")
         used, faces = compacted(faces.compress(keep, axis=1), len(index))
-        geometries, materials, roles = geometries[keep], materials[keep], roles.kept(keep)
+        geometries, materials, rows, roles = geometries[keep], materials[keep], rows[keep], roles.kept(keep)
         index, vertices = index[used], vertices.take(used, axis=1)
         geometry = FaceGeometry(vertices, faces)
 
-    uvs = np.zeros((2, len(index))) if part.uvs is None else np.nan_to_num(part.uvs.T.take(index, axis=1))
+    uvs, lacks_uvs = _texture_coordinates(part, index, faces)
     handedness = np.ones(len(index))
     if tangents is None:
         texture_geometry = TextureGeometry(uvs, faces)
@@ -312,6 +332,7 @@ def _build(
         has_poles=isinstance(tangents, str),
     )  # fmt: skip
 
+    single_uvs = uvs.T.astype(np.float32, order="C")
     colours = None if part.colours is None else part.colours[index]
     plain = np.full(3, -1.0 if part.is_textured else 0.0)
     if colours is not None and np.all(colours == colours[0]) and not part.is_textured:
@@ -319,15 +340,33 @@ def _build(
     return Surface(
         vertices=vertices.T.astype(np.float32, order="C"), faces=faces.T.astype(np.int32, order="C"),
         normals=normals.T.astype(np.float32, order="C"), tangents=field.T.astype(np.float32, order="C"),
-        handedness=handedness.astype(np.float32), uvs=uvs.T.astype(np.float32, order="C"),
+        handedness=handedness.astype(np.float32), uvs=single_uvs,
         plain_colour=plain.astype(np.float32), vertex_colours=None if colours is None else colours.astype(np.float32),
         has_base_colour=part.is_textured or part.colours is not None,
-        geometries=geometries, materials=materials,
+        geometries=geometries, materials=materials, rows=rows,
         is_convex=is_convex(vertices, faces, geometry.normals, welded), centre=centre, radius=radius,
-        geometry_names=part.geometry_names, material_names=part.material_names, textures=part.textures,
-        alpha_cutoffs=part.cutoffs,
+        geometry_names=part.geometry_names, material_names=part.material_names,
+        textures=tuple(own.texture for own in part.appearances),
+        alpha_cutoffs=tuple(own.cutoff for own in part.appearances),
         vertex_alphas=None if part.alphas is None else part.alphas[index].astype(np.float32),
+        maps=None if part.maps is None else part.maps.at(index, single_uvs),
+        lacks_uvs=lacks_uvs,
     )  # fmt: skip
+
+
+def _texture_coordinates(
+    part: SceneArrays, index: NDArray[np.int64], faces: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_] | None]:
+    """Return the texture coordinates at vertices, 0 where undefined, and which faces have an undefined corner.
+
+    The second result is None if all corners have texture coordinates. ``index`` has the index of each vertex in the
+    arrays of ``part``.
+    """
+    if part.uvs is None:
+        return np.zeros((2, len(index))), np.ones(faces.shape[1], dtype=np.bool_)
+    uvs = part.uvs.T.take(index, axis=1)
+    lacks: NDArray[np.bool_] = np.asarray(np.asarray(np.isnan(uvs).any(axis=0))[faces].any(axis=0))
+    return np.nan_to_num(uvs), lacks if lacks.any() else None
 
 
 def _explicit_field(
@@ -357,14 +396,14 @@ def _equal_but_for_normals(
     part: SceneArrays, index: NDArray[np.int64], own: NDArray[np.float64] | None, welded: NDArray[np.int64],
     order: NDArray[np.int64],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:  # fmt: skip
-    """Return pairs of vertices without normals that are equal in position, texture coordinates and colour.
+    """Return pairs of vertices without normals that have the same position, texture coordinates and colour.
 
     Args:
         part: Scene.
         index: Index of each vertex in the arrays of ``part``.
-        own: Normals of the input, shape (3, n), NaN where it has none; None without any.
+        own: Normals of the input, shape (3, n), NaN where the input has none; None if it has no normals.
         welded: Number of each vertex's position.
-        order: Indices of the vertices in the order of these numbers.
+        order: Indices of the vertices in the order of the numbers in ``welded``.
     """
     one, two = order[:-1], order[1:]
     alike = np.asarray(welded[one] == welded[two]) & (part.source[index[one]] != part.source[index[two]])
@@ -384,10 +423,10 @@ def _warn_of_lost_normals(
     alike: tuple[NDArray[np.int64], NDArray[np.int64]], geometry: FaceGeometry, faces: NDArray[np.int64],
     welded: NDArray[np.int64],
 ) -> None:  # fmt: skip
-    """Warn if faces at sharp edges have separate vertices that differ in nothing but lost normals.
+    """Warn if faces at sharp edges have separate but equal vertices, so that normals were probably lost.
 
     Args:
-        alike: Pairs of vertices that are equal but for their normals.
+        alike: Pairs of vertices that are equal in everything except their normals.
         geometry: Normals of faces.
         faces: Vertex indices, shape (3, m).
         welded: Number of each vertex's position.
@@ -406,7 +445,7 @@ def _warn_of_lost_normals(
     other = order[np.searchsorted(edges, opposite, sorter=order).clip(max=len(edges) - 1)]
     is_split = np.asarray(edges[other] == opposite) & (start != end[other]) & (end != start[other])
     cosines = dot(geometry.normals.take(face, axis=1), geometry.normals.take(face[other], axis=1))
-    # The two sides of a thin sheet have opposite normals, which remain.
+    # The two sides of a thin sheet have opposite normals. Their vertices are separate on purpose and do not count.
     is_split &= np.abs(cosines) < _SHARP_COSINE
     if split := int(np.count_nonzero(is_split)) // 2:
         warn(
@@ -429,7 +468,7 @@ def _checked_field(tangents: TangentRule | ArrayLike | None) -> Any:
 
 
 def _check_tangents(part: SceneArrays, tangents: Any, is_plain: NDArray[np.bool_]) -> None:
-    """Check that an array of tangents has a vector per vertex, and without tangents, that texture coordinates exist."""
+    """Check that an array of tangents has one vector per vertex; without tangents, require texture coordinates."""
     if isinstance(tangents, np.ndarray) and tangents.shape != (part.count, 3):
         raise ArgumentValueError(
             f"{ref('tangents')} must have shape ({part.count}, 3), one vector per vertex of the mesh, or (3,), "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -15,13 +15,40 @@ from warpdiff.scene import mesh_files, trimesh_parts
 from warpdiff.scene.mesh_geometry import unit
 
 if TYPE_CHECKING:
+    from collections.abc import Hashable, Mapping, Sequence
+
     from numpy.typing import NDArray
 
-    from warpdiff.scene.scene_parts import Appearance, ScenePart
-    from warpdiff.scene.textures import Texture, TextureImages
+    from warpdiff.scene.scene_parts import Appearance, ScenePart, TextureMap
+    from warpdiff.scene.textures import MaterialMaps, Texture, TextureImages
 
-# First words of the label by which messages name a geometry of a scene; the name of the geometry follows.
+_Name = TypeVar("_Name", bound="Hashable")
+# Beginning of the label by which messages name a geometry of a scene. The name of the geometry follows it.
 _GEOMETRY = f"{ref('mesh')}'s geometry "
+
+
+@dataclass(frozen=True, eq=False)
+class PartAppearance:
+    """Appearance of a material on a part of a scene. It depends on the textures that can be sampled on this part.
+
+    Attributes:
+        material: Appearance of the material in the file.
+        texture: Base-colour texture; None if there is none, or if the part lacks the texture's coordinates.
+        cutoff: Alpha below which rays pass through faces. It is 0 for opaque faces, and negative for faces that are
+            blended with their background.
+        has_map_uvs: Whether the part has the texture coordinates of the texture of metallic and roughness, and those of
+            the texture of emission, if these have an image.
+    """
+
+    material: Appearance
+    texture: Texture | None
+    cutoff: float
+    has_map_uvs: tuple[bool, bool]
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """Key that is equal for equal appearances; materials of a scene have different names."""
+        return self.material.name, self.texture, self.cutoff, self.has_map_uvs
 
 
 @dataclass
@@ -29,10 +56,8 @@ class SceneArrays:
     """Arrays of one part of a scene, or of a whole scene, in world coordinates.
 
     Some vertices of the input are duplicated. For each vertex, ``source`` has the index of the input vertex, and
-    ``count`` is the number of input vertices. Each name of ``geometry_names`` and ``material_names`` has its index in
-    ``geometries`` and ``materials``, which have an element per face. ``textures`` and ``cutoffs`` have an element for
-    each name of ``material_names``: its base-colour texture, and the alpha below which rays pass through it. The
-    cut-off is 0 for opaque materials, and negative for materials that are blended with their background.
+    ``count`` is the number of input vertices. The arrays ``geometries``, ``materials`` and ``rows`` have one index per
+    face. They are indices of ``geometry_names``, ``material_names`` and ``appearances``.
     """
 
     vertices: NDArray[np.float64]
@@ -48,14 +73,15 @@ class SceneArrays:
     geometry_names: tuple[str, ...]
     materials: NDArray[np.int32]
     material_names: tuple[str, ...]
-    textures: tuple[Texture | None, ...]
-    cutoffs: tuple[float, ...]
+    rows: NDArray[np.int32]
+    appearances: tuple[PartAppearance, ...]
     label: str
+    maps: MaterialMaps | None = None
 
     @property
     def is_textured(self) -> bool:
         """Whether any base colour is that of a texture."""
-        return any(texture is not None for texture in self.textures)
+        return any(own.texture is not None for own in self.appearances)
 
 
 def labelled_parts(mesh: Any) -> list[tuple[ScenePart, str]]:
@@ -80,14 +106,16 @@ def arrays_of(entry: ScenePart, label: str, images: TextureImages | None) -> Sce
     placed = replace(entry, normals=normals, tangents=tangents).placed()
     if not np.isfinite(placed.vertices).all():
         raise ArgumentValueError(f"{label} must be placed at finite coordinates, got a transform with huge numbers")
+    base_texture = None if placed.appearance is None else placed.appearance.base_texture
+    uvs = uvs_at(placed, base_texture, label)
     part = SceneArrays(
         vertices=placed.vertices, faces=placed.faces, source=placed.source, count=placed.source_count,
-        normals=placed.normals, tangents=placed.tangents, uvs=_base_uvs(placed, label), colours=None, alphas=None,
+        normals=placed.normals, tangents=placed.tangents, uvs=uvs, colours=None, alphas=None,
         geometries=np.zeros(len(placed.faces), np.int32), geometry_names=(placed.geometry or mesh_files.UNNAMED,),
         materials=np.full(len(placed.faces), -1 if placed.appearance is None else 0, np.int32),
         material_names=() if placed.appearance is None else (placed.appearance.name,),
-        textures=() if placed.appearance is None else (None,), cutoffs=() if placed.appearance is None else (0.0,),
-        label=label,
+        rows=np.full(len(placed.faces), -1 if placed.appearance is None else 0, np.int32),
+        appearances=() if placed.appearance is None else (_of_part(placed, placed.appearance, None, 0.0),), label=label,
     )  # fmt: skip
     if images is not None:
         _take_colours(placed, part, images)
@@ -116,15 +144,29 @@ def _check(entry: ScenePart, label: str) -> None:
 
 
 def _sound(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return normals, or tangents with their handedness, with unit vectors; those that are not finite become zero."""
+    """Return normals, or tangents with their handedness, as unit vectors; vectors that are not finite become zero."""
     result = np.where(np.isfinite(vectors), vectors, 0.0)
     result[:, :3] = unit(result[:, :3].T).T
     return np.asarray(result)
 
 
-def _base_uvs(part: ScenePart, label: str) -> NDArray[np.float64] | None:
-    """Return the coordinates at which the base-colour texture is sampled, shape (n, 2), or None without any."""
-    texture = None if part.appearance is None else part.appearance.base_texture
+def _of_part(part: ScenePart, material: Appearance, texture: Texture | None, cutoff: float) -> PartAppearance:
+    """Return the appearance of a material on a part."""
+    of_roughness, of_emission = (
+        source is not None and source.image is not None and source.uv_set in part.uvs
+        for source in (material.metallic_roughness_texture, material.emission_texture)
+    )
+    return PartAppearance(material, texture, cutoff, (of_roughness, of_emission))
+
+
+def uvs_at(part: ScenePart, texture: TextureMap | None, label: str) -> NDArray[np.float64] | None:
+    """Return the coordinates at which a texture is sampled, shape (n, 2); None if the part lacks them.
+
+    Args:
+        part: Part of a scene.
+        texture: The texture. None stands for the first texture coordinates without a transform.
+        label: Label of the part for messages.
+    """
     uvs = part.uvs.get(0 if texture is None else texture.uv_set)
     if uvs is None:
         return None
@@ -147,48 +189,45 @@ def _take_colours(entry: ScenePart, part: SceneArrays, images: TextureImages) ->
     if appearance is not None and appearance.base_texture is not None:
         source = appearance.base_texture
         if source.image is not None and part.uvs is not None:
-            part.textures = (images.texture(source, (1.0,) * 4 if colour is None else colour),)
-        if part.is_textured:
-            _take_alphas(appearance, part, None)
-            return
+            texture = images.texture(source, (1.0,) * 4 if colour is None else colour)
+            if texture is not None:
+                cutoff = _cutoff(appearance, float(texture.texels[..., 3].min()))
+                part.appearances = (_of_part(entry, appearance, texture, cutoff),)
+                return
         colour = appearance.fallback_colour or colour if source.image is not None else colour
     alphas = np.full(len(part.vertices), 1.0 if colour is None else colour[3])
     if entry.colours is not None:
-        colours = np.nan_to_num(entry.colours, posinf=1.0, neginf=0.0).clip(0.0, None)
-        part.colours = colours[:, :3] if colour is None else colours[:, :3] * np.array(colour[:3])
-        alphas *= colours[:, 3]
+        part.colours = entry.colours[:, :3] if colour is None else entry.colours[:, :3] * np.array(colour[:3])
+        alphas *= entry.colours[:, 3]
     elif colour is not None:
         part.colours = np.tile(np.array(colour[:3]), (len(part.vertices), 1))
     if appearance is not None:
-        _take_alphas(appearance, part, alphas)
+        cutoff = _cutoff(appearance, float(alphas.min()))
+        part.appearances = (_of_part(entry, appearance, None, cutoff),)
+        part.alphas = alphas if cutoff else None
 
 
-def _take_alphas(appearance: Appearance, part: SceneArrays, alphas: NDArray[np.float64] | None) -> None:
-    """Set the cut-off of a part's material, unless its alpha is nowhere below.
+def _cutoff(appearance: Appearance, least: float) -> float:
+    """Return the cut-off of a material on a part; 0 if ``least``, the smallest alpha of the part, is not below it."""
+    if appearance.alpha_mode == "opaque":
+        return 0.0
+    if appearance.alpha_mode == "blend":
+        return -1.0 if least < 1.0 else 0.0
+    return appearance.alpha_cutoff if least < appearance.alpha_cutoff else 0.0
+
+
+def warn_of_features(parts: list[ScenePart], not_sampled: Mapping[str, Sequence[str]]) -> None:
+    """Warn once of the features of the scene's materials that have no effect on pictures.
 
     Args:
-        appearance: Material.
-        part: Part of a scene, with its texture.
-        alphas: Alpha at the vertices; None if it is that of the texture.
+        parts: Parts of the scene.
+        not_sampled: Texts about textures that cannot be sampled, by the names of materials.
     """
-    if appearance.alpha_mode == "opaque":
-        return
-    (texture,) = part.textures
-    least = float(1.0 if alphas is None else alphas.min())
-    if texture is not None:
-        least = float(texture.texels[..., 3].min())
-    if least < (1.0 if appearance.alpha_mode == "blend" else appearance.alpha_cutoff):
-        part.cutoffs = (-1.0 if appearance.alpha_mode == "blend" else appearance.alpha_cutoff,)
-        part.alphas = alphas
-
-
-def warn_of_features(parts: list[ScenePart]) -> None:
-    """Warn once of the features of the scene's materials that have no effect on pictures."""
     features: dict[str, dict[str, None]] = {}
     for part in parts:
         if part.appearance is None:
             continue
-        names = dict.fromkeys(part.appearance.not_rendered)
+        names = dict.fromkeys([*part.appearance.not_rendered, *not_sampled.get(part.appearance.name, ())])
         texture = part.appearance.base_texture
         if texture is not None and texture.image is not None:
             if texture.uv_set not in part.uvs:
@@ -206,18 +245,14 @@ def warn_of_features(parts: list[ScenePart]) -> None:
 def joined(parts: list[SceneArrays]) -> SceneArrays:
     """Join the parts of a scene to one part.
 
-    Missing values become NaN; colours are −1 at vertices that use the texture.
+    Missing values become NaN. Colours become −1 at vertices whose base colour is that of a texture.
     """
     if len(parts) == 1:
         return parts[0]
     geometry_names, geometries = _joined_names([(part.geometry_names, part.geometries) for part in parts])
     material_names, materials = _joined_names([(part.material_names, part.materials) for part in parts])
-    textures: dict[str, Texture | None] = dict.fromkeys(material_names)
-    cutoffs = dict.fromkeys(material_names, 0.0)
-    for part in parts:
-        for name, texture, cutoff in zip(part.material_names, part.textures, part.cutoffs, strict=True):
-            textures[name] = texture or textures[name]
-            cutoffs[name] = cutoff or cutoffs[name]
+    appearances = {own.key: own for part in parts for own in part.appearances}
+    _, rows = _joined_names([(tuple(own.key for own in part.appearances), part.rows) for part in parts])
     vertex_start = np.cumsum([0, *(len(part.vertices) for part in parts)])
     source_start = np.cumsum([0, *(part.count for part in parts)])
 
@@ -232,11 +267,17 @@ def joined(parts: list[SceneArrays]) -> SceneArrays:
             ]
         )
 
-    colours = gather("colours", 3)
-    if colours is not None:
-        # A part of the scene without colour and texture has no pigment, so its colour is black.
-        none = [np.full(len(part.vertices), -1.0 if part.is_textured else 0.0) for part in parts]
-        colours = np.where(np.isnan(colours), np.concatenate(none)[:, None], colours)
+    colours = None
+    textured = [part.is_textured for part in parts]
+    if any(part.colours is not None for part in parts) or (any(textured) and not all(textured)):
+        colours = np.concatenate(
+            [
+                np.full((len(part.vertices), 3), -1.0 if part.is_textured else np.nan)
+                if part.colours is None
+                else part.colours
+                for part in parts
+            ]
+        )
     alphas = None
     if any(part.alphas is not None for part in parts):
         ones = [np.ones(len(part.vertices)) if part.alphas is None else part.alphas for part in parts]
@@ -247,17 +288,33 @@ def joined(parts: list[SceneArrays]) -> SceneArrays:
         source=np.concatenate([part.source + start for part, start in zip(parts, source_start[:-1], strict=True)]),
         count=int(source_start[-1]), normals=gather("normals", 3), tangents=gather("tangents", 4),
         uvs=gather("uvs", 2), colours=colours, alphas=alphas, geometries=geometries,
-        geometry_names=geometry_names, materials=materials, material_names=material_names,
-        textures=tuple(textures.values()), cutoffs=tuple(cutoffs.values()),
-        label=ref("mesh"),
+        geometry_names=geometry_names, materials=materials, material_names=material_names, rows=rows,
+        appearances=tuple(appearances.values()), label=ref("mesh"),
     )  # fmt: skip
 
 
+def with_missing_colours(scene: SceneArrays, is_plain: NDArray[np.bool_]) -> SceneArrays:
+    """Return a scene with a colour at each vertex, if any vertex has a colour or a texture.
+
+    Parts without a colour then look as they do alone. Plain parts are white. Parts with a height field have the base
+    colour black, which is no pigment.
+
+    Args:
+        scene: Joined parts of a scene.
+        is_plain: Whether the part of each face is plain, shape (m,).
+    """
+    if scene.colours is None:
+        return scene
+    white = np.zeros((len(scene.vertices), 1))
+    white[scene.faces[is_plain]] = 1.0
+    return replace(scene, colours=np.where(np.isnan(scene.colours), white, scene.colours))
+
+
 def _joined_names(
-    parts: list[tuple[tuple[str, ...], NDArray[np.int32]]],
-) -> tuple[tuple[str, ...], NDArray[np.int32]]:
-    """Return the names of all parts, and the index of each face's name among them; −1 stays."""
-    numbers: dict[str, int] = {}
+    parts: list[tuple[tuple[_Name, ...], NDArray[np.int32]]],
+) -> tuple[tuple[_Name, ...], NDArray[np.int32]]:
+    """Return the names of all parts, and for each face the index of its name among them; −1 is unchanged."""
+    numbers: dict[_Name, int] = {}
     joined = []
     for names, indices in parts:
         table = np.array([*(numbers.setdefault(name, len(numbers)) for name in names), -1], dtype=np.int32)

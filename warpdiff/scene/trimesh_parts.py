@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
@@ -20,7 +20,14 @@ if TYPE_CHECKING:
     from warpdiff.scene.scene_parts import AlphaMode
 
 _WHITE = (1.0, 1.0, 1.0, 1.0)
-# Alpha modes by the names that trimesh uses, which are those of glTF.
+# Textures of trimesh's materials that have no effect on pictures: names for messages, by attribute.
+_PBR_MAPS = {"normalTexture": "normal map", "occlusionTexture": "occlusion"}
+# Features of materials in .mtl files that have no effect on pictures: names for messages, by key.
+_MTL_MAPS = {
+    "map_d": "texture of transparency", "map_pm": "texture of metallic", "map_pr": "texture of roughness",
+    "map_ke": "texture of emission", "norm": "normal map", "map_bump": "bump map", "bump": "bump map",
+}  # fmt: skip
+# Alpha modes by trimesh's names of them, which are the names in glTF.
 _ALPHA_MODES: dict[str, AlphaMode] = {"MASK": "mask", "BLEND": "blend"}
 
 
@@ -83,13 +90,13 @@ def _with_colours(part: ScenePart, visual: Any) -> ScenePart:
 
 
 def _linear_rgba(colours: Any) -> NDArray[np.float64]:
-    """Return colours of 8 bits as linear RGBA."""
+    """Convert colours of 8 bits in sRGB to linear RGBA."""
     shares = np.asarray(colours) / 255.0
     return np.concatenate([srgb_decode(shares[:, :3]), shares[:, 3:]], axis=1)
 
 
 def _appearances(meshes: list[Any]) -> list[Appearance | None]:
-    """Return the materials of meshes. Meshes that share a material share its appearance."""
+    """Return the materials of meshes. Meshes with the same material get the same object."""
     materials: list[Any] = []
     numbers = []
     for mesh in meshes:
@@ -127,18 +134,28 @@ def _appearance(material: Any, name: str) -> Appearance:
         return Appearance(
             name, base_colour=colour, base_texture=None if image is None else TextureMap(image),
             metallic=1.0 if material.metallicFactor is None else float(material.metallicFactor),
-            roughness=_stated_roughness(material), emission=_rgb(material.emissiveFactor),
+            roughness=_stated_roughness(material), emission=_emission(material.emissiveFactor, name),
             metallic_roughness_texture=_map(material.metallicRoughnessTexture),
             emission_texture=_map(material.emissiveTexture),
             alpha_mode=_ALPHA_MODES.get(str(material.alphaMode).upper(), "opaque"),
             alpha_cutoff=0.5 if material.alphaCutoff is None else float(material.alphaCutoff),
+            not_rendered=tuple(label for key, label in _PBR_MAPS.items() if getattr(material, key) is not None),
         )  # fmt: skip
-    metallic, roughness, emission = _mtl_factors(getattr(material, "kwargs", None) or {})
+    read = _MtlFactors.of(getattr(material, "kwargs", None) or {}, name)
+    factors: dict[str, Any] = {
+        "metallic": read.metallic, "roughness": read.roughness, "emission": read.emission,
+        "not_rendered": read.not_rendered,
+    }  # fmt: skip
     image, diffuse = getattr(material, "image", None), getattr(material, "diffuse", None)
     # trimesh gives a mesh without a material a texture of 2 × 2 grey pixels, which is ignored here.
     if image is not None and image.size == (2, 2) and np.array_equal(np.asarray(image), np.asarray(color_image())):
-        return Appearance(name, metallic=metallic, roughness=roughness, emission=emission)
-    if diffuse is None or np.array_equal(diffuse, DEFAULT_COLOR):
+        return Appearance(name, **factors)
+    plain: tuple[float, float, float, float] | None
+    if read.colour is not None:
+        own = np.array(read.colour)
+        red, green, blue = np.where((own >= 0.0) & (own <= 1.0), srgb_decode(own), own).tolist()
+        plain = (red, green, blue, 1.0)
+    elif diffuse is None or np.array_equal(diffuse, DEFAULT_COLOR):
         plain = None
     else:
         shares = np.asarray(diffuse, dtype=np.float64) / 255.0
@@ -146,58 +163,101 @@ def _appearance(material: Any, name: str) -> Appearance:
     # The plain colour of an .obj file does not multiply the texture; it replaces a texture that cannot be read.
     return Appearance(
         name, base_colour=plain if image is None else _WHITE, base_texture=_map(image),
-        fallback_colour=None if image is None else plain, metallic=metallic, roughness=roughness, emission=emission,
+        fallback_colour=None if image is None else plain, **factors,
     )  # fmt: skip
 
 
 def _map(image: Image.Image | None) -> TextureMap | None:
-    """Return a texture with the default addressing; None without an image."""
+    """Return a texture with the default addressing (first coordinates, repeated); None without an image."""
     return None if image is None else TextureMap(image)
 
 
 def _stated_roughness(material: PBRMaterial) -> float | None:
-    """Return the roughness of a material of trimesh; None if it states neither metallic nor roughness."""
+    """Return the roughness of a material of trimesh; None if the material states neither metallic nor roughness."""
     stated = material.metallicFactor, material.roughnessFactor, material.metallicRoughnessTexture
     if all(value is None for value in stated):
         return None
     return 1.0 if material.roughnessFactor is None else float(material.roughnessFactor)
 
 
-def _rgb(values: Any) -> tuple[float, float, float]:
-    """Return three finite numbers of at least 0; zeros for anything else."""
-    try:
-        red, green, blue = (float(value) for value in values)
-    except (TypeError, ValueError):
+def _emission(values: Any, name: str) -> tuple[float, float, float]:
+    """Return the emission of a material of trimesh; zeros if the material states none."""
+    if values is None:
         return (0.0, 0.0, 0.0)
-    return (red, green, blue) if all(0.0 <= value < np.inf for value in (red, green, blue)) else (0.0, 0.0, 0.0)
+    numbers = np.asarray(values, dtype=np.float64)
+    if numbers.shape != (3,):
+        raise ArgumentValueError(
+            f"{ref('mesh')}'s material {name!r} must have an emission of 3 numbers, got the shape {numbers.shape}; "
+            "correct its emissiveFactor"
+        )
+    return cast("tuple[float, float, float]", tuple(numbers.tolist()))
 
 
-def _mtl_factors(keys: dict[str, Any]) -> tuple[float, float | None, tuple[float, float, float]]:
-    """Return metallic, roughness and emission of an .mtl material.
+class _MtlFactors(NamedTuple):
+    """Factors of a material of an .mtl file.
 
     ``Pm`` and ``Pr`` are the metallic and the roughness of the metallic-roughness model, and ``Ke`` is the emission.
-    ``Ks`` and ``Ns`` belong to the Phong model, whose normalisation the format does not define: materials with these
-    alone are matte.
-
-    Args:
-        keys: Values of the material by lower-case keys.
+    ``Ks`` and ``Ns`` belong to the Phong model, whose normalisation the format does not define. Materials that have
+    only ``Ks`` and ``Ns`` are therefore matte.
     """
-    numbers: dict[str, float] = {}
-    for key in ("pm", "pr"):
-        try:
-            (value,) = keys[key]
-            numbers[key] = min(max(float(value), 0.0), 1.0)
-        except (KeyError, TypeError, ValueError):
-            continue
-    return numbers.get("pm", 0.0), numbers.get("pr", 1.0) if numbers else None, _rgb(keys.get("ke"))
+
+    colour: tuple[float, float, float] | None
+    metallic: float
+    roughness: float | None
+    emission: tuple[float, float, float]
+    not_rendered: tuple[str, ...]
+
+    @classmethod
+    def of(cls, keys: dict[str, Any], name: str) -> _MtlFactors:
+        """Return the factors of a material.
+
+        Args:
+            keys: Values of the material by lower-case keys.
+            name: Name of the material.
+
+        Raises:
+            ValueError: A factor is not finite.
+        """
+        features = [label for key, label in _MTL_MAPS.items() if key in keys]
+        numbers: dict[str, tuple[float, ...]] = {}
+        for key, count in (("kd", 3), ("pm", 1), ("pr", 1), ("ke", 3), ("d", 1), ("tr", 1)):
+            if key not in keys:
+                continue
+            try:
+                values = tuple(float(value) for value in np.atleast_1d(keys[key]))
+            except ValueError:
+                values = ()
+            if len(values) != count:
+                text = " ".join(map(str, np.atleast_1d(keys[key])))
+                features.append(f"the unreadable value {text[:40]!r} of {key.capitalize()}")
+                continue
+            if not np.isfinite(values).all():
+                raise ArgumentValueError(
+                    f"{ref('mesh')}'s material {name!r} must have a finite {key.capitalize()}, got "
+                    f"{', '.join(f'{value:g}' for value in values)}; correct the .mtl file"
+                )
+            numbers[key] = values
+        # By the specification, a material with Tr 1 is invisible. Files with Tr 1 come from programs that write the
+        # opacity instead, so that the material is opaque.
+        if numbers.get("d", (1.0,))[0] < 1.0 or 0.0 < numbers.get("tr", (0.0,))[0] < 1.0:
+            features.append("transparency")
+        colour = numbers.get("kd")
+        if colour is not None and all(0.0 <= value <= 1.0 for value in colour):
+            colour = None  # trimesh has read these correctly
+        (metallic,), (roughness,) = numbers.get("pm", (0.0,)), numbers.get("pr", (1.0,))
+        is_matte = "pm" not in numbers and "pr" not in numbers
+        return cls(
+            cast("tuple[float, float, float] | None", colour), metallic, None if is_matte else roughness,
+            cast("tuple[float, float, float]", numbers.get("ke", (0.0, 0.0, 0.0))), tuple(features),
+        )  # fmt: skip
 
 
 def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64] | None:
     """Return the vertex normals of the input mesh, shape (n, 3), or None if trimesh computed them.
 
-    trimesh stores normals of the file and computed normals in the same place. If it has computed normals, its cache
-    also has the angles of faces, but these may have been computed for another reason. In this case normals count as
-    computed if they have the values that trimesh would compute.
+    trimesh stores normals of the file and computed normals in the same attribute. If it has computed normals, its cache
+    also has the angles of faces, but these angles may have been computed for another reason. If the cache has angles,
+    normals count as computed if they have the values that trimesh would compute.
     """
     normals = mesh.vertex_normals if "vertex_normals" in mesh._cache else None
     worked_out = normals is None or "face_angles" in mesh._cache
@@ -214,8 +274,8 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
     if vertices.ndim != 2 or not len(faces) or not 0 <= faces.min() <= faces.max() < len(vertices):
         return None
     corners = np.ascontiguousarray(faces.T)
-    # Normals of the input are compared with computed ones at the vertices of a few faces first, and at all vertices
-    # only if these agree.
+    # Normals of the input are first compared with computed normals at the vertices of a few faces. Only if these agree,
+    # all vertices are compared.
     some = np.zeros(len(vertices), dtype=np.bool_)
     some[faces[:: len(faces) // 16 + 1]] = True
     for at in (some, np.ones_like(some)):

@@ -1,4 +1,8 @@
-"""Tables of the Fourier coefficients of a height field on a device, in the layout that kernels read, with a cache."""
+"""Tables of the Fourier coefficients of a height field on a device, in the layout that kernels read, with a cache.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal, and κ is w/λ.
+"""
 
 from __future__ import annotations
 
@@ -37,15 +41,15 @@ LANES = 8
 # Smallest number of wavelengths in a quadrature. A quadrature is a numerical integral over the wavelength.
 _FEWEST_WAVELENGTHS = 16
 # A coefficient table contains all Fourier coefficients whose Gaussian weight in the sum of a direction is at least this
-# number, even if the plan excludes some of them. Plans that differ only in their least weight can therefore share a
-# table.
+# number, even those that the plan excludes by a larger least weight. Plans that differ only in their least weight can
+# therefore share a table.
 _LEAST_EXTENT_WEIGHT = 1e-14
 # Smallest number of intervals between wavelengths for replicated patches. The value is limited by the interpolation of
 # the power of one patch, which uses cubics through four neighbouring wavelengths.
 _FEWEST_INTERVALS = 4
-# Number of permitted sizes (numbers of wavelengths) of a quadrature, the numerical integral over the wavelength, from
-# one size to twice that size. Plans share a quadrature if they have the same size; more permitted sizes would make this
-# rarer.
+# A quadrature is a numerical integral over the wavelength. Its size, the number of wavelengths, must be one of certain
+# permitted sizes. From one size to twice that size, there are so many permitted sizes. Plans with the same size share a
+# quadrature. With more permitted sizes, plans would share it less often.
 SETS_PER_OCTAVE = 4
 # Measured peak memory while the wavelengths and weights of an integral over the wavelength are computed
 # [bytes per wavelength].
@@ -220,8 +224,9 @@ def coefficients_for(
         series = cache.fitted_to.get(key)
         if series is not None:
             cache.coefficients.put(key, series)
-        # ``cache.fitted_to`` contains the series to which the last basis was fitted. It is emptied, because this series
-        # is now in ``cache.coefficients``, or is no longer needed. Two cached series would require twice the memory.
+        # ``cache.fitted_to`` contains the series to which the last basis was fitted. Two cached series would require
+        # twice the memory. ``fitted_to`` is therefore emptied: its series is now in ``cache.coefficients``, or is no
+        # longer needed.
         cache.fitted_to.clear()
     return cache.coefficients.get_or_make(key, make), block, grid
 
@@ -246,9 +251,8 @@ def table_for(
 ) -> Table:
     """Return the table of Fourier coefficients for a plan and the directions of a call, from the cache if possible."""
     coherence = plan.coherence
-    # A fitted basis depends on the range of directions to which it is fitted. Here it is fitted to the range of the
-    # plan, which is extended only if the call exceeds it. All calls within the range of a plan therefore give
-    # consistent results.
+    # A fitted basis depends on the range of directions to which it is fitted. Here this is the range of the plan. It is
+    # extended only if the call exceeds it. All calls within the range of a plan therefore use the same basis.
     direction_range = plan.direction_range.joined(direction_range)
     coefficients, block, grid = coefficients_for(
         heightfield, plan.method, coherence, direction_range, neighbour_extent(plan, heightfield), terms=plan.terms,

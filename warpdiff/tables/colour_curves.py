@@ -3,6 +3,8 @@
 A colour curve is a product as a function of the wavelength. Its factors are the spectrum of an illuminant, a CIE
 colour-matching function and the reflectance of a material. w is the component of the scattering vector along the
 normal.
+
+θd is half of the angle between the directions to the light and to the viewer, so that cos θd = |(u, v, w)|/2.
 """
 
 from __future__ import annotations
@@ -34,15 +36,15 @@ if TYPE_CHECKING:
 # Number of values of |w| at which the functions of w of a colour table are tabulated. w is the normal component of the
 # scattering vector. Each oscillation of a function has at least 32 values. Cubics interpolate between these values.
 _ENTRIES_OVER_W = 160
-# A colour table has only a limited number of functions of w, the normal component of the scattering vector. The error
-# by truncating the functions is relative to the size of the colours at the same |w|. The divisor is at least this share
-# of the largest size of the colours over all |w|.
+# A colour table has only a limited number of functions of w, the normal component of the scattering vector. The
+# truncation of these functions causes an error. It is measured relative to the size of the colours at the same |w|, or
+# to this share of the largest size over all |w| if that is larger.
 _LEAST_SCALE_OVER_W = 1e-2
 # Number of wavelengths from one ring of the table to the next at which the colour curves are sampled. Splines are
 # fitted to these samples.
 _SAMPLES_PER_NODE = 64
-# Errors in the fit of splines are relative to the values of a colour curve, which vanish at both ends of the visible
-# range. The divisor is at least this share of the largest value of the curve.
+# In the fit of splines, errors are relative to the values of a colour curve. These values vanish at both ends of the
+# visible range. The divisor of an error is therefore at least this share of the largest value of the curve.
 _LEAST_SCALE = 0.005
 # Colour curves include the reflectance of the material at one angle θd, which is half of the angle between the
 # directions to the light and to the viewer. `_MIDDLE_COSINE` is its cosine. The reflectance at another angle divided by
@@ -54,8 +56,9 @@ _MIDDLE_COSINE, _PRODUCTS_SHARE = 0.8, 0.02
 # smallest and the largest number of nodes. Metals need the fewest nodes; thin films with resonances near the horizon
 # need the most.
 _POLYNOMIALS_ERR, _FEWEST_ROOTS, _MOST_ROOTS = 1e-6, 32, 512
-# Smallest reflectance in colour curves, as a share of the largest one. Smaller reflectances are replaced by it. Thin
-# films reflect nothing at some wavelengths, and ratios to a reflectance of 0 would be infinite.
+# Smallest reflectance in colour curves, as a share of the largest reflectance. Smaller reflectances are replaced by it.
+# Thin films reflect nothing at some wavelengths. Without the replacement, ratios to a reflectance of 0 would be
+# infinite.
 _LEAST_SHARE = 0.3
 
 

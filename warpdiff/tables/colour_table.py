@@ -1,4 +1,8 @@
-"""Colour tables: XYZ under an illuminant over polar coordinates of (u, v). Construction and cache of the tables."""
+"""Colour tables: XYZ under an illuminant over polar coordinates of (u, v). Construction and cache of the tables.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal.
+"""
 
 from __future__ import annotations
 
@@ -33,14 +37,13 @@ if TYPE_CHECKING:
     from warpdiff.tables.colour_curves import Projection
     from warpdiff.tables.mip_layout import MipLayout
 
-# A look-up with a wide footprint adds only every second ring if the colour curves are smooth over ln λ (decimation).
-# Such a sum confuses (aliases) one frequency over ln λ, that of a full oscillation per two rings, with a constant.
-# `_MOST_AT_ALIAS` is the upper limit for the Fourier transform of the colour curves at that frequency, relative to
-# frequency
-# 0. `_SAFE_DEVIATIONS` is the least distance of that frequency from the largest frequency of the power spectrum over ln
-# λ,
-# in standard deviations of the Fourier transform of the look-up's Gaussian. `_NO_DECIMATION` is the value of the field
-# `decimation_scale` that disables decimation.
+# A look-up with a wide footprint may add only every second ring (decimation). This is accurate if the colour curves are
+# smooth over ln λ. The sum over every second ring confuses (aliases) one frequency over ln λ with a constant: the
+# frequency of a full oscillation per two rings. `_MOST_AT_ALIAS` is the upper limit for the Fourier transform of the
+# colour curves at that frequency, relative to the transform at frequency 0. `_SAFE_DEVIATIONS` is the least distance of
+# that frequency from the largest frequency of the power spectrum over ln λ, in standard deviations of the Fourier
+# transform of the look-up's Gaussian. `_NO_DECIMATION` is the value of the field `decimation_scale` that disables
+# decimation.
 _MOST_AT_ALIAS, _SAFE_DEVIATIONS, _NO_DECIMATION = 0.05, 4.2, 1e6
 # `_ZEROTH_WAVELENGTHS` is the number of wavelengths at which look-ups integrate the zeroth order. For this integral,
 # the reflectance of the material is tabulated at `_ZEROTH_ANGLES` values of cos θd. θd is half of the angle between the
@@ -101,6 +104,10 @@ class ColourTable:
     def without_zeroth_order(self) -> ColourTable:
         """Return a table whose look-ups exclude the zeroth order, the reflection of the mean plane."""
         return replace(self, fields={name: value for name, value in self.fields.items() if name != "zeroth_order"})
+
+    def with_pitch_scales(self) -> ColourTable:
+        """Return a table whose look-ups take the length of each direction to the light as a pitch scale."""
+        return replace(self, fields={**self.fields, "has_pitch_scales": True})
 
     def fill(self, levels: range, compute: Callable[[int, int, wp.array], None], **options: Any) -> None:
         """Fill the rows of some mip levels with spline coefficients.
@@ -168,8 +175,9 @@ def _made(
         needed.append(spectrum_sampling.adder(count))
     load([*needed, kernels.blur] if has_mip_levels(plan) else needed, device)
     if samples is None:
-        # The spectrum does not depend on the illuminant and the material, and is cached for further tables. The cache
-        # has room for one spectrum. It is emptied before the next spectrum is computed, to save memory.
+        # The spectrum depends neither on the illuminant nor on the material. It is cached for tables with other
+        # illuminants and materials. The cache has room for one spectrum. To save memory, it is emptied before the next
+        # spectrum is computed.
         cache.spectra.clear()
         samples = source.sampled(**options)
         cache.spectra.put(source.key, samples)

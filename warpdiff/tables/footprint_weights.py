@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 # A mip level is blurred less than the footprint of a pixel. The look-up adds the remaining blur by tabulated weights.
 # `_REMAINING_BLURS` is the number of blurs for which weights are tabulated. `_MOST_REMAINING_VARIANCE` is the largest
-# variance of these blurs [squared distances of samples]. It must exceed 3 · 1.2². The standard deviation b of the blur
-# of a level doubles from level to level, so that the variance that remains is less than (2b)² − b² = 3b². b is at most
-# 1.2 distances of samples.
+# variance of these blurs [squared distances of samples]. It was derived from the blur of a level, whose standard
+# deviation b doubles from level to level. The remaining variance is therefore less than (2b)² − b² = 3b². Because b is
+# at most 1.2 distances of samples, the value must exceed 3 · 1.2².
 _REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
 # Typical standard deviation of the blur of the spectrum in a mip level, in distances of azimuth samples. In level 0,
 # this blur is from 0.9 to 2.1. The weights for spectra under a window are fitted to this blur.
@@ -101,9 +101,13 @@ def _tap_weights(most: int, rule: TapRule) -> tuple[NDArray[np.float32], NDArray
 
 @np.errstate(under="ignore")
 def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Return weights of spline coefficients that blur a spline by a Gaussian; it is truncated at the outermost one."""
-    # The blur is computed by a discrete Fourier transform, which is periodic. The interval extends to 16 sample
-    # distances from the centre, where even the widest Gaussian is negligible.
+    """Return weights of spline coefficients that blur a spline by a Gaussian.
+
+    The Gaussian is truncated at the outermost coefficient.
+    """
+    # The blur is computed by a discrete Fourier transform, which treats the interval as periodic. The interval extends
+    # to 16 sample distances from the centre. There even the widest Gaussian is negligible, so that its periodic copies
+    # do not overlap.
     fine = np.arange(-1024, 1024) / 64.0
     square = (2.0 * math.pi * np.fft.rfftfreq(len(fine), fine[1] - fine[0])) ** 2
     blurred = np.fft.irfft(np.fft.rfft(spline(fine)) * np.exp(-0.5 * square * variance), len(fine))

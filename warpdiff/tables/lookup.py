@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 # Multiply-adds of one look-up for each function of w, the normal component of the scattering vector. The number was
 # derived as three colour channels times 3 × 3 spline coefficients.
 MULTIPLY_ADDS_OF_FUNCTION = 27.0
-# Number of derived tables that a `ColourLookup` caches for its callers, such as the colours under skies. Two entries
-# suffice for two skies that alternate.
+# Number of derived tables that a `ColourLookup` caches for its callers. The colours under a sky are such a table. Two
+# entries suffice for two skies that alternate.
 _MOST_DERIVED = 2
 # Number of directions that a CPU thread looks up in one launch. The value was chosen so that the arrays of these
 # directions fit into the cache of a core.
@@ -64,11 +64,14 @@ class ColourLookup:
 
     def __init__(
         self, heightfield: HeightField, plan: Plan, direction_range: DirectionRange, *, zeroth_order: bool = True,
-        device: wp.Device, threads: int,
+        pitch_scales: bool = False, device: wp.Device, threads: int,
     ) -> None:  # fmt: skip
-        """Prepare the look-up for a range of directions; tables are computed at the first use."""
+        """Prepare the look-up for a range of directions; tables are computed at the first use.
+
+        Under a source, ``pitch_scales`` states that directions to the light have the pitch scales of dots as lengths.
+        """
         self.heightfield, self.plan, self.device, self._threads = heightfield, plan, device, threads
-        self._range, self._zeroth_order = direction_range, zeroth_order
+        self._range, self._zeroth_order, self._pitch_scales = direction_range, zeroth_order, pitch_scales
         self._colours: dict[IlluminatedMaterial, colour_table.ColourTable] = {}
         self._quadratures: dict[IlluminatedMaterial, Any] = {}
         self.derived: LruCache[Any] = LruCache(most=_MOST_DERIVED)
@@ -103,8 +106,8 @@ class ColourLookup:
     def copy_with(self, plan: Plan) -> ColourLookup:
         """Return a look-up of the same directions by another plan; it has tables of its own."""
         return ColourLookup(
-            self.heightfield, plan, self._range, zeroth_order=self._zeroth_order, device=self.device,
-            threads=self._threads,
+            self.heightfield, plan, self._range, zeroth_order=self._zeroth_order, pitch_scales=self._pitch_scales,
+            device=self.device, threads=self._threads,
         )  # fmt: skip
 
     @property
@@ -146,7 +149,8 @@ class ColourLookup:
             table = colour_table.table_for(
                 self.heightfield, self.plan, self._range, illuminated, device=self.device, threads=self._threads
             )
-            self._colours[illuminated] = table if self._zeroth_order else table.without_zeroth_order()
+            table = table if self._zeroth_order else table.without_zeroth_order()
+            self._colours[illuminated] = table.with_pitch_scales() if self._pitch_scales else table
         table = self._colours[illuminated]
         spreads = self._no_footprints if footprints is None else footprints
         batch = colour_lookup.BATCH if self.device.is_cpu else 1
@@ -164,6 +168,7 @@ class ColourLookup:
             )
             if not self._zeroth_order:
                 self._table = coefficient_table.without_zeroth_order(self._table)
+            self._table.arguments.has_pitch_scales = self._pitch_scales
         if illuminated not in self._quadratures:
             self._quadratures[illuminated] = coefficient_table.quadrature_for(
                 heightfield, plan, illuminated, device=device

@@ -1,4 +1,8 @@
-"""Layout of a colour table: grids of the spectrum and of the mip levels, blurs of the grids, and order of rows."""
+"""Layout of a colour table: grids of the spectrum and of the mip levels, blurs of the grids, and order of rows.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +22,11 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 # Largest distance along the radius between samples of the spectrum, in standard deviations of the blur by the coherence
-# window. The number was derived from a sum of Gaussians at this distance, which varies by 2 exp(−2π²/1.6²) = 9e-4. At
-# the inner end of each octave, the distance is half as large and the variation is 1e-13.
+# window. The number was derived from a sum of equal Gaussians at this distance, which varies by 2 exp(−2π²/1.6²) =
+# 9e-4. At the inner end of each octave, the distance is half as large, and the variation is 1e-13.
 _SAMPLE_SPACING_SIGMAS = 1.6
-# Smallest number of samples of the spectrum from one ring to the next. With a single sample, the integral between rings
-# is inaccurate: the 99th percentile of its error was 7e-4 instead of 2e-5.
+# Smallest number of samples of the spectrum from one ring to the next. It was measured that a single sample makes the
+# integral between rings inaccurate: the 99th percentile of its error was 7e-4, compared with 2e-5 for two samples.
 _FEWEST_DIVISIONS = 2.0
 # Radius of the innermost ring, in standard deviations of the spectrum's blur by the coherence window. The number was
 # derived from a Gaussian of this width: within the radius, it deviates from a constant by at most (1/50)²/2 = 2e-4.
@@ -34,8 +38,8 @@ _LINE_BLUR_SPACINGS = 0.8
 _BLURRED_AZIMUTHS_PER_WIDTH = 1.2
 # Largest standard deviation of the blur that a mip level adds to level 0, as an angle of azimuth [rad].
 _WIDEST_BLUR_RAD = 0.4
-# Largest number of azimuth samples of a ring; larger numbers, which would overflow 64-bit integers, are reduced to this
-# one. A table with so many samples is refused later, by a ``MemoryError``.
+# Largest number of azimuth samples of a ring. Larger numbers, which would overflow 64-bit integers, are replaced by it.
+# A table with so many samples is refused later, by a ``MemoryError``.
 _MOST_AZIMUTHS = 2.0**60
 
 

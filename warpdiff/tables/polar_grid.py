@@ -36,9 +36,9 @@ MIDDLE_UM = 0.55
 # table itself. Fewer directions under sources near the horizon must then sample wavelengths. Memory is proportional to
 # the factor.
 _MORE_AZIMUTHS_OF_SOURCES = 1.5
-# Smallest |(u, v)| that tables of light sources serve, in standard deviations of the source. Nearer to the mirror
-# direction, (u, v) = 0, a blur in polar coordinates is inaccurate: at a quarter of this limit, the median error was
-# 4e-2.
+# Smallest |(u, v)| for which tables of light sources are used, in standard deviations of the source. Nearer to the
+# mirror direction, where (u, v) = 0, a blur in polar coordinates is inaccurate. At a quarter of this limit, the median
+# error was measured as 4e-2.
 INNER_RADIUS_SPREADS = 30.0
 LOG_RED, LOG_BLUE = (
     math.log(colorimetry.NM_PER_UM / end) for end in (colorimetry.LAMBDA_MAX_NM, colorimetry.LAMBDA_MIN_NM)

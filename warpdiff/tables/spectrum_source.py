@@ -1,4 +1,8 @@
-"""Power spectra from which colour tables are computed: a sampled spectrum, or a sum of spectral lines."""
+"""Power spectra from which colour tables are computed: a sampled spectrum, or a sum of spectral lines.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal, and κ is w/λ.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +54,8 @@ _ZEROTH_ENTRIES = 2048
 # Peak memory while spectral lines are listed [bytes per line]. It was derived by adding the sizes of the arrays in the
 # code.
 _BYTES_PER_LINE = 80.0
-# Angle from a spectral line at which the Gaussian blur of the line is truncated, in standard deviations of the blur.
+# The Gaussian blur of a spectral line along the azimuth is truncated at this angle from the line [standard deviations
+# of the blur].
 _LINE_RADIUS_SIGMAS = 4.5
 
 
@@ -177,8 +182,9 @@ class WindowedSpectrum(SpectrumSource):
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
         """Return a function that projects samples of the spectrum, in one octave and the next octave, to colours."""
         azimuths, terms, rings = self.layout.levels[0].azimuths, len(self.basis.sizes), self.layout.spectrum.rings
-        # Working memory in which each azimuth sample has room for its rings of one octave and the next one. On the CPU,
-        # the threads use only the beginning of this memory, and the rest of the allocation occupies no memory.
+        # Working memory, in which each azimuth sample has room for its rings of one octave and of the next octave. On
+        # the CPU, the threads use only the beginning of this memory. The unused part of the allocation occupies no
+        # memory.
         length = rings + len(curves) - 1 + FILTER_REACH
         sequence = wp.empty(azimuths[-1] * length, dtype=samples[0].dtype, device=options["device"])
 

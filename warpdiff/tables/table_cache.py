@@ -1,4 +1,4 @@
-"""Cache of the tables of each height field that were used last, which is deleted together with the height field.
+"""Cache of the last tables of each height field, which is deleted together with the height field.
 
 Pictures with moving lights or cameras reuse the same tables. A search for a plan tries tables of a few sizes, which the
 cache keeps for later calls. Keys are frozen dataclasses of everything on which a table depends, except the heights.

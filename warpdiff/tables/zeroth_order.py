@@ -2,6 +2,10 @@
 
 The lobe of the zeroth order is narrower than the spacing of a table's rings, so that the rows of a table cannot
 represent it. The lobe has a closed form instead.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal, and κ is w/λ. H₀₀ is the mean of exp(2πiκh) over the
+heights h.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""The BSDF plug-in for Mitsuba 3, tested by ``wd.brdf``, order efficiencies, and Mitsuba's chi-square test.
+"""The BSDF plug-in for Mitsuba 3, compared with ``wd.brdf`` and with order efficiencies, and checked by Mitsuba's
+chi-square test.
 
 ``make test-mitsuba`` installs the requirements. Mitsuba's compiled variants (``llvm_…``) need LLVM 17 or newer, because
 older versions crash.
@@ -152,7 +153,11 @@ def test_samples_follow_their_density(variant, request, tmp_path, monkeypatch):
 @needs_llvm
 @pytest.mark.parametrize("degrees", [0.0, 30.0])
 def test_mean_sample_weights_equal_the_sum_of_order_efficiencies(fingers, spectrum_file, degrees):
-    """The horizon cuts off some orders, so the mean sample weight is between sums with and without these orders."""
+    """The mean weight of the samples must lie between two sums of order efficiencies.
+
+    The larger sum contains all orders. The smaller sum excludes orders near the horizon, because the horizon cuts off a
+    part of their light.
+    """
     bsdf = bsdf_of(spectrum_file, "llvm_ad_spectral", masking=False)
     angle, count = np.radians(degrees), 1_000_000
     to_light = (float(np.sin(angle)), 0.0, float(np.cos(angle)))
@@ -162,9 +167,9 @@ def test_mean_sample_weights_equal_the_sum_of_order_efficiencies(fingers, spectr
     weights = np.array(weights).reshape(4, count)
     result, noise = weights.mean(axis=1), weights.std(axis=1) / np.sqrt(count)
     orders = wd.order_efficiencies(fingers, to_light, WAVELENGTHS)
-    # The lower limit of the result is the sum over orders that are farther from the horizon than the width of a lobe.
-    # The horizon cuts off parts of the other lobes. Their efficiencies are proportional to 1/cos θr, which diverges
-    # there.
+    # The smaller sum contains only orders that are farther from the horizon than the width of a lobe. The horizon cuts
+    # off parts of the other lobes. The efficiencies of these other orders are proportional to 1/cos θr, which diverges
+    # at the horizon.
     clear = np.nan_to_num(orders.to_view[..., 2]) > 0.15
     least = (orders.efficiencies * clear).sum(axis=1)
     assert np.all(result > least - 4.0 * noise - 0.01 * least)

@@ -1,4 +1,6 @@
-"""Reports of scans: their files, and numbers with errors. If a result is missing, the page states the reason."""
+"""Reports of scans: the files of a report, and its numbers with their errors. If a result is missing, the page states
+the reason.
+"""
 
 import csv
 import hashlib
@@ -76,7 +78,8 @@ def test_the_page_is_complete_in_itself_and_its_texts_are_escaped(made):
     page = Page(text)
     assert page.open == []
     assert all(link.startswith("data:") for link in page.links)
-    # Heights, two ranges of the power spectrum, orders, colours, map, comparison.
+    # The page has seven pictures: the heights, two ranges of the power spectrum, the orders, the colours, the
+    # reflectance map, and the comparison with the measured spectrum.
     assert len(page.alts) == 7
     assert all(page.alts)
     assert "@DATE@ & co" in "".join(page.texts)

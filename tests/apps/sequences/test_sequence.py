@@ -143,9 +143,9 @@ def test_a_path_is_read_from_a_file(tmp_path):
 
 
 def test_frames_under_every_kind_of_light_equal_those_of_shade(tmp_path):
-    """Frames under all kinds of light equal those of ``shade``, also if a worker process renders them.
+    """Frames under all kinds of light must equal those of ``shade``, also if a worker process renders them.
 
-    All shots share the arrays of a sky.
+    The arrays of a sky must be the same objects in all shots.
     """
     body, heightfield = wd.meshes.tube(segments_along=12, segments_around=8), wd.gratings.blazed(2.0, 0.25)
     sky = wd.Environment.clear_sky((1.0, 1.0, 0.5), directions=16)
@@ -168,8 +168,8 @@ def test_frames_under_every_kind_of_light_equal_those_of_shade(tmp_path):
     pickled = pickle.dumps((renderer, sweeping))
     assert len(pickled) < 1.5 * len(pickle.dumps((renderer, sweeping[:1])))
     assert frames.draw_in_worker(job, pickled, 1)[".exr"] == path.read_bytes()
-    # A sequence with another sky image is another sequence, and so is one whose sky has the next smaller floating-point
-    # number as its angle of rotation. Frames of different sequences must not be mixed in one folder.
+    # A sequence with another sky image counts as another sequence, and so does one whose sky has the next smaller
+    # floating-point number as its angle of rotation. Frames of different sequences must not be mixed in one folder.
     brighter = wd.Environment.clear_sky((1.0, 1.0, 0.5), directions=16, ground_albedo=0.3)
     rotated = with_settings(sky, math.nextafter(sky.rotation_deg, 0.0), 1.0, 16)
     for other in (brighter, rotated):

@@ -96,7 +96,8 @@ def test_environments_illuminate_a_body_and_fill_its_background(sky, monkeypatch
     monkeypatch.setattr("warpdiff.apps.viewer.session._REPORT_S", 0.0)
     files = NamedFiles(environments=(sky,))
     known = controls([], [], ["a sky.exr"])
-    # A short coherence window saves several seconds: the page, its Python lines and its command each make a table.
+    # The page, its Python lines and its command each make a table of colours. A short coherence window makes the table
+    # small, which saves several seconds.
     small = {"sigma_um": 1.5, "environment_directions": 256, "shadows": False, "light": "none", "environment": "file 0"}
     values = checked(known, dict(VALUES) | small)
     studio = Studio(files, values, threads=1)
@@ -229,8 +230,9 @@ def test_previews_are_rendered_no_faster_than_shown_and_refined_after_the_moveme
 def test_previews_have_as_many_pixels_as_the_frame_rate_allows():
     studio = object.__new__(Studio)
     full = wd.View((0, 1, 3), (0, 0, 0), width=640, height=480)
-    # Rendering takes a fixed time and a time in proportion to the pixels, both in seconds. The last number is the
-    # expected width of previews. Widths below 320 are used only if 320 × 240 is slower than 12 Hz.
+    # Each case has two times in seconds and the expected width of previews in pixels. A picture requires the first time
+    # for any size, and a part of the second time in proportion to its number of pixels. Widths below 320 are expected
+    # only if a machine draws fewer than 12 pictures of 320 × 240 pixels per second.
     for fixed, of_all, expected in ((0.01, 0.03, 640), (0.02, 0.06, 480), (0.04, 0.14, 320), (0.04, 0.3, 240)):
         studio._times, studio._last_pixels, sizes = deque(maxlen=5), math.inf, []
         for index in range(16):

@@ -122,7 +122,10 @@ def colour_difference(shown, other):
 
 @pytest.mark.parametrize("index", range(3))
 def test_the_final_picture_equals_that_of_shade(shown, skin, body, index):
-    """The page's ΔE2000 is tested in pixels whose rays all hit the mesh and are illuminated: its median and its P99."""
+    """The page must show the picture of ``shade``, with a small median and 99th percentile of ΔE2000.
+
+    Colours are compared in pixels whose rays all hit the mesh, at illuminated points.
+    """
     view, to_light = VIEWS[index], LIGHTS[index]
     light = wd.DirectionalLight(to_light)
     exact = wd.shade(body, skin, light, view, coherence=WINDOW, pigment=PIGMENT, tolerance=3e-2)
@@ -140,9 +143,10 @@ def test_the_final_picture_equals_that_of_shade(shown, skin, body, index):
 
 
 def test_a_point_light_equals_that_of_shade(shown, skin, body):
-    """The page renders only a few frames, so its pixels are noisy.
+    """Under a point light, the page must show the picture of ``shade``, up to noise.
 
-    The test limits the median colour difference from ``shade``, and compares the sums of Y over the pixels.
+    The page renders only a few frames, so that its pixels are noisy. The test therefore limits the median of the colour
+    differences, and compares the sums of Y over the pixels.
     """
     view, place = VIEWS[1], (-0.2, 1.2, 1.2)
     options = {"coherence": WINDOW, "pigment": PIGMENT, "tolerance": 3e-2}
@@ -183,7 +187,10 @@ def distance(state):
 
 
 def test_dragging_rotates_body_and_light(shown):
-    """The test drags on the canvas and on the disc of the light, turns the wheel, and moves the exposure slider."""
+    """The mouse must rotate the body and the light by dragging, change the distance by its wheel, and move the slider.
+
+    The slider changes the exposure, and the reset button returns to the first view.
+    """
     shown.evaluate("warpdiff.render({ width: 64, height: 48, frames: 1 }).width")
     state = shown.evaluate(STATE)
 
@@ -245,8 +252,9 @@ def test_without_webgl_2_a_message_is_shown(page, chromium):
     ("reflection", "material"), [({"ior": 2.0}, None), ({}, wd.Material.metal("Au"))], ids=["glass", "gold"]
 )
 def test_mirrored_textures_facets_and_two_lights_are_shown_as_by_shade(reflection, material, skin, chromium, tmp_path):
-    """Mirrored textures, facets and several lights, which the other tests do not use, are rendered by the page as by
-    ``shade``.
+    """The page must render mirrored textures, facets and several lights as ``shade`` does.
+
+    The other tests use none of these.
     """
     body = wd.meshes.tube(segments_along=24, segments_around=16)
     body.visual.uv[:, 0] *= -1.0

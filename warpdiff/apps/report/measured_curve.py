@@ -26,8 +26,8 @@ _AXES: tuple[Against, Against] = ("wavelength_nm", "angle_deg")
 # Largest size of the text file of a curve [bytes], about a million rows. If doubled, a wrong file is read for longer
 # before it is refused.
 _MOST_BYTES = 64 << 20
-# Least number of measured values in a curve. With only two values, the correlation with any computed curve would be 1
-# or −1.
+# Least number of measured values in a curve. The correlation of only two values with any computed curve would be 1 or
+# −1, and therefore meaningless.
 _LEAST_ROWS = 3
 # Upper limit of the view angles from the normal [degrees]. At 90° the view direction is at the horizon.
 _MOST_DEG = 90.0
@@ -146,7 +146,7 @@ def _curve_of(file: Path, names: list[str], values: NDArray[np.float64]) -> Meas
 
 @dataclass(frozen=True, eq=False)
 class CurveComparison:
-    """Comparison of a measured curve with a computed one; least squares fit a factor between them.
+    """Comparison of a measured curve with a computed curve, which is scaled by a factor from a least-squares fit.
 
     Attributes:
         measured: Measured curve.

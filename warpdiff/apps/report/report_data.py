@@ -1,4 +1,4 @@
-"""Results of a report: each is computed separately, and an absent result has a reason instead."""
+"""Results of a report. Each result is computed separately; if it is absent, the reason is stored instead."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ _T = TypeVar("_T")
 # is cropped to its middle. The number was chosen so that a report takes 30 s on two cores. If doubled, the time is four
 # times as long.
 MOST_SAMPLES = 1536
-# View angles for which a report computes colours [degrees]. The step is about half of the angular width of a
-# diffraction order with the default coherence window.
+# View angles for which a report computes colours [degrees]. The step between two angles is about half of the angular
+# width of a diffraction order with the default coherence window.
 ANGLES_DEG = np.arange(-89.5, 89.6, 0.25)
 # Width and height of the reflectance map [pixels]. It was chosen so that the map fills a third of the width of a
 # printed page at 150 dots per inch.
@@ -52,8 +52,8 @@ _MOST_ORDER = 20
 # middle. At 450 nm this middle is a square of 100 µm, which is wider than the default coherence window. The number was
 # chosen so that the computation takes seconds. If doubled, the time doubles.
 _MOST_PATCH_ORDERS = 2e5
-# Least length of the cropped field, as a share of the length of the whole field, at which the cropped field counts as
-# the whole field. The share is below 1 because lengths are rounded.
+# Least length of the cropped field, relative to the length of the uncropped field, at which the field counts as not
+# cropped. The ratio is below 1 because lengths are rounded.
 _WHOLE = 0.999
 # A field in which no wave repeats counts as a single period of a grating if it has at most this number of diffraction
 # orders. The number was chosen so that the table of these orders fits on a page. Patches of rough surfaces have
@@ -62,9 +62,9 @@ _MOST_CELL_ORDERS = 60
 # Angle of the light from the normal if the caller gives no ``to_light`` [degrees]. It was chosen because this angle is
 # common in goniometers.
 DEFAULT_INCIDENCE_DEG = 30.0
-# Heights in a file of integers may be clipped. A report warns if more than this share of the samples have the smallest
-# or the largest integer. The share is above 0 because a scan that is scaled to the range of the integers has at least
-# one sample at each end. If doubled, small clipped peaks are not reported.
+# Heights in a file of integers may be clipped. A report warns if more than this fraction of the samples have the
+# smallest or the largest integer. The fraction is above 0 because a scan that is scaled to the range of the integers
+# has at least one sample at each end. If doubled, small clipped peaks are not reported.
 _MOST_CLIPPED = 1e-4
 # Least sine of the angle between the light and the normal for which both define a plane of incidence. Smaller sines may
 # be rounding errors of unit vectors.
@@ -203,7 +203,7 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
 
     Args:
         request: Checked arguments of the report.
-        progress: Function that is called with the finished share of the work, 0 to 1.
+        progress: Function that is called with the finished fraction of the work, 0 to 1.
     """
     part = central_part(request.heightfield)
     data = ReportData(request, part, np.array([0.0, 0.0, 1.0]))
@@ -232,7 +232,7 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
     progress(0.55)
     views = direction(ANGLES_DEG, data.azimuth_deg)
     for index, sigma in enumerate(request.sigmas_um):
-        # A plan is valid for one coherence window, so that the caller's plan is not used for these colours.
+        # The caller's plan was computed for another coherence window and is not valid for these colours.
         settings = request.settings | {"coherence": Coherence(sigma_um=sigma), "plan": None}
         xyz = data.attempt(
             "colours",
@@ -258,7 +258,7 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
 
 
 def _doubts(data: ReportData) -> list[str]:
-    """Return warnings about clipped heights, and about periods near the limit of sampling."""
+    """Return warnings about clipped heights, and about periods with fewer than three samples along an axis."""
     source = data.request.heightfield.source
     texts = []
     if source is not None and source.clipped > _MOST_CLIPPED:
@@ -293,7 +293,7 @@ def _order_count(part: HeightField, wavelength_nm: float) -> float:
 
 
 def _optical(part: HeightField) -> HeightField:
-    """Return a copy of a field with interpolated gaps.
+    """Return a copy of a field, in which missing samples are interpolated.
 
     The copy has no results from earlier computations, so that all warnings are issued again.
     """
@@ -340,7 +340,7 @@ def wave_azimuth_deg(heightfield: HeightField) -> float:
 def _efficiency_errors(verdicts: Sequence[TheoryVerdict], flat_powers: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the error of an order's efficiency at each wavelength, relative to the incident power.
 
-    A verdict states the expected error of scalar diffraction as a share of the power that a flat surface reflects.
+    A verdict states the expected error of scalar diffraction relative to the power that a flat surface reflects.
     """
     return np.array([min(verdict.error, 1.0) for verdict in verdicts]) * flat_powers
 
@@ -373,7 +373,7 @@ def _add_orders(data: ReportData, optical: HeightField) -> None:
 
 
 def _judged(table: Table) -> Table:
-    """Return a table of orders with their signed angles, and whether each efficiency exceeds its error."""
+    """Return a table of orders with two more columns: signed angle, and whether the efficiency exceeds its error."""
     angles = signed_angles_deg(direction(table["view_theta_deg"], table["view_phi_deg"]))
     return Table({**table.columns, "angle_deg": angles, "is_above_error": table["efficiency"] > table["model_error"]})
 

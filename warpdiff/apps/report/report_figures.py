@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 # Resolution of PNG pictures [dots per inch]. It was chosen so that a page has a few megabytes. If doubled, a page has
 # four times as many.
 _DPI = 150
-# Largest number of samples along an axis of a height map; larger fields are thinned. The number was chosen because more
-# samples are not visible at 150 dots per inch.
+# Largest number of samples along an axis of a height map. If a field has more samples, only every n-th sample is drawn.
+# The number was chosen because more samples are not visible at 150 dots per inch.
 _MOST_DRAWN = 1400
 # Width of pictures of curves, and of pictures of maps [inches]. Both were chosen so that the text of the pictures is
 # legible on a screen with a width of 400 pixels.
@@ -40,7 +40,7 @@ _WIDE, _SQUARE = 5.6, 5.4
 _ZOOM_UM, _LEAST_FIELD = 10.0, 2.0
 # Highest frequency of the enlarged power spectrum, relative to the frequency of the strongest period.
 _SPECTRUM_PERIODS = 4.0
-# Factor of the exposure of the additional colour strip, which shows weak orders.
+# Factor by which the second colour strip is brighter than the first one, so that it shows weak orders.
 _BRIGHTER = 16.0
 # Angles with a label below a colour strip [degrees].
 _TICKS_DEG = range(-75, 76, 15)
@@ -90,7 +90,7 @@ def _drawn(
     from matplotlib.figure import Figure as Canvas
 
     # The figure is not created by pyplot, so that the caller's current figure stays the same. With a fixed salt, the
-    # names of elements in an SVG picture are the same in each run.
+    # names of elements in an SVG picture are the same in each run, so that equal reports give equal files.
     style = {"font.family": "DejaVu Sans", "font.size": 9.5, "axes.titlesize": 10.5, "svg.hashsalt": "warpdiff"}
     with mpl.rc_context(style):
         # A figure with a single plot needs no automatic layout, because empty margins are cut off when it is saved.

@@ -87,8 +87,8 @@ def report(
     The page has the map of the heights and a profile, the cleaning steps, the ISO 25178 parameters, the power spectrum
     and its periods, the verdict on scalar diffraction (its expected error), the diffraction orders with their angles
     and efficiencies, colours against the view angle, and a reflectance map. Each number has its error, or the reason
-    why it has none. If a field has not all of these results, the page states which are absent. The report requires the
-    extra ``plot``.
+    why it has none. If some of these results cannot be computed, the page states which are absent. The report requires
+    the extra ``plot``.
 
     Missing samples are interpolated before diffraction is computed. Do all other cleaning first, see
     `HeightField.levelled`. Large fields are cropped to their middle: periods are computed from at most 1,536 samples
@@ -103,13 +103,13 @@ def report(
             mirror direction if the file states none.
         wavelengths_nm: Wavelengths for which orders and verdicts are computed [nm], shape (m,) or one number.
         sigmas_um: Standard deviations of the coherence windows whose colours are shown [µm], one to six.
-        compare: Text file of a measured spectrum or goniometer curve, which is drawn over the computed one. It has a
+        compare: Text file of a measured spectrum or goniometer curve, which is drawn over the computed curve. It has a
             column ``wavelength_nm`` or ``angle_deg``, one column of values, and optionally one with ``error`` in its
             name. View angles are from the normal in the plane of the light. They are positive towards +x, or towards +y
             if this plane contains the y axis.
         illuminant: Name in colour-science's ``SDS_ILLUMINANTS`` or ``SDS_LIGHT_SOURCES``, or a ``Spectrum``.
         title: Title of the page; None is the name of the file of the height field.
-        progress: Function that is called with the finished share of the work, 0 to 1; True shows a progress bar.
+        progress: Function that is called with the finished fraction of the work, 0 to 1; True shows a progress bar.
 
     Returns:
         Paths of the files, and the numbers.
@@ -188,7 +188,7 @@ def _title(heightfield: HeightField) -> str:
 
 
 def _write(target: Path, page: str, numbers: JsonObject, tables: dict[str, Table]) -> tuple[Path, ...]:
-    """Write all files, the page last. Each file replaces an earlier one only when it is complete."""
+    """Write all files of a report, the page last; a complete new file replaces the file of an earlier report."""
     paths = [target / "report.json"]
     with files.atomic_write(paths[0]) as temporary:
         text = json.dumps(numbers, ensure_ascii=False, indent=1, allow_nan=False)

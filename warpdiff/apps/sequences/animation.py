@@ -28,7 +28,7 @@ def check_target(path: Any, suffixes: Sequence[str]) -> Path:
 
     Raises:
         ValueError: The suffix is unknown, or there are no PNG frames.
-        OSError: The file cannot be written there.
+        OSError: The file cannot be written to this path.
     """
     target = validation.path(path, "animation")
     if target.suffix.lower() not in _WRITERS:

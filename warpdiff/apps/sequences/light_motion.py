@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from warpdiff.lights.base import Light
 
 # Environment lights can rotate only about a vertical axis, because their horizon is always level. The number is the
-# largest permitted sine of the angle between the axis and the vertical. It is far above rounding errors.
+# largest permitted sine of the angle between the axis and the vertical. Rounding errors of an axis are far smaller.
 _VERTICAL = 1e-6
 
 

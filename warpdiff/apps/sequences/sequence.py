@@ -19,6 +19,7 @@ from warpdiff.core import files, openimageio, validation
 from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.heightfield.field import HeightField
+from warpdiff.heightfield.grating_map import GratingMap
 from warpdiff.image.display_transform import MEAN_SHOWN, exposure_factor
 from warpdiff.image.picture_files import PNG_END
 from warpdiff.lights.base import LobeLight
@@ -83,7 +84,7 @@ def sequence(
             ends the call.
 
     Returns:
-        Paths of the frames in order, those of the first format, then those of the second.
+        Paths of the frames: all frames in the first format in their order, then all frames in the second format.
 
     Raises:
         ValueError: An argument is not accepted, or the folder contains frames of another sequence.
@@ -220,6 +221,8 @@ def _feed(digest: Any, value: Any) -> None:
     """Add a value to a hash: array, height field, dataclass, mapping, sequence, or any object by its repr."""
     if isinstance(value, HeightField):
         _feed(digest, (value.heights_um, value.pitch_um))
+    elif isinstance(value, GratingMap):
+        _feed(digest, (value.cell, value.turn_deg, value.depth_scale, value.pitch_scale))
     elif isinstance(value, np.ndarray):
         digest.update(repr((value.dtype.str, value.shape)).encode())
         digest.update(np.ascontiguousarray(value).data)

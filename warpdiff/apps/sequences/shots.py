@@ -278,7 +278,7 @@ def _rows(path: Any) -> tuple[list[str], NDArray[np.float64]]:
 
 
 def _between(rows: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Interpolate ``count`` rows by monotone cubics through ``rows``, from the first to the last of them."""
+    """Interpolate ``count`` rows by monotone cubics through ``rows``; the first and the last row are unchanged."""
     from scipy.interpolate import PchipInterpolator
 
     if len(rows) == 1:

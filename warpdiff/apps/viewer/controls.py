@@ -1,7 +1,7 @@
 """Controls of the viewer's page: options of the library with labels, groups and sliders.
 
-Type, choices, unit and meaning come from the descriptions of options. Without an entry in :func:`controls`, an option
-of a picture or of its display gets a control that follows from the description alone.
+The type, the choices, the unit and the meaning of a control come from the description of its option. An option of a
+picture or of its display that has no entry in :func:`controls` gets a control from its description alone.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ MATERIALS = {"dielectric": "dielectric", "mirror": "perfect mirror"} | METALS
 RULES = {rule: rule.replace("around-", "around world ") if len(rule) > 1 else f"world {rule}" for rule in TANGENT_RULES}
 # Options of pictures and of their display that have no control of the same name on the page.
 EXCLUDED = (
-    # Options of which each is set by several controls: the controls of coherence, of material, and of the height
+    # Several controls together set each of these options: the controls of coherence, of material, and of the height
     # field's x axis.
     *("coherence", "material", "tangents"),
     # Options that the command line of ``warpdiff view`` sets.

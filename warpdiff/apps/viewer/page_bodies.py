@@ -40,8 +40,8 @@ def surface_of(mesh: Call | Path, tangents: TangentRule | None) -> Surface:
     if not hasattr(mesh, "make"):
         return prepare_surface(str(mesh), tangents=tangents)
 
-    # A sample body is a single mesh of one matte, opaque material without a texture. The disk cache, which stores only
-    # arrays and numbers, therefore does not store what belongs to its names and materials.
+    # The disk cache stores only arrays and numbers. The names and materials of a sample body are not stored, because
+    # every sample body is a single mesh of one matte, opaque material without a texture.
     left_out = ("geometry_names", "material_names", "material_factors", "textures", "alpha_cutoffs")
     fields = {field.name: None for field in dataclasses.fields(Surface) if field.name not in left_out}
 
@@ -77,7 +77,7 @@ def local_directions(
     x = frame.half_width * (2.0 * (column + 0.5) / view.width - 1.0)
     y = frame.half_height * (1.0 - 2.0 * (row + 0.5) / view.height)
     ray = x * frame.right + y * frame.up - frame.back
-    # The hit point is computed by rendering a picture of one pixel, whose ray is that of the pixel's centre.
+    # The hit point is computed by rendering a picture of one pixel, whose ray is the same as that of the given pixel.
     one = wd.View(
         view.eye, tuple((frame.origin + ray * np.linalg.norm(frame.origin - np.array(view.target))).tolist()),
         up=view.up, fov_y_deg=0.01, width=1, height=1,
@@ -145,7 +145,7 @@ def height_field_of(call: Call) -> wd.HeightField:
 
 
 def resting_view(request: PageRequest, body: Surface) -> wd.View:
-    """Return the camera of a page's full-size picture. It is that of the request, or the body's initial camera."""
+    """Return the camera of a page's full-size picture: the camera of the request, or else the body's initial camera."""
     height = request.values["height"]
     width = max(round(request.aspect * height), 1)
     if request.camera is None:

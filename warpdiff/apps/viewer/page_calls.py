@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from warpdiff.apps.viewer.controls import Control
     from warpdiff.request.settings import TangentRule
 
-# Number of directions in which an environment light is sampled per pixel of an unrefined preview. With 16, the viewer
-# shows about 14 pictures per second while the user drags; with more, it shows fewer.
+# Number of directions in which an environment light is sampled per pixel of an unrefined preview. With 16 directions,
+# the viewer shows about 14 pictures per second while the user drags; with more directions, it shows fewer pictures.
 _MOVING_DIRECTIONS = 16
 # Decimal places of coordinates in printed code. Further decimals would not change a picture.
 _DIGITS = 7
@@ -209,11 +209,11 @@ class Scene:
         return check_reflection(shading.get("ior"), shading.get("material"))[0]
 
     def at(self, tolerance: float | None) -> Scene:
-        """Return the scene for a preview or an intermediate picture. With an environment light, that scene is simpler.
+        """Return the scene for a preview or an intermediate picture, in which an environment light is simplified.
 
-        The larger the tolerance, the fewer directions of an environment are sampled. An unrefined preview has the
-        ``tolerance`` None. Such a preview samples 16 directions per pixel and has no shadows, because shadows increase
-        the time for 320 × 240 pixels from 0.1 s to 1.9 s.
+        The larger the tolerance, the fewer directions of an environment are sampled. The value None of ``tolerance`` is
+        an unrefined preview. Such a preview samples 16 directions per pixel and has no shadows, because shadows
+        increase the time for 320 × 240 pixels from 0.1 s to 1.9 s.
         """
         if self.sky is None:
             return self

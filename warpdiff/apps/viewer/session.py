@@ -20,8 +20,8 @@ import time
 import traceback
 import warnings
 from collections import deque
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -29,25 +29,23 @@ import warpdiff as wd
 from warpdiff.apps.viewer import encoding, page_bodies
 from warpdiff.apps.viewer.controls import arguments, word
 from warpdiff.apps.viewer.page_calls import Scene
-from warpdiff.core import disk_cache, validation
-from warpdiff.core.caching import LruCache
+from warpdiff.apps.viewer.scene_objects import SceneObjects
+from warpdiff.core import validation
 from warpdiff.core.options import describe
 from warpdiff.core.wording import ArgumentValueError, spelled
 from warpdiff.device.devices import resolve_device, resolve_threads
 from warpdiff.image.display_transform import MEAN_SHOWN
-from warpdiff.lights.environment import with_settings
 from warpdiff.request.settings import EvaluationSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from warpdiff.apps.viewer.page_calls import NamedFiles, PageRequest
-    from warpdiff.scene.mesh_import import Surface
 
 # Tolerances of the intermediate pictures that are drawn before the picture with the requested tolerance.
 TOLERANCES = (0.1, 0.03)
-# If a page is idle for this time while a mouse button is still down, its picture is refined [s]. The time is limited
-# because users notice a delay of twice this time.
+# Time for which a page must be idle while a mouse button is still down, before its picture is refined [s]. The time is
+# limited because users notice a delay of twice this time.
 _REST_S = 0.15
 # Largest number of pictures that are sent to a page before it has shown the first of them. The number is limited
 # because twice the number doubles the delay on a slow connection.
@@ -61,18 +59,14 @@ _SCALES = (1.0, 0.75, 0.5, 0.375)
 # Number of pixels to which a preview may be reduced to meet the time limit `_MOVING_S` of a movement.
 _LEAST_PIXELS = 320 * 240
 # The median time of the last `_TIMED` previews predicts the time of the next preview. The size of previews increases
-# only if the predicted time is below the share `_HEADROOM` of the time limit. Without this margin, the size would
-# change back and forth.
+# only if the predicted time is less than `_HEADROOM` times the time limit. Without this margin, the size would change
+# back and forth.
 _TIMED, _HEADROOM = 5, 0.8
-# Maximum memory of all cached renderers, and approximate memory of a renderer per pixel [bytes].
-_MOST_BYTES, _BYTES_PER_PIXEL = 1.5e9, 300
 # Width and height of the reflectance map [pixels]. The size is limited because twice the width and height require four
 # times the time.
 MAP_SIZE = 192
 # Shortest time between two progress messages to a page [s].
 _REPORT_S = 0.5
-# Options of an environment light that do not change its radiance maps.
-_SKY_SETTINGS = ("rotation_deg", "scale", "directions")
 # Smallest coverage at which a pixel counts as completely covered by the body. It is below 1 because of rounding errors.
 _FULL_COVERAGE = 0.999
 
@@ -130,23 +124,6 @@ class Session:
     picture: tuple[wd.Image, dict[str, Any]] | None = None
 
 
-def _bytes_of(renderer: wd.Renderer) -> float:
-    width, height = renderer.size
-    return float(_BYTES_PER_PIXEL * width * height)
-
-
-@dataclass
-class _Caches:
-    """Caches of the objects that pictures share. A key is the text of the library call that makes the object."""
-
-    surfaces: LruCache[Surface] = field(default_factory=lambda: LruCache(4))
-    environments: LruCache[wd.Environment] = field(default_factory=lambda: LruCache(2))
-    skies: LruCache[wd.Environment] = field(default_factory=lambda: LruCache(4))
-    height_fields: LruCache[wd.HeightField] = field(default_factory=lambda: LruCache(8))
-    bases: LruCache[wd.Renderer] = field(default_factory=lambda: LruCache(6))
-    renderers: LruCache[wd.Renderer] = field(default_factory=lambda: LruCache(8, _MOST_BYTES, _bytes_of))
-
-
 class Studio:
     """Renderer for all pages, with its own thread."""
 
@@ -162,10 +139,9 @@ class Studio:
             threads: Number of CPU threads, as in :func:`warpdiff.shade`.
         """
         self.files, self._likely_values = files, values
-        self._device, self._threads = resolve_device(device), resolve_threads(threads)
+        self._objects = SceneObjects(device=resolve_device(device), threads=resolve_threads(threads))
         self._sessions: list[Session] = []
         self._changed = threading.Condition()
-        self._caches = _Caches()
         # Rendering times of the last previews, each divided by the square root of the preview's number of pixels [s].
         # Part of the time does not depend on the number of pixels, so that the square root predicts better than the
         # number itself.
@@ -205,7 +181,7 @@ class Studio:
         return encoding.saved(image, suffix, display)
 
     def acknowledge(self, session: Session) -> None:
-        """Count one more picture that a page reports as shown, of those that were sent to it."""
+        """Record that a page has shown one more of the pictures that were sent to it."""
         with self._changed:
             session.in_flight = max(session.in_flight - 1, 0)
             self._changed.notify()
@@ -213,8 +189,8 @@ class Studio:
     def _prepare(self) -> None:
         """Render a small picture, so that the caches contain what the first picture of a page needs."""
         scene = Scene.of(self._likely_values, self.files)
-        view = page_bodies.framed(self._surface(scene), 16, 12)
-        image = self._renderer(scene, view, refine=False, report=lambda: None).image()
+        view = page_bodies.framed(self._objects.surface(scene), 16, 12)
+        image = self._objects.renderer(scene, view, refine=False, report=lambda: None).image()
         encoding.encoded(encoding.displayed(image, exact=False, background=(0, 0, 0)), lossless=False)
 
     def _run(self) -> None:
@@ -321,7 +297,7 @@ class Studio:
         progress = self._progress(session, request, index)
         scene = Scene.of(request.values, self.files)
         stages = stages_to(scene.tolerance)
-        body = self._surface(scene)
+        body = self._objects.surface(scene)
         scene = scene.placed(body.centre.tolist(), body.radius)
         full = page_bodies.resting_view(request, body)
         if index == len(stages):
@@ -335,8 +311,8 @@ class Studio:
         def report() -> None:
             session.send(_message("preparing", request, tolerance=previewed.tolerance), None)
 
-        renderer = self._renderer(previewed, view, refine=index > 0, report=report)
-        lights = self._lights(previewed)
+        renderer = self._objects.renderer(previewed, view, refine=index > 0, report=report)
+        lights = self._objects.lights(previewed)
         built = time.perf_counter()
         description = _message(
             "picture", request, width=view.width, height=view.height, to_light=scene.to_light,
@@ -420,76 +396,6 @@ class Studio:
         exposure = float(f"{factor * 2.0 ** shown.pop('exposure_stops', 0.0):.6g}")
         return shown | {"exposure": exposure, "background": 3 * (request.values["background"],)}
 
-    def _surface(self, scene: Scene) -> Surface:
-        tangents = dict(scene.options).get("tangents")
-        key = str(scene.mesh), tangents
-        return self._caches.surfaces.get_or_make(key, lambda: page_bodies.surface_of(scene.mesh, tangents))
-
-    def _height_field(self, scene: Scene) -> wd.HeightField:
-        call = scene.heightfield
-        return self._caches.height_fields.get_or_make(str(call), lambda: page_bodies.height_field_of(call))
-
-    def _lights(self, scene: Scene) -> list[Any]:
-        """Return the light and the environment of a scene. An unchanged environment is always the same object."""
-        lights = [] if scene.light is None else [scene.light.make()]
-        if (sky := scene.sky) is None:
-            return lights
-
-        def make() -> wd.Environment:
-            options = dict(sky.options)
-            settings = {name: options.pop(name) for name in _SKY_SETTINGS if name in options}
-            bare = dataclasses.replace(sky, options=tuple(options.items()))
-            made: wd.Environment = self._caches.environments.get_or_make(str(bare), bare.make)
-            return with_settings(made, **{name: getattr(made, name) for name in _SKY_SETTINGS} | settings)
-
-        return [*lights, self._caches.skies.get_or_make(str(sky), make)]
-
-    def _renderer(self, scene: Scene, view: wd.View, *, refine: bool, report: Callable[[], None]) -> wd.Renderer:
-        """Return a renderer of a scene from the cache, or make it.
-
-        Args:
-            scene: Scene without its view.
-            view: Camera, whose size is the size of the pictures.
-            refine: Whether the renderer refines pixels.
-            report: Function that is called before a slow preparation.
-        """
-        key = str(scene.mesh), str(scene.heightfield), str(scene.options), *_illuminants(scene), scene.tolerance
-
-        def make() -> wd.Renderer:
-            base = self._caches.bases.get_or_make(key, lambda: self._base(scene, report))
-            return base.resized(view, refine=refine)
-
-        return self._caches.renderers.get_or_make((*key, refine, view.width, view.height), make)
-
-    def _base(self, scene: Scene, report: Callable[[], None]) -> wd.Renderer:
-        """Make a renderer of small pictures, from which renderers of any picture size are derived.
-
-        The disk cache stores the plan of this renderer (method and numbers of samples), because planning requires
-        seconds.
-        """
-        report()
-        heightfield, surface, options = self._height_field(scene), self._surface(scene), scene.shading
-        # A plan depends on the spectra of the lights and not on their directions. Simple lights are therefore used
-        # here.
-        lights = self._lights(scene.at(None))
-        options.pop("tangents", None)
-        options |= {"device": self._device.alias, "threads": self._threads, "refine": False}
-        view = page_bodies.framed(surface, 16, 12)
-        made: list[wd.Renderer] = []
-
-        def plan() -> dict[str, Any]:
-            made.append(wd.Renderer(surface, heightfield, lights, view, tolerance=scene.tolerance, **options))
-            # The viewer shows one height field, so that the renderer has one plan.
-            return {"plan": cast("wd.Plan", made[0].plan).to_json()}
-
-        # The viewer computes one plan for pictures with and without shadows, because shadows do not change a plan.
-        planned = tuple((name, value) for name, value in scene.options if name != "shadows")
-        key = "plan", str(planned), *_illuminants(scene), scene.tolerance, heightfield.pitch_um, self._device.alias
-        arrays = disk_cache.cached_on_disk(key, heightfield.heights_um, plan)
-        if made:
-            return made[0]
-        return wd.Renderer(surface, heightfield, lights, view, plan=wd.Plan.from_json(str(arrays["plan"])), **options)
-
     def _send_angles_and_map(
         self, session: Session, request: PageRequest, scene: Scene, view: wd.View, progress: Callable[[float], None]
     ) -> None:
@@ -506,8 +412,8 @@ class Studio:
             )
         light = wd.DirectionalLight(scene.to_light) if scene.light is None else scene.light.make()
         local = pixel and page_bodies.local_directions(
-            self._surface(scene), view, light, *pixel, smooth=request.values["smooth"], device=self._device,
-            threads=self._threads,
+            self._objects.surface(scene), view, light, *pixel, smooth=request.values["smooth"],
+            device=self._objects.device, threads=self._objects.threads,
         )  # fmt: skip
         message = _message("map", request, angles=None)
         if not local or not pixel:
@@ -529,8 +435,9 @@ class Studio:
         assert image is not None  # noqa: S101 (``pixel`` comes from the image)
         options = {name: value for name, value in scene.shading.items() if name in describe(EvaluationSettings)}
         disc = wd.reflectance_map(
-            self._height_field(scene), local.to_light, size=MAP_SIZE, plan=image.plan, illuminant=light.illuminant,
-            device=self._device.alias, threads=self._threads, progress=progress, **options,
+            self._objects.height_field(scene), local.to_light, size=MAP_SIZE, plan=image.plan,
+            illuminant=light.illuminant, device=self._objects.device.alias, threads=self._objects.threads,
+            progress=progress, **options,
         )  # fmt: skip
         # The map has its own automatic exposure and no background.
         shown = {name: value for name, value in display.items() if name not in ("exposure", "background")}
@@ -547,14 +454,6 @@ def _has_same_picture(drawn: PageRequest | None, request: PageRequest) -> bool:
     return drawn is not None and request == dataclasses.replace(
         drawn, generation=request.generation, moving=request.moving, probe=request.probe
     )
-
-
-def _illuminants(scene: Scene) -> tuple[str, ...]:
-    """Return texts that identify the spectra of a scene's lights, including those of an environment and its sun."""
-    named = () if scene.light is None else (str(dict(scene.light.options).get("illuminant", "D65")),)
-    # The spectra of an environment depend on its file. Those of a clear sky do not depend on the position of the sun.
-    paths = () if scene.sky is None else (operand for operand in scene.sky.operands if isinstance(operand, str))
-    return named if scene.sky is None else (*named, scene.sky.function, *paths)
 
 
 def _is_released(session: Session, request: PageRequest) -> bool:

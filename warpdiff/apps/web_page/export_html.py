@@ -1,4 +1,8 @@
-"""Function ``export_html``, which writes a web page that needs no server. The page shows a mesh with baked colours."""
+"""Function ``export_html``, which writes a web page that needs no server. The page shows a mesh with baked colours.
+
+The scattering vector (u, v, w) is −ωi − ωr for the unit vectors ωi to the light and ωr to the viewer, in the local
+frame.
+"""
 
 from __future__ import annotations
 
@@ -39,8 +43,8 @@ if TYPE_CHECKING:
     from warpdiff.request.settings import TangentRule
     from warpdiff.scene.mesh_import import Surface
 
-# Smallest distance of a point light from the centre of the mesh [radii of the mesh]. The distance is limited because
-# the shadow map of a light covers only what is in front of the light, so that the light must be outside of the mesh.
+# Smallest distance of a point light from the centre of the mesh, in radii of the mesh. The shadow map of a light covers
+# only the half-space in front of the light, so that the light must be outside of the mesh.
 _NEAREST = 1.1
 # Texels per side of the Cartesian grid over (u, v) to which the page resamples the lobes, and number of frames that it
 # averages while nothing moves. Both are limited: twice the texels per side require four times the graphics memory, and
@@ -49,7 +53,7 @@ _SIZE, _FRAMES = 1024, 1024
 # Number of wavelengths over which a page sums the zeroth order. The number is limited because a page allows 64 texture
 # fetches per fragment, of which the look-up of the lobes needs most.
 _WAVELENGTHS = 10
-# Number of samples of the zeroth order's power over |w|, between which the page interpolates linearly.
+# Number of values of |w| at which the page has the power of the zeroth order; it interpolates linearly between them.
 _ENTRIES_OF_W = 512
 # Largest number of lights of a page. The number is limited because the page renders the mesh and a shadow map for every
 # light in every frame.

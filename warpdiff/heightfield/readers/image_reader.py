@@ -12,7 +12,8 @@ from warpdiff.heightfield.readers.reader_registry import FileContent, refusal, r
 if TYPE_CHECKING:
     from pathlib import Path
 
-# Measured peak memory while an image is read [bytes per sample]. If doubled, images that fit into memory are refused.
+# Measured peak memory while an image is read [bytes per sample]. Images that need more than the free memory are
+# refused. If doubled, images are refused that would fit into memory.
 _BYTES_PER_SAMPLE = 28.0
 
 
@@ -36,6 +37,11 @@ _OTHER_FORMAT = (
 )  # fmt: skip
 def read_image(file: Path) -> FileContent:
     """Read a grey image without a conversion of its samples."""
+    return FileContent(image_samples(file))
+
+
+def image_samples(file: Path) -> np.ndarray:
+    """Return the samples of a grey image as the file has them, shape (rows, columns)."""
     with openimageio.in_use() as oiio:
         # Files in the format PFM store the bottom row first. This attribute makes OpenImageIO return the top row first;
         # for other formats, OpenImageIO ignores the attribute.
@@ -48,7 +54,7 @@ def read_image(file: Path) -> FileContent:
             reason = _unknown(openimageio.error_text(oiio))
             raise refusal(file, reason if file.suffix.lower() in _SUFFIXES else _OTHER_FORMAT)
         try:
-            return FileContent(_samples_of(image, file))
+            return _samples_of(image, file)
         finally:
             image.close()
 
@@ -59,7 +65,7 @@ def _unknown(reason: str) -> str:
 
 
 def _samples_of(image: Any, file: Path) -> np.ndarray:
-    """Return the samples of an open image file; refuse a file that is not one grey image."""
+    """Return the samples of an open image file; raise an error if the file has several images or several channels."""
     spec = image.spec()
     channels = spec.nchannels
     if channels != 1:

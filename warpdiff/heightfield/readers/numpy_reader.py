@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
     from warpdiff.core.wording import ArgumentValueError
 
-# Measured peak memory while an array is read [bytes per sample]. If doubled, files that fit into memory are refused.
+# Measured peak memory while an array is read [bytes per sample]. Files that need more than the free memory are refused.
+# If doubled, files are refused that would fit into memory.
 _BYTES_PER_SAMPLE = 28.0
 
 

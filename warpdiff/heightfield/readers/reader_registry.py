@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Rows = Literal["down", "up"]
-# Width or height of a field above which a file is refused [µm]: 1 m, larger than the field of any instrument. Readers
-# that confuse units return such sizes. If doubled, wrong sizes are accepted if the factor between the units is small.
+# Width or height of a field above which a file is refused [µm]: 1 m, larger than the field of any instrument. A reader
+# that confuses the units of a file returns such sizes. If doubled, a few more of these wrong sizes are accepted.
 _MOST_EXTENT_UM = 1e6
-# Largest relative difference between the pitch that a file states and the pitch that the caller states. Small
-# differences are accepted, because headers are rounded; the pitch of the file is then used. If doubled, arguments are
-# ignored that contradict a file slightly more.
+# Largest accepted difference between the pitch that a file states and the pitch that the caller states, relative to the
+# pitch. Small differences are accepted, because the numbers in a file are rounded; the pitch of the file is then used.
+# If doubled, an argument that contradicts the file by up to 0.2 % is ignored without an error.
 _MOST_DIFFERENCE = 1e-3
 
 
@@ -102,7 +102,7 @@ class Source(NamedTuple):
         rows: Orientation: ``"down"`` if row 0 of the file is at y = 0, ``"up"`` if row 0 is the top of the picture.
         metadata: Facts about instrument and measurement that the file states, as text by name.
         stated: Arguments by which the caller stated size, unit, channel or orientation, as text by name.
-        clipped: Share of integer samples with the smallest or the largest value of their type; 0 for floating-point
+        clipped: Fraction of integer samples with the smallest or the largest value of their type; 0 for floating-point
             samples.
     """
 
@@ -158,8 +158,8 @@ def registered() -> tuple[RegisteredReader, ...]:
 def reader_of(file: Path) -> RegisteredReader:
     """Return the reader of a file, by its suffix and content."""
     own = _readers.get(file.suffix.lower(), ())[::-1]
-    # Readers that were registered later are tried first. The text reader, for example, is registered early. It would
-    # accept some binary files of instruments, because they begin with a text header.
+    # Readers that were registered later are tried first. The text reader, for example, is registered before the
+    # readers of instruments' files. It would accept some of these binary files, because they begin with a text.
     known = (*own, *(entry for entry in registered()[::-1] if entry not in own and entry.recognises))
     with files.naming_file(file):
         for entry in known:
@@ -291,7 +291,7 @@ def _factor(content: FileContent, file: Path, unit: str | None) -> float:
 
 
 def clipped_share(samples: NDArray[Any]) -> float:
-    """Return the share of integer samples with the smallest or largest value of their type; 0 for other samples."""
+    """Return the fraction of integer samples with the smallest or largest value of their type; 0 for other samples."""
     if samples.dtype.kind != "u" or not samples.size:
         return 0.0
     is_extreme = (samples == 0) | (samples == np.iinfo(samples.dtype).max)

@@ -21,9 +21,9 @@ _MOST_ASPECT = 50.0
 # Largest relative difference between the size that a header states and the product of the stated number of samples and
 # pitch. If doubled, more contradictions are accepted.
 _MOST_RATIO = 0.01
-# Codes of missing samples may be limits of number types, which programs round. A code whose absolute value is above the
-# first number is therefore compared with a tolerance, and the second number is this relative tolerance. The first
-# number is limited by real heights, which are smaller in any unit.
+# Codes of missing samples may be limits of number types, such as the largest float32, which programs round. A sample
+# equals a code above `_LEAST_ROUNDED_CODE` in magnitude if they differ by at most `_MOST_CODE_DIFFERENCE`, relative to
+# the code. Smaller codes must be equal exactly. Real heights are far below `_LEAST_ROUNDED_CODE` in any unit.
 _LEAST_ROUNDED_CODE, _MOST_CODE_DIFFERENCE = 1e30, 1e-5
 
 
@@ -101,7 +101,7 @@ class Facts:
         return next(line for _, length, line in self._stated[name] if length == getattr(self, name))
 
     def merge(self, first: Facts) -> None:
-        """Take the facts that this header does not state from the facts of the file's first header."""
+        """Copy each fact that this header does not state from ``first``, the facts of the first header of the file."""
         if not self.has_scale and not self.unclear_size:
             for name in (
                 "size_x",

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 # Number of the line, counted from 1, in which a Zygo XYZ file states the size of a pixel.
 _ZYGO_LINES = 8
-# Share of the positions of a grid that must have a point, at least, so that points x, y, z count as a grid. A hexagonal
-# arrangement fills one half of the positions and is no grid.
+# Points x, y, z count as a grid only if more than this fraction of all positions of the grid have a point. The points
+# of a hexagonal arrangement are on one half of the positions of a grid, and must not be taken for a grid.
 _MOST_EMPTY = 0.5
 
 # Even grid of points: for x and then for y, the coordinates of all columns or rows of the grid, and the distance
@@ -104,7 +104,8 @@ def of_points(file: Path, block: Block, form: Form, facts: Facts, zygo: float | 
 def _unit_z(heading: float | None, facts: Facts) -> tuple[float | None, str]:
     """Return the unit of heights [µm] from the column's heading or the header, and the reason if there is none."""
     others = [line for unit, line in facts.units.items() if unit != heading]
-    # A header may state one unit of all columns and the heading of the heights another one. This is no contradiction.
+    # The header may state one unit for all columns, and the heading of the column of heights another unit. The unit in
+    # the heading then counts, and the two units do not contradict each other.
     if heading is None or (facts.global_unit is not None and len(facts.units) <= 2):
         return heading or facts.unit, facts.why_no_unit
     return (None, f"{others[0]} contradicts the heading of the heights") if others else (heading, "")

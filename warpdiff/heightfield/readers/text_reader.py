@@ -26,15 +26,15 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.readers.text_facts import Facts
     from warpdiff.heightfield.readers.text_table import Block, Form
 
-# Measured peak memory while a text is read, per byte of a text with numbers of one digit. If doubled, texts that fit
-# into memory are refused.
+# Measured peak memory [bytes] while a text is read, per byte of a text whose numbers have one digit each. If doubled,
+# texts that fit into memory are refused.
 _BYTES_PER_LETTER = 18.0
 # Largest number of rows for which three columns of numbers, without a header, are read as a matrix. If there are more
 # rows, the numbers are probably points x, y, z or a list, and not a scan that is three samples wide.
 _MOST_NARROW_ROWS = 9
-# Least number of rows or columns of a matrix from which its first column or row may count as indices or positions
-# instead of heights. A matrix with positions in both is refused. If halved, more small matrices are refused because
-# their heights have even steps by chance.
+# The first column or row of a matrix may contain indices or positions instead of heights. This is tested only if the
+# matrix has about this number of rows or columns, or more. If halved, more small matrices are refused, because their
+# heights have equal steps by chance.
 _LEAST_NUMBERED = 4
 
 
@@ -63,8 +63,8 @@ def read_text(file: Path) -> FileContent | Channels:
     same = _equal_blocks(file, blocks)
     facts = [_facts_of(block, form, signs, blocks[0].header) for block in same]
     _check_signs(file, use, form.decimal, facts[0])
-    # A text may have several matrices as channels. Those whose unit is a length come first, because the first channel
-    # is the default.
+    # A text may have several matrices as channels. Matrices whose numbers have a unit of length come first, because the
+    # first channel is the default channel.
     order = sorted(range(len(same)), key=lambda k: bool(facts[k].not_length) and facts[k].unit is None)
     channels: dict[str, Callable[[], FileContent]] = {}
     for k in order:
@@ -105,7 +105,7 @@ def _facts_of(block: Block, form: Form, signs: Signs, first_header: list[str]) -
 
 
 def _check_signs(file: Path, use: str, sign: str, facts: Facts) -> None:
-    """Raise an error if the comma or point in the numbers may be a decimal sign, but also separate thousands.
+    """Raise an error if the comma or point in the numbers may be a decimal sign, but may also separate thousands.
 
     If all numbers have this sign, it is a decimal sign unless a number of the header has the other decimal sign.
     """

@@ -1,0 +1,201 @@
+"""Dots of grating maps: scattering vectors, directions to the light and footprints in the frame of each dot's cell.
+
+A dot whose cell is turned by φ, with heights times d and lengths times p, has the power spectrum of the cell at
+(p R(−φ) (u, v), d w). Gains are those of the true directions and do not change.
+"""
+
+import warp as wp
+
+from warpdiff.kernels import compile_options, refinement_levels
+from warpdiff.kernels.footprints import LEAST_FACING
+from warpdiff.kernels.pixel_contrast import ACTIVE
+from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
+
+wp.set_module_options(compile_options.options("dot_transforms.h"))
+
+# Change of the signal of refinement from one dot to the next, in units of (u, v). Choice: any change far above the
+# largest |(u, v)|, which is 2, makes refinement compare the colours of two neighbouring dots in full.
+SIGNAL_OF_DOT = wp.constant(wp.float64(64.0))
+# Share of the pixel filter that lies beyond the neighbouring pixels on one side. Derived from the filter: a Gaussian
+# with a standard deviation of 0.5 pixel that is truncated at 1.5 pixels, beyond a distance of 1 pixel.
+SHARE_BEYOND_NEIGHBOURS = wp.constant(wp.float32(refinement_levels.share_beyond(1.0)))
+
+
+@wp.func_native(
+    f"warpdiff::find_dots(camera, mesh, pixels, rows, columns, across, {LEAST_FACING}f, begin, end, dots_out);"
+)
+def find_dots_run(
+    camera: Camera, mesh: SurfaceArrays, pixels: Pixels, rows: wp.int32, columns: wp.int32, across: wp.int32,
+    begin: wp.int32, end: wp.int32, dots_out: wp.array(dtype=wp.int32),
+):  # fmt: skip
+    """Find the dots of the hits from ``begin`` to ``end``."""
+
+
+@wp.kernel
+def find_dots(
+    camera: Camera, mesh: SurfaceArrays, pixels: Pixels, rows: wp.int32, columns: wp.int32, across: wp.int32,
+    first: wp.int32, run: wp.int32,
+    dots_out: wp.array(dtype=wp.int32),
+):  # fmt: skip
+    """Find the dot of each hit: its row times ``columns`` plus its column, or −1 without a hit.
+
+    A pixel has ``across`` cells per side. Each ray of a cell finds its dot at another position within the cell.
+    """
+    thread, _ = wp.tid()
+    begin = first + thread * run
+    find_dots_run(camera, mesh, pixels, rows, columns, across, begin, begin + run, dots_out)
+
+
+@wp.func
+def is_on_surface(
+    faces: wp.array(dtype=wp.int32), ray: wp.int32, surfaces: wp.array(dtype=wp.int32), surface: wp.int32
+):
+    """Return whether a ray hits a face of a surface. ``surfaces`` is empty if all faces have the same surface."""
+    if surfaces.shape[0] == 0:
+        return True
+    return surfaces[faces[ray]] == surface
+
+
+@wp.kernel
+def transform_samples(
+    transforms: wp.array(dtype=wp.vec4f), dots: wp.array(dtype=wp.int32), faces: wp.array(dtype=wp.int32),
+    surfaces: wp.array(dtype=wp.int32), surface: wp.int32, scattering_vectors: wp.array(dtype=wp.vec3d),
+    to_lights: wp.array(dtype=wp.vec3f), footprints: wp.array(dtype=Footprint), first: wp.int32, run: wp.int32,
+    scattering_vectors_out: wp.array(dtype=wp.vec3d), to_lights_out: wp.array(dtype=wp.vec3f),
+    footprints_out: wp.array(dtype=Footprint),
+):  # fmt: skip
+    """Transform the samples of hits on a surface with a grating map. Samples elsewhere become 0.
+
+    Args:
+        transforms: Transform of each dot: p cos φ, p sin φ, d, and the length of its directions to the light.
+        dots: Index of the dot of each ray; −1 without a hit.
+        faces: Face that each ray hits.
+        surfaces: Surface of each face; empty if all faces have the same surface.
+        surface: Index of the surface with the map.
+        scattering_vectors: (u, v, w) of the rays.
+        to_lights: Unit vectors to the light in the surface's frame.
+        footprints: Changes of (u, v) over one standard deviation of the filter, along rows and columns; or empty.
+        first: Index of the first thread's first ray.
+        run: Number of rays per thread.
+        scattering_vectors_out: (p R(−φ) (u, v), d w).
+        to_lights_out: Directions to the light, turned by −φ. Their length is the pitch scale relative to the smallest
+            one of the map.
+        footprints_out: Changes of p R(−φ) (u, v); not written if ``footprints`` is empty.
+    """
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        dot = wp.vec4f()
+        per_pitch = wp.float32(0.0)
+        if dots[i] >= 0:
+            if is_on_surface(faces, i, surfaces, surface):
+                dot = transforms[dots[i]]
+                per_pitch = dot[3] / wp.sqrt(dot[0] * dot[0] + dot[1] * dot[1])
+        vector = scattering_vectors[i]
+        x = wp.float64(dot[0])
+        y = wp.float64(dot[1])
+        scattering_vectors_out[i] = wp.vec3d(
+            x * vector[0] + y * vector[1], x * vector[1] - y * vector[0], wp.float64(dot[2]) * vector[2]
+        )
+        light = to_lights[i]
+        cosine = per_pitch * dot[0]
+        sine = per_pitch * dot[1]
+        to_lights_out[i] = wp.vec3f(
+            cosine * light[0] + sine * light[1], cosine * light[1] - sine * light[0], dot[3] * light[2]
+        )
+        if footprints.shape[0] > 0:
+            change = footprints[i]
+            footprints_out[i] = Footprint(
+                dot[0] * change[0] + dot[1] * change[1], dot[0] * change[1] - dot[1] * change[0],
+                dot[0] * change[2] + dot[1] * change[3], dot[0] * change[3] - dot[1] * change[2],
+            )  # fmt: skip
+
+
+@wp.kernel
+def scale_gains(
+    ratios: wp.array(dtype=wp.float32), scattering_vectors: wp.array(dtype=wp.vec3d),
+    gains: wp.array(dtype=wp.float32), first: wp.int32, run: wp.int32,
+    gains_out: wp.array(dtype=wp.float32),
+):  # fmt: skip
+    """Multiply gains by a function of cos θd = |(u, v, w)|/2, which is tabulated from 0 to 1."""
+    thread, _ = wp.tid()
+    last = ratios.shape[0] - 1
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        place = wp.min(0.5 * wp.float32(wp.length(scattering_vectors[i])), 1.0) * wp.float32(last)
+        entry = wp.min(wp.int32(place), last - 1)
+        t = place - wp.float32(entry)
+        gains_out[i] = gains[i] * ((1.0 - t) * ratios[entry] + t * ratios[entry + 1])
+
+
+@wp.kernel
+def signals_of_dots(
+    dots: wp.array(dtype=wp.int32), columns: wp.int32, faces: wp.array(dtype=wp.int32),
+    surfaces: wp.array(dtype=wp.int32), surface: wp.int32, scattering_vectors: wp.array(dtype=wp.vec3d),
+    begins: wp.bool, first: wp.int32, run: wp.int32,
+    signals_out: wp.array(dtype=wp.vec3d),
+):  # fmt: skip
+    """Copy scattering vectors, moved on a grating map by an amount that differs between neighbouring dots.
+
+    Refinement compares the results of neighbouring pixels. A large difference means that their colours need not change
+    evenly from one pixel to the next. The arguments are those of :func:`transform_samples`. If ``begins`` is false,
+    only the results of hits on the surface with the map are written.
+    """
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        has_dot = wp.bool(False)
+        if dots[i] >= 0:
+            has_dot = is_on_surface(faces, i, surfaces, surface)
+        if has_dot:
+            row = wp.float64(dots[i] // columns)
+            column = wp.float64(dots[i] % columns)
+            signals_out[i] = scattering_vectors[i] + SIGNAL_OF_DOT * wp.vec3d(column, row, wp.float64(0.0))
+        elif begins:
+            signals_out[i] = scattering_vectors[i]
+
+
+@wp.kernel
+def mark_edges_of_dots(
+    signals: wp.array(dtype=wp.vec3d), colours: wp.array(dtype=wp.vec3f), hit: wp.array(dtype=wp.int32),
+    width: wp.int32, floor: wp.array(dtype=wp.float32), bound: wp.float32, first: wp.int32, run: wp.int32,
+    errors_out: wp.array(dtype=wp.float32), marks_out: wp.array(dtype=wp.uint8),
+):  # fmt: skip
+    """Mark pixels to subdivide because of dots that ``pixel_contrast.estimate_errors`` does not find.
+
+    That kernel compares the colours of a pixel and of the eight pixels around it. The filter of a pixel extends half a
+    pixel further, which matters if a bright dot is there. If dots are smaller than pixels, some are between the rays of
+    neighbouring pixels. All pixels are subdivided there.
+
+    Args:
+        signals: Results of :func:`signals_of_dots`.
+        colours: Colours of the pixels of the picture, row by row.
+        hit: Whether the pixels hit the mesh.
+        width: Number of pixels per row.
+        floor: Lower limit of ‖XYZ‖ in the denominator of relative errors.
+        bound: Relative error above which pixels are subdivided.
+        first: Index of the first pixel of the first thread.
+        run: Number of pixels per thread.
+        errors_out: Estimated errors, which become at least the error by the dots two pixels away.
+        marks_out: ``ACTIVE`` is written for pixels to subdivide.
+    """
+    thread, _ = wp.tid()
+    height = hit.shape[0] // width
+    for pixel in range(first + thread * run, first + (thread + 1) * run):
+        if hit[pixel] == 0 or marks_out[pixel] != wp.uint8(0):
+            continue
+        row = pixel // width
+        column = pixel - row * width
+        contrast2 = wp.float32(0.0)
+        skips_dots = wp.bool(False)
+        for y in range(wp.max(row - 2, 0), wp.min(row + 3, height)):
+            for x in range(wp.max(column - 2, 0), wp.min(column + 3, width)):
+                other = y * width + x
+                if hit[other] != 0:
+                    moved = signals[other] - signals[pixel]
+                    if wp.length(moved) > wp.float64(0.5) * SIGNAL_OF_DOT:
+                        if wp.abs(y - row) + wp.abs(x - column) == 1:
+                            most = wp.max(wp.abs(moved[0]), wp.abs(moved[1]))
+                            skips_dots = skips_dots or most > wp.float64(1.5) * SIGNAL_OF_DOT
+                        contrast2 = wp.max(contrast2, wp.length_sq(colours[other] - colours[pixel]))
+        error = SHARE_BEYOND_NEIGHBOURS * wp.sqrt(contrast2)
+        errors_out[pixel] = wp.max(errors_out[pixel], error)
+        if skips_dots or error > bound * wp.max(wp.length(colours[pixel]), floor[0]):
+            marks_out[pixel] = ACTIVE

@@ -1,0 +1,124 @@
+"""Power spectrum on a polar grid in float64, colours as sums over its rings, and the transposes of both, for adjoints.
+
+The grid is in the frequency plane: t is the frequency [1/µm] along a radius, and a ring has equally spaced azimuth
+samples. The value at a ring is the integral of the spectrum under a quadratic B-spline in ln t. Each value is a series
+of Chebyshev polynomials in κ = w/λ, for the wavelength λ and the scattering vector (u, v, w). The adjoint of a quantity
+is the derivative of a scalar loss with respect to this quantity.
+
+One thread computes one azimuth, one Fourier coefficient, one direction or a few rings. No two threads write to the same
+element, so that results do not depend on the number of threads.
+"""
+
+import warp as wp
+
+from warpdiff.kernels import compile_options
+from warpdiff.kernels.lobe_sums import LobeTable
+
+OPTIONS = compile_options.options("polar_sums.h", max_unroll=1)
+# Number of rings of a block, whose rings have equally many azimuth samples. If doubled, inner rings of a block have up
+# to twice as many samples as they require.
+BLOCK_RINGS = 16
+# Number of consecutive rings that one thread of the transposed sum over rings processes. Each ring is processed by a
+# single thread.
+TOGETHER = 4
+# Largest number of terms of a series on a polar grid. The number is limited by the stack, which has the polynomials of
+# six rings.
+MOST_TERMS = 256
+
+
+@wp.struct
+class RingBlocks:
+    """Polar grid of the frequency plane, in blocks of ``BLOCK_RINGS`` rings with equally many azimuth samples."""
+
+    azimuths: wp.array(dtype=wp.int32)  # number of azimuth samples of a ring, for each block
+    starts: wp.array(dtype=wp.int32)  # first row of values of each block; rows are sorted by ring, then by azimuth
+    first_directions: wp.array(dtype=wp.int32)  # index of the block's first azimuth in ``directions``, for each block
+    divisions: wp.array(dtype=wp.int32)  # number of samples of the spectrum per ring, for each block
+    first_radii: wp.array(dtype=wp.int32)  # index of the block's first sample in ``radii``, for each block
+    block_of: wp.array(dtype=wp.int32)  # index of the block of each azimuth in ``directions``
+    is_used: wp.array(dtype=wp.bool)  # whether the spectrum is sampled at each azimuth in ``directions``
+    directions: wp.array(dtype=wp.vec2d)  # cosine and sine of each azimuth of each block
+    radii: wp.array(dtype=wp.float64)  # frequencies t at which the spectrum is sampled [1/µm], block by block
+    log_first: wp.float64  # ln t of the innermost ring
+    step: wp.float64  # difference of ln t between neighbouring rings
+    falloff: wp.float64  # factor a [µm²] of the weight exp(−a d²) of a coefficient at the distance d [1/µm]
+    excluded: wp.int32  # cell of the block of Fourier coefficients that is omitted from the sums; −1 if there is none
+
+
+@wp.struct
+class PolarPixels:
+    """Directions whose colours are sums over rings, sorted by their positions in ``places``."""
+
+    places: wp.array(dtype=wp.float64)  # position of the longest visible wavelength of each direction, in rings
+    turns: wp.array(dtype=wp.float64)  # azimuth of (u, v) of each direction [turns], 0 to 1
+    slopes: wp.array(dtype=wp.float64)  # |w|/|(u, v)| of each direction: the ratio of κ to the frequency t
+    gains: wp.array(dtype=wp.float64)
+    curves: wp.array3d(dtype=wp.float64)  # weights of rings: by the fractional part of ``places``, ring, and X, Y or Z
+    reflectances: wp.array2d(dtype=wp.float64)  # reflectance of each direction at its rings; if empty, it is 1
+    adjoints: wp.array2d(dtype=wp.float64)  # adjoints of XYZ of each direction, for the transposed sum
+    begins: wp.array(dtype=wp.int32)  # first direction that uses a ring of each group of ``TOGETHER`` rings
+    ends: wp.array(dtype=wp.int32)  # last direction that uses a ring of each group, plus one
+    least_kappa: wp.float64  # smallest κ of the Chebyshev series [1/µm]; ``places_per_kappa`` is 2 over their range
+    places_per_kappa: wp.float64
+
+
+@wp.func_native("warpdiff::sample_azimuth_rings(table, grid, direction, values_out);")
+def sample_azimuth_rings(
+    table: LobeTable, grid: RingBlocks, direction: wp.int32, values_out: wp.array2d(dtype=wp.float64)
+):
+    """Compute the spectrum at the rings of a block along one azimuth."""
+
+
+@wp.func_native("warpdiff::spread_rings(table, grid, values, cell, rows_out);")
+def spread_rings(
+    table: LobeTable, grid: RingBlocks, values: wp.array2d(dtype=wp.float64), cell: wp.int32,
+    rows_out: wp.array2d(dtype=wp.float64),
+):  # fmt: skip
+    """Add the contributions of all rings to the adjoint of one Fourier coefficient's series."""
+
+
+@wp.func_native("warpdiff::sum_rings(grid, values, pixels, pixel, xyz_out);")
+def sum_rings(
+    grid: RingBlocks, values: wp.array2d(dtype=wp.float64), pixels: PolarPixels, pixel: wp.int32,
+    xyz_out: wp.array2d(dtype=wp.float64),
+):  # fmt: skip
+    """Compute the colour of one direction as a sum over rings."""
+
+
+@wp.func_native("warpdiff::spread_pixels(grid, pixels, group, values_out);")
+def spread_pixels(grid: RingBlocks, pixels: PolarPixels, group: wp.int32, values_out: wp.array2d(dtype=wp.float64)):
+    """Add the contributions of all directions to the adjoints of a few rings."""
+
+
+@wp.kernel(module="unique", module_options=OPTIONS)
+def sample_spectrum_rings(
+    table: LobeTable, grid: RingBlocks, first: wp.int32, values_out: wp.array2d(dtype=wp.float64)
+):
+    """Compute the spectrum on all rings, one azimuth of a block per thread."""
+    sample_azimuth_rings(table, grid, first + wp.tid(), values_out)
+
+
+@wp.kernel(module="unique", module_options=OPTIONS)
+def spread_spectrum_rings(
+    table: LobeTable, grid: RingBlocks, values: wp.array2d(dtype=wp.float64), first: wp.int32,
+    rows_out: wp.array2d(dtype=wp.float64),
+):  # fmt: skip
+    """Add the adjoints of the spectrum on all rings to those of coefficients, one cell of the block per thread."""
+    spread_rings(table, grid, values, first + wp.tid(), rows_out)
+
+
+@wp.kernel(module="unique", module_options=OPTIONS)
+def sum_rings_of_pixels(
+    grid: RingBlocks, values: wp.array2d(dtype=wp.float64), pixels: PolarPixels, first: wp.int32,
+    xyz_out: wp.array2d(dtype=wp.float64),
+):  # fmt: skip
+    """Compute the colours of all directions as sums over rings."""
+    sum_rings(grid, values, pixels, first + wp.tid(), xyz_out)
+
+
+@wp.kernel(module="unique", module_options=OPTIONS)
+def spread_pixels_to_rings(
+    grid: RingBlocks, pixels: PolarPixels, first: wp.int32, values_out: wp.array2d(dtype=wp.float64)
+):
+    """Add the adjoints of the colours of directions to those of the rings that they sum, a few rings per thread."""
+    spread_pixels(grid, pixels, first + wp.tid(), values_out)

@@ -1,0 +1,98 @@
+"""Grating maps: values of dots from numbers, arrays and images, the reference field, and errors."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import warpdiff as wd
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+CELL = wd.gratings.sinusoidal(1.2, 0.15, samples=16)
+
+
+def test_values_are_numbers_or_arrays() -> None:
+    grating_map = wd.GratingMap(CELL, turn_deg=[[0.0, 30.0], [60.0, 90.0]], depth_scale=0.5)
+    assert grating_map.shape == (2, 2)
+    assert grating_map.dot(1, 0) == (60.0, 0.5, 1.0)
+    assert not grating_map.turn_deg.flags.writeable
+    assert wd.GratingMap(CELL).shape == (1, 1)
+
+
+def test_transforms_are_relative_to_the_largest_scales() -> None:
+    grating_map = wd.GratingMap(CELL, turn_deg=[[0.0, 90.0]], depth_scale=[[0.5, 2.0]], pitch_scale=[[0.75, 1.5]])
+    np.testing.assert_allclose(grating_map.transforms[0, 0], [0.5, 0.0, 0.25, 1.0], atol=1e-7)
+    np.testing.assert_allclose(grating_map.transforms[0, 1], [0.0, 1.0, 1.0, 2.0], atol=1e-7)
+    reference = grating_map.reference
+    assert reference.height_range_um == pytest.approx(2.0 * CELL.height_range_um)
+    assert reference.pitch_um == pytest.approx((1.5 * CELL.pitch_um[0], 1.5 * CELL.pitch_um[1]))
+    # The table resolves a source that is smaller by the ratio of the pitch scales.
+    source = wd.Coherence("source", angular_diameter_deg=1.0)
+    assert grating_map.table_coherence(source).angular_diameter_deg == pytest.approx(0.5)
+    assert grating_map.table_coherence(wd.Coherence()) == wd.Coherence()
+
+
+def test_a_map_of_turns_alone_uses_the_tables_of_its_cell() -> None:
+    assert wd.GratingMap(CELL, turn_deg=[[0.0, 30.0]]).reference is CELL
+
+
+def test_images_are_linear_between_black_and_white(tmp_path: Path) -> None:
+    grey = np.array([[0, 51], [204, 255]], dtype=np.uint8)
+    Image.fromarray(grey).save(tmp_path / "grey.png")
+    Image.fromarray((grey * np.uint16(257)).astype(np.uint16)).save(tmp_path / "grey16.png")
+    for name in ("grey.png", "grey16.png"):
+        path = tmp_path / name
+        grating_map = wd.GratingMap(CELL, turn_deg=path, depth_scale=str(path), pitch_scale=(path, 1.5, 0.5))
+        np.testing.assert_allclose(grating_map.turn_deg, [[0.0, 36.0], [144.0, 180.0]])
+        np.testing.assert_allclose(grating_map.depth_scale, [[0.0, 0.2], [0.8, 1.0]])
+        np.testing.assert_allclose(grating_map.pitch_scale, [[1.5, 1.3], [0.7, 0.5]])
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"turn_deg": [[0.0, np.nan]]}, "turn_deg must be finite, got 1 NaN"),
+        ({"turn_deg": [0.0, 1.0]}, r"turn_deg must be one number, or have shape \(rows, columns\).*got shape \(2,\)"),
+        ({"turn_deg": np.zeros((0, 3))}, "at least one dot"),
+        ({"depth_scale": [[1.0, -0.5]]}, "depth_scale must be at least 0 and at most 1000, got -0.5 at 1 of 2 dots"),
+        ({"pitch_scale": [[1.0, 0.0]]}, "pitch_scale must be more than 0 and at most 1000, got 0 at 1 of 2 dots"),
+        ({"pitch_scale": [[1.0, 5.0]]}, "at most 4 times the smallest one, got 1 to 5: split the map"),
+        ({"turn_deg": np.zeros((2, 3)), "depth_scale": np.ones((3, 2))}, r"same shape .*\(2, 3\).*\(3, 2\): resample"),
+        ({"pitch_scale": "pitch.png"}, "pitch_scale must state the values of black and white"),
+    ],
+)
+def test_bad_values_have_one_clear_error(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        wd.GratingMap(CELL, **values)
+
+
+def test_bad_images_have_one_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="turn_deg: there is no file"):
+        wd.GratingMap(CELL, turn_deg=tmp_path / "missing.png")
+    with pytest.raises(TypeError, match="must be \\(path, black, white\\)"):
+        wd.GratingMap(CELL, turn_deg=("grey.png", 0.0))
+    Image.fromarray(np.zeros((2, 2, 3), np.uint8)).save(tmp_path / "colour.png")
+    with pytest.raises(ValueError, match=r"turn_deg: .*is a colour image"):
+        wd.GratingMap(CELL, turn_deg=tmp_path / "colour.png")
+
+
+def test_the_cell_must_be_a_periodic_height_field() -> None:
+    x = 0.05 * np.arange(100)
+    with pytest.raises(ValueError, match="cell must be periodic, but its opposite edges differ along x"):
+        wd.GratingMap(wd.HeightField(0.01 * x[None, :] ** 2, 0.05))
+    with pytest.raises(TypeError, match=r"cell must be a warpdiff\.HeightField, got str"):
+        wd.GratingMap("sine")  # type: ignore[arg-type]
+    gap = np.array(CELL.heights_um)
+    gap[0, 3] = np.nan
+    with pytest.raises(ValueError, match="cell must have all samples, but 1 of 16 are missing"):
+        wd.GratingMap(wd.HeightField(gap, CELL.pitch_um))
+
+
+@pytest.mark.parametrize("cell", [wd.gratings.blazed(2.0, 0.25), wd.gratings.lamellar(2.0, 0.2)])
+def test_gratings_with_walls_are_periodic(cell: wd.HeightField) -> None:
+    wd.GratingMap(cell)

@@ -1,0 +1,246 @@
+"""Designs: losses and exchanges against independent sums, limits of manufacture, seeds and refusals."""
+
+import math
+
+import numpy as np
+import pytest
+
+import warpdiff as wd
+from warpdiff.inverse_design.design_result import achieved_values
+from warpdiff.inverse_design.first_heights import first_heights
+from warpdiff.inverse_design.goal import Goal, lab
+from warpdiff.inverse_design.pixel_exchange import PixelExchange, coefficients_of, edge_moves
+from warpdiff.optics import colorimetry
+
+MIRROR = {"ior": math.inf}
+UP = (0.0, 0.0, 1.0)
+ORDERS = [(0, m) for m in (-1, 0, 1)]
+GREEN, RED = (0.275, 0.55, 0.092), (0.463, 0.25, 0.034)
+
+
+def colours(**options):
+    return [
+        wd.Target.colour(GREEN, UP, wd.direction(20.0), **MIRROR, **options),
+        wd.Target.colour(RED, UP, wd.direction(35.0), **MIRROR, **options),
+    ]
+
+
+def pixels(count=24, pixel_um=0.4, samples=2):
+    return wd.profiles.Pixels(pixel_um, np.zeros((1, count)), samples=samples)
+
+
+def heights(shape, levels=4, depth=0.24, seed=1):
+    return np.random.default_rng(seed).integers(0, levels, shape), depth
+
+
+def test_lab_is_that_of_colour_science_with_its_derivatives():
+    import colour
+
+    rng = np.random.default_rng(0)
+    xyz = np.concatenate([rng.uniform(0.02, 1.2, (20, 3)), rng.uniform(0.0, 0.008, (5, 3))])
+    white = colour.XYZ_to_xy(colorimetry.colour_products("D65").sum(axis=0))
+    labs, slopes = lab(xyz)
+    np.testing.assert_allclose(labs, colour.XYZ_to_Lab(xyz, white), atol=0.02)
+    step = 1e-7
+    for axis in range(3):
+        moved = lab(xyz + step * np.eye(3)[axis])[0]
+        np.testing.assert_allclose((moved - labs) / step, slopes[..., axis], rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["colour", "orders", "equal", "both"])
+def test_gradient_of_the_loss_is_that_of_differences(kind):
+    wanted = {
+        "colour": colours(coherence=wd.Coherence(sigma_um=3.0)),
+        "orders": [wd.Target.orders({(0, 1): 0.3, (0, 0): 0.1}, UP, 550.0, **MIRROR, energy="stam")],
+        "equal": [wd.Target.equal(ORDERS, UP, 632.8, **MIRROR)],
+    }
+    targets = wanted.get(kind) or wanted["colour"] + wanted["equal"]
+    profile, rng = pixels(12), np.random.default_rng(2)
+    z = np.append(rng.uniform(0.0, 0.2, 12), 1.2 if kind in ("colour", "both") else 0.0)
+    function = Goal(targets).objective(profile)
+    _, gradient = function(z)
+    for k in (0, 5, 11, *([12] if kind in ("colour", "both") else [])):
+        step = 1e-6 * np.eye(13)[k]
+        slope = (function(z + step)[0] - function(z - step)[0]) / 2e-6
+        np.testing.assert_allclose(gradient[k], slope, rtol=2e-5, atol=1e-4 * np.abs(gradient).max())
+
+
+@pytest.mark.parametrize("shape", [(1, 24), (6, 8)])
+def test_exchange_computes_the_values_of_the_library(shape):
+    """Coefficients of pixels as explicit sums equal reflectance() and order_efficiencies()."""
+    profile = wd.profiles.Pixels(0.5, np.zeros(shape), samples=3)
+    narrow = wd.Coherence(sigma_um=2.0)
+    targets = [
+        *colours(coherence=narrow),
+        wd.Target.equal(ORDERS, wd.direction(10.0), 550.0, material=wd.Material.metal("Al")),
+    ]
+    levels, depth = heights(shape)
+    surface = profile.surface((depth * levels / 3).ravel())
+    goal = Goal(targets)
+    goal.update_factors(surface)
+    exchange = PixelExchange(goal, profile, 4)
+    powers = np.abs((exchange.by_level(levels) * exchange._phases(depth)).sum(axis=1)) ** 2
+    xyz, orders = exchange.values(powers)
+    expected = achieved_values(surface, targets)
+    np.testing.assert_allclose(xyz, expected[:2], rtol=5e-3, atol=5e-3 * np.max(expected[:2]))
+    np.testing.assert_allclose(orders, expected[2], rtol=1e-6, atol=1e-9)
+
+
+def test_exchange_never_raises_the_loss_and_keeps_runs():
+    profile = pixels(24, samples=1)
+    goal = Goal([wd.Target.equal(ORDERS, UP, 632.8, **MIRROR, energy="stam")])
+    exchange = PixelExchange(goal, profile, 2)
+    levels = np.repeat([[0, 1, 0, 1, 1, 0]], 4, axis=1)
+    rng = np.random.default_rng(0)
+
+    def loss(index, depth):
+        return float(goal.costs(goal.values(profile.surface((depth * index / 1.0).ravel()))[0], 0.0))
+
+    better, depth, _ = exchange.run(levels, 0.0, (0.1, 0.2), rng, edge_moves(3))
+    first = min(loss(levels, each) for each in np.linspace(0.1, 0.2, 21))
+    assert loss(better, depth) < first - 1.0
+    row = np.roll(better[0], -int(np.flatnonzero(np.diff(better[0]))[0]) - 1)
+    runs = np.diff(np.flatnonzero(np.append(True, np.append(np.diff(row) != 0, True))))
+    assert runs.min() >= 3
+    assert loss(exchange.run(better, 0.0, (depth, depth), rng)[0], depth) <= loss(better, depth) + 1e-9
+
+
+def test_edges_move_only_between_runs_that_remain_long_enough():
+    allowed = edge_moves(2)
+    levels = np.array([[0, 0, 0, 1, 1, 2, 2, 2]])
+    expected = [[2], [], [1], [], [], [1], [], [0]]
+    assert [allowed(levels, 0, i) for i in range(8)] == expected
+    assert allowed(np.zeros((1, 4), dtype=int), 0, 1) == []
+
+
+def test_splitter_meets_its_limits_and_repeats():
+    target = wd.Target.equal(ORDERS, UP, 632.8, **MIRROR)
+    result = wd.design(pixels(), target, levels=4, depth_um=(0.15, 0.3), least_feature_um=0.8, starts=2, seed=3)
+    assert result.uniformity_errors[0] < 0.05
+    assert result.shares[0] > 0.65  # twelve features scatter the rest into other orders
+    assert 0.15 <= result.levels_um[-1] <= 0.3
+    np.testing.assert_allclose(np.diff(result.levels_um), result.levels_um[-1] / 3)
+    assert set(np.round(result.heightfield.heights_um.ravel(), 9)) <= set(np.round(result.levels_um, 9))
+    # Each feature is at least 0.8 µm wide, 4 samples.
+    row = result.heightfield.heights_um[0]
+    row = np.roll(row, -int(np.flatnonzero(np.diff(row))[0]) - 1)
+    assert np.diff(np.flatnonzero(np.append(True, np.append(np.diff(row) != 0, True)))).min() >= 4
+    again = wd.design(pixels(), [target], levels=4, depth_um=(0.15, 0.3), least_feature_um=0.8, starts=2, seed=3)
+    np.testing.assert_array_equal(result.heightfield.heights_um, again.heightfield.heights_um)
+    plain = wd.order_efficiencies(result.heightfield, UP, 632.8, **MIRROR)
+    np.testing.assert_allclose(result.achieved["achieved"], [plain[pair][0] for pair in ORDERS])
+    table = result.robustness(depth_scales=[0.9], edge_widths_um=[0.2], tilts_deg=[1.0])
+    assert table["change"].tolist() == ["none", "depth", "edges", "tilt"]
+    deeper = wd.HeightField.of_known_scale(0.9 * result.heightfield.heights_um, result.heightfield.pitch_um)
+    scaled = wd.order_efficiencies(deeper, UP, 632.8, **MIRROR)
+    values = np.array([scaled[pair][0] for pair in ORDERS])
+    np.testing.assert_allclose(table["order_error"][1], np.abs(values / values.mean() - 1.0).max())
+    assert np.all(table["order_error"][1:] > table["order_error"][0])
+    assert "delta_e" not in table.columns
+    assert "share of the reflected power" in result.report()
+
+
+def test_colours_have_one_exposure():
+    profile = wd.profiles.Pixels(0.25, np.zeros((1, 64)), samples=2)
+    result = wd.design(profile, colours(coherence=wd.Coherence(sigma_um=8.0)), starts=2)
+    assert result.delta_e.max() < 1.5
+    shown = [
+        wd.reflectance(result.heightfield, UP, wd.direction(angle), coherence=wd.Coherence(sigma_um=8.0), **MIRROR,
+                       tolerance=1e-4)
+        for angle in (20.0, 35.0)
+    ]  # fmt: skip
+    differences = colorimetry.colour_difference(result.exposure * np.array(shown), np.array([GREEN, RED]))
+    np.testing.assert_allclose(differences, result.delta_e, atol=0.01)
+    for factor in (0.997, 1.003):
+        other = colorimetry.colour_difference(factor * result.exposure * np.array(shown), np.array([GREEN, RED]))
+        assert (other**2).sum() > (differences**2).sum()
+
+
+def test_outlines_are_designed_within_their_bounds():
+    profile = wd.profiles.Trapezoid(depth_um=0.1, duty=0.5, wall=0.02, period_um=2.0)
+    target = wd.Target.orders({(0, 0): 0.0, (0, 1): 0.4, (0, -1): 0.4}, UP, 550.0, **MIRROR)
+    result = wd.design(profile, target, starts=2)
+    low, high = profile.bounds.T
+    assert np.all((result.parameters >= low) & (result.parameters <= high))
+    assert np.abs(result.achieved["error"]).max() < 0.03
+    assert repr(result).startswith("Design(Trapezoid, depth 0.1")
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"levels": 1}, ValueError, "levels must be an integer, at least 2"),
+        ({"depth_um": (0.3, 0.2)}, ValueError, "depth_um must be a range from a smaller to a larger depth"),
+        ({"depth_um": 0.0}, ValueError, "depth_um must be a finite number, more than 0"),
+        ({"least_feature_um": 0.3}, ValueError, "least_feature_um must be at least the size of a pixel, 0.4 µm"),
+        ({"least_feature_um": 2.0}, ValueError, "least_feature_um is 5 pixels, which must divide"),
+        ({"starts": 0}, ValueError, "starts must be an integer, at least 1"),
+        ({"targets": []}, ValueError, "targets must have at least one target"),
+        ({"targets": ["green"]}, TypeError, r"targets\[0\] must be a warpdiff.Target, got str"),
+        ({"targets": [wd.Target.equal([(0, 40)], UP, 550.0)]}, ValueError, r"orders that propagate, got \(0, 40\)"),
+        ({"targets": [wd.Target.equal([(1, 0)], UP, 550.0)]}, ValueError, "order 0 along a constant axis"),
+        ({"profile": wd.profiles.Trapezoid(0.1, 0.5, 0.02, 2.0), "levels": 2}, ValueError, "only Pixels have levels"),
+    ],
+)  # fmt: skip
+def test_refused_before_the_search(options, error, message):
+    arguments = {"profile": pixels(), "targets": [wd.Target.equal(ORDERS, UP, 550.0)]} | options
+    profile, targets = arguments.pop("profile"), arguments.pop("targets")
+    with pytest.raises(error, match=message):
+        wd.design(profile, targets, **arguments)
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "message"),
+    [
+        (lambda: wd.Target.colour((0.1, 0.2, -0.1), UP, UP), ValueError, "xyz must be positive"),
+        (lambda: wd.Target.colour(GREEN, UP, (1, 0, -1)), ValueError, "to_view must be one direction"),
+        (lambda: wd.Target.colour(GREEN, [UP, UP], UP), ValueError, "to_light must be one direction"),
+        (lambda: wd.Target.colour(GREEN, UP, UP, coherence=wd.Coherence("centred")), ValueError, "or a source"),
+        (lambda: wd.Target.orders([0.3], UP, 550.0), TypeError, "efficiencies must be a dictionary"),
+        (lambda: wd.Target.orders({(0, 1): 0.3}, UP, 550.0), ValueError, "add up to more than 0 and at most 0.04"),
+        (lambda: wd.Target.orders({(0, 0.5): 0.01}, UP, 550.0), ValueError, "efficiencies must be 1 to 100000 pairs"),
+        (lambda: wd.Target.equal([(0, 1), (0, 1)], UP, 550.0), ValueError, "orders must be different orders"),
+        (lambda: wd.Target.equal([], UP, 550.0), ValueError, "orders must be 1 to 100000 pairs"),
+        (lambda: wd.Target.equal(ORDERS, UP, 550.0, energy="no"), ValueError, "energy must be one of"),
+    ],
+)  # fmt: skip
+def test_refused_targets(make, error, message):
+    with pytest.raises(error, match=message):
+        make()
+
+
+def test_coefficients_beyond_the_pixels_repeat_with_samples():
+    """Powers of a random field by explicit Fourier sums over samples."""
+    profile = wd.profiles.Pixels(0.3, np.zeros((4, 6)), samples=2)
+    levels, depth = heights((4, 6))
+    surface = profile.surface((depth * levels / 3).ravel())
+    target = wd.Target.equal([(1, -2), (0, 1)], wd.direction(15.0, 40.0), 450.0, **MIRROR, energy="stam")
+    part = coefficients_of([target], np.ones(2), surface)
+    exchange = PixelExchange(Goal([target]), profile, 4)
+    amplitudes = (exchange.by_level(levels) * exchange._phases(depth)).sum(axis=1)
+    for (s, r), kappa, amplitude in zip(part.orders, part.kappas, amplitudes, strict=True):
+        direct = np.fft.ifft2(np.exp(-2j * np.pi * kappa * surface.heights_um))[s, r]
+        np.testing.assert_allclose(amplitude, direct, atol=1e-12)
+
+
+def test_fourier_starts_have_the_orders_of_the_target():
+    """Orders on one side of the normal, so that a mirrored start is wrong."""
+    profile = wd.profiles.Pixels(0.4, np.zeros((8, 30)), samples=2)
+    pairs = [(1, 1), (0, 3)]
+    target = wd.Target.equal(pairs, UP, 632.8, **MIRROR)
+    for seed in range(3):
+        first = first_heights(profile, [target], target.cycle_um, np.random.default_rng(seed))
+        orders = wd.order_efficiencies(profile.height_field(first), UP, 632.8, **MIRROR)
+        assert min(orders[pair][0] for pair in pairs) > 0.2
+        assert max(orders[-y, -x][0] for y, x in pairs) < 0.1
+
+
+def test_least_features_hold_after_the_exchange():
+    """Binary pixels that gain from single pixels, unless the least feature forbids them."""
+    profile = wd.profiles.Pixels(0.2, np.zeros((1, 48)), samples=1)
+    target = wd.Target.equal([(0, m) for m in range(-3, 4)], UP, 632.8, **MIRROR, energy="stam")
+    for seed in range(2):
+        result = wd.design(profile, target, levels=2, least_feature_um=0.8, starts=1, seed=seed)
+        row = result.parameters
+        row = np.roll(row, -int(np.flatnonzero(np.diff(row))[0]) - 1)
+        assert np.diff(np.flatnonzero(np.append(True, np.append(np.diff(row) != 0, True)))).min() >= 4

@@ -1,0 +1,107 @@
+"""Dots at hits and their transforms, against NumPy."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import warp as wp
+
+from warpdiff.device.kernel_calls import KernelCall, launch_pipeline
+from warpdiff.kernels import dot_transforms
+from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
+
+ROWS, COLUMNS = 3, 5
+
+
+def _scene(rays: int, rng: np.random.Generator) -> tuple[Camera, SurfaceArrays, Pixels, np.ndarray]:
+    """Return a camera above a triangle with linear texture coordinates, hits on it, and the coordinates of the hits."""
+    mesh, pixels, camera = SurfaceArrays(), Pixels(), Camera()
+    corners = np.array([[-3.0, -3.0, 0.0], [5.0, -3.0, 0.0], [-3.0, 5.0, 0.0]], dtype=np.float32)
+    mesh.positions = wp.array(corners, dtype=wp.vec3f, device="cpu")
+    mesh.faces = wp.array(np.array([[0, 1, 2]], dtype=np.int32), dtype=wp.int32, device="cpu")
+    # The texture coordinates of a point (x, y) are (x, y).
+    mesh.uvs = wp.array(corners[:, :2].copy(), dtype=wp.vec2f, device="cpu")
+    place = rng.dirichlet(np.ones(3), rays)
+    hit = np.ones(rays, dtype=np.int32)
+    hit[3::7] = 0
+    pixels.hit = wp.array(hit, dtype=wp.int32, device="cpu")
+    pixels.face = wp.array(hit - 1, dtype=wp.int32, device="cpu")
+    pixels.place = wp.array(place[:, :2].astype(np.float32), dtype=wp.vec2f, device="cpu")
+    pixels.to_view = wp.array(np.tile([0.0, 0.0, 1.0], (rays, 1)).astype(np.float32), dtype=wp.vec3f, device="cpu")
+    # An orthographic camera whose pixels are 0.5 wide and 0.25 high.
+    axes = [[0.0, 0.0, 10.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [2.0, 1.0, 0.0]]
+    camera.axes = wp.array(np.array(axes), dtype=wp.vec3d, device="cpu")
+    camera.orthographic, camera.width, camera.height = True, 8, 8
+    return camera, mesh, pixels, place @ corners[:, :2]
+
+
+def _dots(uv: np.ndarray) -> np.ndarray:
+    column = np.floor((uv[:, 0] % 1.0) * COLUMNS)
+    row = ROWS - 1 - np.floor((uv[:, 1] % 1.0) * ROWS)
+    return (row * COLUMNS + column).astype(int)
+
+
+def test_dots_at_hits_repeat_and_row_0_is_on_top(rng: np.random.Generator) -> None:
+    rays = 500
+    camera, mesh, pixels, uv = _scene(rays, rng)
+    dots = wp.zeros(rays, dtype=wp.int32, device="cpu")
+    call = KernelCall(dot_transforms.find_dots, [camera, mesh, pixels, ROWS, COLUMNS, 1], [dots], in_runs=True)
+    launch_pipeline([call], rays, device=wp.get_device("cpu"), threads=1)
+    hit = pixels.hit.numpy() != 0
+    assert np.all(dots.numpy()[~hit] == -1)
+    # Points within the rounding error of an edge may be on either side.
+    away = np.min(np.abs((uv * [COLUMNS, ROWS]) % 1.0 - 0.5), axis=1) < 0.499
+    np.testing.assert_array_equal(dots.numpy()[hit & away], _dots(uv)[hit & away])
+
+
+def test_cells_look_up_dots_at_different_positions(rng: np.random.Generator) -> None:
+    """The cells of a pixel find the edge of a dot as well as 16 times as many cells would."""
+    across = 4
+    camera, mesh, pixels, _ = _scene(across**2, rng)
+    pixels.hit.fill_(1)
+    pixels.face.fill_(0)
+    centres = (np.arange(across) + 0.5) / across - 0.5
+    for edge in np.linspace(0.01, 0.49, 25):
+        # The left edge of the dot with u = 0 is at the share ``edge`` of a pixel with a width of 0.5.
+        x = np.tile(centres, across) * 0.5 + 0.25 - edge
+        y = 0.1 - np.repeat(centres, across) * 0.25 * 0.01
+        second, third = (x + 3.0) / 8.0, (y + 3.0) / 8.0
+        place = np.column_stack([1.0 - second - third, second]).astype(np.float32)
+        pixels.place = wp.array(place, dtype=wp.vec2f, device="cpu")
+        dots = wp.zeros(across**2, dtype=wp.int32, device="cpu")
+        call = KernelCall(dot_transforms.find_dots, [camera, mesh, pixels, 1, 1000, across], [dots], in_runs=True)
+        launch_pipeline([call], across**2, device=wp.get_device("cpu"), threads=1)
+        # Dots left of the edge have u < 0, and columns near 1000 by repetition.
+        share = np.mean(dots.numpy() >= 500)
+        assert abs(share - edge / 0.5) <= 0.5 / across**2 + 1e-6
+
+
+def test_samples_are_turned_and_scaled(rng: np.random.Generator) -> None:
+    rays = 40
+    turn, pitch, depth, ratio = math.radians(30.0), 0.8, 0.5, 1.25
+    transforms = np.array([[pitch * math.cos(turn), pitch * math.sin(turn), depth, ratio]], dtype=np.float32)
+    vectors, lights = rng.normal(size=(rays, 3)), rng.normal(size=(rays, 3)).astype(np.float32)
+    footprints = rng.normal(size=(rays, 4)).astype(np.float32)
+    dots = np.zeros(rays, dtype=np.int32)
+    dots[::3] = -1
+    faces = np.arange(rays, dtype=np.int32) % 2
+    inputs = [
+        wp.array(transforms, dtype=wp.vec4f, device="cpu"), wp.array(dots, dtype=wp.int32, device="cpu"),
+        wp.array(faces, dtype=wp.int32, device="cpu"), wp.array([7, 9], dtype=wp.int32, device="cpu"), 9,
+        wp.array(vectors, dtype=wp.vec3d, device="cpu"), wp.array(lights, dtype=wp.vec3f, device="cpu"),
+        wp.array(footprints, dtype=Footprint, device="cpu"),
+    ]  # fmt: skip
+    outputs = [wp.zeros(rays, dtype=dtype, device="cpu") for dtype in (wp.vec3d, wp.vec3f, Footprint)]
+    call = KernelCall(dot_transforms.transform_samples, inputs, outputs, in_runs=True)
+    launch_pipeline([call], rays, device=wp.get_device("cpu"), threads=1)
+    own = (dots == 0) & (faces == 1)
+    back = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+    exact = np.column_stack([pitch * vectors[:, :2] @ back.T, depth * vectors[:, 2]])
+    np.testing.assert_allclose(outputs[0].numpy()[own], exact[own], rtol=1e-6, atol=1e-6)
+    exact = ratio * np.column_stack([lights[:, :2] @ back.T, lights[:, 2]])
+    np.testing.assert_allclose(outputs[1].numpy()[own], exact[own], rtol=1e-5, atol=1e-5)
+    exact = (pitch * footprints.reshape(rays, 2, 2) @ back.T).reshape(rays, 4)
+    np.testing.assert_allclose(outputs[2].numpy()[own], exact[own], rtol=1e-5, atol=1e-5)
+    for output in outputs:
+        assert np.all(output.numpy()[~own] == 0.0)

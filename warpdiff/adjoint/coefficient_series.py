@@ -1,0 +1,92 @@
+"""``CoefficientSeries``: powers or amplitudes of the Fourier coefficients of a block, with adjoint and tangent.
+
+κ = w/λ, where w is the normal component of the scattering vector and λ the wavelength. The tangent is the change of a
+result to first order. The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from warpdiff.adjoint.coefficient_rows import CoefficientRows, add_rows
+from warpdiff.adjoint.gaussian_lobes import GaussianLobes
+from warpdiff.adjoint.series_length import kappa_range, term_count
+from warpdiff.adjoint.sites import Sites
+from warpdiff.core.threads import single_threaded_blas
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from warpdiff.adjoint.coefficient_rows import Rows
+    from warpdiff.adjoint.sites import Block
+    from warpdiff.adjoint.surface_terms import SurfaceTerms
+    from warpdiff.adjoint.surfaces import Relief
+
+
+@dataclass(frozen=True)
+class SeriesSize:
+    """Range of |κ| and numbers of terms of the series of Fourier coefficients.
+
+    Attributes:
+        kappas: Smallest and largest |κ| [1/µm].
+        terms: Number of terms of the expansion of a Fourier coefficient in polynomials of the heights.
+        count: Number of terms of the Chebyshev series of a Fourier coefficient in |κ|.
+    """
+
+    kappas: tuple[float, float]
+    terms: int
+    count: int
+
+    @classmethod
+    def of(cls, relief: Relief, kappas: tuple[float, float], truncation: float, *, powers: bool) -> SeriesSize:
+        """Return the numbers of terms at which the truncated terms have the relative size ``truncation``."""
+        low, high = kappa_range(*kappas, relief.scale_um)
+        terms = term_count(2.0 * math.pi * high * relief.scale_um, truncation)
+        # As a function of κ, a power oscillates with the phase of the whole height range. An amplitude oscillates with
+        # the phase of half of the range, because the phase of the middle height is omitted.
+        count = term_count(math.pi * (high - low) * relief.scale_um * (2.0 if powers else 1.0), truncation)
+        return cls((low, high), terms, count)
+
+
+class CoefficientSeries:
+    """Chebyshev series of the Fourier coefficients of a block of orders, with the surface to which they belong.
+
+    Attributes:
+        rows: Chebyshev series in |κ|; they are empty until :meth:`powers` computes them.
+        terms: Fourier coefficients of the surface at nodes of |κ|.
+        sites: Indices of the series of the orders of the block.
+        block: Rectangle of orders that have coefficients.
+    """
+
+    def __init__(self, relief: Relief, block: Block, size: SeriesSize, *, powers: bool) -> None:
+        self.block, self.sites = block, Sites(relief.shape, *block.orders())
+        self.rows = CoefficientRows(
+            self.sites.count, size.kappas, size.count, powers=powers, together=relief.sites_together
+        )
+        self.terms: SurfaceTerms = relief.terms(self.sites, self.rows.nodes, size.terms)
+        self._size_um = relief.size_um
+
+    def lobes(self, exponent: float) -> GaussianLobes:
+        """Return the Gaussian sums of the powers; coefficients with weights below e^−exponent are neglected."""
+        return GaussianLobes(self.rows, self.block, self.sites.places, self._size_um, exponent)
+
+    @single_threaded_blas()
+    def powers(self) -> NDArray[np.float64]:
+        """Compute and return the Chebyshev series of the powers, shape (2 p, k)."""
+        self.rows.fill(self.terms)
+        return self.rows.rows[0]
+
+    @single_threaded_blas()
+    def tangent(self, change: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the change of the series of the powers, to first order, for a change of the surface."""
+        return self.rows.tangent(self.terms, self.terms.tangent(change))[0]
+
+    @single_threaded_blas()
+    def adjoint(self, of_block: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the adjoint of the surface from the adjoints of the powers of the block's orders, shape (size, k)."""
+        rows: Rows = self.rows.empty(zero=True)
+        add_rows(self.sites.places, of_block, rows[0], are_distinct=self.sites.are_distinct)
+        return self.terms.adjoint(self.rows.adjoint(self.terms, rows))

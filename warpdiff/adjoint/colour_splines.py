@@ -1,0 +1,78 @@
+"""Splines that are fitted to colour curves, for any position of a colour between the rings of a polar grid.
+
+λ is the wavelength. A ring of the grid is a frequency, and stands for a wavelength of a given direction.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.core.threads import single_threaded_blas
+from warpdiff.optics import colorimetry
+from warpdiff.optics.colorimetry import VISIBLE_NM
+from warpdiff.tables.colour_curves import spline
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# Number of intervals between two rings. Weights are tabulated at the ends of intervals and interpolated linearly in
+# between. The error of this interpolation is 1/(8 · 64²) = 3e-5 of the second difference of the weights.
+_INTERVALS = 64
+# Number of samples of the colour curves in an interval.
+_SAMPLES = 4
+# Width of the range of visible wavelengths in ln λ.
+_SPAN = math.log(colorimetry.LAMBDA_MAX_NM / colorimetry.LAMBDA_MIN_NM)
+
+
+def ring_count(rings_per_octave: int) -> int:
+    """Return the number of rings that contribute to one colour."""
+    return math.ceil(_SPAN * rings_per_octave / math.log(2.0)) + 4
+
+
+@functools.lru_cache(maxsize=16)
+@single_threaded_blas()
+def curve_weights(illuminant: colorimetry.Illuminant, rings_per_octave: int) -> NDArray[np.float64]:
+    """Return the coefficients of quadratic splines over ln λ that are fitted to the colour curves by least squares.
+
+    Args:
+        illuminant: Illuminant of the curves.
+        rings_per_octave: Number of rings per octave, which are the knots of the splines.
+
+    Returns:
+        Weights of the values at consecutive rings in X, Y and Z, shape (intervals + 1, rings, 3). The first axis is the
+        position f of the rings relative to the longest visible wavelength, from 0 to 1: ring m is m + f − 2 rings
+        beyond this wavelength. A value at a ring is the integral of the spectrum over ln λ under its spline.
+    """
+    step, count = math.log(2.0) / rings_per_octave, ring_count(rings_per_octave)
+    per_ring = _INTERVALS * _SAMPLES
+    positions = (np.arange((count + 4) * per_ring) + 0.5) / per_ring - 4.0
+    wavelengths = colorimetry.LAMBDA_MAX_NM * np.exp(-positions * step)
+    products = colorimetry.colour_products(illuminant)
+    # The curves are multiplied by λ, because dλ = λ d ln λ.
+    curves = wavelengths[:, None] * np.stack(
+        [np.interp(wavelengths, VISIBLE_NM, column, left=0.0, right=0.0) for column in products.T], axis=1
+    )
+    gram = _gram(count)
+    result = np.empty((_INTERVALS + 1, count, 3))
+    for interval in range(_INTERVALS + 1):
+        centres = np.arange(count) + interval / _INTERVALS - 2.0
+        first = np.rint((centres - 1.5 + 4.0) * per_ring).astype(int)
+        samples = np.arange(3 * per_ring)
+        weights = spline((samples + 0.5) / per_ring - 1.5) / per_ring
+        moments = np.einsum("s,msc->mc", weights, curves[first[:, None] + samples])
+        result[interval] = np.linalg.solve(gram, moments)
+    # The weights are scaled so that a constant spectrum has exactly the colour of white.
+    result *= products.sum(axis=0) / (step * result.sum(axis=1, keepdims=True))
+    result.setflags(write=False)
+    return result
+
+
+def _gram(count: int) -> NDArray[np.float64]:
+    """Return the integrals of the products of quadratic splines at ``count`` consecutive knots, (count, count)."""
+    distances = np.abs(np.arange(count)[:, None] - np.arange(count))
+    values = np.array([11.0 / 20.0, 13.0 / 60.0, 1.0 / 120.0])
+    return np.where(distances < len(values), values[np.minimum(distances, 2)], 0.0)

@@ -1,0 +1,217 @@
+"""Colours of the samples of a picture as a function of the heights, with adjoint and tangent.
+
+The colours are linear in the powers of the Fourier coefficients. If pixels show points under a coherence window, the
+colours are sums over the rings of a polar grid, and the zeroth order is a sum over wavelengths. In all other cases the
+colours are sums over wavelengths. For a test of the grid, some samples are computed in both ways: bright samples and
+random samples. The grid becomes finer until both results agree to the tolerance.
+
+A group has the samples with one illuminant and material. κ = w/λ, where w is the normal component of the scattering
+vector and λ the wavelength. The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from warpdiff.adjoint.coefficient_series import CoefficientSeries, SeriesSize
+from warpdiff.adjoint.colour_splines import ring_count
+from warpdiff.adjoint.gaussian_lobes import GaussianLobes, block_of, exponent_of
+from warpdiff.adjoint.lobe_pyramid import LobePyramid
+from warpdiff.adjoint.polar_grid_sums import PolarGridSums, RingGrid, RingSizes, kappa_margin
+from warpdiff.adjoint.sites import Block
+from warpdiff.adjoint.wavelength_sums import HIGH, LOW, PAIRS_TOGETHER, WavelengthSums
+from warpdiff.core import memory
+from warpdiff.image.error_model import luminance_floor
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from warpdiff.adjoint.surfaces import Relief
+    from warpdiff.optics.coherence import Coherence
+    from warpdiff.render.picture_samples import LitPixels
+
+# Sizes of polar grids, from coarse to fine. The first grid whose error is within the tolerance is used.
+_SIZES = (RingSizes(24, 1.3), RingSizes(32, 1.6), RingSizes(48, 2.0), RingSizes(96, 2.6))
+# The error of a grid is measured on `_CHECKED` bright and as many random samples of each group. At least the fraction
+# `_SHARE` of them must be within the tolerance.
+_CHECKED, _SHARE = 64, 0.95
+# Relative size of the truncated terms of series and sums, divided by the tolerance.
+_TRUNCATION_SHARE = 1e-2
+# Memory of a call [bytes]: per height sample; per pair of a direction and a wavelength that is computed at once; and
+# per reflectance of a direction at a ring.
+_BYTES_PER_SAMPLE, _BYTES_PER_PAIR, _BYTES_PER_REFLECTANCE = 120.0, 700.0, 60.0
+_REMEDY = "take a smaller picture, {share} of the area of heightfield, or a larger tolerance"
+
+
+class Colours(Protocol):
+    """Colours of samples, as a linear function of the powers of Fourier coefficients."""
+
+    def sums(self, coefficients: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        """Return XYZ of the samples of each group, shape (n, 3). ``coefficients`` has the series of the powers."""
+        ...
+
+    def spread(self, adjoints: list[NDArray[np.float64]], rows: NDArray[np.float64]) -> None:
+        """Add the adjoints of the powers to ``rows``, shape (size, k): the transpose of ``sums``."""
+        ...
+
+
+class PictureModel:
+    """Colours of samples, and their derivatives with respect to the heights."""
+
+    def __init__(self, relief: Relief, groups: list[LitPixels], coherence: Coherence, tolerance: float) -> None:
+        """Compute the colours.
+
+        Args:
+            relief: Height field or outline.
+            groups: Groups of samples by illuminant and material; no group is empty.
+            coherence: Coherence of the light: an averaged window, or a source.
+            tolerance: Relative error of the colours.
+
+        Raises:
+            MemoryError: The colours require more memory than is free.
+        """
+        self._relief, self._groups, self._coherence, self._tolerance = relief, groups, coherence, tolerance
+        self._truncation = _TRUNCATION_SHARE * tolerance
+        self._exponent = exponent_of(self._truncation)
+        has_rings = coherence.kind == "averaged" and all(group.footprints is None for group in groups)
+        for sizes in _SIZES if has_rings else ():
+            self._colours: Colours = self._by_rings(sizes)
+            self.values = self._colours.sums(self._coefficients)
+            if self._is_accurate():
+                return
+        self._colours = self._by_wavelengths()
+        self.values = self._colours.sums(self._coefficients)
+
+    def adjoint(self, adjoints: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Return the adjoint of the heights from the adjoints of XYZ of each group, shape (n, 3)."""
+        rows = np.zeros((self._series.block.size, self._series.rows.terms))
+        self._colours.spread(adjoints, rows)
+        return self._series.adjoint(rows)
+
+    def tangent(self, change: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        """Return the change of XYZ of each group, shape (n, 3), for a change of the heights [µm]."""
+        return self._colours.sums(self._series.tangent(change))
+
+    def _by_rings(self, sizes: RingSizes) -> Colours:
+        """Return colours by a polar grid of the given size, and compute the Fourier coefficients that they require."""
+        relief, falloff = self._relief, 4.0 * (math.pi * (self._coherence.sigma_um or 1.0)) ** 2
+        grid = RingGrid(self._groups, sizes, falloff)
+        margin = kappa_margin(sizes)
+        low, high = self._kappas()
+        block = grid.block(self._exponent, relief.shape, relief.size_um)
+        samples = sum(len(group.gains) for group in self._groups if group.illuminated.material is not None)
+        self._begin(block, (low / margin, high * margin), grid.rows, samples * ring_count(sizes.rings_per_octave))
+        lobes = self._series.lobes(self._exponent)
+        zeroth = _cell_of_zeroth(block)
+        rings = PolarGridSums(grid, lobes, self._groups, zeroth)
+        if zeroth < 0:
+            return rings
+        place = self._series.sites.places[[zeroth]]
+        central = GaussianLobes(self._series.rows, Block((0, 0), (1, 1)), place, relief.size_um, self._exponent)
+        near = [self._near_mirror(group, falloff) for group in self._groups]
+        chosen = [group.among(samples) for group, samples in zip(self._groups, near, strict=True)]
+        return _WithZeroth(rings, self._sums_over_wavelengths(chosen), central, near, zeroth)
+
+    def _by_wavelengths(self) -> Colours:
+        """Return colours by sums over wavelengths, and compute the Fourier coefficients that they require."""
+        sums = self._sums_over_wavelengths(self._groups)
+        block = None
+        for _, _, pairs, _, _ in sums.parts():
+            own = block_of(pairs, self._exponent, self._relief.shape, self._relief.size_um)
+            block = own if block is None else block.joined(own)
+        assert block is not None  # noqa: S101 (groups are not empty)
+        self._begin(block, self._kappas(), 0, 0)
+        return _OnLobes(sums, LobePyramid(self._series, self._relief.size_um, self._exponent))
+
+    def _sums_over_wavelengths(self, groups: list[LitPixels]) -> WavelengthSums:
+        return WavelengthSums(groups, self._coherence, self._truncation, 2.0 * self._relief.scale_um)
+
+    def _kappas(self) -> tuple[float, float]:
+        """Return the range of |κ| of all samples at visible wavelengths [1/µm]."""
+        ws = np.concatenate([-group.scattering_vectors[:, 2] for group in self._groups])
+        return LOW * float(ws.min()), HIGH * float(ws.max())
+
+    def _begin(self, block: Block, kappas: tuple[float, float], ring_values: int, reflectances: int) -> None:
+        """Compute the Fourier coefficients of a block; raise ``MemoryError`` first if they do not fit into memory.
+
+        Args:
+            block: Rectangle of orders that have coefficients.
+            kappas: Smallest and largest |κ| [1/µm].
+            ring_values: Number of values on all rings.
+            reflectances: Number of reflectances at rings.
+        """
+        size = SeriesSize.of(self._relief, kappas, self._truncation, powers=True)
+        ny, nx = self._relief.shape
+        sites = min(block.size, ny * (nx // 2 + 1))
+        memory.require_memory(
+            _BYTES_PER_SAMPLE * self._relief.samples + 32.0 * size.terms * sites
+            + 8.0 * size.count * (2 * sites + 3 * block.size + 2 * ring_values)
+            + _BYTES_PER_REFLECTANCE * reflectances + (_BYTES_PER_PAIR + 16.0 * size.count) * PAIRS_TOGETHER,
+            f"a gradient by {block.shape[0]} × {block.shape[1]} coefficients", _REMEDY,
+        )  # fmt: skip
+        self._series = CoefficientSeries(self._relief, block, size, powers=True)
+        self._coefficients = self._series.powers()
+
+    def _near_mirror(self, group: LitPixels, falloff: float) -> NDArray[np.int64]:
+        """Return the samples at which the zeroth order is not negligible."""
+        u, v, _ = group.scattering_vectors.T
+        return np.flatnonzero(falloff * (u * u + v * v) * LOW**2 < self._exponent)
+
+    def _is_accurate(self) -> bool:
+        """Whether the colours of bright and of random samples agree with sums over wavelengths to the tolerance."""
+        rng, floor = np.random.default_rng(0), luminance_floor(np.concatenate([xyz[:, 1] for xyz in self.values]))
+        lobes, errors = self._series.lobes(self._exponent), []
+        for group, xyz in zip(self._groups, self.values, strict=True):
+            bright = np.argsort(-xyz[:, 1], kind="stable")[:_CHECKED]
+            chosen = np.union1d(bright, rng.integers(len(xyz), size=_CHECKED))
+            sums = self._sums_over_wavelengths([group.among(chosen)])
+            (exact,) = sums.colours(lambda pairs: lobes.sums(pairs, self._coefficients))
+            size = np.maximum(np.linalg.norm(exact, axis=1), floor)
+            errors.append(np.linalg.norm(xyz[chosen] - exact, axis=1) / size)
+        return bool(np.quantile(np.concatenate(errors), _SHARE) <= self._tolerance)
+
+
+class _OnLobes:
+    """Colours as sums over wavelengths of the Fourier coefficients of one block."""
+
+    def __init__(self, sums: WavelengthSums, lobes: LobePyramid) -> None:
+        self._sums, self._lobes = sums, lobes
+
+    def sums(self, coefficients: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        return self._sums.colours(self._lobes.sums_of(coefficients))
+
+    def spread(self, adjoints: list[NDArray[np.float64]], rows: NDArray[np.float64]) -> None:
+        self._lobes.spread(self._sums.adjoints(adjoints), rows)
+
+
+class _WithZeroth:
+    """Colours as sums over rings, to which the zeroth order is added at the samples near the mirror direction."""
+
+    def __init__(
+        self, rings: PolarGridSums, sums: WavelengthSums, lobes: GaussianLobes, near: list[NDArray[np.int64]],
+        zeroth: int,
+    ) -> None:  # fmt: skip
+        self._rings, self._sums, self._lobes, self._near, self._zeroth = rings, sums, lobes, near, zeroth
+
+    def sums(self, coefficients: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        result = self._rings.sums(coefficients)
+        central = self._sums.colours(lambda pairs: self._lobes.sums(pairs, coefficients))
+        for xyz, near, own in zip(result, self._near, central, strict=True):
+            xyz[near] += own
+        return result
+
+    def spread(self, adjoints: list[NDArray[np.float64]], rows: NDArray[np.float64]) -> None:
+        self._rings.spread(adjoints, rows)
+        of_near = [adjoint[near] for adjoint, near in zip(adjoints, self._near, strict=True)]
+        for pairs, own in self._sums.adjoints(of_near):
+            self._lobes.spread(pairs, own, rows[self._zeroth : self._zeroth + 1])
+
+
+def _cell_of_zeroth(block: Block) -> int:
+    """Return the index of the order (0, 0) in a block of orders; −1 if the block does not contain it."""
+    row, column = -block.first[0], -block.first[1]
+    inside = 0 <= row < block.shape[0] and 0 <= column < block.shape[1]
+    return row * block.shape[1] + column if inside else -1

@@ -1,0 +1,135 @@
+"""Numeric columns of CSV files as programs and people write them: separators, decimal commas, units and percent."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.scene.text_encodings import decoded
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+# Separators of cells that are tried. The separator with which most headings have a known name is used.
+_SEPARATORS = ",;\t"
+# Factors that convert a unit in brackets, such as "wavelength [µm]", to the unit at the end of a column's name. The
+# column "wavelength_nm", for example, has the unit "nm". Columns without a unit in their name are ratios.
+_UNITS = {
+    "nm": {"nm": 1.0, "µm": 1e3, "μm": 1e3, "um": 1e3},
+    "deg": {"deg": 1.0, "°": 1.0, "degree": 1.0, "degrees": 1.0, "rad": math.degrees(1.0)},
+    "": {"": 1.0, "1": 1.0, "-": 1.0, "%": 1e-2},
+}
+# Matches a heading with a unit in brackets, such as "wavelength [µm]".
+_HEADING = re.compile(r"(?P<name>.*?)\s*[\[(]\s*(?P<unit>[^\])]*?)\s*[\])]")
+
+
+class _Column(NamedTuple):
+    """Column of the file: its index, its name in this package, and the factor that converts its unit."""
+
+    place: int
+    name: str
+    factor: float
+
+
+def read(path: Path, known: Iterable[str]) -> dict[str, NDArray[np.float64]]:
+    """Return the known columns of a CSV file by their names; other columns are ignored.
+
+    The first line that is neither empty nor a comment (#) names the columns. Cells are separated by commas, semicolons
+    or tabs. If semicolons or tabs separate the cells, numbers may have decimal commas. A name may have its unit in
+    brackets. Ratios may be in percent, with the percent sign in the heading or in the cells.
+
+    Args:
+        path: Path of the file.
+        known: Names of columns, with a unit at the end unless they are ratios.
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        ValueError: A cell is not a number, a column occurs twice, or the file is not a table.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"path: {str(path)!r} is not a file")
+    text = decoded(path.read_bytes())
+    if "\0" in text:
+        raise ArgumentValueError(f"{ref('path')}: {str(path)!r} is not a CSV file, because it contains NUL characters")
+    names = tuple(known)
+    try:
+        tables = {separator: _lines(text, separator) for separator in _SEPARATORS}
+    except csv.Error as error:
+        raise ArgumentValueError(f"{ref('path')}: {str(path)!r} is not a CSV file: {error}") from None
+    if not tables[","]:
+        raise ArgumentValueError(f"{ref('path')}: {str(path)!r} is empty: it must have a line that names the columns")
+    separator = max(tables, key=lambda mark: len(_columns(tables[mark][0][1], names)))
+    (_, heading), *lines = tables[separator]
+    columns = _columns(heading, names)
+    distinct = [column.name for column in columns]
+    for name in distinct:
+        if distinct.count(name) > 1:
+            raise ArgumentValueError(f"{ref('path')}: column {name!r} occurs {distinct.count(name)} times: remove one")
+    rows: list[list[float]] = []
+    for line, cells in lines:
+        if any(cells[len(heading) :]):
+            raise ArgumentValueError(
+                f"{ref('path')}: line {line} must have {len(heading)} cells, got {len(cells)}: separate columns by "
+                "semicolons if numbers have decimal commas"
+            )
+        rows.append([_number(cells, column, line, separator) for column in columns])
+    if columns and not rows:
+        raise ArgumentValueError(f"{ref('path')}: {str(path)!r} must have at least one line of numbers")
+    return {column.name: np.array([row[k] for row in rows]) for k, column in enumerate(columns)}
+
+
+def _lines(text: str, separator: str) -> list[tuple[int, list[str]]]:
+    """Return the number and the cells of each line, without empty lines, comments, and the line ``sep=;`` of Excel."""
+    reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True)
+    rows = ((reader.line_num, [cell.strip() for cell in row]) for row in reader)
+    return [(line, row) for line, row in rows if any(row) and not row[0].lower().startswith(("#", "sep="))]
+
+
+def _columns(heading: list[str], known: tuple[str, ...]) -> list[_Column]:
+    """Return the columns whose headings are known names."""
+    columns = []
+    for place, cell in enumerate(heading):
+        match = _HEADING.fullmatch(cell)
+        title, unit = (match["name"], match["unit"]) if match else (cell, None)
+        for name in known:
+            own = next((end for end in _UNITS if end and name.endswith(f"_{end}")), "")
+            # The case of single letters matters: X, Y and Z are colours, while x, y and z are positions.
+            title_name = title if len(name) == 1 else re.sub(r"[\s-]+", "_", title).lower()
+            is_short = bool(own) and title_name == name.removesuffix(f"_{own}") and unit is not None
+            factor = _UNITS[own].get((own if unit is None else unit).lower())
+            # If the name ends in a unit, a different unit in brackets contradicts it, and the heading is not accepted.
+            is_full = title_name == name and (not own or factor == 1.0)
+            if factor is not None and (is_full or is_short):
+                columns.append(_Column(place, name, factor))
+    return columns
+
+
+def _number(cells: list[str], column: _Column, line: int, separator: str) -> float:
+    """Return the number of a column in a row."""
+    cell = cells[column.place] if column.place < len(cells) else ""
+    place = f"{ref('path')}: column {column.name!r} in line {line}"
+    if not cell:
+        raise ArgumentValueError(f"{place} must be a finite number, got an empty cell: fill it, or remove the line")
+    text, factor = cell, column.factor
+    if cell.endswith("%") and not any(column.name.endswith(f"_{unit}") for unit in _UNITS if unit):
+        # Percent signs in the heading and in the cell mean the same percentage, so that the factor is not applied
+        # twice.
+        text, factor = cell[:-1].strip(), 1e-2
+    if separator != "," and "." not in text:
+        text = text.replace(",", ".")
+    try:
+        value = float(text) * factor
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ArgumentValueError(f"{place} must be a finite number, got {cell!r}: correct it, or remove the line")
+    return value

@@ -1,0 +1,292 @@
+"""``GratingMap``: one grating whose direction, depth and pitch differ from dot to dot of a surface.
+
+A map is a matrix of dots over the texture coordinates of a mesh, as on a dot-matrix foil. The field of a dot is the
+cell turned by φ, with heights times the depth scale d and lengths times the pitch scale p. Its power spectrum at the
+scattering vector (u, v, w) is therefore that of the cell at (p R(−φ) (u, v), d w), where R(−φ) turns by −φ. One table
+of the cell serves all dots.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from warpdiff.core import forks, memory, validation
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, marked, ref, renaming
+from warpdiff.heightfield.edge_checks import check_periodic
+from warpdiff.heightfield.field import HeightField, check_whole
+from warpdiff.heightfield.readers.image_reader import image_samples
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from warpdiff.optics.coherence import Coherence
+
+    # Values of dots: a number or an array, the path of an image, or a tuple of the path and its values of black and
+    # white.
+    DotValues = ArrayLike | os.PathLike[str] | tuple[str | os.PathLike[str], float, float]
+
+# Largest turn [degrees], depth scale and pitch scale that a map accepts. Turns are limited because kernels store their
+# sine and cosine in float32, and larger turns would be rounded before. Larger scales probably have a wrong unit.
+_MOST_TURN_DEG, _MOST_SCALE = 36_000.0, 1000.0
+# Largest ratio of the pitch scales of a map. The ratio is limited by memory. The table of a map resolves the smallest
+# pitch scale, and its number of azimuth samples is proportional to the ratio.
+MOST_PITCH_RATIO = 4.0
+# Values of black and white in an image of turns [degrees] or of depth scales. The value 180° was chosen because a
+# symmetric grating has the same grooves after a rotation by 180°.
+_BLACK_AND_WHITE = {"turn_deg": (0.0, 180.0), "depth_scale": (0.0, 1.0)}
+# Measured peak memory while a map is made [bytes per dot]: three arrays of float64, the transforms in float32, and
+# temporary arrays. If doubled, maps that fit into memory are refused.
+_BYTES_PER_DOT = 120.0
+
+
+class Dot(NamedTuple):
+    """Grating of one dot of a map, relative to the cell.
+
+    Attributes:
+        turn_deg: Counter-clockwise turn [degrees].
+        depth_scale: Factor of the heights.
+        pitch_scale: Factor of the lengths.
+    """
+
+    turn_deg: float
+    depth_scale: float
+    pitch_scale: float
+
+
+class GratingMap:
+    """Grating whose direction, depth and pitch differ from dot to dot of a surface, for pictures of a mesh.
+
+    The dots are a matrix over the texture coordinates of the mesh. Row 0 is at v = 1 and column 0 at u = 0, as in an
+    image. A ray has the grating of the dot that contains its hit. Dots have sharp edges, and the matrix is repeated
+    beyond 0 to 1.
+    The edges of dots and the phase between dots do not diffract light.
+
+    Each of the three values is a number for all dots, an array with one number per dot, or a grey image. An image is
+    the path of a file, or a tuple ``(path, black, white)`` of the path and the values of black and of full white. Grey
+    levels are linear in between, without gamma. A path alone stands for 0° to 180° of ``turn_deg`` and for 0 to 1 of
+    ``depth_scale``; ``pitch_scale`` requires the tuple.
+
+    Pictures use ``Coherence("source")`` for a map, unless the surface or the call has a coherence. If the pitch scale
+    differs between dots, no other coherence is supported.
+
+    Args:
+        cell: Height field of a dot with turn 0 and both scales 1. It is one patch or period whose opposite edges match.
+        turn_deg: Counter-clockwise turn of the cell from its tangent towards its bitangent, as viewed from outside
+            [degrees], −36,000 to 36,000, shape (rows, columns) or one number, default 0.
+        depth_scale: Factor of the heights, 0 to 1000, shape (rows, columns) or one number, default 1.
+        pitch_scale: Factor of all lengths in the surface, more than 0 and at most 1000, shape (rows, columns) or one
+            number, default 1. The largest one is at most 4 times the smallest one.
+
+    Raises:
+        TypeError: The cell is not a height field, or a value is neither a number, an array nor an image.
+        ValueError: The shapes of the values differ, a value is NaN or out of its range, an image is not grey, or the
+            edges of the cell do not match.
+
+    Examples:
+        >>> import numpy as np
+        >>> import warpdiff as wd
+        >>> cell = wd.gratings.sinusoidal(1.2, 0.15)
+        >>> wd.GratingMap(cell, turn_deg=np.linspace(0.0, 90.0, 12).reshape(3, 4), pitch_scale=1.1)
+        GratingMap(3 × 4 dots (rows × columns), turn 0° to 90°, depth scale 1, pitch scale 1.1)
+    """
+
+    def __init__(
+        self, cell: HeightField, *, turn_deg: DotValues = 0.0, depth_scale: DotValues = 1.0,
+        pitch_scale: DotValues = 1.0,
+    ) -> None:  # fmt: skip
+        with renaming({"heightfield": "cell"}):
+            check_whole(cell)
+            check_periodic(cell)
+        self._cell = cell
+        values = {
+            "turn_deg": _checked(turn_deg, "turn_deg", least=-_MOST_TURN_DEG, most=_MOST_TURN_DEG),
+            "depth_scale": _checked(depth_scale, "depth_scale", least=0.0, most=_MOST_SCALE),
+            "pitch_scale": _checked(pitch_scale, "pitch_scale", above=0.0, most=_MOST_SCALE),
+        }
+        shapes = {name: value.shape for name, value in values.items() if value.ndim}
+        if len(set(shapes.values())) > 1:
+            listing = ", ".join(f"{ref(name)} {shape}" for name, shape in shapes.items())
+            raise ArgumentValueError(
+                f"{ref('turn_deg')}, {ref('depth_scale')} and {ref('pitch_scale')} must have the same shape (rows, "
+                f"columns), or be one number each, got {listing}: resample them to one size"
+            )
+        self._shape: tuple[int, int] = next(iter(shapes.values()), (1, 1))  # type: ignore[assignment]
+        rows, columns = self._shape
+        memory.require_memory(_BYTES_PER_DOT * rows * columns, f"a map of {rows} × {columns} dots", "take fewer dots")
+        self._values = {name: np.array(np.broadcast_to(value, self._shape)) for name, value in values.items()}
+        for array in self._values.values():
+            array.setflags(write=False)
+        least, most = self._pitch_range
+        if most > MOST_PITCH_RATIO * least:
+            raise ArgumentValueError(
+                f"{ref('pitch_scale')} must have a largest value of at most {MOST_PITCH_RATIO:g} times the smallest "
+                f"one, got {least:g} to {most:g}: split the map into parts of the mesh, each with a map of its own"
+            )
+
+    def __repr__(self) -> str:
+        def text(name: str, unit: str = "") -> str:
+            low, high = self._values[name].min(), self._values[name].max()
+            return f"{low:g}{unit}" if low == high else f"{low:g}{unit} to {high:g}{unit}"
+
+        return (
+            f"GratingMap({self.shape[0]} × {self.shape[1]} dots (rows × columns), turn {text('turn_deg', '°')}, "
+            f"depth scale {text('depth_scale')}, pitch scale {text('pitch_scale')})"
+        )
+
+    @property
+    def cell(self) -> HeightField:
+        """Height field of a dot with turn 0 and both scales 1."""
+        return self._cell
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of rows and of columns of dots."""
+        return self._shape
+
+    @property
+    def turn_deg(self) -> NDArray[np.float64]:
+        """Counter-clockwise turns of the dots [degrees], shape (rows, columns), read-only."""
+        return self._values["turn_deg"]
+
+    @property
+    def depth_scale(self) -> NDArray[np.float64]:
+        """Factors of the heights of the dots, shape (rows, columns), read-only."""
+        return self._values["depth_scale"]
+
+    @property
+    def pitch_scale(self) -> NDArray[np.float64]:
+        """Factors of the lengths of the dots, shape (rows, columns), read-only."""
+        return self._values["pitch_scale"]
+
+    def dot(self, row: int, column: int) -> Dot:
+        """Return the grating of one dot, by its row and column.
+
+        Args:
+            row: Row of the dot, 0 to rows − 1, from the top.
+            column: Column of the dot, 0 to columns − 1, from the left.
+
+        Examples:
+            >>> import warpdiff as wd
+            >>> grating_map = wd.GratingMap(wd.gratings.sinusoidal(1.2, 0.15), turn_deg=[[0.0, 30.0]])
+            >>> grating_map.dot(0, 1)
+            Dot(turn_deg=30.0, depth_scale=1.0, pitch_scale=1.0)
+        """
+        validation.count(row, "row", least=0, most=self.shape[0] - 1)
+        validation.count(column, "column", least=0, most=self.shape[1] - 1)
+        return Dot(*(float(self._values[name][row, column]) for name in ("turn_deg", "depth_scale", "pitch_scale")))
+
+    @property
+    def _pitch_range(self) -> tuple[float, float]:
+        pitch = self.pitch_scale
+        return float(pitch.min()), float(pitch.max())
+
+    @property
+    def has_one_pitch(self) -> bool:
+        """Whether all dots have the same pitch scale."""
+        return self._pitch_range[0] == self._pitch_range[1]
+
+    @property
+    def has_one_shape(self) -> bool:
+        """Whether dots differ only in their turn."""
+        return self.has_one_pitch and float(np.ptp(self.depth_scale)) == 0.0
+
+    @forks.cached_property
+    def reference(self) -> HeightField:
+        """The cell with the largest depth scale and the largest pitch scale of the map, from which tables are made.
+
+        Relative to this field, no dot has a scale above 1. Scattering vectors of dots therefore stay within the range
+        of those of the surface: |(u, v)| and |w| are at most 2.
+        """
+        depth, pitch = float(self.depth_scale.max()), self._pitch_range[1]
+        if depth == 1.0 and pitch == 1.0:
+            return self.cell
+        dy, dx = self.cell.pitch_um
+        return HeightField.of_known_scale(depth * self.cell.heights_um, (pitch * dy, pitch * dx))
+
+    def table_coherence(self, coherence: Coherence) -> Coherence:
+        """Return the coherence of the table of :attr:`reference`.
+
+        A source of the spread s blurs the scattering vectors of a dot by p s, where p is the pitch scale of the dot
+        relative to :attr:`reference`. The table of a source is made for the smallest p. Look-ups add the rest of the
+        blur, see :attr:`transforms`.
+        """
+        least, most = self._pitch_range
+        if coherence.angular_diameter_deg is None or least == most:
+            return coherence
+        return replace(coherence, angular_diameter_deg=coherence.angular_diameter_deg * (least / most))
+
+    @forks.cached_property
+    def transforms(self) -> NDArray[np.float32]:
+        """Transforms of scattering vectors by dot, shape (rows, columns, 4), float32.
+
+        The four numbers are p cos φ, p sin φ, d, and the ratio of p to the smallest p of the map. p and d are the pitch
+        scale and the depth scale relative to :attr:`reference`.
+        """
+        turn = np.radians(self.turn_deg % 360.0)
+        least, most = self._pitch_range
+        pitch = self.pitch_scale / most
+        depth = self.depth_scale / (float(self.depth_scale.max()) or 1.0)
+        numbers = [pitch * np.cos(turn), pitch * np.sin(turn), depth, self.pitch_scale / least]
+        result = np.stack(numbers, axis=2).astype(np.float32)
+        result.setflags(write=False)
+        return result
+
+
+def _checked(
+    value: object, name: str, *, above: float = -np.inf, least: float = -np.inf, most: float
+) -> NDArray[np.float64]:
+    """Return the values of the dots from a number, an array or an image: shape (rows, columns), or () for a number."""
+    numbers = _from_image(value, name) if _is_image(value) else validation.finite_array(value, name, most=1e9)
+    if numbers.ndim not in (0, 2) or numbers.size == 0:
+        raise ArgumentValueError(
+            f"{ref(name)} must be one number, or have shape (rows, columns) with at least one dot, got shape "
+            f"{numbers.shape}"
+        )
+    bad = ~((numbers > above) & (numbers >= least) & (numbers <= most))
+    if bad.any():
+        bounds = validation.range_text(
+            above if np.isfinite(above) else None, least if np.isfinite(least) else None, most
+        )
+        raise ArgumentValueError(
+            f"{ref(name)} must be {bounds}, got {numbers[bad][0]:g} at {int(np.count_nonzero(bad))} of {bad.size} dots"
+        )
+    return numbers
+
+
+def _is_image(value: object) -> bool:
+    """Whether a value is the path of an image, or a tuple that begins with a path."""
+    first = value[0] if isinstance(value, tuple) and value else value
+    return isinstance(first, (str, os.PathLike))
+
+
+def _from_image(value: Any, name: str) -> NDArray[np.float64]:
+    """Return the values of a grey image, linear between the values of black and of white."""
+    ends = _BLACK_AND_WHITE.get(name)
+    if isinstance(value, tuple):
+        if len(value) != 3:
+            raise ArgumentTypeError(
+                f"{ref(name)} must be (path, black, white) for an image, got a tuple of {len(value)} values"
+            )
+        value, *given = value
+        black, white = (
+            validation.number(number, f"{name}[{place}]", least=-_MOST_TURN_DEG, most=_MOST_TURN_DEG)
+            for place, number in enumerate(given, start=1)
+        )
+        ends = black, white
+    if ends is None:
+        raise ArgumentValueError(
+            f"{ref(name)} must state the values of black and white for an image, got {str(value)!r} alone: give "
+            "(path, black, white), such as ('pitch.png', 0.8, 1.25)"
+        )
+    file = validation.path(value, name)
+    if not file.is_file():
+        raise marked(FileNotFoundError, f"{ref(name)}: there is no file {str(file)!r}")
+    with renaming({"path": name}):
+        samples = image_samples(file)
+    full = float(np.iinfo(samples.dtype).max) if samples.dtype.kind in "iu" else 1.0
+    grey = validation.finite_array(samples, name) / full
+    return np.asarray(ends[0] + (ends[1] - ends[0]) * grey)

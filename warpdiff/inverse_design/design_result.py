@@ -1,0 +1,345 @@
+"""``Design``: a designed height field, with requested and achieved values."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.core import validation
+from warpdiff.core.progress import Progress, reporter
+from warpdiff.core.table import Table
+from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.evaluate.orders import order_efficiencies
+from warpdiff.evaluate.reflectance import reflectance
+from warpdiff.heightfield.field import HeightField
+from warpdiff.inverse_design.goal import TRUNCATION, Goal, silenced
+from warpdiff.inverse_design.rigorous_check import RigorousCheck, rigorous_values
+from warpdiff.optics import colorimetry
+from warpdiff.optics.materials import DEFAULT_IOR, Material
+from warpdiff.profiles.sampled_profiles import Pixels
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from warpdiff.inverse_design.targets import Target
+    from warpdiff.profiles.profile_base import Profile
+
+    Array = NDArray[np.float64]
+
+# Least power of orders by which deviations are divided. Limit: the least float64 that has a reciprocal.
+_LEAST_POWER = 1e-300
+# Number of samples per standard deviation of rounded edges, at least.
+_PER_EDGE = 2.0
+
+
+# Largest number of wavelengths of a rigorous colour. Limit: computing time is proportional to it.
+_MOST_WAVELENGTHS = 401
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Result of :func:`warpdiff.design`.
+
+    Attributes:
+        heightfield: One period of the surface.
+        parameters: Parameters of the profile, shape (p,): the heights of pixels [µm].
+        levels_um: Heights of the levels [µm], shape (levels,); None without levels.
+        targets: Targets of the design.
+        achieved: Table with a row per requested value: number of the target, quantity (X, Y and Z times the exposure,
+            or an order), requested and achieved value, and the error: ΔE2000 of the colour, the relative deviation from
+            the mean of equal orders, or the difference of efficiencies.
+        exposure: Common factor of all colours, which makes the sum of the squares of ΔE2000 least; 1 without colours.
+        history: Table with the number of evaluations and the loss after each stage of each start.
+        loss: Loss of the result.
+
+    Examples:
+        >>> import math
+        >>> import numpy as np
+        >>> import warpdiff as wd
+        >>> pixels = wd.profiles.Pixels(0.5, np.zeros((1, 16)))
+        >>> target = wd.Target.orders({(0, 1): 0.3, (0, -1): 0.3}, (0, 0, 1), 632.8, ior=math.inf)
+        >>> result = wd.design(pixels, target, starts=1)
+        >>> print(result.achieved)
+        target     quantity  requested  achieved  error
+             0   order 0, 1        0.3  ...
+             0  order 0, -1        0.3  ...
+    """
+
+    heightfield: HeightField
+    parameters: Array = field(repr=False)
+    levels_um: Array | None
+    targets: tuple[Target, ...]
+    achieved: Table
+    exposure: float
+    history: Table
+    loss: float
+    _profile: Profile = field(repr=False)
+
+    def __repr__(self) -> str:
+        if isinstance(self._profile, Pixels):
+            shape = " × ".join(str(n) for n in self._profile.pixels if n > 1) or "1"
+            text = f"{shape} pixels of {self._profile.pixel_um:g} µm"
+        else:
+            text = f"{type(self._profile).__name__}"
+        levels = f", {len(self.levels_um)} levels" if self.levels_um is not None else ""
+        return f"Design({text}{levels}, depth {self.heightfield.height_range_um:.3g} µm)"
+
+    @property
+    def delta_e(self) -> Array:
+        """ΔE2000 of the colours at the common exposure, shape (number of colours,)."""
+        rows = np.char.equal(self.achieved["quantity"], "Y")
+        return np.asarray(self.achieved["error"][rows])
+
+    @property
+    def uniformity_errors(self) -> Array:
+        """(largest − least)/(largest + least) of the efficiencies of each target of equal orders."""
+        return np.array([uniformity_error(self._of(k)) for k, each in enumerate(self.targets) if each.kind == "equal"])
+
+    @property
+    def shares(self) -> Array:
+        """Sum of the efficiencies of each target of orders, relative to that of all orders that propagate."""
+        result = []
+        with silenced():
+            for k, target in enumerate(self.targets):
+                if target.kind != "colour":
+                    result.append(self._of(k).sum() / Goal.efficiencies(target, self.heightfield).sum())
+        return np.array(result)
+
+    def _of(self, number: int) -> Array:
+        """Return the achieved values of a target."""
+        return np.asarray(self.achieved["achieved"][self.achieved["target"] == number])
+
+    def report(self) -> str:
+        """Return the requested and achieved values, uniformity errors, shares and the exposure as text."""
+        lines = [str(self), str(self.achieved)]
+        if len(self.delta_e):
+            lines.append(f"common exposure {self.exposure:.3g}; ΔE2000 {', '.join(f'{d:.2f}' for d in self.delta_e)}")
+        lines += [f"uniformity error {value:.4f}" for value in self.uniformity_errors]
+        lines += [f"share of the reflected power {value:.4f}" for value in self.shares]
+        return "\n".join(lines)
+
+    def check_rigorously(
+        self, *, material: Material | None = None, wavelengths: int = 21, max_harmonics: int = 256,
+        progress: Progress = None,
+    ) -> RigorousCheck:  # fmt: skip
+        """Evaluate the targets by rigorous solutions for unpolarised light (extra ``rigorous``).
+
+        The height field must have a single row, and all directions must be perpendicular to the grooves. Scalar
+        diffraction is an approximation, so that a real foil differs from its design.
+
+        Args:
+            material: Material of the foil without a film; None is that of the targets, or aluminium if they are perfect
+                mirrors, which have no rigorous solution here.
+            wavelengths: Number of wavelengths of a colour, 5 to 401, by default 21. Efficiencies are interpolated
+                between them.
+            max_harmonics: Largest order of the expansion of the fields, 8 to 2000, by default 256.
+            progress: Function that is called with the finished share, 0 to 1; True shows a progress bar.
+
+        Returns:
+            Rigorous values compared with the requested ones, and the share of the solutions that have converged.
+
+        Raises:
+            ValueError: The surface or a direction has no rigorous solution here, or an argument is out of
+                its range.
+            ImportError: meent is not installed: ``pip install 'warpdiff[rigorous]'``.
+
+        Examples:
+            >>> import math
+            >>> pixels = wd.profiles.Pixels(0.5, np.zeros((1, 16)))
+            >>> target = wd.Target.equal([(0, -1), (0, 1)], (0, 0, 1), 632.8, ior=math.inf)
+            >>> result = wd.design(pixels, target, levels=2, starts=1)
+            >>> result.check_rigorously()  # doctest: +SKIP
+            RigorousCheck(uniformity error 0.0...; converged at 100%)
+        """
+        report = reporter(progress, "rigorous check")
+        count = validation.count(wavelengths, "wavelengths", least=5, most=_MOST_WAVELENGTHS)
+        values, converged, change = rigorous_values(
+            self.heightfield, self.targets, self._substance(material), count, max_harmonics, report
+        )
+        exposure = fitted_exposure(self.targets, values, self.exposure)
+        table = _table(self.targets, values, exposure)
+        shown = np.char.equal(table["quantity"], "Y")
+        uniform = [uniformity_error(v) for v, t in zip(values, self.targets, strict=True) if t.kind == "equal"]
+        if report is not None:
+            report(1.0)
+        return RigorousCheck(table, exposure, table["error"][shown], np.array(uniform), converged, change)
+
+    def _substance(self, material: Material | None) -> Material:
+        """Return the material of a rigorous check."""
+        if material is not None:
+            validation.instance(material, Material, "material")
+            return material
+        optics = {(target.optics.material, target.optics.ior) for target in self.targets}
+        if len(optics) > 1:
+            raise ArgumentValueError(f"{ref('material')} must be given if targets have different materials, got None")
+        substance, ior = next(iter(optics))
+        if substance is None:
+            return Material.metal("Al") if ior == math.inf else Material.dielectric(DEFAULT_IOR if ior is None else ior)
+        return substance
+
+    def robustness(
+        self, *, depth_scales: Sequence[float] = (0.95, 1.05), edge_widths_um: Sequence[float] = (0.05, 0.1),
+        tilts_deg: Sequence[float] = (0.25, 1.0),
+    ) -> Table:  # fmt: skip
+        """Return the errors after changes of the depth, of the edges and of the angle.
+
+        Args:
+            depth_scales: Factors of all heights, 0.1 to 10.
+            edge_widths_um: Standard deviations of the Gaussian that rounds all edges [µm], 0 to a tenth of the period.
+            tilts_deg: Angles by which the surface is turned about the y axis [degrees], −20 to 20. All lights and
+                viewers must remain above the horizon.
+
+        Returns:
+            A row for the design and per change: the change, its amount, the largest ΔE2000 of a colour at the
+            exposure of the design if there are colours, and the largest deviation of an order if there are orders:
+            relative to the mean of equal orders, or the difference of efficiencies.
+
+        Raises:
+            ValueError: A number is out of its range, or a direction leaves the upper hemisphere.
+
+        Examples:
+            >>> import math
+            >>> pixels = wd.profiles.Pixels(0.5, np.zeros((1, 16)))
+            >>> target = wd.Target.orders({(0, 1): 0.3, (0, -1): 0.3}, (0, 0, 1), 632.8, ior=math.inf)
+            >>> print(wd.design(pixels, target, starts=1).robustness(edge_widths_um=[0.05], tilts_deg=[1.0]))
+            change  amount  order_error
+              none       0  ...
+             depth    0.95  ...
+             depth    1.05  ...
+             edges    0.05  ...
+              tilt       1  ...
+        """
+        surface = self.heightfield
+        least = min(size for n, size in zip(surface.shape, surface.size_um, strict=True) if n > 1)
+        changes: list[tuple[str, float, HeightField, float]] = [("none", 0.0, surface, 0.0)]
+        for scale in _numbers(depth_scales, "depth_scales", 0.1, 10.0):
+            scaled = HeightField.of_known_scale(scale * surface.heights_um, surface.pitch_um)
+            changes.append(("depth", scale, scaled, 0.0))
+        widths = _numbers(edge_widths_um, "edge_widths_um", 0.0, 0.1 * least)
+        changes += [("edges", width, _rounded(surface, width), 0.0) for width in widths]
+        changes += [("tilt", angle, surface, angle) for angle in _numbers(tilts_deg, "tilts_deg", -20.0, 20.0)]
+        rows = []
+        with silenced():
+            for name, amount, changed, angle in changes:
+                errors = _errors(self.targets, achieved_values(changed, self.targets, angle), self.exposure)
+                rows.append((name, amount, *errors))
+        kinds = {"delta_e": "colour" in (t.kind for t in self.targets), "order_error": len(self.shares) > 0}
+        columns = dict(zip(("change", "amount", *kinds), map(np.array, zip(*rows, strict=True)), strict=True))
+        return Table({name: column for name, column in columns.items() if kinds.get(name, True)})
+
+
+def make_design(
+    profile: Profile, targets: tuple[Target, ...], x: Array, log_exposure: float, levels_um: Array | None, loss: float,
+    history: Table,
+) -> Design:  # fmt: skip
+    """Evaluate parameters of a profile by the public functions of the library, with their warnings."""
+    surface = profile.height_field(x)
+    values = achieved_values(surface, targets)
+    exposure = fitted_exposure(targets, values, math.exp(log_exposure))
+    achieved = _table(targets, values, exposure)
+    return Design(surface, x, levels_um, targets, achieved, exposure, history, loss, profile)
+
+
+def achieved_values(surface: HeightField, targets: Sequence[Target], tilt_deg: float = 0.0) -> list[Array]:
+    """Return XYZ or efficiencies of each target, for a surface that is turned about the y axis."""
+    angle = math.radians(tilt_deg)
+    turn = np.array(
+        [[math.cos(angle), 0.0, -math.sin(angle)], [0.0, 1.0, 0.0], [math.sin(angle), 0.0, math.cos(angle)]]
+    )
+    result = []
+    for target in targets:
+        optics, light, view = target.optics, turn @ target.to_light, turn @ target.to_view
+        if min(light[2], view[2]) <= 0.0:
+            raise ArgumentValueError(
+                f"{ref('tilts_deg')} must leave all directions above the horizon, got {tilt_deg:g}"
+            )
+        if target.kind == "colour":
+            xyz = reflectance(
+                surface, light, view, illuminant=optics.illuminant, coherence=optics.coherence, ior=optics.ior,
+                material=optics.material, masking=optics.masking, tolerance=TRUNCATION,
+            )  # fmt: skip
+            result.append(np.asarray(xyz, dtype=np.float64))
+        else:
+            orders = order_efficiencies(
+                surface, light, target.wavelength_nm, ior=optics.ior, material=optics.material, energy=optics.energy
+            )
+            result.append(np.array([orders[int(y), int(x)][0] for y, x in target.pairs]))
+    return result
+
+
+def fitted_exposure(targets: Sequence[Target], values: list[Array], first: float) -> float:
+    """Return the factor of all colours that makes the sum of the squares of ΔE2000 least; 1 without colours."""
+    from scipy.optimize import minimize_scalar
+
+    pairs = [(v, t.requested) for v, t in zip(values, targets, strict=True) if t.kind == "colour"]
+    if not pairs:
+        return 1.0
+    colours, requested = (np.stack(part) for part in zip(*pairs, strict=True))
+
+    def total(log_exposure: float) -> float:
+        return float((colorimetry.colour_difference(colours * math.exp(log_exposure), requested) ** 2).sum())
+
+    centre = math.log(first)
+    result = minimize_scalar(total, bounds=(centre - 2.0, centre + 2.0), method="bounded", options={"xatol": 1e-6})
+    return math.exp(float(result.x))
+
+
+def uniformity_error(efficiencies: Array) -> float:
+    """Return (largest − least)/(largest + least)."""
+    return float(np.ptp(efficiencies) / max(float(efficiencies.max() + efficiencies.min()), _LEAST_POWER))
+
+
+def _errors(targets: Sequence[Target], values: list[Array], exposure: float) -> tuple[float, float]:
+    """Return the largest ΔE2000, and the largest deviation of an order; NaN without such a target."""
+    table = _table(targets, values, exposure)
+    is_order = np.array([targets[k].kind != "colour" for k in table["target"]])
+    parts = table["error"][~is_order], np.abs(table["error"][is_order])
+    first, second = (float(part.max()) if len(part) else math.nan for part in parts)
+    return first, second
+
+
+def _table(targets: Sequence[Target], values: list[Array], exposure: float) -> Table:
+    rows: list[tuple[int, str, float, float, float]] = []
+    for k, (target, value) in enumerate(zip(targets, values, strict=True)):
+        if target.kind == "colour":
+            shown = exposure * value
+            error = float(colorimetry.colour_difference(shown, target.requested))
+            rows += [
+                (k, name, float(a), float(b), error) for name, a, b in zip("XYZ", target.requested, shown, strict=True)
+            ]
+            continue
+        names = [f"order {y}, {x}" for y, x in target.pairs]
+        is_equal = target.kind == "equal"
+        # A flat surface has no power in the orders of a target, and their deviation is −1.
+        errors = value / max(float(value.mean()), _LEAST_POWER) - 1.0 if is_equal else value - target.requested
+        requested = np.full(len(value), value.mean()) if is_equal else target.requested
+        rows += list(zip([k] * len(names), names, requested.tolist(), value.tolist(), errors.tolist(), strict=True))
+    columns = ("target", "quantity", "requested", "achieved", "error")
+    return Table(dict(zip(columns, map(np.array, zip(*rows, strict=True)), strict=True)))
+
+
+def _numbers(values: ArrayLike, name: str, low: float, high: float) -> list[float]:
+    array = validation.finite_array(values, name, ndim=1)
+    if array.size and (array.min() < low or array.max() > high):
+        raise ArgumentValueError(f"{ref(name)} must lie within {low:g} to {high:g}, got {array.tolist()!s:.60}")
+    return [float(value) for value in array]
+
+
+def _rounded(surface: HeightField, width_um: float) -> HeightField:
+    """Return a periodic surface convolved with a Gaussian of a standard deviation, at a pitch that resolves it."""
+    if width_um == 0.0:
+        return surface
+    heights, pitches = surface.heights_um, []
+    for axis, (n, pitch) in enumerate(zip(surface.shape, surface.pitch_um, strict=True)):
+        finer = max(math.ceil(_PER_EDGE * pitch / width_um), 1) if n > 1 else 1
+        heights = np.repeat(heights, finer, axis=axis)
+        pitches.append(pitch / finer)
+    y, x = (np.fft.fftfreq(n, pitch) for n, pitch in zip(heights.shape, pitches, strict=True))
+    weights = np.exp(-2.0 * (np.pi * width_um) ** 2 * (y[:, None] ** 2 + x[None, :] ** 2))
+    heights = np.fft.ifft2(np.fft.fft2(heights) * weights).real
+    return HeightField.of_known_scale(heights, (pitches[0], pitches[1]))

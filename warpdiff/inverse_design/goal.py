@@ -1,0 +1,242 @@
+"""Loss of all targets of a design, with its exact gradient by the parameters of a profile."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from warpdiff.adjoint.order_derivatives import order_efficiencies as order_derivatives
+from warpdiff.adjoint.spectral_derivatives import reflectance
+from warpdiff.adjoint.surfaces import Relief
+from warpdiff.core.wording import ArgumentValueError, WarpdiffWarning, ref
+from warpdiff.evaluate.orders import propagating
+from warpdiff.optics import colorimetry
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from warpdiff.heightfield.field import HeightField
+    from warpdiff.inverse_design.targets import Target
+    from warpdiff.profiles.outline import Outline
+    from warpdiff.profiles.profile_base import Profile
+
+    Array = NDArray[np.float64]
+
+# Weight of squared relative deviations of efficiencies: a deviation of 1 % counts as much as a colour difference of 1.
+_PER_DEVIATION = 1e4
+# Weight of the power that equal orders lack. Choice: raising the share by 1 % is worth a deviation of 2.2 % of all
+# orders; larger weights make orders less equal.
+_PER_LOST_SHARE = 500.0
+# Weight of the logarithm of the exposure of colours. Choice: colours that are twice as bright are worth a colour
+# difference of 4.6; larger weights make colours wrong.
+_PER_EXPOSURE = 30.0
+# Linear part of Lab's function of XYZ, below this ratio to white (CIE 15).
+_DELTA = 6.0 / 29.0
+# Truncation error of colours during the search, and of the result.
+SEARCH_TRUNCATION, TRUNCATION = 1e-3, 1e-4
+# Range of the logarithm of the exposure, and the number of values that are tried for a first estimate.
+_LOG_EXPOSURES = np.linspace(-4.0, 14.0, 181)
+
+
+class Loss(NamedTuple):
+    """Loss and its derivatives by the values of all groups, and by the logarithm of the exposure."""
+
+    value: float
+    adjoints: list[Array]
+    of_exposure: float
+
+
+def lab(xyz: Array) -> tuple[Array, Array]:
+    """Return CIE Lab of XYZ, shape (..., 3), for the white D65 with Y = 1, and the derivatives by XYZ, (..., 3, 3)."""
+    white = colorimetry.colour_products("D65").sum(axis=0)
+    ratio = np.maximum(xyz / white, 0.0)
+    is_linear = ratio <= _DELTA**3
+    root = np.cbrt(np.where(is_linear, 1.0, ratio))
+    f = np.where(is_linear, ratio / (3.0 * _DELTA**2) + 4.0 / 29.0, root)
+    slopes = np.where(is_linear, 1.0 / (3.0 * _DELTA**2), 1.0 / (3.0 * root**2)) / white
+    matrix = np.array([[0.0, 116.0, 0.0], [500.0, -500.0, 0.0], [0.0, 200.0, -200.0]])
+    return f @ matrix.T - [16.0, 0.0, 0.0], matrix * slopes[..., None, :]
+
+
+class Goal:
+    """Targets in groups that are evaluated together: all colours with equal optics, and each target of orders.
+
+    Attributes:
+        groups: Targets of each group.
+        factors: Normalised efficiencies divided by Stam's, for the orders of each target of orders. They change slowly
+            with the surface. The search treats them as constants.
+        has_colours: Whether there is a target of a colour.
+    """
+
+    def __init__(self, targets: Sequence[Target]) -> None:
+        by_optics: dict[object, list[Target]] = {}
+        for target in targets:
+            by_optics.setdefault(target.optics if target.kind == "colour" else id(target), []).append(target)
+        self.groups = list(by_optics.values())
+        self.factors = [np.ones(len(group[0].pairs)) for group in self.groups]
+        self.has_colours = any(target.kind == "colour" for target in targets)
+
+    def values(
+        self, surface: HeightField | Outline, wrt: tuple[str, ...] = (), *, truncation: float = SEARCH_TRUNCATION
+    ) -> tuple[list[Array], Callable[[list[Array]], dict[str, Array]]]:
+        """Return XYZ (n, 3) or efficiencies (n,) of each group, and the function from their adjoints to those of wrt.
+
+        Efficiencies are Stam's times the factors.
+        """
+        values: list[Array] = []
+        pulls: list[Callable[[Array], dict[str, Array]]] = []
+        for group, factors in zip(self.groups, self.factors, strict=True):
+            optics = group[0].optics
+            if group[0].kind == "colour":
+                lights, views = (
+                    np.stack([getattr(target, name) for target in group]) for name in ("to_light", "to_view")
+                )
+                result = reflectance(
+                    surface, lights, views, wrt=wrt, illuminant=optics.illuminant, coherence=optics.coherence,
+                    ior=optics.ior, material=optics.material, masking=optics.masking, truncation=truncation,
+                )  # fmt: skip
+                values.append(result.value)
+                pulls.append(result.vjp)
+                continue
+            result = order_derivatives(
+                surface, group[0].to_light, group[0].wavelength_nm, wrt=wrt, ior=optics.ior, material=optics.material,
+                energy="stam",
+            )  # fmt: skip
+            places = places_of(group[0], surface)
+            values.append(factors * result.value[0, places])
+
+            def pull(
+                adjoint: Array, result: object = result, places: NDArray[np.int64] = places, factors: Array = factors
+            ) -> dict[str, Array]:
+                full = np.zeros(result.value.shape)  # type: ignore[attr-defined]
+                full[0, places] = factors * adjoint
+                return result.vjp(full)  # type: ignore[attr-defined, no-any-return]
+
+            pulls.append(pull)
+
+        def pullback(adjoints: list[Array]) -> dict[str, Array]:
+            parts = [pull(adjoint) for pull, adjoint in zip(pulls, adjoints, strict=True)]
+            return {name: np.sum([part[name] for part in parts], axis=0) for name in parts[0]}
+
+        return values, pullback
+
+    def update_factors(self, surface: HeightField | Outline) -> None:
+        """Set the factors to those of a surface."""
+        for k, group in enumerate(self.groups):
+            optics = group[0].optics
+            if group[0].kind == "colour" or optics.energy == "stam":
+                continue
+            plain, normalised = (
+                self.efficiencies(group[0], surface, energy)[places_of(group[0], surface)]
+                for energy in ("stam", optics.energy)
+            )
+            self.factors[k] = np.divide(normalised, plain, out=np.ones_like(plain), where=plain > 0.0)
+
+    @staticmethod
+    def efficiencies(target: Target, surface: HeightField | Outline, energy: str | None = None) -> Array:
+        """Return the efficiencies of all propagating orders of a target, shape (n,)."""
+        optics = target.optics
+        result = order_derivatives(
+            surface, target.to_light, target.wavelength_nm, wrt=("height_scale",), ior=optics.ior,
+            material=optics.material, energy=energy or optics.energy,  # type: ignore[arg-type]
+        )  # fmt: skip
+        return np.asarray(result.value[0])
+
+    def costs(self, values: list[Array], log_exposure: float) -> Array:
+        """Return the loss of values of the groups with leading axes of candidates, shapes (..., n) or (..., n, 3)."""
+        total = np.asarray(_PER_EXPOSURE * log_exposure if self.has_colours else 0.0)
+        for group, value in zip(self.groups, values, strict=True):
+            if group[0].kind == "colour":
+                requested = lab(np.stack([target.requested for target in group]))[0]
+                difference = lab(math.exp(log_exposure) * value)[0] - requested
+                total = total + (difference * difference).sum(axis=(-2, -1))
+            elif group[0].kind == "orders":
+                scale = _PER_DEVIATION / (value.shape[-1] * float(group[0].requested.mean()) ** 2)
+                total = total + scale * ((value - group[0].requested) ** 2).sum(axis=-1)
+            else:
+                # The mean of (η/mean − 1)² follows from two sums.
+                count, power = value.shape[-1], np.maximum(value.sum(axis=-1), 1e-12)
+                deviation = count * (value * value).sum(axis=-1) / (power * power) - 1.0
+                total = total + _PER_DEVIATION * deviation + _PER_LOST_SHARE * (1.0 - power / group[0].flat_reflectance)
+        return np.asarray(total)
+
+    def loss(self, values: list[Array], log_exposure: float) -> Loss:
+        """Return the loss of values of the groups, shapes (n,) or (n, 3), with its derivatives."""
+        adjoints, of_exposure = [], 0.0
+        for group, value in zip(self.groups, values, strict=True):
+            if group[0].kind == "colour":
+                adjoint, slope = _colour_adjoint(group, value, log_exposure)
+                of_exposure += slope
+            else:
+                adjoint = _order_adjoint(group[0], value)
+            adjoints.append(adjoint)
+        if self.has_colours:
+            of_exposure += _PER_EXPOSURE
+        return Loss(float(self.costs(values, log_exposure)), adjoints, of_exposure)
+
+    def best_log_exposure(self, values: list[Array]) -> float:
+        """Return the logarithm of the exposure with the least loss, to 0.1."""
+        if not self.has_colours:
+            return 0.0
+        losses = [self.costs(values, log_exposure) for log_exposure in _LOG_EXPOSURES.tolist()]
+        return float(_LOG_EXPOSURES[int(np.argmin(losses))])
+
+    def objective(self, profile: Profile) -> Callable[[Array], tuple[float, Array]]:
+        """Return the loss and its gradient by the parameters of a profile and the logarithm of the exposure."""
+
+        def function(z: Array) -> tuple[float, Array]:
+            values, pullback = self.values(profile.surface(z[:-1]), profile.wrt)
+            loss = self.loss(values, float(z[-1]))
+            return loss.value, np.append(profile.pullback(z[:-1], pullback(loss.adjoints)), loss.of_exposure)
+
+        return function
+
+
+def _colour_adjoint(group: list[Target], xyz: Array, log_exposure: float) -> tuple[Array, float]:
+    """Return the derivatives of the squared distances in Lab by XYZ, shape (n, 3), and by the log exposure."""
+    exposure = math.exp(log_exposure)
+    requested = lab(np.stack([target.requested for target in group]))[0]
+    labs, slopes = lab(exposure * xyz)
+    by_exposed = np.einsum("ni,nij->nj", 2.0 * (labs - requested), slopes)
+    return exposure * by_exposed, float((by_exposed * exposure * xyz).sum())
+
+
+def _order_adjoint(target: Target, efficiencies: Array) -> Array:
+    """Return the derivatives of the loss of efficiencies by them, shape (n,)."""
+    count = len(efficiencies)
+    if target.kind == "orders":
+        scale = _PER_DEVIATION / (count * float(target.requested.mean()) ** 2)
+        return np.asarray(2.0 * scale * (efficiencies - target.requested))
+    power = max(float(efficiencies.sum()), 1e-12)
+    squares = float((efficiencies * efficiencies).sum())
+    by_deviation = 2.0 * count * (efficiencies - squares / power) / power**2
+    return np.asarray(_PER_DEVIATION * by_deviation - _PER_LOST_SHARE / target.flat_reflectance)
+
+
+def places_of(target: Target, surface: HeightField | Outline) -> NDArray[np.int64]:
+    """Return the indices of the orders of a target among those that propagate; raise an error for an evanescent one."""
+    lattice = Relief.of(surface).lattice
+    known, _ = propagating(lattice, target.to_light[None], np.array([target.wavelength_nm]))
+    is_same = np.all(known == target.pairs[:, None], axis=2)
+    if not (exists := is_same.any(axis=1)).all():
+        absent, (size_y, size_x) = target.pairs[~exists][0], lattice.size_um
+        raise ArgumentValueError(
+            f"{ref('targets')} must be orders that propagate, got ({absent[0]}, {absent[1]}) at "
+            f"{target.wavelength_nm:g} nm for a period of {size_y:g} × {size_x:g} µm (y × x): use a longer period, and "
+            "order 0 along a constant axis"
+        )
+    return np.asarray(np.argmax(is_same, axis=1))
+
+
+class silenced(warnings.catch_warnings):  # noqa: N801 (a context, like its base class)
+    """Context without the library's warnings, which do not concern surfaces that a search only tries."""
+
+    def __enter__(self) -> None:
+        """Ignore warnings."""
+        super().__enter__()
+        warnings.simplefilter("ignore", WarpdiffWarning)

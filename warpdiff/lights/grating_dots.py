@@ -1,0 +1,176 @@
+"""Dots of grating maps on a device. A sample is converted to the frame of its dot's cell, where colours are looked up.
+
+The cell is the height field of a dot without rotation and scaling. (u, v, w) is the scattering vector.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import warp as wp
+
+from warpdiff.device.kernel_calls import KernelCall
+from warpdiff.kernels import dot_transforms
+from warpdiff.kernels.structs import Footprint
+from warpdiff.optics.fixed_reflectance import FixedReflectance, luminance_ratios
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from warpdiff.heightfield.grating_map import GratingMap
+    from warpdiff.optics.materials import Material
+    from warpdiff.scene.camera_rays import CameraRays
+    from warpdiff.scene.gbuffer import GBuffer
+
+
+class LookupSamples(NamedTuple):
+    """Arrays from which colours are looked up, with one entry per ray; the gains are separate.
+
+    Attributes:
+        scattering_vectors: Scattering vectors (u, v, w), (n,) of ``wp.vec3d``.
+        to_lights: Directions to the light, (n,) of ``wp.vec3f``.
+        footprints: Footprints of the rays' filters, (n,); None for pixels that show points.
+    """
+
+    scattering_vectors: wp.array
+    to_lights: wp.array
+    footprints: wp.array | None
+
+
+@dataclass(frozen=True)
+class DotSamples:
+    """Samples of one surface in the frames of its dots. The samples of the next surface overwrite them.
+
+    Attributes:
+        scattering_vectors: Scattering vectors in the frames of the cells, (n,) of ``wp.vec3d``. After the look-ups of
+            one ray per pixel, they are overwritten by signals, from which refinement finds the edges of dots.
+        to_lights: Directions to the light in the frames of the cells, (n,) of ``wp.vec3f``.
+        footprints: Footprints in the frames of the cells, (n,); empty if pixels show points.
+        dots: Indices of the dots, row by row, (n,); −1 without a hit.
+        gains: Geometry factors, multiplied by the dependence of a material's reflectance on the angle, (n,).
+    """
+
+    scattering_vectors: wp.array
+    to_lights: wp.array
+    footprints: wp.array
+    dots: wp.array
+    gains: wp.array
+
+    @classmethod
+    def allocate(cls, rays: int, *, means: bool, device: wp.Device) -> DotSamples:
+        """Return uninitialised arrays for a number of rays; footprints are empty unless pixels show ``means``."""
+        return cls(
+            wp.empty(rays, dtype=wp.vec3d, device=device), wp.empty(rays, dtype=wp.vec3f, device=device),
+            wp.empty(rays * means, dtype=Footprint, device=device), wp.empty(rays, dtype=wp.int32, device=device),
+            wp.empty(rays, dtype=wp.float32, device=device),
+        )  # fmt: skip
+
+
+def material_of_dots(material: Material | None, grating_map: GratingMap | None) -> Material | None:
+    """Return the material whose reflectance the look-ups of a surface's colours include.
+
+    If depths or pitches differ between dots, a look-up requires a material whose reflectance does not depend on the
+    angle.
+    """
+    if material is None or grating_map is None or grating_map.has_one_shape:
+        return material
+    return FixedReflectance.of(material)
+
+
+class GratingDots:
+    """Dots of all surfaces of a picture that have a grating map, as arrays on the device."""
+
+    def __init__(
+        self, maps: dict[int, GratingMap], surface_of_faces: NDArray[np.int32], rays: CameraRays
+    ) -> None:  # fmt: skip
+        """Copy maps to the device of the rays; ``maps`` has them by the index of their surface.
+
+        ``surface_of_faces`` is empty if all faces have the same surface.
+        """
+        device = rays.options["device"]
+        self._rays = rays
+        self._ratios: dict[Material, wp.array] = {}
+        self._no_footprints = wp.empty(0, dtype=Footprint, device=device)
+        self._shapes = {surface: grating_map.shape for surface, grating_map in maps.items()}
+        self._transforms = {
+            surface: wp.array(grating_map.transforms.reshape(-1, 4), dtype=wp.vec4f, device=device)
+            for surface, grating_map in maps.items()
+        }
+        self._surface_of_faces = wp.array(surface_of_faces, dtype=wp.int32, device=device)
+
+    @classmethod
+    def of(
+        cls, maps: Sequence[GratingMap | None], surface_of_faces: NDArray[np.int32], rays: CameraRays
+    ) -> GratingDots | None:
+        """Return the dots of the surfaces that have a grating map; None if no surface has one."""
+        by_surface = {surface: own for surface, own in enumerate(maps) if own is not None}
+        if not by_surface:
+            return None
+        return cls(by_surface, surface_of_faces, rays)
+
+    def has_map(self, surface: int) -> bool:
+        """Whether a surface has a map."""
+        return surface in self._transforms
+
+    def scaled_gains(
+        self, material: Material | None, scattering_vectors: wp.array, gains: wp.array, of_dots: DotSamples
+    ) -> tuple[wp.array, list[KernelCall]]:
+        """Return the gains with which the colours of a material are looked up, and the kernel calls that compute them.
+
+        The gains are multiplied by the dependence of the reflectance on the angle, unless the look-up includes it.
+        """
+        if not isinstance(material, FixedReflectance):
+            return gains, []
+        if material not in self._ratios:
+            device = self._rays.options["device"]
+            self._ratios[material] = wp.array(luminance_ratios(material), dtype=wp.float32, device=device)
+        inputs = [self._ratios[material], scattering_vectors, gains]
+        return of_dots.gains, [KernelCall(dot_transforms.scale_gains, inputs, [of_dots.gains], in_runs=True)]
+
+    def transform(
+        self, surface: int, gbuffer: GBuffer, samples: LookupSamples, of_dots: DotSamples, level: int
+    ) -> tuple[LookupSamples, list[KernelCall]]:
+        """Return the samples of a surface in the frames of its dots, and the kernel calls that compute them.
+
+        Args:
+            surface: Index of a surface with a map.
+            gbuffer: Hits of the rays.
+            samples: Samples in the frames of the hits.
+            of_dots: Arrays for the result.
+            level: Level of the subpixel cells that the rays represent; 0 is one ray per pixel.
+        """
+        footprints = self._no_footprints if samples.footprints is None else samples.footprints
+        inputs = [
+            self._transforms[surface], of_dots.dots, gbuffer.pixels.face, self._surface_of_faces, surface,
+            samples.scattering_vectors, samples.to_lights, footprints,
+        ]  # fmt: skip
+        outputs = [of_dots.scattering_vectors, of_dots.to_lights, of_dots.footprints]
+        transform = KernelCall(dot_transforms.transform_samples, inputs, outputs, in_runs=True)
+        result = LookupSamples(outputs[0], outputs[1], None if samples.footprints is None else outputs[2])
+        return result, [self._find(surface, gbuffer, of_dots, level), transform]
+
+    def _find(self, surface: int, gbuffer: GBuffer, of_dots: DotSamples, level: int) -> KernelCall:
+        """Return the kernel call that finds the dot of each hit on a surface."""
+        inputs = [self._rays.camera, self._rays.scene.bare, gbuffer.pixels, *self._shapes[surface], 1 << level]
+        return KernelCall(dot_transforms.find_dots, inputs, [of_dots.dots], in_runs=True)
+
+    def signal_calls(self, gbuffer: GBuffer, scattering_vectors: wp.array, of_dots: DotSamples) -> list[KernelCall]:
+        """Return the kernel calls that write signals into the scattering vectors of ``of_dots``, one ray per pixel.
+
+        A signal is a number that differs between neighbouring dots by more than any change of the scattering vector.
+        """
+        calls = []
+        for place, surface in enumerate(self._transforms):
+            inputs = [
+                of_dots.dots, self._shapes[surface][1], gbuffer.pixels.face, self._surface_of_faces, surface,
+                scattering_vectors, place == 0,
+            ]  # fmt: skip
+            calls += [
+                self._find(surface, gbuffer, of_dots, 0),
+                KernelCall(dot_transforms.signals_of_dots, inputs, [of_dots.scattering_vectors], in_runs=True),
+            ]
+        return calls

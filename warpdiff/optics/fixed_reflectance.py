@@ -1,0 +1,66 @@
+"""Materials whose reflectance has the spectrum of normal incidence at all angles, for the tables of grating maps.
+
+A table of colours contains R(θd, λ) at the angle θd that follows from its own (u, v, w). Dots with a scaled depth or
+pitch look up other (u, v, w). Their tables have R(0, λ), and look-ups multiply by the luminance of R(θd, λ) over that
+of R(0, λ).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.optics import colorimetry
+from warpdiff.optics.materials import Material, reflectance_at
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# Number of cosines of θd from 0 to 1 at which the ratio of luminances is tabulated. Choice: linear interpolation has an
+# error below 1e-4 for metals.
+_COSINES = 257
+# Cosines of θd at which the change of the spectrum is judged. Choice: θd is half of the angle between light and view,
+# and exceeds 60° only if both are near the horizon.
+_JUDGED_COSINES = np.linspace(0.5, 1.0, 11)
+
+
+class FixedReflectance(Material):
+    """Material with the reflectance of normal incidence at all angles.
+
+    Attributes:
+        original: Material with the reflectance at all angles.
+    """
+
+    has_angles = False
+    original: Material
+
+    @classmethod
+    def of(cls, material: Material) -> FixedReflectance:
+        """Return the material of normal incidence for a material."""
+        fixed = cls(
+            material.wavelengths_nm, material.n, material.k, material.name, material.source, material.film,
+            material.film_nm,
+        )  # fmt: skip
+        object.__setattr__(fixed, "_key", ("normal incidence", *material._key))
+        object.__setattr__(fixed, "original", material)
+        return fixed
+
+
+def luminance_ratios(fixed: FixedReflectance) -> NDArray[np.float64]:
+    """Return the luminance of R(θd, λ) under D65 over that of R(0, λ), at equally spaced cos θd from 0 to 1."""
+    reflectances = reflectance_at(fixed.original, colorimetry.VISIBLE_NM, np.linspace(0.0, 1.0, _COSINES)[:, None])
+    luminances = reflectances @ colorimetry.colour_products("D65")[:, 1]
+    return np.asarray(luminances / luminances[-1])
+
+
+def spectral_change(material: Material) -> float:
+    """Return how much the spectrum of R changes with θd up to 60°, apart from a factor: a weighted rms over λ.
+
+    The weights are the luminous efficiency under D65. The result is the largest one over θd.
+    """
+    reflectances = reflectance_at(material, colorimetry.VISIBLE_NM, _JUDGED_COSINES[:, None])
+    weights = colorimetry.colour_products("D65")[:, 1]
+    ratios = reflectances / reflectances[-1]
+    change = ratios / ((ratios @ weights) / weights.sum())[:, None] - 1.0
+    return float(np.sqrt((change**2 @ weights) / weights.sum()).max())

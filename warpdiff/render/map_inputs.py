@@ -1,0 +1,103 @@
+"""Checks of grating maps before a picture is computed, and the coherence of their surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.optics.coherence import Coherence
+from warpdiff.optics.fixed_reflectance import spectral_change
+from warpdiff.optics.materials import Material
+from warpdiff.request.plan import Plan
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from warpdiff.heightfield.grating_map import GratingMap
+    from warpdiff.lights.surface_optics import SurfaceOptics
+    from warpdiff.request.settings import PictureSettings
+    from warpdiff.scene.mesh_import import Surface as Mesh
+
+
+def settings_of_map(grating_map: GratingMap, settings: PictureSettings) -> PictureSettings:
+    """Check the options of a surface with a map, and return them with the coherence of the map.
+
+    If neither a coherence nor a plan is given, the coherence is ``Coherence("source")``.
+
+    Raises:
+        ValueError: An option is not supported for maps.
+    """
+    method = settings.plan.method if isinstance(settings.plan, Plan) else settings.method
+    refused = {
+        "method": "direct" if method == "direct" else None,
+        "energy": "normalised" if settings.energy == "normalised" else None,
+        "wavelengths_nm": getattr(settings, "wavelengths_nm", None),
+    }
+    remedies = {
+        "method": "give another method",
+        "energy": "give 'stam'",
+        "wavelengths_nm": "omit it, or give the height field of one dot instead of the map",
+    }
+    for name, value in refused.items():
+        if value is not None:
+            raise ArgumentValueError(
+                f"{ref(name)} must not be {_text(value)} with a GratingMap, which is not supported: {remedies[name]}"
+            )
+    if settings.coherence is None and settings.plan is None:
+        settings = replace(settings, coherence=Coherence("source"))
+    kind = settings.effective_coherence.kind
+    if kind != "source" and not grating_map.has_one_pitch:
+        low, high = float(grating_map.pitch_scale.min()), float(grating_map.pitch_scale.max())
+        raise ArgumentValueError(
+            f"{ref('coherence')} must be of kind 'source' for a GratingMap whose {ref('pitch_scale')} differs between "
+            f"dots, from {low:g} to {high:g}, got {kind!r}: give Coherence('source'), or one pitch scale"
+        )
+    if not grating_map.has_one_shape:
+        _check_materials(settings)
+    return settings
+
+
+def _check_materials(settings: PictureSettings) -> None:
+    """Raise an error for materials whose spectrum changes with the angle by more than the tolerance."""
+    materials = settings.material.values() if isinstance(settings.material, Mapping) else [settings.material]
+    tolerance = settings.plan.tolerance if isinstance(settings.plan, Plan) else settings.tolerance
+    for material in materials:
+        if isinstance(material, Material) and (change := spectral_change(material)) > tolerance:
+            raise ArgumentValueError(
+                f"{ref('material')} must have a spectrum that changes with the angle by at most {ref('tolerance')} "
+                f"for a GratingMap whose {ref('depth_scale')} or {ref('pitch_scale')} differs between dots, got "
+                f"{material} with a change of {change:.2g} for {ref('tolerance', tolerance)}: give a larger "
+                f"{ref('tolerance')}, {ref('ior')}, or a map of {ref('turn_deg')} alone"
+            )
+
+
+def _text(value: object) -> str:
+    return repr(value) if isinstance(value, str) else "given"
+
+
+def check_texture_coordinates(
+    mesh: Mesh, optics: Iterable[SurfaceOptics], surface_of_faces: NDArray[np.int32] | None
+) -> None:
+    """Raise an error if a face of a surface with a map has no texture coordinates.
+
+    Args:
+        mesh: The prepared mesh.
+        optics: Optics of the surfaces.
+        surface_of_faces: Index of each face's surface, shape (m,); None if all faces have the same surface.
+    """
+    if mesh.lacks_uvs is None:
+        return
+    for index, surface in enumerate(optics):
+        faces = mesh.lacks_uvs if surface_of_faces is None else mesh.lacks_uvs & (surface_of_faces == index)
+        if surface.grating_map is not None and faces.any():
+            name = mesh.geometry_names[mesh.geometries[int(np.argmax(faces))]]
+            raise ArgumentValueError(
+                f"{ref('mesh')} must have texture coordinates for a GratingMap, but {int(np.count_nonzero(faces))} "
+                f"faces of {name!r} have none: unwrap the mesh, or give one height field instead of a map"
+            )

@@ -1,0 +1,1 @@
+"""Rigorous order efficiencies of one-dimensional gratings, by the package meent (extra ``rigorous``)."""

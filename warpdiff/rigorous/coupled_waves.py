@@ -1,0 +1,116 @@
+"""Coupled-wave solutions of one-dimensional reliefs by meent, which is checked on a flat surface before use.
+
+The relief is cut into layers that are constant along z. Coupled-wave analysis (Moharam and Gaylord 1995) with the
+inverse rule for p polarisation (Granet and Guizal 1996; Lalanne and Morris 1996; Li 1996) expands the fields in the
+layers by Fourier harmonics.
+
+Two properties of meent 0.13 matter here. Its layers have the index n − ik. For p polarisation its complex substrate
+index gives wrong efficiencies, so that an absorbing substrate is a layer from which no light returns.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from warpdiff.optics.materials import reflectance_at
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from warpdiff.optics.materials import Material
+
+    Array = NDArray[np.float64]
+
+# Power that returns from the lower end of the layer that replaces an absorbing substrate. Limit: rounding errors.
+_RETURNED = 1e-13
+# Imaginary part of the index below which a substrate counts as transparent. Limit: the thickness of its layer, 1 cm.
+_TRANSPARENT = 1e-4
+# Largest difference of the reflectance of a flat surface from Fresnel's. Limit: rounding errors, with a margin.
+_FLAT_ERROR = 1e-6
+# Thickness of the flat layer by which the solver is checked [µm], and its number of harmonics.
+_FLAT_UM, _FLAT_HARMONICS = 0.1, 2
+
+
+class Solution(NamedTuple):
+    """Efficiencies of the orders −N to N, shape (2N + 1,)."""
+
+    reflected: Array
+    transmitted: Array
+
+
+def load_meent() -> Any:
+    """Return the package meent, or raise an error that states how to install it."""
+    try:
+        import meent
+    except ImportError:
+        raise ImportError("rigorous solutions require the package meent: pip install 'warpdiff[rigorous]'") from None
+    return meent
+
+
+def layers_of(heights_um: Array, most: int) -> tuple[list[NDArray[np.bool_]], list[float]]:
+    """Return the material in each layer from the top, shape (n,), and the thicknesses [µm].
+
+    Args:
+        heights_um: Heights of one period [µm], shape (n,); each sample is constant until the next one.
+        most: Largest number of layers. More different heights are replaced by a staircase of this many equal steps.
+    """
+    levels = np.unique(heights_um)
+    if len(levels) > most + 1:
+        levels = np.linspace(levels[0], levels[-1], most + 1)
+    middles = (levels[1:] + levels[:-1]) / 2.0
+    # Samples within rounding errors of the middle of a step belong to the step.
+    tops = [heights_um > middle for middle in middles[::-1]]
+    return tops, np.diff(levels)[::-1].tolist()
+
+
+def solve(
+    layers: list[NDArray[np.bool_]], thicknesses_um: list[float], period_um: float, *, wavelength_um: float,
+    angle_rad: float, index: complex, polarisation: int, harmonics: int,
+) -> Solution:  # fmt: skip
+    """Solve one grating for one polarisation.
+
+    Args:
+        layers: Material in each layer from the top, shape (n,).
+        thicknesses_um: Thicknesses of the layers [µm].
+        period_um: Period along x [µm].
+        wavelength_um: Wavelength [µm].
+        angle_rad: Angle of incidence [rad]; the direction to the light is (sin, 0, cos).
+        index: Index n + ik of the material, which also fills the space below the layers.
+        polarisation: 0 for s, the electric field along the grooves, and 1 for p.
+        harmonics: Largest order N of the expansion.
+    """
+    meent = load_meent()
+    below, bottom = [], index.real
+    if index.imag > _TRANSPARENT:
+        # The light crosses the layer twice, and its power falls as exp(−4πkz/λ).
+        below = [-math.log(_RETURNED) * wavelength_um / (8.0 * math.pi * index.imag)]
+        bottom = 1.0
+    count = len(layers[0]) if layers else 2
+    masks = [*layers, *(np.ones(count, dtype=bool) for _ in below)]
+    cell = np.where(np.array(masks).reshape(-1, 1, count), np.conj(index), 1.0 + 0.0j)
+    result = meent.call_mee(
+        backend=0, pol=polarisation, n_top=1.0, n_bot=bottom, theta=-angle_rad, fto=[harmonics, 0],
+        wavelength=wavelength_um, period=[period_um, 1.0], ucell=cell, thickness=[*thicknesses_um, *below],
+        fourier_type=1,
+    ).conv_solve()  # fmt: skip
+    return Solution(np.ravel(result.de_ri).real, np.ravel(result.de_ti).real)
+
+
+def check_on_a_flat_surface(material: Material, index: complex, wavelength_nm: float, angle_rad: float) -> None:
+    """Raise an error if the solver does not reproduce Fresnel's reflectance of a flat surface."""
+    for number, name in ((0, "s"), (1, "p")):
+        flat = solve(
+            [np.ones(2, dtype=bool)], [_FLAT_UM], 1.0, wavelength_um=1e-3 * wavelength_nm, angle_rad=angle_rad,
+            index=index, polarisation=number, harmonics=_FLAT_HARMONICS,
+        ).reflected  # fmt: skip
+        cosine = np.array([math.cos(angle_rad)])
+        expected = reflectance_at(material, np.array([wavelength_nm]), cosine, "s" if name == "s" else "p")[0]
+        if not abs(flat[_FLAT_HARMONICS] - expected) <= _FLAT_ERROR:
+            raise RuntimeError(
+                f"the installed meent gives the reflectance {flat[_FLAT_HARMONICS]:.6f} of a flat surface of "
+                f"{material} for {name} polarisation, but Fresnel's equations give {expected:.6f}: install a version "
+                "that the extra 'rigorous' names"
+            )
