@@ -132,6 +132,18 @@ def opened(oiio: ModuleType, file: Path, formats: Sequence[str], configuration: 
     return image
 
 
+def error_text(source: Any) -> str:
+    """Return the last message of OpenImageIO, or of one of its objects, as one line, and clear it.
+
+    OpenImageIO prints unread messages when the process ends. A message may quote bytes of the file that are not text. A
+    fixed text is returned for such a message.
+    """
+    try:
+        return " ".join(source.geterror().split())
+    except UnicodeDecodeError:
+        return "its header is damaged"
+
+
 def _format_of_suffix(oiio: ModuleType, suffix: str) -> str | None:
     """Return OpenImageIO's name of the format of a suffix without its dot; None if the library has no such suffix."""
     for entry in oiio.get_string_attribute("extension_list").split(";"):

@@ -141,7 +141,7 @@ class Environment(Checked, Light):
         with openimageio.in_use() as oiio:
             image = openimageio.opened(oiio, file, _FORMATS)
             if image is None:
-                oiio.geterror()
+                openimageio.error_text(oiio)
                 raise ArgumentValueError(
                     f"{ref('path')}: {str(file)!r} cannot be read as an image; give an EXR or HDR file"
                 )
@@ -157,7 +157,7 @@ class Environment(Checked, Light):
                 )  # fmt: skip
                 samples = image.read_image(0, 0, 0, 3, "float")
                 if samples is None or image.has_error:
-                    image.geterror()
+                    openimageio.error_text(image)
                     raise ArgumentValueError(f"{ref('path')}: {str(file)!r} is damaged; export the image again")
             finally:
                 image.close()

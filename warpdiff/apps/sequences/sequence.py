@@ -311,14 +311,14 @@ def _is_whole(path: Path, shot: Shot) -> bool:
         source = openimageio.opened(oiio, path, ("openexr", "png"))
         if source is None:
             # OpenImageIO prints unread error messages at the end of the process. Reading the message prevents this.
-            oiio.geterror()
+            openimageio.error_text(oiio)
             return False
         spec = source.spec()
         is_whole = (spec.width, spec.height) == (shot.view.width, shot.view.height)
         if path.suffix == ".exr" and is_whole:
             # The last rows of an EXR file are written last. If they can be read, the file is complete.
             is_whole = source.read_scanlines(spec.height - 1, spec.height, 0, 0, spec.nchannels) is not None
-            source.geterror()
+            openimageio.error_text(source)
         source.close()
     return is_whole and (path.suffix != ".png" or path.read_bytes().endswith(PNG_END))
 
