@@ -21,7 +21,7 @@ PYTEST_WORKERS := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxpr
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-browser test-dask test-mitsuba test-scans soak test-lowest lint bench docs clean
+.PHONY: help demo test test-slow test-browser test-dask test-mitsuba test-scans soak fuzz test-lowest lint bench docs clean
 # A stamp must not outlive an installation that failed.
 .DELETE_ON_ERROR:
 
@@ -52,6 +52,9 @@ test-scans: $(SCANS_STAMP) ## test files of instruments, which another library r
 
 soak: $(TEST_STAMP) ## try what may go wrong for an hour; MINUTES=5 for less
 	$(BIN)/python -m bench.dev.soak --minutes $(MINUTES)
+
+fuzz: $(TEST_STAMP) ## read damaged files for an hour; MINUTES=5 for less
+	$(BIN)/python -m bench.dev.fuzz --minutes $(MINUTES)
 
 test-lowest: ## run the tests with the lowest versions that are allowed, in an environment of their own
 	rm -rf $(VENV)-lowest

@@ -1,9 +1,12 @@
 """Power spectrum on a polar grid in float64, colours as sums over its rings, and the transposes of both, for adjoints.
 
-A ring has equally spaced azimuth samples. The value at a ring is the integral of the spectrum under a quadratic
-B-spline in ln t, where t is the frequency. Each value is a series of Chebyshev polynomials in κ. One thread computes
-one azimuth, one coefficient, one direction or a few rings. No two threads write to the same element, so that results do
-not depend on the number of threads.
+The grid is in the frequency plane: t is the frequency [1/µm] along a radius, and a ring has equally spaced azimuth
+samples. The value at a ring is the integral of the spectrum under a quadratic B-spline in ln t. Each value is a series
+of Chebyshev polynomials in κ = w/λ, for the wavelength λ and the scattering vector (u, v, w). The adjoint of a quantity
+is the derivative of a scalar loss with respect to this quantity.
+
+One thread computes one azimuth, one Fourier coefficient, one direction or a few rings. No two threads write to the same
+element, so that results do not depend on the number of threads.
 """
 
 import warp as wp
@@ -15,45 +18,47 @@ OPTIONS = compile_options.options("polar_sums.h", max_unroll=1)
 # Number of rings of a block, whose rings have equally many azimuth samples. If doubled, inner rings of a block have up
 # to twice as many samples as they require.
 BLOCK_RINGS = 16
-# Number of rings that one thread of the transposed sum over rings processes. Limit: each ring is read by one thread.
+# Number of consecutive rings that one thread of the transposed sum over rings processes. Each ring is processed by a
+# single thread.
 TOGETHER = 4
-# Largest number of terms of a series on a polar grid. Limit: polynomials of six rings are on the stack.
+# Largest number of terms of a series on a polar grid. The number is limited by the stack, which has the polynomials of
+# six rings.
 MOST_TERMS = 256
 
 
 @wp.struct
 class RingBlocks:
-    """Polar grid of the frequency plane, in blocks of ``BLOCK_RINGS`` rings."""
+    """Polar grid of the frequency plane, in blocks of ``BLOCK_RINGS`` rings with equally many azimuth samples."""
 
-    azimuths: wp.array(dtype=wp.int32)  # number of azimuth samples per ring, by block
-    starts: wp.array(dtype=wp.int32)  # index of the first row, by block; rows are ordered by ring, then azimuth
-    first_directions: wp.array(dtype=wp.int32)  # index into ``directions``, by block
-    divisions: wp.array(dtype=wp.int32)  # samples of the spectrum per ring, by block
-    first_radii: wp.array(dtype=wp.int32)  # index into ``radii``, by block
-    block_of: wp.array(dtype=wp.int32)  # block, by direction
-    is_used: wp.array(dtype=wp.bool)  # whether the spectrum is sampled at all, by direction
-    directions: wp.array(dtype=wp.vec2d)  # cosine and sine of the azimuths
-    radii: wp.array(dtype=wp.float64)  # frequencies of the samples of the spectrum [1/µm]
-    log_first: wp.float64  # ln t of ring 0
-    step: wp.float64  # distance of rings in ln t
-    falloff: wp.float64  # a of the weights exp(−a d²) of coefficients [µm²]
-    excluded: wp.int32  # cell of the block of coefficients that is not summed; −1 if there is none
+    azimuths: wp.array(dtype=wp.int32)  # number of azimuth samples of a ring, for each block
+    starts: wp.array(dtype=wp.int32)  # first row of values of each block; rows are sorted by ring, then by azimuth
+    first_directions: wp.array(dtype=wp.int32)  # index of the block's first azimuth in ``directions``, for each block
+    divisions: wp.array(dtype=wp.int32)  # number of samples of the spectrum per ring, for each block
+    first_radii: wp.array(dtype=wp.int32)  # index of the block's first sample in ``radii``, for each block
+    block_of: wp.array(dtype=wp.int32)  # index of the block of each azimuth in ``directions``
+    is_used: wp.array(dtype=wp.bool)  # whether the spectrum is sampled at each azimuth in ``directions``
+    directions: wp.array(dtype=wp.vec2d)  # cosine and sine of each azimuth of each block
+    radii: wp.array(dtype=wp.float64)  # frequencies t at which the spectrum is sampled [1/µm], block by block
+    log_first: wp.float64  # ln t of the innermost ring
+    step: wp.float64  # difference of ln t between neighbouring rings
+    falloff: wp.float64  # factor a [µm²] of the weight exp(−a d²) of a coefficient at the distance d [1/µm]
+    excluded: wp.int32  # cell of the block of Fourier coefficients that is omitted from the sums; −1 if there is none
 
 
 @wp.struct
 class PolarPixels:
-    """Directions whose colours are sums over rings, in ascending order of their places."""
+    """Directions whose colours are sums over rings, sorted by their positions in ``places``."""
 
-    places: wp.array(dtype=wp.float64)  # position of the longest wavelength among the rings
-    turns: wp.array(dtype=wp.float64)  # azimuth [turns], 0 to 1
-    slopes: wp.array(dtype=wp.float64)  # |w|/|(u, v)|, the ratio of κ to the frequency t
+    places: wp.array(dtype=wp.float64)  # position of the longest visible wavelength of each direction, in rings
+    turns: wp.array(dtype=wp.float64)  # azimuth of (u, v) of each direction [turns], 0 to 1
+    slopes: wp.array(dtype=wp.float64)  # |w|/|(u, v)| of each direction: the ratio of κ to the frequency t
     gains: wp.array(dtype=wp.float64)
-    curves: wp.array3d(dtype=wp.float64)  # weights of rings, by the fraction of a place, ring, and X, Y or Z
-    reflectances: wp.array2d(dtype=wp.float64)  # reflectance at the rings of a direction; empty is 1
-    adjoints: wp.array2d(dtype=wp.float64)  # adjoints of XYZ, for the transposed sum
-    begins: wp.array(dtype=wp.int32)  # for groups of ``TOGETHER`` rings: first direction that uses one of them
-    ends: wp.array(dtype=wp.int32)  # one more than the last such direction
-    least_kappa: wp.float64  # range of κ of the series [1/µm]
+    curves: wp.array3d(dtype=wp.float64)  # weights of rings: by the fractional part of ``places``, ring, and X, Y or Z
+    reflectances: wp.array2d(dtype=wp.float64)  # reflectance of each direction at its rings; if empty, it is 1
+    adjoints: wp.array2d(dtype=wp.float64)  # adjoints of XYZ of each direction, for the transposed sum
+    begins: wp.array(dtype=wp.int32)  # first direction that uses a ring of each group of ``TOGETHER`` rings
+    ends: wp.array(dtype=wp.int32)  # last direction that uses a ring of each group, plus one
+    least_kappa: wp.float64  # smallest κ of the Chebyshev series [1/µm]; ``places_per_kappa`` is 2 over their range
     places_per_kappa: wp.float64
 
 
@@ -61,7 +66,7 @@ class PolarPixels:
 def sample_azimuth_rings(
     table: LobeTable, grid: RingBlocks, direction: wp.int32, values_out: wp.array2d(dtype=wp.float64)
 ):
-    """Compute the spectrum along one azimuth of a block of rings."""
+    """Compute the spectrum at the rings of a block along one azimuth."""
 
 
 @wp.func_native("warpdiff::spread_rings(table, grid, values, cell, rows_out);")
@@ -69,7 +74,7 @@ def spread_rings(
     table: LobeTable, grid: RingBlocks, values: wp.array2d(dtype=wp.float64), cell: wp.int32,
     rows_out: wp.array2d(dtype=wp.float64),
 ):  # fmt: skip
-    """Add the contributions of all rings to the row of one coefficient."""
+    """Add the contributions of all rings to the adjoint of one Fourier coefficient's series."""
 
 
 @wp.func_native("warpdiff::sum_rings(grid, values, pixels, pixel, xyz_out);")
@@ -77,12 +82,12 @@ def sum_rings(
     grid: RingBlocks, values: wp.array2d(dtype=wp.float64), pixels: PolarPixels, pixel: wp.int32,
     xyz_out: wp.array2d(dtype=wp.float64),
 ):  # fmt: skip
-    """Compute the colour of one direction."""
+    """Compute the colour of one direction as a sum over rings."""
 
 
 @wp.func_native("warpdiff::spread_pixels(grid, pixels, group, values_out);")
 def spread_pixels(grid: RingBlocks, pixels: PolarPixels, group: wp.int32, values_out: wp.array2d(dtype=wp.float64)):
-    """Add the contributions of all directions to a few rings."""
+    """Add the contributions of all directions to the adjoints of a few rings."""
 
 
 @wp.kernel(module="unique", module_options=OPTIONS)
@@ -98,7 +103,7 @@ def spread_spectrum_rings(
     table: LobeTable, grid: RingBlocks, values: wp.array2d(dtype=wp.float64), first: wp.int32,
     rows_out: wp.array2d(dtype=wp.float64),
 ):  # fmt: skip
-    """Add the adjoints of the spectrum on all rings to the rows of coefficients, one cell of the block per thread."""
+    """Add the adjoints of the spectrum on all rings to those of coefficients, one cell of the block per thread."""
     spread_rings(table, grid, values, first + wp.tid(), rows_out)
 
 
@@ -107,7 +112,7 @@ def sum_rings_of_pixels(
     grid: RingBlocks, values: wp.array2d(dtype=wp.float64), pixels: PolarPixels, first: wp.int32,
     xyz_out: wp.array2d(dtype=wp.float64),
 ):  # fmt: skip
-    """Compute the colours of directions."""
+    """Compute the colours of all directions as sums over rings."""
     sum_rings(grid, values, pixels, first + wp.tid(), xyz_out)
 
 
@@ -115,5 +120,5 @@ def sum_rings_of_pixels(
 def spread_pixels_to_rings(
     grid: RingBlocks, pixels: PolarPixels, first: wp.int32, values_out: wp.array2d(dtype=wp.float64)
 ):
-    """Add the adjoints of the colours of directions to the rings that they sum, a few rings per thread."""
+    """Add the adjoints of the colours of directions to those of the rings that they sum, a few rings per thread."""
     spread_pixels(grid, pixels, first + wp.tid(), values_out)

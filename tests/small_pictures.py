@@ -36,12 +36,26 @@ def rough(function, **fixed):
     return call
 
 
+def _by_surface(of_fields, of_maps):
+    """Return a function that calls ``of_maps`` if its second argument is a grating map, otherwise ``of_fields``."""
+
+    @functools.wraps(of_fields)
+    def call(*arguments, **options):
+        return (of_maps if isinstance(arguments[1], wd.GratingMap) else of_fields)(*arguments, **options)
+
+    return call
+
+
 def draw_roughly(monkeypatch):
     """Make views small, and computations fast but inaccurate, by large tolerances and a short coherence window."""
     window = wd.Coherence(sigma_um=1.5)
     monkeypatch.setattr(wd, "View", SmallView())
     for name in ("shade", "Renderer"):
-        monkeypatch.setattr(wd, name, rough(getattr(wd, name), tolerance=0.3, coherence=window))
+        function = getattr(wd, name)
+        with_window = rough(function, tolerance=0.3, coherence=window)
+        # Maps whose pitch differs between dots require a source.
+        of_maps = rough(function, tolerance=0.3, coherence=wd.Coherence("source", angular_diameter_deg=15.0))
+        monkeypatch.setattr(wd, name, _by_surface(with_window, of_maps))
     monkeypatch.setattr(wd, "bake", rough(wd.bake, delta_e=20.0, coherence=window))
 
 

@@ -65,8 +65,8 @@ def run(command: list[str | Path], cwd: Path) -> str:
     """Return the standard output of a command that must succeed, without network and without ``PYTHON*`` variables."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     # Archives with a stated date have the same bytes whenever they are built.
-    environment |= {"SOURCE_DATE_EPOCH": "1600000000", "PIP_NO_INDEX": "1"}
-    environment |= {"PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_INPUT": "1"}
+    environment["SOURCE_DATE_EPOCH"] = "1600000000"
+    environment |= {"PIP_NO_INDEX": "1", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_INPUT": "1"}
     done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, f"{command} failed:\n{done.stdout}\n{done.stderr}"
     return done.stdout

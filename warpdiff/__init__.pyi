@@ -36,6 +36,7 @@ from warpdiff.fitting.least_squares import fit as fit
 from warpdiff.fitting.measured_data import Measured as Measured
 from warpdiff.heightfield.field import HeightField as HeightField
 from warpdiff.heightfield.grating_map import GratingMap as GratingMap
+from warpdiff.heightfield.hidden_pictures import hidden_pictures as hidden_pictures
 from warpdiff.heightfield.periods import Period as Period
 from warpdiff.heightfield.periods import Periods as Periods
 from warpdiff.heightfield.roughness import Roughness as Roughness

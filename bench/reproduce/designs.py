@@ -119,13 +119,13 @@ def rigorous_splitters(seed: int) -> None:
             )
 
 
-def rigorous_colours(seeds: range) -> None:
+def rigorous_colours(seeds: range, max_harmonics: int) -> None:
     """Print scalar and rigorous colour differences of foils on aluminium."""
     for levels in (2, 8):
         for seed in seeds:
             result, _ = foil(levels, seed)
             start = time.perf_counter()
-            check = result.check_rigorously(wavelengths=11, max_harmonics=512)
+            check = result.check_rigorously(wavelengths=11, max_harmonics=max_harmonics)
             print(
                 f"{levels} levels, seed {seed}: ΔE2000 scalar {result.delta_e.round(2)}, rigorous "
                 f"{check.delta_e.round(2)}, converged {check.converged:.0%} (largest change {check.change:.1e}), "
@@ -141,6 +141,7 @@ def main() -> None:
         parser.add_argument(name, action="store_true")
     parser.add_argument("--seeds", type=int, default=3, help="number of seeds")
     parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--max-harmonics", type=int, default=256, help="of the colours; 512 requires 12 minutes")
     options = parser.parse_args()
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     warnings.simplefilter("ignore", wd.WarpdiffWarning)
@@ -151,7 +152,7 @@ def main() -> None:
     if options.rigorous_splitters:
         rigorous_splitters(options.first_seed)
     if options.rigorous_colours:
-        rigorous_colours(seeds)
+        rigorous_colours(seeds, options.max_harmonics)
 
 
 if __name__ == "__main__":

@@ -26,7 +26,10 @@ SETTINGS = {
 }
 LIGHTS = [name for name in wd.__all__ if inspect.isclass(kind := getattr(wd, name)) and issubclass(kind, Light)]
 GROUPS = {
-    "Surfaces": ["HeightField", "Surface", "GratingMap", "Period", "Periods", "Roughness", "gratings", "datasets"],
+    "Surfaces": [
+        "HeightField", "Surface", "GratingMap", "hidden_pictures", "Period", "Periods", "Roughness", "gratings",
+        "datasets",
+    ],
     "Bodies and cameras": ["meshes", "View"],
     "Lights": [*LIGHTS, "Spectrum"],
     "Materials and coherence": ["Material", "Coherence"],

@@ -1,8 +1,9 @@
 // Power spectrum on a polar grid of the frequency plane in float64, colours as sums over its rings, and transposes.
 //
-// A block of rings has equally many azimuth samples on each ring. The spectrum is sampled between rings: a sample at
-// the frequency t contributes to three rings, with the weights of a quadratic B-spline in ln t. Between azimuth
-// samples, values are coefficients of a cubic B-spline.
+// t is the frequency along a radius. A block of rings has equally many azimuth samples on each ring. The spectrum is
+// also sampled between rings: a sample contributes to three rings, with the weights of a quadratic B-spline in ln t.
+// Along a ring, values are the coefficients of a cubic B-spline over the azimuth. κ is w/λ, for the wavelength λ and
+// the scattering vector (u, v, w). The adjoint of a quantity is the derivative of a scalar loss with respect to it.
 
 #pragma once
 
@@ -10,15 +11,15 @@
 
 namespace warpdiff {
 
-// Number of rings of a block, number of rings per thread of `spread_pixels`, and largest number of terms. They are
-// those of the kernel module.
+// Number of rings of a block, number of rings per thread of `spread_pixels`, and largest number of terms of a series.
+// These numbers must equal those of the kernel module.
 constexpr int BLOCK_RINGS = 16, RINGS_TOGETHER = 4, MOST_POLAR_TERMS = 256;
 constexpr double RADIANS_PER_TURN = 6.283185307179586;
-// Number of columns of coefficients whose weights are computed together.
+// Number of columns of the block of coefficients whose weights are computed at once.
 constexpr int COLUMNS_TOGETHER = 128;
 
-// Compute the weights of the rings `ring` − 1, `ring` and `ring` + 1 of a block for sample k of the block. The first
-// sample lies one and a half rings before the first ring.
+// Compute the weights with which sample k of a block contributes to its rings `ring` − 1, `ring` and `ring` + 1. The
+// first sample is one and a half rings before the first ring of the block.
 struct SampleWeights {
     int ring;
     double weights[3];
@@ -34,7 +35,7 @@ struct SampleWeights {
     }
 };
 
-// Return the exponent of the weight of a coefficient along one axis.
+// Return the exponent of the Gaussian weight of the coefficient of an order, as its part along one axis.
 template <class Grid>
 WARPDIFF_INLINE double exponent_along(const Grid& grid, double position, int order, double step)
 {
@@ -42,7 +43,7 @@ WARPDIFF_INLINE double exponent_along(const Grid& grid, double position, int ord
     return grid.falloff * away * away;
 }
 
-// Add the coefficients around the frequency (qx, qy), times their weights, to `total`.
+// Add the coefficients near the frequency (qx, qy), multiplied by their Gaussian weights, to `total`.
 template <class Table, class Grid>
 WARPDIFF_INLINE void add_neighbours(const Table& table, const Grid& grid, double qx, double qy, double* total)
 {
@@ -72,7 +73,7 @@ WARPDIFF_INLINE void add_neighbours(const Table& table, const Grid& grid, double
     }
 }
 
-// Compute the spectrum along one azimuth of a block of rings.
+// Compute the spectrum at the rings of a block along one azimuth.
 template <class Table, class Grid, class Values>
 WARPDIFF_INLINE void sample_azimuth_rings(const Table& table, const Grid& grid, int direction, Values& values_out)
 {
@@ -100,7 +101,7 @@ WARPDIFF_INLINE void sample_azimuth_rings(const Table& table, const Grid& grid, 
     }
 }
 
-// Add to the row of a coefficient what the samples of the spectrum near it contribute: the transpose of
+// Add the contributions of nearby samples of the spectrum to the adjoint of a coefficient's series: the transpose of
 // `sample_azimuth_rings`.
 template <class Table, class Grid, class Values, class Rows>
 WARPDIFF_INLINE void spread_rings(const Table& table, const Grid& grid, const Values& values, int cell, Rows& rows_out)
@@ -118,7 +119,8 @@ WARPDIFF_INLINE void spread_rings(const Table& table, const Grid& grid, const Va
         const int first_direction = numbers<const int>(grid.first_directions)[block];
         const double* const radii = numbers<const double>(grid.radii) + numbers<const int>(grid.first_radii)[block];
         if (radii[count - 1] < radius - reach || radii[0] > radius + reach) continue;
-        // Azimuths at which the lobe of the coefficient can be reached, with a margin of one azimuth for rounding.
+        // Only azimuths from `begin` to `end` have samples near the coefficient. A margin of one azimuth covers
+        // rounding.
         int begin = 0, end = azimuths;
         if (radius > 1.01 * reach) {
             const double per_azimuth = RADIANS_PER_TURN / (double)azimuths;
@@ -137,7 +139,7 @@ WARPDIFF_INLINE void spread_rings(const Table& table, const Grid& grid, const Va
             if (half2 < -1.0e-9 * reach * reach) continue;
             const double half = wp::sqrt(wp::max(half2, 0.0));
             if (along + half < radii[0] || along - half > radii[count - 1]) continue;
-            // Samples that the lobe reaches, with a margin of one sample for rounding.
+            // Only samples from `low` to `high` are near the coefficient. A margin of one sample covers rounding.
             const double per_sample = (double)divisions / grid.step;
             const double low = wp::max(along - half, radii[0]), high = wp::min(along + half, radii[count - 1]);
             const int from = wp::max((int)wp::floor((wp::log(low) - first_log) * per_sample + 1.5 * divisions) - 2, 0);
@@ -168,7 +170,7 @@ WARPDIFF_INLINE void spread_rings(const Table& table, const Grid& grid, const Va
     }
 }
 
-// Position of one direction at one ring: four consecutive azimuths with the weights of a cubic B-spline.
+// Position of a direction on one ring: four consecutive azimuth samples around it, and their cubic B-spline weights.
 struct AroundRing {
     long long start;
     int azimuths, first;
@@ -188,7 +190,7 @@ struct AroundRing {
         weights[3] = t * t * t / 6.0;
     }
 
-    // Return the index of the row of azimuth j of the four.
+    // Return the row of values of azimuth sample j, where j is 0 to 3.
     WARPDIFF_INLINE long long row(int j) const
     {
         const int azimuth = first + j;
@@ -196,7 +198,7 @@ struct AroundRing {
     }
 };
 
-// Rings that contribute to the colour of one direction, and the weights of X, Y and Z at one of them.
+// Rings that contribute to the colour of one direction, and their weights in X, Y and Z.
 struct ColourRings {
     int first, count, entry;
     double share, place;
@@ -214,7 +216,7 @@ struct ColourRings {
         share = at - (double)entry;
     }
 
-    // Compute the weights of X, Y and Z at ring m of those that contribute; they are 0 beyond these rings.
+    // Compute the weights in X, Y and Z of ring m among the contributing rings; beyond them, the weights are 0.
     template <class Pixels>
     WARPDIFF_INLINE void weights(const Pixels& pixels, int m, double* xyz) const
     {
@@ -224,7 +226,7 @@ struct ColourRings {
         for (int c = 0; c < 3; ++c) xyz[c] = inside ? (1.0 - share) * low[c] + share * high[c] : 0.0;
     }
 
-    // Return the reflectance at ring m, or at the nearest ring that contributes.
+    // Return the reflectance at ring m among the contributing rings; beyond them, return that of the nearest one.
     template <class Pixels>
     WARPDIFF_INLINE double reflectance(const Pixels& pixels, int pixel, int m) const
     {
@@ -234,7 +236,7 @@ struct ColourRings {
     }
 };
 
-// Compute the polynomials of κ at ring m of those that contribute to a direction, times the reflectance.
+// Compute the Chebyshev polynomials at κ of ring m of a direction, multiplied by the reflectance there.
 template <class Grid, class Pixels>
 WARPDIFF_INLINE void polynomials_at(
     const Grid& grid, const Pixels& pixels, const ColourRings& rings, int pixel, int m, int terms, double* polynomials)
@@ -248,10 +250,10 @@ WARPDIFF_INLINE void polynomials_at(
 
 // Compute the colour of one direction.
 //
-// The weights c of rings are those of splines that are fitted to the colour curves. The spectrum at a ring is an
-// integral over its spline, within which the polynomials T, times the reflectance, change. A spline fitted to the
-// product of curve and polynomial has the weight c T − (c₊ (T₊ − T) + c₋ (T₋ − T))/8 to second order, with c₋, c₊, T₋
-// and T₊ at the neighbouring rings.
+// The weight c of a ring is that of a quadratic spline in a fit of the colour curves. The value at the ring is the
+// integral of the spectrum over this spline. The polynomials times the reflectance, T, change within the spline. A
+// spline in a fit of the product of colour curve and T therefore has the weight c T − (c₊ (T₊ − T) + c₋ (T₋ − T))/8, to
+// second order. Here c₋ and T₋ belong to the ring before, and c₊ and T₊ to the ring after.
 template <class Grid, class Values, class Pixels, class Colours>
 WARPDIFF_INLINE void sum_rings(
     const Grid& grid, const Values& values, const Pixels& pixels, int pixel, Colours& xyz_out)
@@ -287,7 +289,7 @@ WARPDIFF_INLINE void sum_rings(
     for (int c = 0; c < 3; ++c) numbers<double>(xyz_out)[3LL * pixel + c] = gain * sums[c];
 }
 
-// Add to a few rings what the adjoints of the colours of all directions contribute: the transpose of `sum_rings`.
+// Add the contributions of all directions to the adjoints of a few rings: the transpose of `sum_rings`.
 template <class Grid, class Pixels, class Values>
 WARPDIFF_INLINE void spread_pixels(const Grid& grid, const Pixels& pixels, int group, Values& values_out)
 {
@@ -305,7 +307,8 @@ WARPDIFF_INLINE void spread_pixels(const Grid& grid, const Pixels& pixels, int g
             double xyz[3];
             rings.weights(pixels, ring - rings.first, xyz);
             weights[k] = gain * (adjoint[0] * xyz[0] + adjoint[1] * xyz[1] + adjoint[2] * xyz[2]);
-            // Polynomials beyond the rings of the colour are not used, and may be huge.
+            // Beyond the rings of the colour, polynomials are not needed. They are not computed, because they may be
+            // huge.
             const bool used = ring >= rings.first - 1 && ring <= rings.first + rings.count;
             if (used) polynomials_at(grid, pixels, rings, pixel, ring - rings.first, terms, polynomials[k]);
         }

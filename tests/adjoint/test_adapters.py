@@ -1,4 +1,4 @@
-"""Adapters to JAX and PyTorch: values, gradients, compilation, and errors. Packages that are absent are skipped."""
+"""Adapters to JAX and PyTorch: values, gradients, compilation and errors. Tests of absent packages are skipped."""
 
 import importlib
 
@@ -85,7 +85,7 @@ def test_pytorch_has_values_and_gradients(torch):
 
 
 def test_pytorch_operators_pass_the_checks_of_pytorch(torch):
-    """``opcheck`` tests the schema, the shapes for ``torch.compile`` and the registered derivative."""
+    """The operator must pass ``opcheck``, which tests schema, shapes for ``torch.compile`` and derivative."""
     wrapped("torch")
     from warpdiff.adjoint import torch as adapter
 

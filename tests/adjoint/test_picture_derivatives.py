@@ -1,4 +1,4 @@
-"""``wd.adjoint.pixels``: values of pictures, transposes, differences of pictures, and errors of unsupported ones."""
+"""``wd.adjoint.pixels``: values of pictures, transposes, differences of pictures, and errors of other pictures."""
 
 import dataclasses
 import functools
@@ -63,7 +63,7 @@ def points(renderers):
 
 
 def check_transposes(result, rng, *names):
-    """Check ⟨y, J x⟩ = ⟨Jᵀ y, x⟩ for each variable."""
+    """Check ⟨y, J x⟩ = ⟨Jᵀ y, x⟩ for random x and y for each variable, where jvp gives J x and vjp gives Jᵀ y."""
     y = rng.normal(size=result.value.shape)
     adjoints = result.vjp(y)
     assert set(adjoints) == set(names)
@@ -99,7 +99,7 @@ def test_values_are_those_of_the_picture(name, renderers):
     value = wd.adjoint.pixels(renderer, FIELD, LIGHT, wrt=(), tolerance=1e-3).value
     shown = image.xyz[image.illuminated]
     if name == "footprints of a source":
-        # Near the mirror direction, tables of sources serve no directions, and unrefined pictures show points.
+        # Near the mirror direction, tables for sources contain no directions. Unrefined pictures there show points.
         (lit,) = samples_of(renderer, LIGHT).lobes
         is_served = np.hypot(*lit.scattering_vectors[:, :2].T) > inner_radius(SOURCE)
         shown, value = shown[is_served], value[is_served]
@@ -126,7 +126,7 @@ def test_values_and_gradients_are_those_of_reflectances_at_the_pixels(points, rn
 
 @pytest.mark.parametrize("name", ["points", "footprints"])
 def test_tangents_are_those_of_pictures(name, body, view, rng):
-    """Central differences of the library's own pictures share no code with the derivatives."""
+    """Derivatives must equal central differences of the library's pictures, which share no code with them."""
     # The basis of the default method is fitted to each surface, so that differences by small steps have large errors.
     options = OPTIONS[name] | {"method": "power" if name == "footprints" else "jacobi-anger"}
     renderer = renderer_of(body, view, **options)
@@ -146,7 +146,7 @@ def test_tangents_are_those_of_pictures(name, body, view, rng):
 
 
 def test_a_pixel_has_the_derivative_of_an_explicit_sum(body, view):
-    """The reference sums samples at complex heights, wavelength by wavelength."""
+    """The derivative of a pixel must equal that of an explicit sum by complex steps, wavelength by wavelength."""
     surface = wd.HeightField.of_known_scale(np.random.default_rng(3).normal(0.0, 0.05, (6, 8)), (0.09, 0.08))
     renderer = renderer_of(body, view, surface=surface)
     result = wd.adjoint.pixels(renderer, surface, LIGHT, tolerance=1e-4)
@@ -182,7 +182,10 @@ def test_tangents_are_the_transposes_of_adjoints(name, renderers, rng):
 
 @pytest.mark.parametrize("shape", [(40, 48), (1, 48), (48, 1)])
 def test_sums_over_rings_and_their_transpose(shape, rng):
-    """The sums of random coefficients under random directions, with an excluded cell and without."""
+    """Sums over rings and their transpose must equal explicit sums of random coefficients.
+
+    Directions are random, with an excluded cell of the block and without.
+    """
     relief = Relief.of(noise(shape))
     vectors = np.column_stack([rng.normal(0.0, 0.4, (300, 2)), -rng.uniform(0.5, 1.9, 300)])
     vectors[0, :2] = 0.0
@@ -209,7 +212,7 @@ def test_sums_over_rings_and_their_transpose(shape, rng):
 
 @pytest.mark.parametrize("shape", [(60, 70), (1, 90), (80, 1)])
 def test_sums_under_wide_lobes_and_their_transpose(shape, rng):
-    """Sums of joined orders equal those of single orders, for lobes of very different sizes and directions."""
+    """Sums with joined orders must equal sums of single orders, for lobes of very different sizes and directions."""
     relief = Relief.of(noise(shape))
     first, counts = ([0 if n == 1 else 3 - n // 2 for n in shape], [1 if n == 1 else n - 7 for n in shape])
     block = Block((first[0], first[1]), (counts[0], counts[1]))
@@ -239,7 +242,7 @@ def test_sums_under_wide_lobes_and_their_transpose(shape, rng):
 
 
 def test_unused_azimuths_are_not_needed(rng):
-    """Directions of a small range of azimuths have the same colours if all azimuths are sampled."""
+    """Colours of directions in a small range of azimuths must be the same if all azimuths are sampled."""
     turns = np.concatenate([rng.uniform(0.1, 0.12, 20), np.linspace(0.0, 1.0, 400, endpoint=False)])
     vectors = np.column_stack([np.cos(2.0 * np.pi * turns), np.sin(2.0 * np.pi * turns), np.full(420, -1.5)])
     lit = LitPixels(np.arange(420), vectors, np.zeros((420, 3)), np.ones(420), None, IlluminatedMaterial("D65"))
@@ -257,7 +260,7 @@ def test_unused_azimuths_are_not_needed(rng):
 
 @pytest.mark.parametrize("rings", [24, 40])
 def test_splines_of_colour_curves_integrate_smooth_spectra(rings):
-    """A spectrum that oscillates over the wavelength has the colour of the sum over the wavelengths."""
+    """The splines must give a spectrum that oscillates with the wavelength the colour of a sum over wavelengths."""
     products, nm = colorimetry.colour_products("D65"), np.arange(380.0, 781.0)
     for interval in (0, 17, 64):
         step = math.log(2.0) / rings
@@ -274,7 +277,7 @@ def spectrum(nm):
 
 
 def test_finer_grids_are_used_until_the_tolerance_is_met(points):
-    """The size of the grid follows from the tolerance, and sums over wavelengths remain if no grid suffices."""
+    """The grid must become finer until the tolerance is met, and sums over wavelengths be used if no grid suffices."""
     used = []
     by_rings = picture_model.PictureModel._by_rings
 
@@ -293,7 +296,7 @@ def test_finer_grids_are_used_until_the_tolerance_is_met(points):
 
 
 def test_deep_surfaces_have_grids(points):
-    """A grid meets the default tolerance for heights of several wavelengths, without sums over wavelengths."""
+    """For heights of several wavelengths, a grid must meet the default tolerance without sums over wavelengths."""
     deep = wd.HeightField.of_known_scale(20.0 * FIELD.heights_um[:9, :10], FIELD.pitch_um)
     with mock.patch.object(picture_model.PictureModel, "_by_wavelengths", side_effect=AssertionError):
         value = wd.adjoint.pixels(points, deep, LIGHT, wrt=()).value
@@ -303,7 +306,7 @@ def test_deep_surfaces_have_grids(points):
 
 
 def test_derivatives_by_the_index_of_refraction(square):
-    """At oblique angles, the reflectance depends on the index of refraction."""
+    """At oblique angles, the derivative with respect to the index of refraction must be that of the reflectance."""
     view, light = wd.View((0.0, -3.0, 1.0), (0.0, 0.0, 0.0), width=8, height=6), wd.DirectionalLight((0.3, 3.0, 1.0))
     results = [
         wd.adjoint.pixels(renderer_of(square, view, light, ior=ior, tolerance=0.1), FIELD, light, wrt=("ior",))
@@ -314,7 +317,7 @@ def test_derivatives_by_the_index_of_refraction(square):
 
 
 def test_pictures_of_metals_and_films_have_grids(body, view):
-    """Reflectances at the wavelengths of rings make sums over wavelengths unnecessary."""
+    """Pictures of metals and films must use grids, with the reflectances at the wavelengths of rings."""
     film = wd.Material.metal("Cr").coated(wd.Material.dielectric(1.4), 300.0)
     renderer = renderer_of(body, view, ior=None, material=film, tolerance=0.1)
     with mock.patch.object(picture_model.PictureModel, "_by_wavelengths", side_effect=AssertionError):
@@ -325,7 +328,10 @@ def test_pictures_of_metals_and_films_have_grids(body, view):
 
 
 def test_pixels_in_the_mirror_direction(square, rng):
-    """A flat square under a light behind the camera has the zeroth order in the middle of the picture."""
+    """Pixels in the mirror direction must include the zeroth order.
+
+    The scene is a flat square under a light behind the camera.
+    """
     view = wd.View((0.0, 0.0, 3.0), (0.0, 0.0, 0.0), width=24, height=24)
     light = wd.PointLight((0.0, 0.0, 3.0))
     renderer = renderer_of(square, view, light)
@@ -341,7 +347,7 @@ def test_pixels_in_the_mirror_direction(square, rng):
 
 
 def test_several_lights_pigment_and_materials_by_part(body, view, rng):
-    """Colours under several lights add up, and the light of the pigment is a constant."""
+    """Colours under several lights must add up, and the light of the pigment must not change with the heights."""
     pigmented = body.copy()
     material = PBRMaterial(baseColorFactor=[200, 120, 50, 255])
     pigmented.visual = TextureVisuals(uv=body.visual.uv, material=material)
@@ -353,7 +359,7 @@ def test_several_lights_pigment_and_materials_by_part(body, view, rng):
     flat = wd.adjoint.pixels(renderer, wd.HeightField(np.zeros((4, 4)), 0.1), lights, wrt=()).value
     assert np.quantile(flat[:, 1], 0.1) > 0.0
     check_transposes(result, rng, "heights_um")
-    # Pixels under each light alone, at the same places of the picture.
+    # The colours under each light alone are added at the pixels of the whole picture.
     total = np.zeros((*image.illuminated.shape, 3))
     plain = renderer_of(body, view, lights)
     for light in lights:
@@ -382,12 +388,21 @@ def test_footprints_at_silhouettes_have_a_largest_size(body):
     assert np.isfinite(wd.adjoint.pixels(renderer, FIELD, LIGHT, wrt=()).value).all()
 
 
-def test_grazing_lights_of_a_source_warn_of_missing_wavelengths(body, view):
-    narrow = wd.Coherence("source", angular_diameter_deg=0.02)
-    light = wd.DirectionalLight((1.0, 0.02, 0.0))
-    renderer = renderer_of(body, view, light, coherence=narrow, integration="sampled", tolerance=0.5, strict=False)
-    with pytest.warns(wd.WarpdiffWarning, match=r"samples require more than 20000 wavelengths"):
-        WavelengthSums(samples_of(renderer, light).lobes, narrow, 1e-4, 0.1)
+def test_grazing_lights_of_a_source_warn_of_missing_wavelengths():
+    to_light = np.array([[0.9998, 0.0, 0.02], [0.0, 0.0, 1.0]])
+    vectors, ones = -to_light - [0.6, 0.0, 0.8], np.ones(2)
+    lit = LitPixels(np.arange(2), vectors, to_light, ones, None, IlluminatedMaterial("D65"))
+    with pytest.warns(wd.WarpdiffWarning, match=r"1 of 2 samples require more than 20000 wavelengths"):
+        WavelengthSums([lit], wd.Coherence("source", angular_diameter_deg=0.1), 1e-4, 0.1)
+
+
+def test_thick_films_require_more_wavelengths(points):
+    (lit,) = samples_of(points, LIGHT).lobes
+    lit = dataclasses.replace(lit, scattering_vectors=lit.scattering_vectors * [0.01, 0.01, 1.0])
+    film = wd.Material.metal("Cr").coated(wd.Material.dielectric(1.4), 1000.0)
+    coated = dataclasses.replace(lit, illuminated=IlluminatedMaterial("D65", film))
+    plain, thick = (WavelengthSums([group], WINDOW, 1e-4, 0.01).pair_count for group in (lit, coated))
+    assert thick >= 2 * plain
 
 
 def test_outlines_replace_the_height_field(points, rng):

@@ -170,7 +170,7 @@ def frames_of_rays(rng):
 
 
 def pixels_with(frames, views, hit):
-    """Return the struct of hits with shading frames (n, 3, 3) and directions to the viewer in these frames (n, 3)."""
+    """Return hits with shading frames, shape (n, 3, 3), and directions to the viewer in these frames, shape (n, 3)."""
     pixels = Pixels()
     pixels.hit, pixels.face = array(hit, wp.int32), array(np.zeros(len(hit)), wp.int32)
     pixels.tangent, pixels.bitangent, pixels.normal = (array(frames[:, axis], wp.vec3f) for axis in range(3))

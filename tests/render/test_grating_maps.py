@@ -1,4 +1,4 @@
-"""Pictures of grating maps equal those of meshes with one part per dot, and find the edges of dots."""
+"""Grating maps: pictures must equal those of meshes with one part per dot, and refinement must find edges of dots."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WIDE_SOURCE = wd.Coherence("source", angular_diameter_deg=4.0)
 
 
 def _map(cell: wd.HeightField, shape: tuple[int, int], *, seed: int = 0, pitch: bool = True) -> wd.GratingMap:
-    """Return a map whose dots differ in everything, and of which most diffract light of ``LIGHT`` into ``VIEW``."""
+    """Return a map whose dots differ in direction, depth and pitch. Most diffract light of ``LIGHT`` into ``VIEW``."""
     rng = np.random.default_rng(seed)
     turn = rng.uniform(85.0, 95.0, shape) if cell is SINE else rng.uniform(0.0, 360.0, shape)
     scale = rng.uniform(0.75, 1.3, shape) if pitch else 1.0
@@ -39,18 +39,18 @@ def _map(cell: wd.HeightField, shape: tuple[int, int], *, seed: int = 0, pitch: 
     ids=["1-D source", "source", "averaged", "centred", "periods"],
 )
 def test_a_map_equals_one_part_per_dot(cell: wd.HeightField, coherence: wd.Coherence) -> None:
-    """Turned and scaled dots have the colours of meshes whose tangents are turned and whose fields are scaled."""
+    """Rotated and scaled dots must have the colours of parts with rotated tangents and scaled height fields."""
     grating_map = _map(cell, (3, 4), pitch=coherence.kind == "source")
     options: dict[str, Any] = {"coherence": coherence, "tolerance": 1e-2, "footprint": False, "ior": np.inf}
     image = wd.shade(card(), grating_map, LIGHT, VIEW, **options)
     scene, surfaces, tangents = parts_of(grating_map, coherence)
     parts = wd.shade(scene, surfaces, LIGHT, VIEW, tangents=tangents, **options)
-    # Both pictures sum the same wavelengths, or nearly the same, and the errors of one picture are those of the other.
+    # Both pictures sum over the same or nearly the same wavelengths, so that both have the same errors.
     assert np.percentile(error_of(image, parts.xyz), 99.0) < 1e-3
 
 
 def test_footprints_are_turned_and_scaled() -> None:
-    """Means over footprints are those of meshes with one part per dot."""
+    """Means over footprints must equal those of a mesh with one part per dot."""
     coherence = wd.Coherence(sigma_um=5.0)
     grating_map = _map(FINGERS, (3, 4), pitch=False)
     options: dict[str, Any] = {"coherence": coherence, "tolerance": 0.05, "refine": False, "ior": np.inf}
@@ -72,7 +72,7 @@ def test_footprints_are_turned_and_scaled() -> None:
 def test_refinement_finds_the_edges_of_dots(
     cell: wd.HeightField, coherence: wd.Coherence, shape: tuple[int, int]
 ) -> None:
-    """A refined picture is within its tolerance of one with 1,024 cells per pixel, at the edges of dots, too."""
+    """A refined picture must equal a picture with 1,024 cells per pixel within its tolerance, also at edges of dots."""
     grating_map = _map(cell, shape, pitch=coherence.kind == "source")
     options: dict[str, Any] = {"coherence": coherence, "strict": False}
     image = wd.shade(card(), grating_map, LIGHT, VIEW, tolerance=0.05, **options)
@@ -89,26 +89,26 @@ def test_default_coherence_of_maps_is_a_source() -> None:
     image = wd.shade(card(), grating_map, LIGHT, VIEW, **options)
     assert isinstance(image.plan, wd.Plan)
     assert image.plan.coherence == wd.Coherence("source")
-    # With several surfaces, other surfaces and the unit keep the default of the call.
+    # With several surfaces, the default coherence of a map must not change that of other surfaces and of the unit.
     scene, _, _ = parts_of(wd.GratingMap(SINE, turn_deg=[[0.0, 0.0]]), wd.Coherence())
     surfaces = {"dot 0 0": grating_map, "dot 0 1": SINE}
     image = wd.shade(scene, surfaces, LIGHT, VIEW, **options)
     assert {key: plan.coherence.kind for key, plan in image.plan.items()} == {
         "dot 0 0": "source", "dot 0 1": "averaged",
     }  # fmt: skip
-    # A plan that was made for a map is accepted again, and gives the same picture.
+    # The plan of a picture with a map must be accepted in a second call, and must give the same picture.
     again = wd.shade(scene, surfaces, LIGHT, VIEW, plan=image.plan, footprint=False)
     np.testing.assert_array_equal(again.xyz, image.xyz)
 
 
 def test_maps_of_several_parts_are_independent() -> None:
-    """Each part of a mesh has its own map, and other parts have none."""
+    """Each part of a mesh must have its own map, and a part without a map must not be affected."""
     scene, _, tangents = parts_of(wd.GratingMap(SINE, turn_deg=np.zeros((1, 3))), wd.Coherence())
     fields = [_map(FINGERS, (3, 4), pitch=False), _map(FINGERS, (2, 5), seed=1, pitch=False), FINGERS]
     options: dict[str, Any] = {"tolerance": 0.01, "footprint": False, "coherence": wd.Coherence(sigma_um=5.0)}
     surfaces = {f"dot 0 {column}": field for column, field in enumerate(fields)}
     image = wd.shade(scene, surfaces, LIGHT, VIEW, tangents=tangents, **options)
-    # Columns of the picture in which each part lies, one pixel away from its edges.
+    # First and last column of each part in the picture, one pixel away from the edges of the part.
     half = VIEW.width / VIEW.height * 4.0 * np.tan(np.radians(6.0))
     edges = (np.linspace(-0.5, 0.5, 4) / half + 1.0) * VIEW.width / 2.0
     for index, (key, field) in enumerate(surfaces.items()):
@@ -131,7 +131,7 @@ def test_renderers_of_maps_draw_the_pictures_of_shade_and_can_be_pickled() -> No
 
 
 def test_the_device_algorithms_draw_the_same_picture() -> None:
-    """The algorithms of a GPU, run on the CPU, find the same dots and edges."""
+    """The algorithms for GPUs, run on the CPU, must find the same dots and edges as those for the CPU."""
     grating_map, view = _map(SINE, (3, 4)), VIEW
     settings = PictureSettings(tolerance=0.1, coherence=WIDE_SOURCE, strict=False, device="cpu")
     inputs = PictureInputs.of(grating_map, LIGHT, view, settings)
@@ -181,7 +181,10 @@ def test_texture_coordinates_may_be_absent_where_there_is_no_map() -> None:
 
 
 def test_metals_reflect_less_at_oblique_angles() -> None:
-    """A map of depths on a metal has the colours of one part per dot, whose tables contain R at each angle."""
+    """A map of depths on a metal must have the colours of one part per dot.
+
+    The tables of the parts contain the reflectance at each angle; the table of the map does not.
+    """
     coherence, light = wd.Coherence(sigma_um=5.0), wd.DirectionalLight((0.3, 1.5, 1.0))
     grating_map = _map(FINGERS, (3, 4), pitch=False)
     options: dict[str, Any] = {"tolerance": 1e-2, "footprint": False, "material": wd.Material.metal("Cr")}
@@ -189,7 +192,7 @@ def test_metals_reflect_less_at_oblique_angles() -> None:
     scene, surfaces, tangents = parts_of(grating_map, coherence)
     parts = wd.shade(scene, surfaces, light, VIEW, tangents=tangents, coherence=coherence, **options)
     errors = error_of(image, parts.xyz)
-    # The spectrum of chromium changes by 2e-3 between 0° and 35°, and its luminance by 1 %.
+    # The reflectance spectrum of chromium changes by 2e-3 between 0° and 35°, and its luminance changes by 1 %.
     assert np.percentile(errors, 99.0) < 4e-3
     with pytest.raises(ValueError, match="material must have a spectrum that changes with the angle by at most"):
         wd.shade(card(), grating_map, light, VIEW, **options | {"material": wd.Material.metal("Au")})

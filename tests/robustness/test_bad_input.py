@@ -112,7 +112,7 @@ VALUE_ERRORS = [
     (lambda _: wd.reflectance_map(HF, [0, 0, -1]), r"to_light must lie above the horizon \(z > 0\)"),
     (lambda _: wd.reflectance_map(HF, [UP, UP]), r"to_light must have shape \(3,\) for a map, got \(2, 3\)"),
     # Calls with invalid meshes and lights of a picture, and the errors that they raise
-    (lambda d: shade(text(d / "a.txt")), "mesh must be a file that trimesh can read"),
+    (lambda d: shade(text(d / "a.txt")), "mesh must be a file of the formats .gltf"),
     (lambda d: shade(text(d / "a.obj")), "mesh must "),
     (lambda _: shade(trimesh.Trimesh()), "mesh must have vertices, got none"),
     (lambda _: shade(trimesh.Scene()), "mesh must have triangles, got a scene or file without any"),

@@ -8,7 +8,7 @@ from pathlib import Path
 import endurance
 import numpy as np
 import pytest
-from fuzz import HEIGHTFIELD, LIGHT, VIEW, malformed_meshes, plan
+from fuzz_objects import HEIGHTFIELD, LIGHT, VIEW, malformed_meshes, plan
 
 import warpdiff as wd
 from warpdiff.scene import mesh_files

@@ -46,9 +46,11 @@ for module, names in {POSIX_NAMES!r}.items():
     for name in names:
         vars(sys.modules[module]).pop(name, None)
 """
+# Modules that import a package of the same name, which is an extra, and ``__init__.py``, which is imported anyway.
+ADAPTERS = ("__init__.py", "jax.py", "torch.py")
 MODULES = [
     ".".join(("warpdiff", *path.relative_to(ROOT).with_suffix("").parts)).replace("warpdiff.warpdiff", "warpdiff")
-    for path in SOURCES if path.name != "__init__.py"
+    for path in SOURCES if path.name not in ADAPTERS
 ]  # fmt: skip
 IMPORT_ALL = f"""
 for name in {MODULES!r}:

@@ -293,7 +293,7 @@ LINES = {
     "info --heightfield disc:kind=CDD": "--heightfield 'disc:kind=CDD': kind must be one of 'CD', 'DVD', 'Blu-ray', go",
     "info --heightfield sky.exr --pitch-um 1": "--heightfield: 'sky.exr' is a colour image (3 channels); save its heig",
     "info --heightfield a.npy --pitch-um 1 2 3": "--pitch-um must be one number or two, got 3",
-    "render a.npy --heightfield cd -o a.png": "MESH must be a file that trimesh can read, got 'a.npy', which is damage",
+    "render a.npy --heightfield cd -o a.png": "MESH must be a file of the formats .gltf, .glb, .obj, .ply, ",
     "render snake:tangent=alng --heightfield cd -o a.png": "MESH 'snake:tangent=alng': tangent must be one of 'around'",
     "render tube:foo=3 --heightfield cd -o a.png": "MESH 'tube:foo=3' has 'foo=3', but its parameters are radius, leng",
     "sequence … --turns nan": "--turns must be a finite number, at least -1e+06 and at most 1e+06, got nan",

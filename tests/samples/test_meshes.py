@@ -111,3 +111,11 @@ def test_closed_bodies_are_distinguished_from_sheets():
 
 def is_closed_body(mesh):
     return is_closed(mesh.vertices.T, mesh.faces.T)
+
+
+def test_a_card_has_the_texture_coordinates_of_an_image():
+    card = meshes.card(4.0, 2.0)
+    np.testing.assert_allclose(card.visual.uv, card.vertices[:, :2] / [4.0, 2.0] + 0.5)
+    np.testing.assert_allclose(card.face_normals, [[0.0, 0.0, 1.0]] * 2)
+    with pytest.raises(ValueError, match="height must be"):
+        meshes.card(1.0, 0.0)

@@ -1,4 +1,8 @@
-"""``CoefficientSeries``: powers or amplitudes of the coefficients of a block, with the adjoint and the tangent."""
+"""``CoefficientSeries``: powers or amplitudes of the Fourier coefficients of a block, with adjoint and tangent.
+
+κ = w/λ, where w is the normal component of the scattering vector and λ the wavelength. The tangent is the change of a
+result to first order. The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
+"""
 
 from __future__ import annotations
 
@@ -24,12 +28,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SeriesSize:
-    """Range and numbers of terms of the series of coefficients.
+    """Range of |κ| and numbers of terms of the series of Fourier coefficients.
 
     Attributes:
-        kappas: Least and largest |κ| [1/µm].
-        terms: Number of terms by which coefficients are expanded in the heights.
-        count: Number of terms of the series of a coefficient in |κ|.
+        kappas: Smallest and largest |κ| [1/µm].
+        terms: Number of terms of the expansion of a Fourier coefficient in polynomials of the heights.
+        count: Number of terms of the Chebyshev series of a Fourier coefficient in |κ|.
     """
 
     kappas: tuple[float, float]
@@ -38,22 +42,23 @@ class SeriesSize:
 
     @classmethod
     def of(cls, relief: Relief, kappas: tuple[float, float], truncation: float, *, powers: bool) -> SeriesSize:
-        """Return the size for a relative size of truncated terms."""
+        """Return the numbers of terms at which the truncated terms have the relative size ``truncation``."""
         low, high = kappa_range(*kappas, relief.scale_um)
         terms = term_count(2.0 * math.pi * high * relief.scale_um, truncation)
-        # A power oscillates over κ as fast as the phase of the whole height range, an amplitude half as fast.
+        # As a function of κ, a power oscillates with the phase of the whole height range. An amplitude oscillates with
+        # the phase of half of the range, because the phase of the middle height is omitted.
         count = term_count(math.pi * (high - low) * relief.scale_um * (2.0 if powers else 1.0), truncation)
         return cls((low, high), terms, count)
 
 
 class CoefficientSeries:
-    """Series of the coefficients of a block, with their surface.
+    """Chebyshev series of the Fourier coefficients of a block of orders, with the surface to which they belong.
 
     Attributes:
-        rows: Series in |κ|, not filled yet.
-        terms: Coefficients of the surface.
-        sites: Rows of the orders of the block.
-        block: Orders of the coefficients.
+        rows: Chebyshev series in |κ|; they are empty until :meth:`powers` computes them.
+        terms: Fourier coefficients of the surface at nodes of |κ|.
+        sites: Indices of the series of the orders of the block.
+        block: Rectangle of orders that have coefficients.
     """
 
     def __init__(self, relief: Relief, block: Block, size: SeriesSize, *, powers: bool) -> None:
@@ -65,23 +70,23 @@ class CoefficientSeries:
         self._size_um = relief.size_um
 
     def lobes(self, exponent: float) -> GaussianLobes:
-        """Return sums of the powers; coefficients with weights below e^−exponent are truncated."""
+        """Return the Gaussian sums of the powers; coefficients with weights below e^−exponent are neglected."""
         return GaussianLobes(self.rows, self.block, self.sites.places, self._size_um, exponent)
 
     @single_threaded_blas()
     def powers(self) -> NDArray[np.float64]:
-        """Return the series of the powers, shape (2 p, k)."""
+        """Compute and return the Chebyshev series of the powers, shape (2 p, k)."""
         self.rows.fill(self.terms)
         return self.rows.rows[0]
 
     @single_threaded_blas()
     def tangent(self, change: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the change of the series of the powers for a change of the surface."""
+        """Return the change of the series of the powers, to first order, for a change of the surface."""
         return self.rows.tangent(self.terms, self.terms.tangent(change))[0]
 
     @single_threaded_blas()
     def adjoint(self, of_block: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the adjoint of the surface from that of the powers of the block, shape (size, k)."""
+        """Return the adjoint of the surface from the adjoints of the powers of the block's orders, shape (size, k)."""
         rows: Rows = self.rows.empty(zero=True)
         add_rows(self.sites.places, of_block, rows[0], are_distinct=self.sites.are_distinct)
         return self.terms.adjoint(self.rows.adjoint(self.terms, rows))

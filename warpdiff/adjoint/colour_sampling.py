@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
     from warpdiff.optics.spectra import Spectrum
 
-# Smallest and largest number of wavelengths of a colour. The first number is limited by quintic polynomials, which need
-# six nodes. The second number is limited by the computing time, which is proportional to the number.
-_LEAST_WAVELENGTHS, MOST_WAVELENGTHS = 12, 20_000
+# Smallest and largest number of wavelengths of a colour. The smallest number is limited by quintic polynomials, which
+# need six nodes. The largest number is limited by the computing time, which is proportional to the number.
+LEAST_WAVELENGTHS, MOST_WAVELENGTHS = 12, 20_000
 # Error of the quintic interpolation of a sine wave, divided by (angular frequency × step)⁶. The value follows from the
 # error formula of polynomial interpolation: the product of the distances from six nodes, in the middle of them, over
 # 6!.
@@ -54,7 +54,7 @@ def counts_of(rates: NDArray[np.float64], span: float, truncation: float) -> NDA
         truncation: Relative error.
     """
     step = (truncation / _QUINTIC) ** (1.0 / 6.0) / np.maximum(rates, 1e-9)
-    return np.asarray(np.maximum(np.ceil(span / step).astype(np.int64) + 1, _LEAST_WAVELENGTHS))
+    return np.asarray(np.maximum(np.ceil(span / step).astype(np.int64) + 1, LEAST_WAVELENGTHS))
 
 
 def sampling(
@@ -80,24 +80,35 @@ def sampling(
     """
     half = lights + views
     count, geometric = _count_of_surface(half, scale_um, size_um, coherence, truncation), coherence.kind == "source"
-    exact, cosines = np.zeros((0, 3)), np.zeros(0)
     if material is not None and len(half):
-        lengths = np.linalg.norm(half, axis=1) / 2.0
-        cosines = np.unique(np.minimum(np.quantile(lengths, [0.0, 0.5, 1.0]), 1.0))
-        exact = _exact_colours(cosines, material, illuminant)
-    while count <= MOST_WAVELENGTHS:
+        count = count_of_material(count, half, material, illuminant, truncation, geometric=geometric)
+    if count <= MOST_WAVELENGTHS:
         wavenumbers, weights = colorimetry.uniform_quadrature(count, illuminant, geometric=geometric, signed=True)
-        wavelengths = colorimetry.NM_PER_UM / wavenumbers
-        if material is None or not len(half):
-            return wavelengths, weights
-        off = np.abs(_reflectances(cosines, material, wavelengths) @ weights - exact).max(axis=1)
-        if np.all(off <= _SHARE_OF_MATERIAL * truncation * exact.max(axis=1)):
-            return wavelengths, weights
-        count *= 2
+        return colorimetry.NM_PER_UM / wavenumbers, weights
     raise ArgumentValueError(
         f"{ref('truncation')} must be larger than {truncation:g}, which requires {count} wavelengths; at most "
         f"{MOST_WAVELENGTHS} are supported: increase it, or use spectral_reflectance"
     )
+
+
+def count_of_material(
+    count: int, half: NDArray[np.float64], material: Material, illuminant: str | Spectrum, truncation: float, *,
+    geometric: bool,
+) -> int:  # fmt: skip
+    """Return ``count``, doubled until the colour of the flat material meets the truncation error.
+
+    The result may be larger than ``MOST_WAVELENGTHS``. ``half`` has the sums of the unit vectors to light and viewer,
+    shape (n, 3).
+    """
+    cosines = np.unique(np.minimum(np.quantile(np.linalg.norm(half, axis=1) / 2.0, [0.0, 0.5, 1.0]), 1.0))
+    exact = _exact_colours(cosines, material, illuminant)
+    while count <= MOST_WAVELENGTHS:
+        wavenumbers, weights = colorimetry.uniform_quadrature(count, illuminant, geometric=geometric, signed=True)
+        off = np.abs(_reflectances(cosines, material, colorimetry.NM_PER_UM / wavenumbers) @ weights - exact)
+        if np.all(off.max(axis=1) <= _SHARE_OF_MATERIAL * truncation * exact.max(axis=1)):
+            break
+        count *= 2
+    return count
 
 
 def _count_of_surface(

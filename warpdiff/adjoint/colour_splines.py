@@ -1,4 +1,7 @@
-"""Splines that are fitted to colour curves, at any position between rings of a polar grid."""
+"""Splines that are fitted to colour curves, for any position of a colour between the rings of a polar grid.
+
+λ is the wavelength. A ring of the grid is a frequency, and stands for a wavelength of a given direction.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +19,12 @@ from warpdiff.tables.colour_curves import spline
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Number of intervals between two rings at whose ends weights are tabulated; weights between are interpolated linearly.
-# Derived: the error is 1/(8 · 64²) = 3e-5 of the second difference of the weights.
+# Number of intervals between two rings. Weights are tabulated at the ends of intervals and interpolated linearly in
+# between. The error of this interpolation is 1/(8 · 64²) = 3e-5 of the second difference of the weights.
 _INTERVALS = 64
-# Number of samples of the colour curves from one end of an interval to the next.
+# Number of samples of the colour curves in an interval.
 _SAMPLES = 4
-# Range of the visible wavelengths in ln λ.
+# Width of the range of visible wavelengths in ln λ.
 _SPAN = math.log(colorimetry.LAMBDA_MAX_NM / colorimetry.LAMBDA_MIN_NM)
 
 
@@ -33,7 +36,7 @@ def ring_count(rings_per_octave: int) -> int:
 @functools.lru_cache(maxsize=16)
 @single_threaded_blas()
 def curve_weights(illuminant: colorimetry.Illuminant, rings_per_octave: int) -> NDArray[np.float64]:
-    """Return the coefficients of quadratic splines that are fitted to the colour curves over ln λ by least squares.
+    """Return the coefficients of quadratic splines over ln λ that are fitted to the colour curves by least squares.
 
     Args:
         illuminant: Illuminant of the curves.
@@ -41,8 +44,8 @@ def curve_weights(illuminant: colorimetry.Illuminant, rings_per_octave: int) -> 
 
     Returns:
         Weights of the values at consecutive rings in X, Y and Z, shape (intervals + 1, rings, 3). The first axis is the
-        position f of the rings, from 0 to 1: ring m is m + f − 2 rings beyond the longest visible wavelength. A value
-        at a ring is the integral of the spectrum over ln λ under its spline.
+        position f of the rings relative to the longest visible wavelength, from 0 to 1: ring m is m + f − 2 rings
+        beyond this wavelength. A value at a ring is the integral of the spectrum over ln λ under its spline.
     """
     step, count = math.log(2.0) / rings_per_octave, ring_count(rings_per_octave)
     per_ring = _INTERVALS * _SAMPLES
@@ -62,14 +65,14 @@ def curve_weights(illuminant: colorimetry.Illuminant, rings_per_octave: int) -> 
         weights = spline((samples + 0.5) / per_ring - 1.5) / per_ring
         moments = np.einsum("s,msc->mc", weights, curves[first[:, None] + samples])
         result[interval] = np.linalg.solve(gram, moments)
-    # A constant spectrum has the exact colour of white.
+    # The weights are scaled so that a constant spectrum has exactly the colour of white.
     result *= products.sum(axis=0) / (step * result.sum(axis=1, keepdims=True))
     result.setflags(write=False)
     return result
 
 
 def _gram(count: int) -> NDArray[np.float64]:
-    """Return the products of quadratic splines at consecutive knots, integrated, shape (count, count)."""
+    """Return the integrals of the products of quadratic splines at ``count`` consecutive knots, (count, count)."""
     distances = np.abs(np.arange(count)[:, None] - np.arange(count))
     values = np.array([11.0 / 20.0, 13.0 / 60.0, 1.0 / 120.0])
     return np.where(distances < len(values), values[np.minimum(distances, 2)], 0.0)

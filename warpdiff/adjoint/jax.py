@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 
 def wrap(function: Callable[..., Linearised], wrt: Sequence[str], shape: Sequence[int]) -> Callable[..., jax.Array]:
-    """Return a JAX function with the value of a linearised function, for ``jax.jit``, ``jax.grad`` and ``jax.vmap``.
+    """Return a JAX function that computes a linearised function, for ``jax.jit``, ``jax.grad`` and ``jax.vmap``.
 
-    Forward derivatives (``jax.jvp``) raise ``TypeError``. JAX permits no errors in calls of Python: an error of
-    ``function`` becomes a warning, and the value becomes NaN.
+    Forward derivatives (``jax.jvp``) raise ``TypeError``. JAX does not permit errors in Python functions that it calls:
+    an error of ``function`` therefore becomes a warning, and the value becomes NaN.
 
     Args:
-        function: Function of NumPy arrays, one per name of ``wrt``, that returns a ``Linearised`` by these variables.
+        function: Function of NumPy arrays, one per name in ``wrt``. It returns a ``Linearised`` value.
         wrt: Names of the variables, in the order of the arrays.
         shape: Shape of the value, which JAX requires before the first call.
 
@@ -54,7 +54,7 @@ def wrap(function: Callable[..., Linearised], wrt: Sequence[str], shape: Sequenc
 
 
 def _callback(function: Callable[..., object], results: object, *arrays: jax.Array) -> jax.Array:
-    """Call a function of NumPy arrays; its errors become warnings, and its results NaN."""
+    """Call a function of NumPy arrays. If it raises an error, issue a warning and return NaN in all results."""
 
     def safe(*values: jax.Array) -> object:
         try:

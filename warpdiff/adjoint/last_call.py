@@ -1,4 +1,7 @@
-"""``LastCall``: a linearised function of arrays that keeps its last result, for adapters to other packages."""
+"""``LastCall``: a linearised function of arrays, whose last result is stored, for adapters to other packages.
+
+The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
+"""
 
 from __future__ import annotations
 
@@ -19,15 +22,15 @@ if TYPE_CHECKING:
 
 
 class LastCall:
-    """Value and adjoints of a linearised function. Adjoints at the arrays of the last value do not compute it again."""
+    """Value and adjoints of a linearised function. For the same arrays, adjoints reuse the last value."""
 
     def __init__(self, function: Callable[..., Linearised], wrt: Sequence[str], shape: Sequence[int]) -> None:
-        """Check the arguments of an adapter.
+        """Check and store the arguments of an adapter.
 
         Args:
-            function: Function of arrays, one per name, that returns a ``Linearised`` with these variables.
+            function: Function of arrays, one per name in ``wrt``. It returns a ``Linearised`` value.
             wrt: Names of the variables, in the order of the arrays.
-            shape: Shape of the value.
+            shape: Shape of the function's value.
         """
         if not callable(function):
             raise ArgumentTypeError(f"{ref('function')} must be a function, got {type(function).__name__}")
@@ -38,7 +41,7 @@ class LastCall:
         self._last: tuple[list[NDArray[np.float64]], Linearised] | None = None
 
     def check(self, types: Sequence[str], remedy: str) -> None:
-        """Raise an error unless there is one array of float64 per variable; ``types`` are the names of their types."""
+        """Raise an error unless there is one float64 array per variable; ``types`` are the types of the arrays."""
         if len(types) != len(self.names):
             raise ArgumentTypeError(
                 f"the function takes {len(self.names)} arrays, {', '.join(self.names)}, got {len(types)}"
@@ -48,11 +51,11 @@ class LastCall:
                 raise ArgumentTypeError(f"{ref(name)} must be float64, got {kind}: {remedy}")
 
     def value(self, arrays: Arrays) -> NDArray[np.float64]:
-        """Return the value at some arrays."""
+        """Return the value of the function for arrays, one per variable."""
         return np.array(self._at(arrays).value)
 
     def adjoints(self, arrays: Arrays, of_value: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return the adjoint of each array from that of the value."""
+        """Return the adjoint of each array from the adjoint of the value."""
         result = self._at(arrays).vjp(of_value)
         return [np.array(result[name]) for name in self.names]
 

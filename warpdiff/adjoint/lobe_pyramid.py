@@ -1,9 +1,10 @@
-"""Sums of coefficients under wide lobes: coefficients of neighbouring orders are added before.
+"""Sums of Fourier coefficients under wide lobes (Gaussian weights), for which neighbouring orders are added first.
 
-A lobe that is several orders wide changes little from one order to the next. Level n of the pyramid has one node for
-2ⁿ × 2ⁿ orders. From one level to the next, every second node is divided between its two neighbours. This does not
-change the mean position of a coefficient. The variance of its position, on average (4ⁿ − 1)/6 orders², is subtracted
-from that of the lobe. All steps are linear.
+A lobe that is several orders wide changes little from one order to the next. A pyramid therefore has levels of nodes:
+level n has one node for 2ⁿ × 2ⁿ orders, and level 0 has the orders themselves. A node of the next level is every second
+node, to which half of each neighbour is added. This does not change the mean position of a coefficient. It adds a
+variance of (4ⁿ − 1)/6 orders², on average, to the position. This variance is subtracted from that of the lobe. All
+steps are linear. The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
 """
 
 from __future__ import annotations
@@ -24,24 +25,24 @@ if TYPE_CHECKING:
 
     from warpdiff.adjoint.coefficient_series import CoefficientSeries
 
-# Least standard deviation of a lobe in distances of nodes. Derived: the variance of a coefficient's position differs by
-# up to 1/6 from its mean, so that its weight in the lobe differs by up to 1/(12 · 2²) = 2 %. Errors of single
-# coefficients cancel in the sum.
+# Smallest standard deviation of a lobe at a level, in distances of nodes. With 2, the weight of a coefficient differs
+# by up to 1/(12 · 2²) = 2 %, because the variance of its position differs by up to 1/6 from the mean variance. Errors
+# of single coefficients cancel in the sum.
 _LEAST_DEVIATION = 2.0
-# Largest level. Limit: a lobe as wide as all orders.
+# Highest level of the pyramid. At this level, the widest lobe is as wide as all orders of a large block.
 _MOST_LEVEL = 10
 
 
 class LobePyramid:
-    """Weighted sums of the powers of a block under lobes of any width, and their transpose."""
+    """Sums of the powers of a block of orders under lobes of any width, and the transposed sums."""
 
     def __init__(self, series: CoefficientSeries, size_um: tuple[float, float], exponent: float) -> None:
-        """Describe the sums.
+        """Set the orders and the levels of the pyramid.
 
         Args:
-            series: Series of the powers, and their block.
+            series: Chebyshev series of the powers, with their block of orders.
             size_um: Size of the patch (y, x) [µm].
-            exponent: Coefficients with weights below e^−exponent are truncated.
+            exponent: Coefficients with weights below e^−exponent are neglected.
         """
         self._block, self._places, self._size_um = series.block, series.sites.places, size_um
         self._own = series.lobes(exponent)
@@ -65,7 +66,7 @@ class LobePyramid:
         return rows, columns
 
     def sums_of(self, coefficients: NDArray[np.float64]) -> Callable[[Pairs], NDArray[np.float64]]:
-        """Return a function of pairs that returns their sums, shape (p,), for series of the powers."""
+        """Return a function that computes the sums of p pairs, shape (p,), for given series of the powers."""
 
         @functools.cache
         def joined(level: int) -> NDArray[np.float64]:
@@ -87,9 +88,9 @@ class LobePyramid:
         return sums
 
     def spread(self, parts: Iterable[tuple[Pairs, NDArray[np.float64]]], rows: NDArray[np.float64]) -> None:
-        """Add to the rows of the block, shape (size, k), what the adjoints of the sums of pairs contribute.
+        """Add the adjoints of the powers to ``rows``, shape (size, k), one row per order of the block.
 
-        The pairs come in parts, each with the adjoints of its sums.
+        ``parts`` has groups of pairs, each with the adjoints of its sums.
         """
         nodes = [rows]
         for pairs, adjoints in parts:
@@ -103,13 +104,13 @@ class LobePyramid:
             self._add_divided(coarse, nodes[level - 1].reshape(*self._shape(level - 1), -1))
 
     def _split(self, pairs: Pairs) -> Iterator[tuple[int, NDArray[np.int64], Pairs, NDArray[np.float64]]]:
-        """Yield the pairs by level: level, indices, pairs of the level, and factors of their sums."""
+        """Group the pairs by level: yield the level, its pairs with their indices, and factors of their sums."""
         xx, xy, yy = pairs.forms.T
         scale = 0.5 / (xx * yy - xy * xy)
         variances = np.stack([scale * yy, -scale * xy, scale * xx], axis=1)
         least, largest = self._deviations(variances)
         levels = np.clip(np.floor(np.log2(np.maximum(least, 1.0) / _LEAST_DEVIATION)), 0, _MOST_LEVEL).astype(np.int64)
-        # Long lobes are separate from short ones, because the transposed sum searches as far as the longest one.
+        # Long lobes are separated from short ones, because the transposed sum searches as far as its longest lobe.
         lengths = np.floor(np.log2(np.maximum(largest, 1.0))).astype(np.int64)
         for level, length in np.unique(np.stack([levels, lengths], axis=1), axis=0).tolist():
             chosen = np.flatnonzero((levels == level) & (lengths == length))
@@ -117,7 +118,10 @@ class LobePyramid:
             yield level, chosen, *(self._at_level(own, variances[chosen], level) if level else (own, np.ones(len(own))))
 
     def _deviations(self, variances: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the least and the largest standard deviation of lobes, in orders, along axes with several orders."""
+        """Return the smallest and the largest standard deviation of each lobe [orders], over all directions.
+
+        Only axes with several orders count.
+        """
         length_y, length_x = (
             length if axis else 0.0 for length, axis in zip(self._size_um, self._is_axis, strict=True)
         )
@@ -127,7 +131,10 @@ class LobePyramid:
         return np.sqrt(np.maximum(middle - half, 0.0)) if all(self._is_axis) else largest, largest
 
     def _at_level(self, pairs: Pairs, variances: NDArray[np.float64], level: int) -> tuple[Pairs, NDArray[np.float64]]:
-        """Return pairs whose centres are relative to the first order of the block, and factors of their sums."""
+        """Return pairs for the nodes of a level, with centres relative to the block's first order, and their factors.
+
+        The factors correct the sums for the smaller variance of the lobes.
+        """
         centres, reduced = pairs.centres.copy(), variances.copy()
         for axis, column, entry in ((0, 1, 2), (1, 0, 0)):
             if self._is_axis[axis]:
@@ -141,7 +148,7 @@ class LobePyramid:
         return Pairs(centres, forms, pairs.kappas), np.sqrt(wide / determinants)
 
     def _joined(self, fine: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the nodes of the next level, shape (rows, columns, k)."""
+        """Return the nodes of the next level, shape (rows, columns, k), from the nodes of a level."""
         for axis in (0, 1):
             if fine.shape[axis] > 1:
                 nodes = np.moveaxis(fine, axis, 0)
@@ -154,7 +161,7 @@ class LobePyramid:
         return np.ascontiguousarray(fine)
 
     def _add_divided(self, coarse: NDArray[np.float64], fine: NDArray[np.float64]) -> None:
-        """Add the nodes of a level to those of the finer level, the transpose of ``_joined``."""
+        """Add the values of a level's nodes to those of the next finer level: the transpose of ``_joined``."""
         for axis in (1, 0):
             if fine.shape[axis] > 1:
                 nodes = np.moveaxis(coarse, axis, 0)

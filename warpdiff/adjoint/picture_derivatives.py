@@ -1,4 +1,7 @@
-"""Pictures with exact derivatives: XYZ of illuminated pixels."""
+"""Pictures with exact derivatives of the XYZ of their illuminated pixels.
+
+The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
+"""
 
 from __future__ import annotations
 
@@ -29,12 +32,12 @@ if TYPE_CHECKING:
     from warpdiff.profiles.outline import Outline
     from warpdiff.render.picture_samples import PictureSamples
 
-# Variables of the surface, by which the model of the picture has the derivatives.
+# Names of the variables that are the surface itself.
 _SURFACE = ("heights_um", "vertices")
 
 
 class _PictureCall:
-    """Samples of one picture, and its colours as functions of the variables."""
+    """Samples of one picture, and the functions that compute its colours and their derivatives."""
 
     def __init__(
         self, samples: PictureSamples, relief: Relief, names: tuple[str, ...], ior: float, tolerance: float
@@ -50,7 +53,7 @@ class _PictureCall:
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shape of each variable."""
+        """Shape of each requested variable by its name."""
         return {name: self._relief.variable_shape if name in _SURFACE else () for name in self._names}
 
     def value(self) -> NDArray[np.float64]:
@@ -60,7 +63,7 @@ class _PictureCall:
         return self._pigment + self._of_pixels(self._model.values)
 
     def adjoint(self, adjoints: NDArray[np.float64]) -> Derivatives:
-        """Return the adjoints of the variables from that of the value."""
+        """Return the adjoints of the variables from the adjoint of the value."""
         result = {name: np.zeros(shape) for name, shape in self.shapes.items()}
         if self._model is None:
             return result
@@ -94,14 +97,14 @@ class _PictureCall:
 
     @property
     def _scaling(self) -> NDArray[np.float64]:
-        """Change of the surface per unit of the height scale."""
+        """Change of the surface (heights or vertices) per unit of the variable ``height_scale``."""
         heights = np.asarray(self._relief.surface.heights_um)
         if self._relief.is_outline:
             return np.stack([np.zeros_like(heights), heights], axis=1)
         return heights
 
     def _by_ior(self) -> list[NDArray[np.float64]]:
-        """Return the derivatives of the colours of each group by the index of refraction, shape (n, 3)."""
+        """Return the derivatives of the colours of each group with respect to the index of refraction, shape (n, 3)."""
         assert self._model is not None  # noqa: S101 (callers have checked it)
         result = []
         for group, xyz in zip(self._groups, self._model.values, strict=True):
@@ -112,7 +115,7 @@ class _PictureCall:
         return result
 
     def _of_pixels(self, colours: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return the sums of the colours of groups at the illuminated pixels, shape (n, 3)."""
+        """Return the colours of the illuminated pixels, shape (n, 3): sums over the groups of samples."""
         result = np.zeros_like(self._pigment)
         for pixels, xyz in zip(self._pixels, colours, strict=True):
             for channel in range(3):
@@ -121,7 +124,7 @@ class _PictureCall:
 
 
 def _joined(lobes: list[LitPixels]) -> list[LitPixels]:
-    """Return one group of samples for each illuminant and material."""
+    """Join the samples of all lobes that have the same illuminant and material to one group."""
     kinds = dict.fromkeys(lobe.illuminated for lobe in lobes)
     return [LitPixels.joined([lobe for lobe in lobes if lobe.illuminated == kind]) for kind in kinds]
 
@@ -131,14 +134,14 @@ def pixels(
     renderer: Renderer, heightfield: HeightField | Outline, lights: Light | Sequence[Light], *,
     wrt: Sequence[str] = ("heights_um",), tolerance: Annotated[float, Interval(ge=1e-5, le=0.5)] = 1e-2,
 ) -> Linearised:  # fmt: skip
-    """Return the colours of the illuminated pixels of a picture with derivatives by the surface, in float64.
+    """Return the colours of the illuminated pixels of a picture with derivatives, in float64.
 
     The picture is that of ``renderer`` without refinement: one sample per pixel. Directions, shadows, footprints and
     geometry factors are computed once and are constants. The colours are linear in the powers of the Fourier
-    coefficients of the surface, and the derivatives are those of all steps from the heights to the colours.
+    coefficients of the surface. The derivatives include all steps from the heights to the colours.
 
-    Value n belongs to the n-th illuminated pixel in the order of rows: ``picture[image.illuminated] = value`` puts the
-    values into a picture, with ``image = renderer.image()`` under the same lights.
+    The first axis of the value counts the illuminated pixels row by row: ``picture[image.illuminated] = value`` writes
+    the values into a picture, with ``image = renderer.image()`` under the same lights.
 
     Without footprints and under an averaged window, the colours are sums over rings of a polar grid, which becomes
     finer until the colours of some pixels agree with sums over wavelengths. All other pictures are sums over
@@ -159,8 +162,8 @@ def pixels(
 
     Raises:
         ValueError: The picture has no derivative: refined pixels, several samples per pixel, several surfaces,
-            normalised energy, skies, wide discs, or a coherence of the kind ``"centred"`` or ``"replicas"``. Or a
-            variable has no derivative; the message lists those that have.
+            normalised energy, skies, wide discs, or a coherence of the kind ``"centred"`` or ``"replicas"``. The error
+            is also raised if a variable has no derivative; the message lists the variables that have derivatives.
         MemoryError: The call requires more memory than is free.
 
     Examples:

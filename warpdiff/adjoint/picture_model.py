@@ -1,8 +1,12 @@
 """Colours of the samples of a picture as a function of the heights, with adjoint and tangent.
 
-The colours are linear in the powers of the coefficients. Points under a window are sums over rings of a polar grid, and
-the zeroth order is a sum over wavelengths. All other samples are sums over wavelengths. Some bright and some random
-samples are computed in both ways: grids become finer until both agree to the tolerance.
+The colours are linear in the powers of the Fourier coefficients. If pixels show points under a coherence window, the
+colours are sums over the rings of a polar grid, and the zeroth order is a sum over wavelengths. In all other cases the
+colours are sums over wavelengths. For a test of the grid, some samples are computed in both ways: bright samples and
+random samples. The grid becomes finer until both results agree to the tolerance.
+
+A group has the samples with one illuminant and material. κ = w/λ, where w is the normal component of the scattering
+vector and λ the wavelength. The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
 """
 
 from __future__ import annotations
@@ -29,41 +33,41 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.render.picture_samples import LitPixels
 
-# Sizes of polar grids, from which the first one whose error is within the tolerance is used.
+# Sizes of polar grids, from coarse to fine. The first grid whose error is within the tolerance is used.
 _SIZES = (RingSizes(24, 1.3), RingSizes(32, 1.6), RingSizes(48, 2.0), RingSizes(96, 2.6))
-# Numbers of bright and of random samples on which the error of a grid is measured, and the share of them that must be
-# within the tolerance.
+# The error of a grid is measured on `_CHECKED` bright and as many random samples of each group. At least the fraction
+# `_SHARE` of them must be within the tolerance.
 _CHECKED, _SHARE = 64, 0.95
-# Relative size of the truncated terms of series and sums, as a share of the tolerance.
+# Relative size of the truncated terms of series and sums, divided by the tolerance.
 _TRUNCATION_SHARE = 1e-2
-# Counted memory [bytes]: per height sample, per pair of a direction and a wavelength that is computed at once, and per
-# reflectance of a direction at a ring.
+# Memory of a call [bytes]: per height sample; per pair of a direction and a wavelength that is computed at once; and
+# per reflectance of a direction at a ring.
 _BYTES_PER_SAMPLE, _BYTES_PER_PAIR, _BYTES_PER_REFLECTANCE = 120.0, 700.0, 60.0
 _REMEDY = "take a smaller picture, {share} of the area of heightfield, or a larger tolerance"
 
 
 class Colours(Protocol):
-    """Colours of samples as a linear function of the powers of coefficients."""
+    """Colours of samples, as a linear function of the powers of Fourier coefficients."""
 
     def sums(self, coefficients: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return XYZ of the samples of each group, shape (n, 3), for series of the coefficients."""
+        """Return XYZ of the samples of each group, shape (n, 3). ``coefficients`` has the series of the powers."""
         ...
 
     def spread(self, adjoints: list[NDArray[np.float64]], rows: NDArray[np.float64]) -> None:
-        """Add to the rows of the block, shape (size, k), what the adjoints of XYZ of each group contribute."""
+        """Add the adjoints of the powers to ``rows``, shape (size, k): the transpose of ``sums``."""
         ...
 
 
 class PictureModel:
-    """Colours of samples, and their derivatives by the heights."""
+    """Colours of samples, and their derivatives with respect to the heights."""
 
     def __init__(self, relief: Relief, groups: list[LitPixels], coherence: Coherence, tolerance: float) -> None:
         """Compute the colours.
 
         Args:
-            relief: Height field.
-            groups: Samples by illuminant and material, without empty groups.
-            coherence: Averaged window, or source.
+            relief: Height field or outline.
+            groups: Groups of samples by illuminant and material; no group is empty.
+            coherence: Coherence of the light: an averaged window, or a source.
             tolerance: Relative error of the colours.
 
         Raises:
@@ -82,7 +86,7 @@ class PictureModel:
         self.values = self._colours.sums(self._coefficients)
 
     def adjoint(self, adjoints: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return the adjoint of the heights from those of XYZ of each group, shape (n, 3)."""
+        """Return the adjoint of the heights from the adjoints of XYZ of each group, shape (n, 3)."""
         rows = np.zeros((self._series.block.size, self._series.rows.terms))
         self._colours.spread(adjoints, rows)
         return self._series.adjoint(rows)
@@ -92,7 +96,7 @@ class PictureModel:
         return self._colours.sums(self._series.tangent(change))
 
     def _by_rings(self, sizes: RingSizes) -> Colours:
-        """Return colours by a polar grid, and compute the coefficients that they require."""
+        """Return colours by a polar grid of the given size, and compute the Fourier coefficients that they require."""
         relief, falloff = self._relief, 4.0 * (math.pi * (self._coherence.sigma_um or 1.0)) ** 2
         grid = RingGrid(self._groups, sizes, falloff)
         margin = kappa_margin(sizes)
@@ -112,7 +116,7 @@ class PictureModel:
         return _WithZeroth(rings, self._sums_over_wavelengths(chosen), central, near, zeroth)
 
     def _by_wavelengths(self) -> Colours:
-        """Return colours by wavelengths, and compute the coefficients that they require."""
+        """Return colours by sums over wavelengths, and compute the Fourier coefficients that they require."""
         sums = self._sums_over_wavelengths(self._groups)
         block = None
         for _, _, pairs, _, _ in sums.parts():
@@ -131,11 +135,11 @@ class PictureModel:
         return LOW * float(ws.min()), HIGH * float(ws.max())
 
     def _begin(self, block: Block, kappas: tuple[float, float], ring_values: int, reflectances: int) -> None:
-        """Compute the coefficients of a block; raise ``MemoryError`` before if they do not fit.
+        """Compute the Fourier coefficients of a block; raise ``MemoryError`` first if they do not fit into memory.
 
         Args:
-            block: Orders of the coefficients.
-            kappas: Range of |κ| [1/µm].
+            block: Rectangle of orders that have coefficients.
+            kappas: Smallest and largest |κ| [1/µm].
             ring_values: Number of values on all rings.
             reflectances: Number of reflectances at rings.
         """
@@ -157,7 +161,7 @@ class PictureModel:
         return np.flatnonzero(falloff * (u * u + v * v) * LOW**2 < self._exponent)
 
     def _is_accurate(self) -> bool:
-        """Whether the colours of bright and of random samples agree with sums over wavelengths."""
+        """Whether the colours of bright and of random samples agree with sums over wavelengths to the tolerance."""
         rng, floor = np.random.default_rng(0), luminance_floor(np.concatenate([xyz[:, 1] for xyz in self.values]))
         lobes, errors = self._series.lobes(self._exponent), []
         for group, xyz in zip(self._groups, self.values, strict=True):
@@ -171,7 +175,7 @@ class PictureModel:
 
 
 class _OnLobes:
-    """Sums over wavelengths of the coefficients of one block."""
+    """Colours as sums over wavelengths of the Fourier coefficients of one block."""
 
     def __init__(self, sums: WavelengthSums, lobes: LobePyramid) -> None:
         self._sums, self._lobes = sums, lobes
@@ -184,7 +188,7 @@ class _OnLobes:
 
 
 class _WithZeroth:
-    """Sums over rings, and the zeroth order at the samples near the mirror direction."""
+    """Colours as sums over rings, to which the zeroth order is added at the samples near the mirror direction."""
 
     def __init__(
         self, rings: PolarGridSums, sums: WavelengthSums, lobes: GaussianLobes, near: list[NDArray[np.int64]],
@@ -207,7 +211,7 @@ class _WithZeroth:
 
 
 def _cell_of_zeroth(block: Block) -> int:
-    """Return the cell of a block with the order (0, 0), or −1."""
+    """Return the index of the order (0, 0) in a block of orders; −1 if the block does not contain it."""
     row, column = -block.first[0], -block.first[1]
     inside = 0 <= row < block.shape[0] and 0 <= column < block.shape[1]
     return row * block.shape[1] + column if inside else -1

@@ -1,7 +1,11 @@
 """Power spectrum on a polar grid of the frequency plane, and colours as sums over its rings, with transposes.
 
-The steps from rows of coefficients to colours are linear: sampling of the spectrum on rings and azimuths, interpolation
-between azimuths by cubic splines, and sums over the rings between the longest and the shortest visible wavelength.
+All steps from the series of Fourier coefficients to colours are linear. First, the spectrum is sampled on rings at
+equally spaced azimuths. Second, cubic splines interpolate between azimuths. Third, a colour is a sum over the rings
+between its longest and its shortest visible wavelength. A ring is a frequency q = (u, v)/λ of fixed magnitude, for the
+wavelength λ and the scattering vector (u, v, w). κ is w/λ. A lobe is the Gaussian weight of a coefficient in the
+spectrum, and σ is its standard deviation. The adjoint of a quantity is the derivative of a scalar loss with respect to
+it.
 """
 
 from __future__ import annotations
@@ -29,23 +33,25 @@ if TYPE_CHECKING:
     from warpdiff.adjoint.gaussian_lobes import GaussianLobes
     from warpdiff.render.picture_samples import LitPixels
 
-# Distance of samples of the spectrum along the radius, in standard deviations of its lobes. Derived: a sum of Gaussians
-# at this distance varies by 2 exp(−2π²/1.5²) = 3e-4.
+# Distance of the samples of the spectrum along the radius, in standard deviations of its lobes. With this distance, a
+# sum of equal Gaussians varies by only 2 exp(−2π²/1.5²) = 3e-4.
 _SAMPLE_SPACING_SIGMAS = 1.5
-# Radius within which the spectrum counts as constant, in standard deviations of its lobes. Derived: a Gaussian of this
-# width changes by at most (1/50)²/2 = 2e-4.
+# Radius around the origin within which the spectrum counts as constant, in standard deviations of its lobes. A Gaussian
+# changes by at most (1/50)²/2 = 2e-4 within this radius.
 _FLAT_WITHIN_SIGMAS = 0.02
-# Smallest number of azimuth samples of a ring. Limit: four consecutive ones are distinct.
+# Smallest number of azimuth samples of a ring. With this number, the four samples that interpolate a value are
+# different.
 _FEWEST_AZIMUTHS = 16
-# Number of azimuths on either side of a used one at which the spectrum is sampled, too. Derived: the coefficient of a
-# cubic spline depends on a value at this distance by 0.27^16 = 8e-10.
+# The spectrum is sampled at the azimuths that directions use, and at this number of azimuths on both sides of them. At
+# this distance, a value changes the coefficient of a cubic spline by only 0.27^16 = 8e-10 of itself.
 _NEIGHBOURS = 16
-# Number of cosines at which the reflectance of a material is tabulated, with all whole nanometres. The error of linear
-# interpolation is at most 1e-5 for metals; the check of colours finds larger ones.
+# Number of cosines at which the reflectance of a material is tabulated, for all whole nanometres. For metals, the error
+# of linear interpolation is at most 1e-5. The test of the colours of a grid finds larger errors.
 _ANGLES = 513
 # Longest and shortest visible wavelength [µm].
 _RED_UM, _BLUE_UM = 1e-3 * colorimetry.LAMBDA_MAX_NM, 1e-3 * colorimetry.LAMBDA_MIN_NM
-# Numbers of elements per launch on a thread. Limits: elements of one launch differ in cost.
+# Numbers of azimuths, of cells and of directions that a thread processes per launch. They are limited because elements
+# of one launch require different times, and large slices would distribute the work unevenly.
 _AZIMUTHS_OF_SLICE, _CELLS_OF_SLICE, _PIXELS_OF_SLICE = 64, 1024, 512
 
 
@@ -63,12 +69,12 @@ class RingSizes:
 
     @property
     def step(self) -> float:
-        """Distance of rings in the logarithm of the radius."""
+        """Difference of the logarithm of the frequency between neighbouring rings."""
         return math.log(2.0) / self.rings_per_octave
 
 
 def kappa_margin(sizes: RingSizes) -> float:
-    """Return the factor by which the rings of a colour exceed the visible range of κ at both ends."""
+    """Return the factor by which κ of the rings of a colour exceeds the visible range of κ, at both ends."""
     return math.exp(4.0 * sizes.step)
 
 
@@ -77,13 +83,13 @@ class RingGrid:
 
     Attributes:
         sizes: Size of the grid.
-        log_first: ln of the frequency of the innermost ring.
-        azimuths: Number of azimuths of the rings of each block.
+        log_first: Logarithm of the frequency of the innermost ring [1/µm].
+        azimuths: Number of azimuth samples of a ring, for each block of rings.
         rows: Number of values on all rings.
     """
 
     def __init__(self, groups: list[LitPixels], sizes: RingSizes, falloff: float) -> None:
-        """Choose the rings.
+        """Choose the rings and azimuths for the directions of some groups.
 
         Args:
             groups: Directions by illuminant.
@@ -93,7 +99,8 @@ class RingGrid:
         self.sizes, self._falloff, self._sigma = sizes, falloff, 1.0 / math.sqrt(2.0 * falloff)
         step = sizes.step
         radii = [self.radii_of(group) for group in groups]
-        # A colour uses rings from two before the longest wavelength to two beyond the shortest one.
+        # The rings of a colour extend from two rings before its longest wavelength to two rings beyond its shortest
+        # one.
         low = min(float(part.min()) for part in radii) / _RED_UM * math.exp(-3.0 * step)
         high = max(float(part.max()) for part in radii) / _BLUE_UM * math.exp(4.0 * step)
         self._blocks: int = math.ceil(math.log(high / low) / (BLOCK_RINGS * step))
@@ -109,16 +116,16 @@ class RingGrid:
             self._mark(group, self.places(part))
 
     def radii_of(self, group: LitPixels) -> NDArray[np.float64]:
-        """Return |(u, v)| of directions, and a small number near the mirror direction, shape (n,)."""
+        """Return |(u, v)| of the directions of a group, but at least a limit near the mirror direction, (n,)."""
         least = _FLAT_WITHIN_SIGMAS * self._sigma * _BLUE_UM
         return np.asarray(np.maximum(np.hypot(*group.scattering_vectors[:, :2].T), least))
 
     def places(self, radii: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the positions of the longest wavelength among the rings, for |(u, v)| of directions."""
+        """Return the positions of the longest visible wavelength [rings], for values of |(u, v)| of directions."""
         return np.asarray((np.log(radii / _RED_UM) - self.log_first) / self.sizes.step)
 
     def _mark(self, group: LitPixels, places: NDArray[np.float64]) -> None:
-        """Mark the azimuths that directions use, and their neighbours on which the coefficients of splines depend."""
+        """Mark the azimuths that the directions of a group use, and the neighbours that the cubic splines require."""
         first = np.ceil(places).astype(np.int64) - 2
         turns, count = turns_of(group), ring_count(self.sizes.rings_per_octave)
         for block, azimuths in enumerate(self.azimuths.tolist()):
@@ -129,16 +136,16 @@ class RingGrid:
 
     @property
     def directions(self) -> int:
-        """Number of azimuths of all blocks."""
+        """Number of azimuth samples, added over all blocks of rings."""
         return int(self.azimuths.sum())
 
     @property
     def groups(self) -> int:
-        """Number of groups of rings that one thread of a transposed sum processes."""
+        """Number of groups of consecutive rings; one thread of a transposed sum processes one group."""
         return int(self._blocks * BLOCK_RINGS // TOGETHER)
 
     def _radii(self, block: int) -> NDArray[np.float64]:
-        """Return the frequencies of the samples of the spectrum in a block [1/µm]."""
+        """Return the frequencies at which the spectrum is sampled in a block of rings [1/µm]."""
         count = int(self._divisions[block])
         places = (np.arange((BLOCK_RINGS + 2) * count) + 0.5) / count - 1.5
         return np.asarray(np.exp(self._log_firsts[block] + self.sizes.step * places))
@@ -147,7 +154,7 @@ class RingGrid:
         return np.asarray(2.0 * math.pi * np.arange(self.azimuths[block]) / self.azimuths[block])
 
     def block(self, exponent: float, shape: tuple[int, int], size_um: tuple[float, float]) -> Block:
-        """Return the block of all coefficients that the samples sum. An axis of a single sample has order 0 only."""
+        """Return the smallest block of orders with all coefficients of the sums; an axis of one sample has order 0."""
         reach = math.sqrt(exponent / self._falloff)
         low, high = np.full(2, np.inf), np.full(2, -np.inf)
         for block, is_used in enumerate(self._is_used):
@@ -162,7 +169,7 @@ class RingGrid:
         return Block((int(first[0]), int(first[1])), (int(counts[0]), int(counts[1])))
 
     def struct(self, excluded: int) -> polar_sums.RingBlocks:
-        """Return the struct of the kernels, without one cell of the block of coefficients; −1 excludes none."""
+        """Return the grid as the struct of the kernels. ``excluded`` is the cell of a coefficient to omit, or −1."""
         blocks = range(self._blocks)
         radii, angles = [self._radii(block) for block in blocks], np.concatenate([self._angles(b) for b in blocks])
         grid = polar_sums.RingBlocks()
@@ -183,23 +190,23 @@ class RingGrid:
 
 
 class PolarGridSums:
-    """Colours of directions by a polar grid of the power spectrum, as a linear function of rows of coefficients."""
+    """Colours of directions by a polar grid of the spectrum, as a linear function of the series of coefficients."""
 
     def __init__(self, grid: RingGrid, lobes: GaussianLobes, groups: list[LitPixels], excluded: int) -> None:
-        """Place the directions on the grid.
+        """Compute the positions of the directions on the grid.
 
         Args:
-            grid: Rings for these directions.
-            lobes: Block of coefficients and their series.
-            groups: Directions by illuminant.
-            excluded: Cell of the block that is not summed, or −1.
+            grid: Polar grid that was chosen for these directions.
+            lobes: Block of orders, and the series of their coefficients.
+            groups: Groups of directions by illuminant and material.
+            excluded: Cell of the block whose coefficient is omitted from the sums, or −1.
         """
         self._lobes, self._rings, self._struct = lobes, grid, grid.struct(excluded)
         self._where = {"device": resolve_device(None), "threads": resolve_threads(None)}
         self._pixels = [self._placed(group) for group in groups]
 
     def _placed(self, group: LitPixels) -> _Placed:
-        """Return the directions of a group in ascending order of their places on the grid."""
+        """Return the directions of a group, sorted by their positions on the grid."""
         radii = self._rings.radii_of(group)
         places = self._rings.places(radii)
         order = np.argsort(places, kind="stable")
@@ -217,7 +224,7 @@ class PolarGridSums:
             reflectances = self._reflectances(group.among(order), curves.shape[1])
             pixels.reflectances = wp.array(reflectances, dtype=wp.float64, device="cpu")
         pixels.least_kappa, pixels.places_per_kappa = low, 2.0 / (high - low)
-        # A direction uses consecutive rings, of which each group of rings has some.
+        # A direction uses consecutive rings. For each group of rings, the directions that use any of them are searched.
         first = np.ceil(places[order]).astype(np.int64) - 2
         groups = TOGETHER * np.arange(self._rings.groups)
         begins = np.searchsorted(first, groups - curves.shape[1] + 1)
@@ -227,7 +234,7 @@ class PolarGridSums:
         return _Placed(pixels, order)
 
     def _reflectances(self, group: LitPixels, count: int) -> NDArray[np.float64]:
-        """Return the reflectance of the material at the wavelengths of the rings of each direction, (n, count)."""
+        """Return the reflectance of the material for each direction at the wavelengths of its rings, (n, count)."""
         from scipy import ndimage
 
         material = group.illuminated.material
@@ -242,7 +249,7 @@ class PolarGridSums:
         return np.asarray(ndimage.map_coordinates(table, places, order=1))
 
     def sums(self, coefficients: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return XYZ of the directions of each group, shape (n, 3), for series of the coefficients."""
+        """Return XYZ of the directions of each group, shape (n, 3). ``coefficients`` has the series of the powers."""
         table = self._lobes.table(coefficients)
         values = np.zeros((self._rings.rows, coefficients.shape[1]))
         launch(
@@ -264,7 +271,7 @@ class PolarGridSums:
         return result
 
     def spread(self, adjoints: list[NDArray[np.float64]], rows: NDArray[np.float64]) -> None:
-        """Add to the rows of the block, shape (size, k), what the adjoints of XYZ of each group contribute."""
+        """Add the adjoints of the powers to ``rows``, shape (size, k): the transpose of ``sums``."""
         values = np.zeros((self._rings.rows, rows.shape[1]))
         for placed, adjoint in zip(self._pixels, adjoints, strict=True):
             placed.pixels.adjoints = wp.array(adjoint[placed.order], dtype=wp.float64, device="cpu")
@@ -272,7 +279,7 @@ class PolarGridSums:
                 polar_sums.spread_pixels_to_rings, self._rings.groups, [self._struct, placed.pixels],
                 [_shared(values)], slice_size=1, **self._where,
             )  # fmt: skip
-        # The filter is symmetric, and therefore its own transpose.
+        # The matrix of the interpolation by splines is symmetric, so that the same function is its transpose.
         self._filter(values)
         table = self._lobes.table(np.zeros((1, rows.shape[1])))
         launch(
@@ -281,7 +288,7 @@ class PolarGridSums:
         )  # fmt: skip
 
     def _filter(self, values: NDArray[np.float64]) -> None:
-        """Replace values at azimuths by coefficients of the cubic splines through them."""
+        """Replace the values at azimuths by the coefficients of the cubic splines that interpolate these values."""
         from scipy import ndimage
 
         begin = 0
@@ -294,11 +301,11 @@ class PolarGridSums:
 
 @dataclass(frozen=True)
 class _Placed:
-    """Directions of a group as the kernels read them.
+    """Directions of a group in the form that the kernels require.
 
     Attributes:
-        pixels: Struct of the kernels.
-        order: Index of each direction of the struct in the group.
+        pixels: The struct ``PolarPixels`` of the kernels.
+        order: Index in the group of each direction in the struct.
     """
 
     pixels: polar_sums.PolarPixels
@@ -306,10 +313,10 @@ class _Placed:
 
 
 def turns_of(group: LitPixels) -> NDArray[np.float64]:
-    """Return the polar angles of (u, v) of directions [turns], 0 to 1, shape (n,)."""
+    """Return the azimuths of (u, v) of the directions of a group [turns], 0 to 1, shape (n,)."""
     u, v, _ = group.scattering_vectors.T
     turns = np.arctan2(v, u) / (2.0 * math.pi) % 1.0
-    # A tiny negative angle becomes 1 by rounding.
+    # A tiny negative angle is rounded to 1, which stands for 0.
     return np.where(turns < 1.0, turns, 0.0)
 
 
@@ -318,5 +325,5 @@ def _starts(counts: NDArray[np.int32]) -> NDArray[np.int64]:
 
 
 def _shared(values: NDArray[np.float64]) -> wp.array:
-    """Return a Warp array that shares the memory of a NumPy array."""
+    """Return a Warp array that uses the memory of a NumPy array without a copy."""
     return wp.array(values, dtype=wp.float64, device="cpu", copy=False)

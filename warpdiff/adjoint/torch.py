@@ -17,17 +17,17 @@ if TYPE_CHECKING:
 
     from warpdiff.adjoint.linearised import Linearised
 
-# Numbers of the operators, whose names in PyTorch are unique.
+# Counter that makes the names of operators unique, as PyTorch requires.
 _NUMBERS = itertools.count()
 
 
 def wrap(function: Callable[..., Linearised], wrt: Sequence[str], shape: Sequence[int]) -> Callable[..., torch.Tensor]:
-    """Return a PyTorch function with the value of a linearised function, for ``backward()`` and ``torch.compile``.
+    """Return a PyTorch function that computes a linearised function, for ``backward()`` and ``torch.compile``.
 
     The value is computed on the CPU and returned on the device of the first tensor.
 
     Args:
-        function: Function of NumPy arrays, one per name of ``wrt``, that returns a ``Linearised`` with these variables.
+        function: Function of NumPy arrays, one per name in ``wrt``. It returns a ``Linearised`` value.
         wrt: Names of the variables, in the order of the tensors.
         shape: Shape of the value, which ``torch.compile`` requires before the first call.
 
@@ -43,7 +43,7 @@ def wrap(function: Callable[..., Linearised], wrt: Sequence[str], shape: Sequenc
         results = last.adjoints([_numpy(array) for array in arrays], _numpy(adjoint))
         return [torch.from_numpy(result).to(array.device) for result, array in zip(results, arrays, strict=True)]
 
-    # The names of the arguments of this function are PyTorch's.
+    # PyTorch passes the arguments of this function by name, so that the names must be these.
     def keep(ctx: torch.autograd.function.FunctionCtx, inputs: list[list[torch.Tensor]], output: torch.Tensor) -> None:  # noqa: ARG001
         ctx.save_for_backward(*inputs[0])
 

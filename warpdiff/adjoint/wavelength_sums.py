@@ -1,4 +1,8 @@
-"""Colours of directions as sums over sampled wavelengths, as a linear function of powers of coefficients."""
+"""Colours of directions as sums over sampled wavelengths, as a linear function of the powers of Fourier coefficients.
+
+q = (u, v)/λ is a frequency, for the wavelength λ and the scattering vector (u, v, w). A lobe is the Gaussian weight of
+a coefficient. The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.adjoint.colour_sampling import MOST_WAVELENGTHS, OF_GAUSSIAN, counts_of
+from warpdiff.adjoint.colour_sampling import (
+    LEAST_WAVELENGTHS,
+    MOST_WAVELENGTHS,
+    OF_GAUSSIAN,
+    count_of_material,
+    counts_of,
+)
 from warpdiff.adjoint.gaussian_lobes import Pairs
 from warpdiff.core.warnings import warn
 from warpdiff.kernels.thresholds import LOWEST, TINY
@@ -22,28 +32,29 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.render.picture_samples import LitPixels
 
-# Number of pairs of a direction and a wavelength that are computed together. Limit: memory, about 500 bytes per pair.
+# Number of pairs of a direction and a wavelength that are computed at once. The number is limited by memory: a pair
+# requires about 500 bytes.
 PAIRS_TOGETHER = 1 << 18
-# Range of the visible wavenumbers 1/λ [1/µm].
+# Smallest and largest visible wavenumber 1/λ [1/µm].
 LOW, HIGH = 1e3 / colorimetry.LAMBDA_MAX_NM, 1e3 / colorimetry.LAMBDA_MIN_NM
 
 
 class WavelengthSums:
-    """Colours of directions at sampled wavelengths under lobes of coefficients, widened by footprints.
+    """Colours of directions as sums over sampled wavelengths, with Gaussian lobes that footprints widen.
 
-    Directions with similar |(u, v)| share their wavelengths, whose number follows from the truncation error. Lights
-    less than 2° above the horizon have the number of lights at 2°. One warning counts the directions that require more
-    wavelengths than ``MOST_WAVELENGTHS``.
+    Directions with similar |(u, v)| use the same wavelengths, whose number follows from the truncation error. For a
+    light less than 2° above the horizon, the number of wavelengths is that for 2°. One warning states how many
+    directions require more wavelengths than ``MOST_WAVELENGTHS``.
     """
 
     def __init__(
         self, groups: list[LitPixels], coherence: Coherence, truncation: float, height_range_um: float
     ) -> None:
-        """Choose the wavelengths.
+        """Choose the wavelengths for the directions of some groups.
 
         Args:
             groups: Directions by illuminant and material.
-            coherence: Averaged window, or source.
+            coherence: Coherence of the light: an averaged window, or a source.
             truncation: Relative error of the integral over the wavelengths.
             height_range_um: Range of the heights [µm].
         """
@@ -53,13 +64,21 @@ class WavelengthSums:
         self._classes: list[list[tuple[NDArray[np.int64], int]]] = []
         for group in groups:
             counts = counts_of(self._rates(group, height_range_um), self._span, truncation)
+            if group.illuminated.material is not None and len(counts):
+                least = count_of_material(
+                    LEAST_WAVELENGTHS, -group.scattering_vectors, group.illuminated.material,
+                    group.illuminated.illuminant, truncation, geometric=self._is_source,
+                )  # fmt: skip
+                counts = np.maximum(counts, least)
             undersampled += int(np.count_nonzero(counts > MOST_WAVELENGTHS))
             counts = np.minimum(counts, MOST_WAVELENGTHS)
-            # Numbers of wavelengths are rounded up to powers of √2.
-            octaves = np.ceil(2.0 * np.log2(counts / 12.0)).astype(np.int64)
-            self._classes.append([
-                (np.flatnonzero(octaves == k), math.ceil(12.0 * 2.0 ** (k / 2.0))) for k in np.unique(octaves).tolist()
-            ])  # fmt: skip
+            # Numbers of wavelengths are rounded up to powers of √2, so that more directions use the same
+            # wavelengths.
+            octaves = np.ceil(2.0 * np.log2(counts / LEAST_WAVELENGTHS)).astype(np.int64)
+            self._classes.append([])
+            for k in np.unique(octaves).tolist():
+                count = math.ceil(LEAST_WAVELENGTHS * 2.0 ** (k / 2.0))
+                self._classes[-1].append((np.flatnonzero(octaves == k), count))
         if undersampled:
             warn(
                 f"{undersampled} of {sum(len(group.gains) for group in groups)} samples require more than "
@@ -76,11 +95,11 @@ class WavelengthSums:
         return sum(len(chosen) * count for classes in self._classes for chosen, count in classes)
 
     def parts(self) -> Iterator[tuple[int, NDArray[np.int64], Pairs, NDArray[np.float64], NDArray[np.float64]]]:
-        """Yield parts of the pairs: index of the group, directions, pairs, factors (n, m) and weights (m, 3)."""
+        """Yield the pairs in parts: index of the group, directions, pairs, factors (n, m) and weights of XYZ (m, 3)."""
         for index, (group, classes) in enumerate(zip(self._groups, self._classes, strict=True)):
             for chosen, count in classes:
                 wavenumbers, weights = colorimetry.uniform_quadrature(
-                    count, group.illuminated.illuminant, geometric=self._is_source
+                    count, group.illuminated.illuminant, geometric=self._is_source, signed=True
                 )
                 size = max(PAIRS_TOGETHER // count, 1)
                 for first in range(0, len(chosen), size):
@@ -89,28 +108,30 @@ class WavelengthSums:
                     yield index, part, pairs, factors, weights
 
     def colours(self, sums: Callable[[Pairs], NDArray[np.float64]]) -> list[NDArray[np.float64]]:
-        """Return XYZ of the directions of each group, shape (n, 3), from a function that sums powers under lobes."""
+        """Return XYZ of the directions of each group, shape (n, 3). ``sums`` computes powers of pairs under lobes."""
         result = [np.zeros((len(group.gains), 3)) for group in self._groups]
         for index, part, pairs, factors, weights in self.parts():
             result[index][part] = (sums(pairs).reshape(factors.shape) * factors) @ weights
         return result
 
     def adjoints(self, adjoints: list[NDArray[np.float64]]) -> Iterator[tuple[Pairs, NDArray[np.float64]]]:
-        """Yield pairs in parts with the adjoints of their sums, from those of XYZ of each group, shape (n, 3)."""
+        """Yield pairs in parts, with the adjoints of their sums, from the adjoints of XYZ of each group, (n, 3)."""
         for index, part, pairs, factors, weights in self.parts():
             yield pairs, ((adjoints[index][part] @ weights.T) * factors).ravel()
 
     def _variances(self, group: LitPixels, lowest: float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return entries xx, xy and yy of two covariances (n, 3): of a window in q, and of all others in (u, v).
+        """Return the elements xx, xy and yy of two covariance matrices for each direction, shape (n, 3) each.
 
-        Lights whose direction has a smaller z component than ``lowest`` count as having this one.
+        The first is that of a coherence window in q. The second is that of source and footprint in (u, v). A direction
+        to a light with a z component below ``lowest`` counts as having this z component.
         """
         count = len(group.gains)
         of_q, of_uv = np.zeros((count, 3)), np.zeros((count, 3))
         if group.footprints is not None:
             of_uv += group.footprints
         if self._is_source:
-            # The covariance of a source is s² (I − t tᵀ), with t the direction to the light on the surface.
+            # A source of the spread s has the covariance s² (I − t tᵀ), where t is the (x, y) of the direction to the
+            # light.
             x, y = group.to_lights[:, 0], group.to_lights[:, 1]
             longest = np.minimum(1.0, math.sqrt(1.0 - lowest**2) / np.maximum(np.hypot(x, y), TINY))
             x, y = longest * x, longest * y
@@ -120,12 +141,12 @@ class WavelengthSums:
         return of_q, of_uv
 
     def _rates(self, group: LitPixels, height_range_um: float) -> NDArray[np.float64]:
-        """Return the angular frequency of the spectrum of each direction, over 1/λ, or over ln λ for a source."""
+        """Return the angular frequency at which each spectrum oscillates, over 1/λ, or over ln λ for a source."""
         u, v, w = group.scattering_vectors.T
-        # Near the horizon, the foreshortened extent of a source vanishes, and the spectrum oscillates without limit.
+        # Near the horizon, the extent of a source is foreshortened to 0, and the frequency would become infinite.
         of_q, of_uv = self._variances(group, LOWEST)
         phase = -2.0 * math.pi * w * height_range_um
-        # The variances at the longest wavelength are the smallest in q.
+        # Among all wavelengths, the longest one has the smallest variances in q, and thus the fastest oscillation.
         xx, xy, yy = (of_q / LOW**2 + of_uv).T
         crossing = np.sqrt((yy * u * u - 2.0 * xy * u * v + xx * v * v) / (xx * yy - xy * xy))
         if self._is_source:
@@ -133,7 +154,7 @@ class WavelengthSums:
         return np.asarray(phase + OF_GAUSSIAN * crossing / LOW)
 
     def _pairs(self, group: LitPixels, wavenumbers: NDArray[np.float64]) -> tuple[Pairs, NDArray[np.float64]]:
-        """Return the pairs of directions with all wavelengths, and factors of their sums, shape (n, m)."""
+        """Return the pairs of the directions with all wavelengths, and the factors of their sums, shape (n, m)."""
         vectors = group.scattering_vectors
         of_q, of_uv = self._variances(group)
         xx, xy, yy = np.moveaxis(of_q[:, None] + of_uv[:, None] * wavenumbers[:, None] ** 2, 2, 0)
@@ -141,7 +162,7 @@ class WavelengthSums:
         forms = 0.5 * np.stack([yy, -xy, xx], axis=-1) / determinants[..., None]
         factors = np.repeat(group.gains[:, None], len(wavenumbers), axis=1)
         if group.footprints is not None:
-            # A footprint widens the lobe of a coefficient and lowers its peak; its volume does not change.
+            # A footprint widens the lobe of a coefficient. The maximum becomes lower, so that the integral is the same.
             own = of_q[:, None] + (of_uv - group.footprints)[:, None] * wavenumbers[:, None] ** 2
             factors *= np.sqrt((own[..., 0] * own[..., 2] - own[..., 1] ** 2) / determinants)
         if group.illuminated.material is not None:

@@ -31,7 +31,7 @@ _WORDS = {
     **{f"{method}()": flag for method, (flag, _) in CLEANING.items()},
     "mesh": "MESH", "heightfield": "--heightfield", "material": "--material", "film": "--film", "lights": "--light",
     "light": "--light", "to_light": "--light", "illuminant": "--illuminant", "coherence": "--coherence",
-    "surface": "--surface", "view": "--width and --height", "size_um": "--crop-um", "order": "--level",
+    "surface": "--surface", "map": "--map", "view": "--width and --height", "size_um": "--crop-um", "order": "--level",
 }  # fmt: skip
 
 

@@ -12,6 +12,8 @@ from warpdiff.optics.coherence import Coherence
 from warpdiff.request.settings import EvaluationSettings, PictureSettings, SinglePictureSettings, SpectralSettings
 
 if TYPE_CHECKING:
+    import argparse
+
     from warpdiff.apps.cli_options import Flags
 
 # Help texts of the arguments that name a height field, and of those that name a mesh, in all commands.
@@ -101,7 +103,7 @@ def add_brdf(flags: Flags) -> None:
     flags.add(group, describe(wd.reflectance_map), only=("size", "samples_per_pixel"))
 
 
-def _add_incidence(group: Any) -> None:
+def _add_incidence(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--incidence-deg", type=number, default=0.0, help="light's angle from the normal (default: 0)")
     group.add_argument("--azimuth-deg", type=number, default=0.0, help="light's angle from the x axis (default: 0)")
 
@@ -178,7 +180,7 @@ def add_report(flags: Flags) -> None:
     flags.add(group, describe(wd.report), only=("title",))
 
 
-def _add_wavelengths(group: Any, default: list[float]) -> None:
+def _add_wavelengths(group: argparse._ArgumentGroup, default: list[float]) -> None:
     group.add_argument(
         "--wavelengths-nm", type=number, nargs="+", default=default, metavar="NM",
         help=f"wavelengths, from 200 nm (default: {' '.join(f'{wavelength:g}' for wavelength in default)})",
@@ -246,6 +248,12 @@ def _add_picture(flags: Flags, settings: type) -> None:
         help="height field of the parts with this geometry or material, or 'plain' for a surface with the "
         "material of the mesh; other parts have --heightfield; may be repeated",
     )  # fmt: skip
+    flags.parser.add_argument(
+        "--map", action="append", metavar="NAME=VALUE",
+        help="value of the dots of --heightfield over the texture coordinates: NAME is turn_deg, depth_scale or "
+        "pitch_scale, and VALUE a number, a grey image, or IMAGE,BLACK,WHITE with the values of black and white; may "
+        "be repeated",
+    )  # fmt: skip
     _add_evaluation(flags, settings)
     _add_scene(flags)
     _add_saving(flags)
@@ -285,7 +293,7 @@ def _add_evaluation(flags: Flags, settings: type) -> None:
     _add_illuminant(group)
 
 
-def _add_material(group: Any) -> None:
+def _add_material(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--material",
         help=f"material of the surface, instead of --ior: {', '.join(cli_inputs.METAL_SYMBOLS)}, an index of "
@@ -296,7 +304,7 @@ def _add_material(group: Any) -> None:
     )
 
 
-def _add_illuminant(group: Any) -> None:
+def _add_illuminant(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--illuminant", default="D65",
         help="CIE illuminant or light source by name, temperature of a black body, such as 2856K, or a CSV file of "

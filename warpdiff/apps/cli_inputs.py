@@ -36,7 +36,8 @@ GRATINGS: dict[str, tuple[str, dict[str, Any]]] = {
     "fingers": ("fingers", {"size_um": 64.0, "pitch_um": 0.08}),
 }
 BODIES: dict[str, tuple[str, dict[str, Any]]] = {
-    "tube": ("tube", {}), "tube-along": ("tube", {"tangent": "along"}), "disc": ("disc", {}), "snake": ("snake", {}),
+    "tube": ("tube", {}), "tube-along": ("tube", {"tangent": "along"}), "disc": ("disc", {}), "card": ("card", {}),
+    "snake": ("snake", {}),
 }  # fmt: skip
 # Public lights by their kind on the command line: ``point`` is ``PointLight``.
 _LIGHTS = {name.removesuffix("Light").lower(): name for name in dir(wd) if name.endswith("Light")}
@@ -44,6 +45,8 @@ _LIGHTS = {name.removesuffix("Light").lower(): name for name in dir(wd) if name.
 # this sky, in the world frame. The direction points up, to the right and towards the default camera.
 _CLEAR_SKY, _SUN_DIRECTION = "clear-sky", (0.6, 1.0, 0.4)
 METAL_SYMBOLS = get_args(Metal)
+# Values of dots that ``--map`` sets.
+_MAPPED = ("turn_deg", "depth_scale", "pitch_scale")
 # Value of ``--surface`` for a surface without a height field.
 _PLAIN = "plain"
 
@@ -105,18 +108,20 @@ def height_field_of(options: argparse.Namespace) -> wd.HeightField:
     return _height_field(options.scan if options.heightfield is None else options.heightfield, "heightfield", options)
 
 
-def surfaces_of(options: argparse.Namespace) -> wd.HeightField | dict[str, wd.HeightField | None]:
+def surfaces_of(
+    options: argparse.Namespace,
+) -> wd.HeightField | wd.GratingMap | dict[str, wd.HeightField | wd.GratingMap | None]:
     """Return the height field of the whole mesh; with ``--surface``, return a dictionary of height fields by part.
 
     The dictionary has an entry for all parts that ``--surface`` does not name. The value None is a surface without a
-    height field.
+    height field. With ``--map``, the height field of ``--heightfield`` is the cell of a grating map.
     """
-    heightfield = height_field_of(options)
+    heightfield = map_of(height_field_of(options), getattr(options, "map", None))
     # A page shows one height field, so that the command ``export-html`` has no flag ``--surface``.
     texts = getattr(options, "surface", None)
     if not texts:
         return heightfield
-    surfaces: dict[str, wd.HeightField | None] = {}
+    surfaces: dict[str, wd.HeightField | wd.GratingMap | None] = {}
     for text in texts:
         part, equals, surface = text.partition("=")
         if not equals or not part or not surface:
@@ -128,6 +133,42 @@ def surfaces_of(options: argparse.Namespace) -> wd.HeightField | dict[str, wd.He
             raise ArgumentValueError(f"{ref('surface')} must name each part once, got {part!r} twice")
         surfaces[part] = None if surface == _PLAIN else _height_field(surface, "surface", options)
     return surfaces if REST in surfaces else surfaces | {REST: heightfield}
+
+
+def map_of(cell: wd.HeightField, texts: list[str] | None) -> wd.HeightField | wd.GratingMap:
+    """Return the grating map of ``--map`` flags with a height field as its cell; without flags, the height field."""
+    if not texts:
+        return cell
+    values: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or name not in _MAPPED or not value:
+            raise ArgumentValueError(
+                f"{ref('map')} must be NAME=VALUE with a NAME of {', '.join(_MAPPED)}, got {text!r}"
+                f"{did_you_mean(name, _MAPPED)}"
+            )
+        if name in values:
+            raise ArgumentValueError(f"{ref('map')} must give each value once, got {name!r} twice")
+        values[name] = _dot_value(text, value)
+    with renaming({name: f"--map {name}" for name in _MAPPED} | {"cell": "--heightfield"}):
+        return wd.GratingMap(cell, **values)
+
+
+def _dot_value(text: str, value: str) -> Any:
+    """Return a number, the path of an image, or a tuple of a path and the values of black and white."""
+    number = _value(value)
+    if not isinstance(number, str):
+        return number
+    path, *ends = value.rsplit(",", 2)
+    if len(ends) < 2:
+        return value
+    try:
+        black, white = map(float, ends)
+    except ValueError:
+        raise ArgumentValueError(
+            f"{ref('map')} must have two numbers after the image, the values of black and white, got {text!r}"
+        ) from None
+    return path, black, white
 
 
 def _height_field(text: str, flag: str, options: argparse.Namespace) -> wd.HeightField:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import zipfile
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -76,13 +77,20 @@ class SavedTable:
 
 def _read(source: Path, expected: str) -> dict[str, Any]:
     """Return the arrays of a file by name; raise an error if its ``format`` is not the expected one."""
-    with files.naming_file(source), source.open("rb") as file:
-        with zipfile.ZipFile(file) as archive:
+    with files.naming_file(source):
+        memory.require_memory(source.stat().st_size, f"{ref('path')}: {str(source)!r}", "take a smaller one")
+        content = io.BytesIO(source.read_bytes())
+    # The content is in memory, so that an ``OSError`` from here on is not an error of the file system, but of a damaged
+    # archive.
+    try:
+        with zipfile.ZipFile(content) as archive:
             size = sum(entry.file_size for entry in archive.infolist())
         memory.require_memory(size, f"{ref('path')}: {str(source)!r}", "take a smaller one")
-        file.seek(0)
-        with np.load(file, allow_pickle=False) as archive:
+        content.seek(0)
+        with np.load(content, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
+    except OSError as error:
+        raise ValueError(str(error)) from None
     actual = str(arrays.pop("format"))
     if actual != expected:
         raise ValueError(f"format is {actual!r}, not {expected!r}")

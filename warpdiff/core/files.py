@@ -161,6 +161,17 @@ def holding(argument: str, file: Path) -> Iterator[None]:
         raise ArgumentValueError(named) from None
 
 
+@contextlib.contextmanager
+def describing(file: Path) -> Iterator[None]:
+    """Context for checking the contents of a file. The file's name is put before messages that do not contain it."""
+    try:
+        yield
+    except ArgumentValueError as error:
+        if file.name in str(error):
+            raise
+        raise ArgumentValueError(f"{ref('path')}: {str(file)!r}: {error.marked}") from None
+
+
 def read_text(file: Path, most_bytes: int = 16 << 20) -> str:
     """Read the text of a file; bytes that are not UTF-8 become question marks. Errors name the argument ``path``.
 

@@ -1,4 +1,8 @@
-"""Fork-safe use of OpenImageIO. A fork of the process waits until the library's calls and threads have ended."""
+"""Fork-safe use of OpenImageIO, and image files of named formats.
+
+A fork of the process waits until the library's calls and threads have ended. A reader opens only files of the formats
+that it names, so that no other decoder of the library reads files from untrusted sources.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,9 @@ from typing import TYPE_CHECKING, Any
 from warpdiff.core import forks
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+    from types import ModuleType
 
 # Longest time that a fork waits for OpenImageIO calls of other threads [s]. After this time, the process forks anyway,
 # and the child process cannot use the library. If doubled, such forks are delayed by another second.
@@ -92,3 +98,62 @@ class _Library:
 
 
 in_use = _Library().in_use
+
+
+def opened(oiio: ModuleType, file: Path, formats: Sequence[str], configuration: object = None) -> Any | None:
+    """Open an image file of one of the named formats; None if OpenImageIO cannot open it or it has another format.
+
+    After None, the library may have an error message, which the caller reads.
+
+    Args:
+        oiio: OpenImageIO, as :meth:`in_use` provides it.
+        file: Path of the file.
+        formats: Names of the accepted formats in OpenImageIO, such as ``"openexr"``.
+        configuration: ``ImageSpec`` with options for the decoder, or None.
+    """
+    by_suffix = _format_of_suffix(oiio, file.suffix.lower().removeprefix("."))
+    if by_suffix is not None and by_suffix not in formats:
+        return None
+    by_content = next((name for name in formats if _is_of_format(oiio, file, name)), None)
+    # For a damaged file, only the decoder of its suffix is tried. Otherwise OpenImageIO would try all decoders.
+    is_foreign = by_content is not None and by_content != by_suffix
+    if by_suffix is None and not is_foreign:
+        return None
+    tries_all = oiio.get_int_attribute("try_all_readers")
+    oiio.attribute("try_all_readers", int(is_foreign))
+    try:
+        arguments = (str(file),) if configuration is None else (str(file), configuration)
+        image = oiio.ImageInput.open(*arguments)
+    finally:
+        oiio.attribute("try_all_readers", tries_all)
+    if image is not None and image.format_name() not in formats:
+        image.close()
+        return None
+    return image
+
+
+def error_text(source: Any) -> str:
+    """Return the last message of OpenImageIO, or of one of its objects, as one line, and clear it.
+
+    OpenImageIO prints unread messages when the process ends. A message may quote bytes of the file that are not text. A
+    fixed text is returned for such a message.
+    """
+    try:
+        return " ".join(source.geterror().split())
+    except UnicodeDecodeError:
+        return "its header is damaged"
+
+
+def _format_of_suffix(oiio: ModuleType, suffix: str) -> str | None:
+    """Return OpenImageIO's name of the format of a suffix without its dot; None if the library has no such suffix."""
+    for entry in oiio.get_string_attribute("extension_list").split(";"):
+        name, _, suffixes = entry.partition(":")
+        if suffix in suffixes.split(","):
+            return str(name)
+    return None
+
+
+def _is_of_format(oiio: ModuleType, file: Path, name: str) -> bool:
+    """Whether the decoder of a format recognises the content of a file."""
+    decoder = oiio.ImageInput.create(name)
+    return decoder is not None and bool(decoder.valid_file(str(file)))

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 # Subfolder for downloads within the folder of the disk cache. The disk cache can be trimmed or cleared without a loss
 # of downloads, because it deletes only its own files.
 _SUBFOLDER = "datasets"
+# Formats of the published files in Pillow.
+_FORMATS = ("PNG", "TIFF")
 # Accepted image modes, by Pillow's names: grey or colour with 8 bits per channel, without or with alpha.
 _MODES = ("L", "LA", "RGB", "RGBA")
 
@@ -80,7 +82,7 @@ def read(dataset: Dataset, path: str | os.PathLike[str]) -> HeightField:
     import PIL.Image
 
     try:
-        with PIL.Image.open(path) as image:
+        with PIL.Image.open(path, formats=_FORMATS) as image:
             mode = image.mode
             samples = np.asarray(image.getchannel(0)) if mode in _MODES else None
     except (OSError, SyntaxError, ValueError) as error:

@@ -46,10 +46,9 @@ _MOST_STARTS = 1000
 # Relative difference of two χ² below which both minima count as equally good. The minimum of the earlier start is then
 # the best.
 _TIE = 1e-6
-# The data do not determine a change of the parameters that hardly changes the residuals. The first number is the
+# The data do not determine a change of the parameters that hardly changes the residuals. `_LEAST_SINGULAR` is the
 # largest singular value of the Jacobian for such a change, relative to the largest singular value. If a parameter's
-# component of such a change exceeds the second number, its standard error is NaN. Both numbers are limited by rounding
-# errors.
+# component of such a change exceeds `_SHARE`, its standard error is NaN. Both numbers are limited by rounding errors.
 _LEAST_SINGULAR, _SHARE = 1e-9, 1e-3
 # Measured power in an order that does not propagate, in standard deviations, above which a fit warns. The value was
 # chosen because noise exceeds it only once in 16,000 values.

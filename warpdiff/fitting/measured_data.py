@@ -11,7 +11,7 @@ from warpdiff.adjoint.linearised import Linearised
 from warpdiff.adjoint.order_derivatives import order_efficiencies
 from warpdiff.adjoint.spectral_derivatives import reflectance, spectral_reflectance
 from warpdiff.adjoint.surfaces import Relief
-from warpdiff.core import validation
+from warpdiff.core import files, validation
 from warpdiff.core.angles import direction
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref, renaming
@@ -260,32 +260,36 @@ class Measured:
         colorimetry.check_illuminant(illuminant)
         if energy is not None:
             validation.choice(energy, "energy", get_args(Energy))
-        names = dict.fromkeys(name for columns in COLUMNS.values() for name in columns)
-        columns = csv_columns.read(validation.path(path, "path"), names)
-        kinds = [kind for kind, required in COLUMNS.items() if set(required) <= set(columns)]
-        if len(kinds) != 1:
-            rule = "; ".join(f"{kind}: {', '.join(required)}" for kind, required in COLUMNS.items())
-            raise ArgumentValueError(
-                f"{ref('path')} must have the columns of one kind of data ({rule}), got "
-                f"{', '.join(columns) or 'none of them'}"
-            )
-        (kind,) = kinds
-        light = direction(columns[_LIGHT[0]], columns[_LIGHT[1]])
-        if kind == "orders":
-            pairs = np.stack([columns["m_y"], columns["m_x"]], axis=1)
-            return cls.orders(
-                light, columns["wavelength_nm"], pairs, columns["efficiency"], ior=ior, material=material, energy=energy
-            )
-        view = direction(columns[_VIEW[0]], columns[_VIEW[1]])
-        if kind == "spectra":
-            return cls.spectra(
-                light, view, columns["wavelength_nm"], columns["relative_reflectance"], coherence=coherence, ior=ior,
-                material=material, masking=masking,
+        file = validation.path(path, "path")
+        with files.describing(file):
+            names = dict.fromkeys(name for columns in COLUMNS.values() for name in columns)
+            columns = csv_columns.read(file, names)
+            kinds = [kind for kind, required in COLUMNS.items() if set(required) <= set(columns)]
+            if len(kinds) != 1:
+                rule = "; ".join(f"{kind}: {', '.join(required)}" for kind, required in COLUMNS.items())
+                raise ArgumentValueError(
+                    f"{ref('path')} must have the columns of one kind of data ({rule}), got "
+                    f"{', '.join(columns) or 'none of them'}"
+                )
+            (kind,) = kinds
+            light = direction(columns[_LIGHT[0]], columns[_LIGHT[1]])
+            if kind == "orders":
+                pairs = np.stack([columns["m_y"], columns["m_x"]], axis=1)
+                return cls.orders(
+                    light, columns["wavelength_nm"], pairs, columns["efficiency"], ior=ior, material=material,
+                    energy=energy,
+                )  # fmt: skip
+            view = direction(columns[_VIEW[0]], columns[_VIEW[1]])
+            if kind == "spectra":
+                return cls.spectra(
+                    light, view, columns["wavelength_nm"], columns["relative_reflectance"], coherence=coherence,
+                    ior=ior, material=material, masking=masking,
+                )  # fmt: skip
+            xyz = np.stack([columns[name] for name in "XYZ"], axis=1)
+            return cls.colours(
+                light, view, xyz, illuminant=illuminant, coherence=coherence, ior=ior, material=material,
+                masking=masking,
             )  # fmt: skip
-        xyz = np.stack([columns[name] for name in "XYZ"], axis=1)
-        return cls.colours(
-            light, view, xyz, illuminant=illuminant, coherence=coherence, ior=ior, material=material, masking=masking
-        )
 
 
 def _values(values: object, name: str) -> Array:

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 # Value of the autocorrelation, relative to its value at lag 0, below which it counts as decayed. The value is the
 # default of ISO 25178-3. If doubled, decay lengths are shorter.
 THRESHOLD = 0.2
-# Largest lag along an axis at which the autocorrelation is computed, as a share of the length of the field. The value
+# Largest lag along an axis at which the autocorrelation is computed, relative to the length of the field. The value
 # is limited by the number of pairs of samples: at a lag of half of the field along both axes, a quarter of the pairs
 # remains. If doubled, a lag may have a single pair of samples.
 MOST_LAG = 0.5
-# Least number of pairs of samples at a lag, as a share of the number of measured samples; lags with fewer pairs are
+# Least number of pairs of samples at a lag, relative to the number of measured samples; lags with fewer pairs are
 # ignored. The value is limited by noise: averages over fewer pairs are noise. If doubled, the autocorrelation of more
 # fields with gaps is unknown at the lags where it decays, and the texture aspect ratio Str of these fields is unknown.
 _LEAST_PAIRS = 0.05

@@ -92,7 +92,7 @@ class CleaningMethods(HeightSamples):
         deepest points of a relief often look like them.
 
         Level the field first, because tilt counts as height. Samples that are not replaced keep their values exactly,
-        so that ``np.mean(after.heights_um != before.heights_um)`` is the replaced share of a field without gaps.
+        so that ``np.mean(after.heights_um != before.heights_um)`` is the replaced fraction of a field without gaps.
         Elevations that belong to the surface and cover less than about 3 % of it are mistaken for dust.
 
         Args:

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 # A summary of a height field lists only periods that are certain and strong enough. `_MOST_STANDARD_ERROR` is the
 # largest standard error relative to the period; if doubled, less certain periods are listed. `_LEAST_SHARE` is the
-# least share of the variance of the heights that the period explains; if doubled, fewer periods are listed. Both values
-# were chosen.
+# smallest fraction of the variance of the heights that the period explains; if doubled, fewer periods are listed. Both
+# values were chosen.
 _MOST_STANDARD_ERROR, _LEAST_SHARE = 0.1, 0.01
 
 # Aliasing is estimated for the phase 2πκh of light that a height h reflects. The number is the largest κ [1/µm]: that

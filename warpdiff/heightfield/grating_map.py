@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from warpdiff.core import forks, memory, validation
-from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref, renaming
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, marked, ref, renaming
 from warpdiff.heightfield.edge_checks import check_periodic
 from warpdiff.heightfield.field import HeightField, check_whole
 from warpdiff.heightfield.readers.image_reader import image_samples
@@ -25,16 +25,20 @@ if TYPE_CHECKING:
 
     from warpdiff.optics.coherence import Coherence
 
-# Largest turn [degrees], depth scale and pitch scale that a map accepts. Limit: float32, in which kernels store the
-# sine and cosine of the turn, rounds larger turns of a full circle; larger scales suggest a wrong unit.
+    # Values of dots: a number or an array, the path of an image, or a tuple of the path and its values of black and
+    # white.
+    DotValues = ArrayLike | os.PathLike[str] | tuple[str | os.PathLike[str], float, float]
+
+# Largest turn [degrees], depth scale and pitch scale that a map accepts. Turns are limited because kernels store their
+# sine and cosine in float32, and larger turns would be rounded before. Larger scales probably have a wrong unit.
 _MOST_TURN_DEG, _MOST_SCALE = 36_000.0, 1000.0
-# Largest ratio of the pitch scales of a map. Limit: memory, because the table of a map resolves the smallest pitch
-# scale, and its number of azimuths is proportional to the ratio.
+# Largest ratio of the pitch scales of a map. The ratio is limited by memory. The table of a map resolves the smallest
+# pitch scale, and its number of azimuth samples is proportional to the ratio.
 MOST_PITCH_RATIO = 4.0
-# Values of black and white in an image of turns [degrees] or of depth scales. Choice: a grating that is turned by 180°
-# is itself if it is symmetric.
+# Values of black and white in an image of turns [degrees] or of depth scales. The value 180° was chosen because a
+# symmetric grating has the same grooves after a rotation by 180°.
 _BLACK_AND_WHITE = {"turn_deg": (0.0, 180.0), "depth_scale": (0.0, 1.0)}
-# Memory while a map is made [bytes per dot], as measured: three arrays of float64, the transforms of float32 and
+# Measured peak memory while a map is made [bytes per dot]: three arrays of float64, the transforms in float32, and
 # temporary arrays. If doubled, maps that fit into memory are refused.
 _BYTES_PER_DOT = 120.0
 
@@ -57,7 +61,8 @@ class GratingMap:
     """Grating whose direction, depth and pitch differ from dot to dot of a surface, for pictures of a mesh.
 
     The dots are a matrix over the texture coordinates of the mesh. Row 0 is at v = 1 and column 0 at u = 0, as in an
-    image. A ray sees the dot that contains its hit; dots have sharp edges, and the matrix is repeated beyond 0 to 1.
+    image. A ray has the grating of the dot that contains its hit. Dots have sharp edges, and the matrix is repeated
+    beyond 0 to 1.
     The edges of dots and the phase between dots do not diffract light.
 
     Each of the three values is a number for all dots, an array with one number per dot, or a grey image. An image is
@@ -90,8 +95,8 @@ class GratingMap:
     """
 
     def __init__(
-        self, cell: HeightField, *, turn_deg: ArrayLike | Any = 0.0, depth_scale: ArrayLike | Any = 1.0,
-        pitch_scale: ArrayLike | Any = 1.0,
+        self, cell: HeightField, *, turn_deg: DotValues = 0.0, depth_scale: DotValues = 1.0,
+        pitch_scale: DotValues = 1.0,
     ) -> None:  # fmt: skip
         with renaming({"heightfield": "cell"}):
             check_whole(cell)
@@ -279,7 +284,7 @@ def _from_image(value: Any, name: str) -> NDArray[np.float64]:
         )
     file = validation.path(value, name)
     if not file.is_file():
-        raise FileNotFoundError(f"{name}: there is no file {str(file)!r}")
+        raise marked(FileNotFoundError, f"{ref(name)}: there is no file {str(file)!r}")
     with renaming({"path": name}):
         samples = image_samples(file)
     full = float(np.iinfo(samples.dtype).max) if samples.dtype.kind in "iu" else 1.0

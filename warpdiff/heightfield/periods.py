@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.heightfield.wave_search import Wave
 
-# Share of the variance of the heights below which a wave is not reported as a period.
+# Fraction of the variance of the heights below which a wave is not reported as a period.
 _LEAST_SHARE = 1e-3
 # Least number of samples per period, along x and along y, of a resolved period. The value is limited by artefacts: a
 # scan that was rotated or scaled has copies of its spectral lines near the sampling limit of two samples per period.
@@ -46,7 +46,7 @@ class Period:
         harmonics_um: Amplitudes of the fundamental and its harmonics [µm], at most sixteen, fewer if the pitch is too
             coarse; 0 for harmonics below the noise. If the phase of a wave varies by more than a fraction of a period
             over the field, only its fundamental is listed, with the root mean square amplitude.
-        share: Share of the variance of the heights, without tilt, that the wave explains.
+        share: Fraction of the variance of the heights, without tilt, that the wave explains.
         frequency: Wave vector (y, x) [cycles per µm].
         is_coherent: Whether the phase of the wave is nearly that of a perfect grating over the whole field.
         is_resolved: Whether the wave has at least three samples per period along x and along y. A shorter period may be

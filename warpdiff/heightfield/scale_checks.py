@@ -25,9 +25,9 @@ _SUSPICIOUS_RANGE_UM, _SUSPICIOUS_SLOPE = 5e-4, 1e-3
 _MOST_PITCH_UM = 2.0
 # Half of the shortest visible wavelength [µm]. A grating of a smaller period has only the zeroth diffraction order.
 _LEAST_SIZE_UM = 0.19
-# Mean slopes above which a field gets a warning. A mean slope above the first number causes a warning if the median
-# slope also exceeds this number. A mean slope above the second number always causes a warning. An echelle grating of
-# 76° has a mean slope of 8 but a median slope of 4, and gets no warning.
+# Mean slopes above which a field gets a warning. A mean slope above `_STEEP` causes a warning if the median slope also
+# exceeds `_STEEP`. A mean slope above `_TOO_STEEP` always causes a warning. An echelle grating of 76° has a mean slope
+# of 8 but a median slope of 4, and gets no warning.
 _STEEP, _TOO_STEEP = 5.0, 10.0
 # Height range, relative to the largest absolute height, up to which a field counts as flat with rounding errors. Flat
 # fields get no warning about their unit.

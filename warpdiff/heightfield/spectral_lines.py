@@ -43,9 +43,9 @@ _MAIN_LOBE = 1.8
 # the same direction. `_STRIP` is the half width of each strip, relative to the frequency of the line. `_MOST_ALONG` is
 # the largest number of positions along a strip.
 _STRIP, _MOST_ALONG = 0.15, 40
-# The background of a spectral line is estimated at higher frequencies up to this multiple of the frequency of the line.
-# The first number is for fields with several samples along both axes. The second number is for single rows or columns
-# of samples, which have fewer Fourier coefficients.
+# The background of a spectral line is estimated at higher frequencies up to a multiple of the frequency of the line.
+# The multiple is 1.8 for fields with several samples along both axes. It is 2.4 for single rows or columns of samples,
+# which have fewer Fourier coefficients.
 _HIGHEST = (1.8, 2.4)
 # The coarse background is estimated in rings and sectors of the frequency plane. `_RINGS` is the number of rings per
 # octave of frequency, and `_SECTORS` the number of sectors in half of the plane. At most about `_MOST_SAMPLED` Fourier

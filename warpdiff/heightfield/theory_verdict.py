@@ -7,13 +7,13 @@ the largest estimate is the verdict:
   1/λ.
 - deep: 0.05 (4πs/λ)² min(1, λ/d) for the wavelength λ. Here s is the standard deviation of the heights, g is the mean
   absolute slope, and d = 4√2 s/g is the period of a sine with the same s and g.
-- narrow: the share of the light that features with periods below two wavelengths diffract, divided by 0.7. This share
-  is computed from the spectrum of exp(2πih/λ). For heights h, this is the reflected wave at |w| = 1, where w is the
+- narrow: the fraction of the light that features with periods below two wavelengths diffract, divided by 0.7. It is
+  computed from the spectrum of exp(2πih/λ). For heights h, this is the reflected wave at |w| = 1, where w is the
   component of the scattering vector along the normal.
 - energy: 1.1 times the deviation of the sum of Stam's efficiencies (Stam 1999) over all orders from the power that a
   flat surface reflects; 0.4 times this deviation if the efficiencies are normalised. Without a direction to the light,
   the largest of the deviations for light from 0°, 30° and 60° counts.
-- undersampled: twice the share of undersampled steps in the sum of all height differences |Δh| between neighbouring
+- undersampled: twice the fraction of undersampled steps in the sum of all height differences |Δh| between neighbouring
   samples. An undersampled step and the next step change the phase by more than half a cycle each, in the same
   direction.
 
@@ -100,7 +100,7 @@ class TheoryVerdict:
     """Verdict on scalar diffraction for a height field; ``print`` shows it as a sentence.
 
     Attributes:
-        error: Expected error of the efficiency of an order, as a share of the power that a flat surface reflects. In
+        error: Expected error of the efficiency of an order, relative to the power that a flat surface reflects. In
             comparisons with rigorous solutions, the true error was at most twice this error for 19 of 20 gratings.
         reason: Property of the surface with the largest estimated error: ``"steep"`` or ``"deep"`` relief; ``"narrow"``
             features; ``"energy"``, if the orders do not sum to the power that a flat surface reflects;
@@ -277,9 +277,10 @@ def _lost_power(heightfield: HeightField, wavelength_um: float) -> float:
 
 
 def _undersampled_share(heightfield: HeightField, wavelength_um: float) -> float:
-    """Return the share of undersampled steps in the sum of all height differences |Δh| between neighbouring samples.
+    """Return the fraction of undersampled steps in the sum of all height differences |Δh| between neighbouring samples.
 
-    The larger of the shares along x and along y counts. A step is undersampled if it and the next step change the phase
+    The larger of the fractions along x and along y counts. A step is undersampled if it and the next step change the
+    phase
     of the light by more than half a cycle each, both upwards or both downwards. A single large step is not counted,
     because it is a vertical wall, which two samples represent correctly.
     """

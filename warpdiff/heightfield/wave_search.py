@@ -86,7 +86,7 @@ class Wave:
         q: Wave vector (y, x) [cycles per larger extent].
         error: Standard error of the frequency along the wave vector [cycles per larger extent].
         harmonics: Amplitudes of the fundamental and its harmonics, in standard deviations of the heights.
-        share: Share of the variance of the heights that the wave explains.
+        share: Fraction of the variance of the heights that the wave explains.
         is_coherent: Whether the phase is nearly that of a perfect grating, see `warpdiff.Period`.
     """
 

@@ -106,14 +106,14 @@ def write_parts(target: Path, parts: Sequence[FilePart]) -> None:
         output = oiio.ImageOutput.create(str(temporary))
         specs = tuple(part.spec(oiio) for part in parts)
         if output is None or not output.open(str(temporary), specs if len(specs) > 1 else specs[0]):
-            reason = oiio.geterror() if output is None else output.geterror()
+            reason = openimageio.error_text(oiio) if output is None else openimageio.error_text(output)
             raise OSError(f"cannot write {target}: {reason}")
         written = output.write_image(np.ascontiguousarray(parts[0].pixels))
         for spec, part in zip(specs[1:], parts[1:], strict=True):
             written = written and output.open(str(temporary), spec, "AppendSubimage")
             written = written and output.write_image(np.ascontiguousarray(part.pixels))
         if not (output.close() and written):
-            raise OSError(f"cannot write {target}: {output.geterror()}")
+            raise OSError(f"cannot write {target}: {openimageio.error_text(output)}")
         if not _is_written(oiio, temporary, parts):
             raise OSError(f"cannot write {target}: the file does not hold what was written; the disk may be full")
 
@@ -128,7 +128,7 @@ def _is_written(oiio: Any, path: Path, parts: Sequence[FilePart]) -> bool:
     straight.attribute("oiio:UnassociatedAlpha", 1)
     source = oiio.ImageInput.open(str(path), straight)
     if source is None:
-        _discard_error(oiio)
+        openimageio.error_text(oiio)
         return False
     try:
         return all(_holds(source, index, part) for index, part in enumerate(parts))
@@ -143,21 +143,12 @@ def _holds(source: Any, index: int, part: FilePart) -> bool:
     names = list(source.spec().channelnames)
     samples = source.read_image(index, 0, 0, len(names), "unknown")
     if samples is None:
-        _discard_error(source)
+        openimageio.error_text(source)
         return False
     if samples.dtype != part.pixels.dtype or sorted(names) != sorted(part.channels):
         return False
     order = [names.index(name) for name in part.channels]
     return bool(samples[..., order].tobytes() == part.pixels.tobytes())
-
-
-def _discard_error(source: Any) -> None:
-    """Read OpenImageIO's error message and discard it, because unread messages are printed when the process ends.
-
-    A message may contain bytes that are not UTF-8.
-    """
-    with contextlib.suppress(UnicodeDecodeError):
-        source.geterror()
 
 
 def read_exr(file: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, tuple[str, ...]]]:
@@ -167,15 +158,17 @@ def read_exr(file: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, tupl
     names for which the numbers in the layer stand.
     """
     with openimageio.in_use() as oiio:
-        source = oiio.ImageInput.open(str(file))
+        source = openimageio.opened(oiio, file, ("openexr",))
         if source is None:
-            _discard_error(oiio)
-            raise ArgumentValueError(f"{ref('path')}: {str(file)!r} cannot be read as an image; name an EXR file")
+            openimageio.error_text(oiio)
+            raise ArgumentValueError(
+                f"{ref('path')}: {str(file)!r} cannot be read as an EXR file; name one of Image.save"
+            )
         try:
             specs: list[Any] = []
             while source.seek_subimage(len(specs), 0):
                 specs.append(source.spec())
-            _discard_error(source)
+            openimageio.error_text(source)
             names = tuple(specs[0].channelnames)
             if not {*CHANNELS} <= {*names}:
                 raise ArgumentValueError(
@@ -192,7 +185,7 @@ def read_exr(file: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, tupl
             for index, spec in enumerate(specs):
                 pixels = source.read_image(index, 0, 0, spec.nchannels, "float")
                 if pixels is None or source.has_error or pixels.shape[:2] != (height, width):
-                    _discard_error(source)
+                    openimageio.error_text(source)
                     raise ArgumentValueError(f"{ref('path')}: {str(file)!r} is damaged; save the picture again")
                 planes = np.ascontiguousarray(np.moveaxis(pixels, 2, 0))
                 channels |= dict(zip(spec.channelnames, planes, strict=True))

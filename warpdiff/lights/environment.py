@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 
 # Largest radiance, linear sRGB. The value is limited by kernels, which square colours in float32; float32 ends at 3e38.
 _MOST_RADIANCE = 1e9
+# Names of the accepted formats in OpenImageIO.
+_FORMATS = ("openexr", "hdr")
 # Range of the option ``directions``. It is limited because fewer directions show noise, and because time is
 # proportional to the number of directions.
 _FEWEST_DIRECTIONS, _MOST_DIRECTIONS = 16, 32_768
@@ -137,9 +139,9 @@ class Environment(Checked, Light):
         file = validation.path(path, "path")
         files.check_file(file)
         with openimageio.in_use() as oiio:
-            image = oiio.ImageInput.open(str(file))
+            image = openimageio.opened(oiio, file, _FORMATS)
             if image is None:
-                oiio.geterror()
+                openimageio.error_text(oiio)
                 raise ArgumentValueError(
                     f"{ref('path')}: {str(file)!r} cannot be read as an image; give an EXR or HDR file"
                 )
@@ -155,7 +157,7 @@ class Environment(Checked, Light):
                 )  # fmt: skip
                 samples = image.read_image(0, 0, 0, 3, "float")
                 if samples is None or image.has_error:
-                    image.geterror()
+                    openimageio.error_text(image)
                     raise ArgumentValueError(f"{ref('path')}: {str(file)!r} is damaged; export the image again")
             finally:
                 image.close()

@@ -1,4 +1,7 @@
-"""Dots of grating maps on a device: samples in the frame of each dot's cell, for the look-up of its colours."""
+"""Dots of grating maps on a device. A sample is converted to the frame of its dot's cell, where colours are looked up.
+
+The cell is the height field of a dot without rotation and scaling. (u, v, w) is the scattering vector.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class LookupSamples(NamedTuple):
-    """Arrays by ray from which colours are looked up, beside the gains.
+    """Arrays from which colours are looked up, with one entry per ray; the gains are separate.
 
     Attributes:
         scattering_vectors: Scattering vectors (u, v, w), (n,) of ``wp.vec3d``.
@@ -40,15 +43,15 @@ class LookupSamples(NamedTuple):
 
 @dataclass(frozen=True)
 class DotSamples:
-    """Arrays for samples of one surface in the frames of its dots. The next surface overwrites the values.
+    """Samples of one surface in the frames of its dots. The samples of the next surface overwrite them.
 
     Attributes:
         scattering_vectors: Scattering vectors in the frames of the cells, (n,) of ``wp.vec3d``. After the look-ups of
-            one ray per pixel they are the signals by which refinement finds the edges of dots.
+            one ray per pixel, they are overwritten by signals, from which refinement finds the edges of dots.
         to_lights: Directions to the light in the frames of the cells, (n,) of ``wp.vec3f``.
         footprints: Footprints in the frames of the cells, (n,); empty if pixels show points.
         dots: Indices of the dots, row by row, (n,); −1 without a hit.
-        gains: Geometry factors times the dependence of a material's reflectance on the angle, (n,).
+        gains: Geometry factors, multiplied by the dependence of a material's reflectance on the angle, (n,).
     """
 
     scattering_vectors: wp.array
@@ -68,9 +71,10 @@ class DotSamples:
 
 
 def material_of_dots(material: Material | None, grating_map: GratingMap | None) -> Material | None:
-    """Return the material with which the colours of a surface are looked up.
+    """Return the material whose reflectance the look-ups of a surface's colours include.
 
-    Depths and pitches that differ between dots require a material whose reflectance does not depend on the angle.
+    If depths or pitches differ between dots, a look-up requires a material whose reflectance does not depend on the
+    angle.
     """
     if material is None or grating_map is None or grating_map.has_one_shape:
         return material
@@ -78,12 +82,12 @@ def material_of_dots(material: Material | None, grating_map: GratingMap | None) 
 
 
 class GratingDots:
-    """Dots of all surfaces of a picture that have a grating map."""
+    """Dots of all surfaces of a picture that have a grating map, as arrays on the device."""
 
     def __init__(
         self, maps: dict[int, GratingMap], surface_of_faces: NDArray[np.int32], rays: CameraRays
     ) -> None:  # fmt: skip
-        """Copy maps, by the index of their surface, to the device of the rays.
+        """Copy maps to the device of the rays; ``maps`` has them by the index of their surface.
 
         ``surface_of_faces`` is empty if all faces have the same surface.
         """
@@ -102,7 +106,7 @@ class GratingDots:
     def of(
         cls, maps: Sequence[GratingMap | None], surface_of_faces: NDArray[np.int32], rays: CameraRays
     ) -> GratingDots | None:
-        """Return the dots of the surfaces that have a map; None without any map."""
+        """Return the dots of the surfaces that have a grating map; None if no surface has one."""
         by_surface = {surface: own for surface, own in enumerate(maps) if own is not None}
         if not by_surface:
             return None
@@ -117,7 +121,7 @@ class GratingDots:
     ) -> tuple[wp.array, list[KernelCall]]:
         """Return the gains with which the colours of a material are looked up, and the kernel calls that compute them.
 
-        They contain the dependence of the reflectance on the angle, unless the look-up contains it.
+        The gains are multiplied by the dependence of the reflectance on the angle, unless the look-up includes it.
         """
         if not isinstance(material, FixedReflectance):
             return gains, []
@@ -137,7 +141,7 @@ class GratingDots:
             gbuffer: Hits of the rays.
             samples: Samples in the frames of the hits.
             of_dots: Arrays for the result.
-            level: Level of the cells that the rays are; 0 is one ray per pixel.
+            level: Level of the subpixel cells that the rays represent; 0 is one ray per pixel.
         """
         footprints = self._no_footprints if samples.footprints is None else samples.footprints
         inputs = [
@@ -150,14 +154,14 @@ class GratingDots:
         return result, [self._find(surface, gbuffer, of_dots, level), transform]
 
     def _find(self, surface: int, gbuffer: GBuffer, of_dots: DotSamples, level: int) -> KernelCall:
-        """Return the kernel call that finds the dots of a surface's hits."""
+        """Return the kernel call that finds the dot of each hit on a surface."""
         inputs = [self._rays.camera, self._rays.scene.bare, gbuffer.pixels, *self._shapes[surface], 1 << level]
         return KernelCall(dot_transforms.find_dots, inputs, [of_dots.dots], in_runs=True)
 
     def signal_calls(self, gbuffer: GBuffer, scattering_vectors: wp.array, of_dots: DotSamples) -> list[KernelCall]:
         """Return the kernel calls that write signals into the scattering vectors of ``of_dots``, one ray per pixel.
 
-        Signals of rays on neighbouring dots differ by more than any change of the scattering vector.
+        A signal is a number that differs between neighbouring dots by more than any change of the scattering vector.
         """
         calls = []
         for place, surface in enumerate(self._transforms):

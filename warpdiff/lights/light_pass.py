@@ -48,7 +48,6 @@ class PassContext:
             compute their light.
         plain: Materials of plain surfaces; None if all are matte and emit no light.
         finishes: Finishes of the picture: all surfaces with all of their materials.
-        finishes: All surfaces with all of their materials.
         is_pigmented: Whether the mesh has base colours and the pigment is visible.
         has_maps: Whether textures have metallic, roughness or emission of plain faces.
         is_textured: Whether colours depend on any texture.
@@ -196,8 +195,6 @@ class LightSamples:
             ray has its own direction to the light.
         towards: Direction to the light of each ray, world frame, and its weight, (n,) of ``wp.vec4f``. The array is
             empty unless directions are drawn at random or a light has an emission profile.
-        towards: Each ray's own direction to the light, world frame, and its weight, (n,) of ``wp.vec4f``; empty unless
-            a light is sampled or has an emission profile.
         footprints: Footprints of the rays' filters in (u, v), (n,); empty if pixels show points.
         finish_gains: Geometry factors at faces with the finish that is evaluated, and 0 at other faces, (n,); empty for
             a single finish.

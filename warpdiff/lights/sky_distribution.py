@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 # octave of |(u, v)|, and `_FARTHEST` is the largest |(u, v)|. `_DISC_RADIUS` is the radius of a disc in the middle
 # without rings, in standard deviations of the lobe of a diffraction order. Other values would change only the noise.
 _RINGS_PER_OCTAVE, _FARTHEST, _DISC_RADIUS = 6, 2.05, 0.5
-# Azimuth samples on a ring of (u, v). The first number is the distance of neighbouring samples, in standard deviations
-# of the lobe of a diffraction order. The other numbers are the least and the largest number of samples per ring. The
-# largest number was chosen by the errors of pictures: with at most 64 samples per ring, the errors are 1.5 times as
-# large (docs/decisions/environments.md).
+# Azimuth samples on a ring of (u, v). `_SPOKES_APART` is the distance of neighbouring samples, in standard deviations
+# of the lobe of a diffraction order. `_FEWEST_SPOKES` and `_MOST_SPOKES` are the smallest and the largest number of
+# samples per ring. The largest number was chosen by the errors of pictures: with at most 64 samples per ring, the
+# errors are 1.5 times as large (docs/decisions/environments.md).
 _SPOKES_APART, _FEWEST_SPOKES, _MOST_SPOKES = 1.0, 16, 512
 # Values of |w| = cos θi + cos θr at which colours of the surface are looked up. θi and θr are the angles of light and
 # view from the normal. The mean of the colours determines the probability of a direction. The values were chosen

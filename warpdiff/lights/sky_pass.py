@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from warpdiff.lights.light_pass import Counting, PassContext, RayBatch
     from warpdiff.lights.sky_grid import SkyGrid
 
-# Fraction of the directions that are drawn by the brightness of the sky alone: `_SKY_SHARE` without a pigment (base
-# colour of the mesh), and `_SKY_SHARE_OF_PIGMENT` with a pigment. The other directions are drawn by the colours of the
-# surface. The second number is larger because a pigment reflects light from all directions. Other values would change
-# only the noise.
+# Fraction of the directions that are drawn by the brightness of the sky alone. `_SKY_SHARE` is used without a pigment
+# (base colour of the mesh), and `_SKY_SHARE_OF_PIGMENT` with a pigment. The other directions are drawn by the colours
+# of the surface. With a pigment the fraction is larger, because a pigment reflects light from all directions. Other
+# values would change only the noise.
 _SKY_SHARE, _SKY_SHARE_OF_PIGMENT = 0.25, 0.5
 # Number of directions per pixel before pixels are subdivided. The resulting colours serve only to estimate the
 # reference luminance of the picture, for which a few directions suffice.

@@ -1,4 +1,7 @@
-"""Optics of the surfaces of a picture, the unit of its colours, and the finishes of its faces."""
+"""Optics of the surfaces of a picture, the unit of its colours, and the finishes of its faces.
+
+R(0) is the reflectance at normal incidence. A plain surface has no height field.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +24,10 @@ class SurfaceOptics:
     Attributes:
         coherence: Coherence of the light at the surface.
         area_um2: Area of the height field [µm²].
-        normal_reflectance: R(0) of Schlick's approximation; 1 if the surface has materials.
-        materials: Materials of the faces. An entry of None stands for Schlick's R with ``normal_reflectance``.
+        normal_reflectance: Reflectance R(0) at normal incidence of Schlick's approximation; 1 if the surface has
+            materials.
+        materials: Materials of the faces. An entry of None means that the face has Schlick's reflectance with
+            ``normal_reflectance``.
         masking: Whether V-cavity masking is included.
         energy: Factors of the energy normalisation
             (:class:`~warpdiff.diffraction.energy_normalisation.AchromaticFactors`); without them, the orders of a
@@ -49,11 +54,11 @@ class SurfaceOptics:
 
 
 class PictureUnit(NamedTuple):
-    """Light to which the colours of a picture are relative: a perfect mirror shows it at the coherence of the unit.
+    """Light that a perfect mirror would show in a picture; the colours of the picture are relative to this light.
 
     Attributes:
         coherence: Coherence of the unit.
-        area_um2: Area of the height field [µm²], used for periods only.
+        area_um2: Area of the height field [µm²]; it has an effect only if the coherence is that of periods.
     """
 
     coherence: Coherence
@@ -61,7 +66,7 @@ class PictureUnit(NamedTuple):
 
 
 class Finish(NamedTuple):
-    """Surface of a picture with one of its materials, and the material of look-ups. Each face has one finish."""
+    """Finish of a face: its surface in the picture, its material, and the material of look-ups."""
 
     surface: int
     material: Material | None

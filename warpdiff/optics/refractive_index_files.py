@@ -152,7 +152,8 @@ def _formula(number: str, body: str) -> Table:
         return limits, np.ones(2)
     um = np.geomspace(low, high, _STEPS)
     with np.errstate(all="ignore"):
-        n = evaluate(um, np.pad(c, (0, counts[-1] - len(c))))
+        # A formula whose coefficients are all zero, except for the constant, returns a single number.
+        n = np.broadcast_to(evaluate(um, np.pad(c, (0, counts[-1] - len(c)))), um.shape)
     if not np.all(np.isfinite(n)):
         raise ValueError(f"formula {number} must have a finite index of refraction at all wavelengths")
     return um, n

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import warp as wp
 
-# Fields of :class:`Accumulators` that a picture with several lights stores twice: for the present light, and added over
-# all lights.
+# Names of the fields of :class:`Accumulators` that a picture with several lights stores twice: as sums over all lights,
+# and for the light that is rendered at the moment.
 _OF_ONE_LIGHT = ("xyz", "illuminated", "errors")
 
 
@@ -17,10 +17,11 @@ class Accumulators:
 
     Attributes:
         xyz: Sums of colours, ``wp.vec3f``.
-        coverage: Share of each pixel that the mesh covers; all lights use the same array.
+        coverage: Fraction of each pixel that the mesh covers; all lights use the same array.
         coverage_levels: Sum of the subdivision levels of the nine tiles (the pixel and its neighbours) from which the
-            coverage was computed. If the sum is larger under a later light, its cells are finer and its coverage is
-            stored instead. Empty if pixels show points. All lights use the same array.
+            coverage was computed. If the sum is larger for a later light, the cells for this light are finer, and the
+            coverage from these cells replaces the stored one. Empty if pixels show points. All lights use the same
+            array.
         illuminated: Whether any light reached the pixel.
         errors: Estimated errors ‖ΔXYZ‖ of means over pixels; empty if pixels show points.
         edges: Whether an edge of the mesh or of a shadow passes through the pixel; all lights use the same array.

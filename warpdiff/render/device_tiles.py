@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     from warpdiff.render.refinement import LightRefinement
 
-# Largest number of rays whose cells are shaded in one launch. Limits: memory is proportional to it; with fewer rays,
-# some threads of the GPU have no work.
+# Largest number of rays whose cells are shaded in one launch. The number is limited by memory, which is proportional to
+# it. With fewer rays, some threads of the GPU would have no work.
 _MOST_RAYS = 1 << 20
 
 
@@ -27,15 +27,15 @@ class DeviceTiles:
     A recorded launch over a level without tiles has no effect.
 
     Attributes:
-        floor: Lower limit of ‖XYZ‖ in the denominator of relative errors, (1,).
-        marks: For each pixel, ``ACTIVE`` if it is subdivided, ``SHARED`` if it uses only the cells of its neighbours,
-            else 0.
+        floor: Smallest ‖XYZ‖ by which errors are divided to give relative errors, shape (1,).
+        marks: Mark of each pixel: ``ACTIVE`` if the pixel is subdivided, ``SHARED`` if it is computed from the cells of
+            its neighbours only, otherwise 0.
     """
 
     def __init__(self, light: LightRefinement) -> None:
         """Allocate all arrays for the picture of ``light``, and for further pictures with the same size and options.
 
-        A recorded graph requires that the arrays persist.
+        A recorded graph reads these arrays, so that they must persist.
         """
         rays = light.light_pass.context.rays
         device = rays.options["device"]
@@ -73,7 +73,7 @@ class DeviceTiles:
         launch_pipeline([call], self._pixels, **self._options)
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Do nothing. Stored results of tiles are only useful for previews, which a GPU does not render."""
+        """Do nothing. Stored results of tiles are useful only for previews, and previews are not rendered on a GPU."""
 
     def begin(self, light: LightRefinement) -> None:
         """Begin a light: compute the floor of relative errors on the device, from a histogram of luminances."""

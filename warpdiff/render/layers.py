@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from warpdiff.scene.camera_rays import CameraRays
     from warpdiff.scene.mesh_import import Surface
 
-# Layer of the light of single lights, which comes from the picture itself.
+# Name of the layer with the light of single lights. It comes from the picture itself, and not from central rays.
 LIGHT = "light"
 
 
 def expanded(names: Sequence[str], lights: Sequence[Light], parts: Sequence[LightPart]) -> tuple[str, ...]:
-    """Return the names of layers with one name per light for layers such as ``"light"``.
+    """Return the names of layers. A layer such as ``"light"`` is replaced by one layer for each light.
 
     Args:
-        names: Names that the caller gave, after a check of each.
+        names: Names that the caller gave; each name has been checked.
         lights: Lights of the picture.
         parts: Parts of these lights as a picture without layers renders them.
 
@@ -57,7 +57,7 @@ def expanded(names: Sequence[str], lights: Sequence[Light], parts: Sequence[Ligh
 
 
 def directed(parts: Sequence[LightPart], name: str) -> LobeSet:
-    """Return the only lobe of a light, which has the mean direction of the light, as a part.
+    """Return the lobe with the mean direction of a light, as a part of this light.
 
     Args:
         parts: Parts of the light.
@@ -141,7 +141,7 @@ VALUES: dict[str, Callable[[CentralHits], NDArray[Any]]] = {
 
 
 def lights_of(names: Sequence[str]) -> dict[int, str]:
-    """Return the indices of the lights whose directions layers require, in ascending order, each with a layer."""
+    """Return the indices of the lights whose directions are required, in ascending order, each with a layer's name."""
     directions = {
         int(index): name for name in names for base, _, index in [name.partition(".")] if index and base != LIGHT
     }
@@ -149,11 +149,11 @@ def lights_of(names: Sequence[str]) -> dict[int, str]:
 
 
 def layers_of(picture: Picture, names: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """Return the layers that a picture of points can have, by name: all except ``"light"``.
+    """Return the layers of a picture of points by name: all layers except ``"light"``.
 
     Args:
-        picture: Picture of points with one ray per pixel. Its lights are the parts of :func:`directed` for each light
-            of :func:`lights_of`.
+        picture: Picture of points with one ray per pixel. For each light of :func:`lights_of`, it is rendered under the
+            part that :func:`directed` returns.
         names: Names of the layers, of those that :func:`expanded` returns.
     """
     picture.sampler.trace(0)
@@ -176,5 +176,5 @@ def layers_of(picture: Picture, names: Sequence[str]) -> dict[str, NDArray[Any]]
 
 
 def names_of(surface: Surface, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Return the names that the numbers of layers stand for, by the names of the layers."""
+    """Return the names of geometries or materials, by the names of the layers whose numbers stand for them."""
     return {name: getattr(surface, attribute) for name in names if (attribute := layer_format(name).names)}

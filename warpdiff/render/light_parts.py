@@ -20,7 +20,7 @@ def check_extent(light: Light, name: str, coherence: Coherence, *, means: bool) 
     """Raise an error for a light with an extent, if the coherence or the settings exclude it.
 
     With a coherence of the kind ``"source"``, which has an angular diameter itself, lights must have no extent. With
-    other coherences, lights with an extent require footprints.
+    other coherences, lights with an extent require pictures that show means over footprints.
     """
     if coherence.kind == "source":
         raise ArgumentValueError(
@@ -55,7 +55,7 @@ def parts_of(
         for part in light.parts(evaluation.coherence, single_lobe=not refine, name=name):
             if part.has_extent:
                 check_extent(light, name, evaluation.coherence, means=means)
-            # A subclass of ``LobeSet`` with a pass of its own is a separate part.
+            # A subclass of ``LobeSet`` that makes a pass of its own kind is a separate part.
             if isinstance(part, LobeSet) and type(part).make_pass is LobeSet.make_pass:
                 lobes += [replace(lobe, name=f"{ref(name)} ({type(light).__name__})") for lobe in part.lobes]
             else:

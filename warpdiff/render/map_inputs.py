@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 def settings_of_map(grating_map: GratingMap, settings: PictureSettings) -> PictureSettings:
     """Check the options of a surface with a map, and return them with the coherence of the map.
 
-    Without a coherence and without a plan, the coherence is ``Coherence("source")``.
+    If neither a coherence nor a plan is given, the coherence is ``Coherence("source")``.
 
     Raises:
         ValueError: An option is not supported for maps.

@@ -47,18 +47,18 @@ if TYPE_CHECKING:
     Progress = Callable[[float], None] | None
     Previews = Sequence[tuple[float, Callable[[], None]]]
 
-# Share of a light's progress [0 to 1] that is reported when one ray per pixel is complete and refinement begins. Fitted
-# to the times of a picture at a tolerance of 0.1.
+# Fraction of a light's progress [0 to 1] that is reported when one ray per pixel is complete and refinement begins. The
+# value was fitted to the times of a picture at a tolerance of 0.1.
 _PROGRESS_OF_FIRST_RAYS = 0.3
-# Expected number of shadow rays per hit in a refined picture, which decides whether occluder grids are made: they save
-# time if there are many shadow rays. Fitted to pictures of the snake mesh, which have 20 at a tolerance of 0.1, and 59
-# at 0.03.
+# Expected number of shadow rays per hit in a refined picture. It decides whether occluder grids are made, which save
+# time if there are many shadow rays. The value was fitted to pictures of the snake mesh, which have 20 shadow rays per
+# hit at a tolerance of 0.1, and 59 at 0.03.
 _SHADOW_RAYS_REFINED = 24
-# Level of the first cells of pixels near the edges of dots. Choice: with 4 cells instead of 16, the scatter of colours
-# that dots cause within a pixel is often missed.
+# Level of the first cells of pixels near the edges of dots of a grating map. The value was chosen because with 4 cells
+# instead of 16, the scatter of colours that dots cause within a pixel is often missed.
 _FIRST_LEVEL_OF_DOTS = 2
-# Number of pixels per slice when colours of one ray per pixel are looked up on the CPU. Choice: longer slices
-# distribute work less evenly over threads; shorter ones require more launches.
+# Number of pixels per slice when colours of one ray per pixel are looked up on the CPU. The value was chosen because
+# longer slices distribute work less evenly over threads, and shorter slices require more launches.
 _COLOURS_OF_SLICE = 2048
 
 
@@ -84,13 +84,13 @@ class Picture:
 
         Args:
             surface: The prepared mesh.
-            view: Camera of the first rendering; later ones may have other cameras.
+            view: Camera of the first rendering; later renderings may have other cameras.
             optics: Optics of each surface, except for the diffraction of its height field.
             unit: Unit of the colours; None is that of the first surface.
             finish_of_faces: Index of each face's finish, which is a surface with one of its materials; None for a
                 single finish.
             smooth: Whether vertex normals are interpolated.
-            samples_per_pixel: Number of samples per pixel; with ``means``, the least number of cells per pixel.
+            samples_per_pixel: Number of samples per pixel; with ``means``, the smallest number of cells per pixel.
             means: Whether pixels show means over footprints; otherwise they show points.
             refine: Whether pixels that show means are subdivided further where their errors are large.
             margin: Number of pixels that are added on each side, because the filter of a pixel at the border extends to
@@ -111,8 +111,8 @@ class Picture:
             shadow_rays_per_hit=max(samples_per_pixel, _SHADOW_RAYS_REFINED if means and refine else 1),
         )  # fmt: skip
         self._sums = Accumulators.allocate(self.rays.size, means=means, device=device)
-        # A picture of means under several lights has separate sums for the present light. Other pictures add directly
-        # to the sums over all lights.
+        # A picture of means under several lights has separate sums for the light that is rendered at the moment. Other
+        # pictures add directly to the sums over all lights.
         self._light_sums = self._sums
         self._own_sums: Accumulators | None = None
         self._parts: list[LightPart] = []
@@ -137,7 +137,7 @@ class Picture:
         self.sampler.invalidate()
 
     def set_lights(self, parts: Sequence[LightPart]) -> None:
-        """Set the lights.
+        """Set the lights of the next renderings.
 
         The passes of the new lights reuse the arrays of the previous passes, because a recorded CUDA graph reads these
         arrays.
@@ -209,14 +209,16 @@ class Picture:
 
     @property
     def sums(self) -> Accumulators:
-        """Sums of the pixels under the present light, which :attr:`sampler` fills."""
+        """Sums of the pixels under the light that is rendered at the moment; :attr:`sampler` fills them."""
         return self._light_sums
 
     def footprint_calls(self, index: LobeIndex, batch: RayBatch) -> list[KernelCall]:
-        """Return the kernel calls that compute the footprints of a batch under a lobe of directional or point lights.
+        """Return the kernel calls that compute the footprints of a batch of rays under a lobe.
+
+        The lobe must be that of a directional or point light.
 
         Raises:
-            TypeError: The light is not of this kind.
+            TypeError: The lobe is that of another kind of light.
         """
         light_pass = self._passes[index.light]
         if not isinstance(light_pass, LobePass):
@@ -224,9 +226,9 @@ class Picture:
         return light_pass.footprint_calls(index.lobe, batch)
 
     def directions_to(self, light: int) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
-        """Return scattering vectors, directions to a light and geometry factors where rays through centres hit.
+        """Return scattering vectors, directions to a light and geometry factors where rays through pixel centres hit.
 
-        The picture shows points with one ray per pixel. Factors are 0 where the light does not reach the hit.
+        The picture must show points with one ray per pixel. Factors are 0 where the light does not reach the hit.
         """
         self.sampler.scatter(0, LobeIndex(light, 0), self._light_sums)
         return self.sampler.directions()
@@ -240,11 +242,11 @@ class Picture:
         Args:
             lookups: Look-ups of the colours of the surfaces, by the tables or the wavelengths of their plans.
             tolerance: Tolerance of the picture.
-            progress: Callable that gets the share that is done; None reports nothing.
+            progress: Callable that gets the finished fraction; None reports nothing.
             previews: Pairs of a larger tolerance and a callable, the largest tolerance first. The callable is called
                 when the picture meets the tolerance. Previews have no effect on a GPU.
-            xyz_by_part: List that gets the colours under each part of the lights, shape (height, width, 3); None gets
-                none. Without previews only.
+            xyz_by_part: List that gets the colours under each part of the lights, shape (height, width, 3). None gets
+                no colours. The list requires that there are no previews.
         """
         if lookups.needs_sampling and not len(self._unserved_gain):
             self._unserved_gain = wp.empty(self.rays.size, dtype=wp.float32, device=self.context.device)
@@ -327,9 +329,9 @@ class Picture:
         self, heightfield: HeightField, plan: Plan, *, progress: Progress,
         xyz_by_part: list[NDArray[np.float32]] | None = None,
     ) -> None:  # fmt: skip
-        """Compute the picture by the direct sum, without tables: for every ray and every light.
+        """Compute the picture by the direct sum, for every ray and every light, without tables.
 
-        The list ``xyz_by_part`` is that of :meth:`render`.
+        The list ``xyz_by_part`` is filled as in :meth:`render`.
         """
         for index, share in self.sampled(progress, xyz_by_part):
             scattering_vectors, to_lights, gains = (values.astype(np.float64) for values in self.sampler.directions())
@@ -366,7 +368,7 @@ class Picture:
 
     @np.errstate(under="ignore")
     def image(self, plans: Sequence[Plan]) -> Image:
-        """Return the finished picture, with the estimated errors of the least accurate plan. Its plan is the first."""
+        """Return the finished picture, with the first plan and the estimated errors of the least accurate plan."""
         sums = self._sums
         xyz, coverage, illuminated = map(self._cropped, (sums.xyz, sums.coverage, sums.illuminated))
         coverage = coverage.astype(np.float32)

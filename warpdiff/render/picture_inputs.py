@@ -48,11 +48,11 @@ if TYPE_CHECKING:
 SurfaceOfPart = HeightField | GratingMap | Surface | None
 SurfacesOfMesh = HeightField | GratingMap | Mapping[str, SurfaceOfPart]
 
-# Largest memory per pixel that any kind of picture requires during its computation [bytes]. Fitted to measurements.
+# Largest memory per pixel that any kind of picture requires during its computation [bytes]. The value was measured.
 _BYTES_PER_PIXEL = 210
 
 
-# Height field of a plain surface, whose colours are never looked up.
+# Height field that stands for a plain surface in structures that require one. Its colours are never looked up.
 _FLAT = HeightField(np.zeros((1, 1)), 1.0)
 
 
@@ -127,8 +127,8 @@ class SurfaceInputs:
         """Return the user's plan, or choose a plan for the measured directions.
 
         Lights with an extent require a plan with a table. If no table meets the tolerance for lobes with an extent, the
-        plan has the best table. The smallest table that is expected to suffice is used for skies, and for lights under
-        which all measured directions are dark.
+        plan has the best table. For skies, and for lights under which all measured directions are dark, the plan has
+        the smallest table that is expected to suffice.
         """
         request = evaluation = self._evaluation_of_table
         if evaluation.plan is not None:
@@ -177,7 +177,7 @@ class PictureInputs:
         heightfield: Height field or surfaces, as the user gave them.
         settings: Options of the call.
         lights: Lights as the user gave them.
-        surfaces: Inputs of each surface by the key of its part; the key is ``""`` for one height field.
+        surfaces: Inputs of each surface by the key of its part; the key is ``""`` if the mesh has one height field.
         parts: Parts that the lights consist of, in the unit of the picture.
     """
 
@@ -191,7 +191,7 @@ class PictureInputs:
     def of(
         cls, heightfield: SurfacesOfMesh, lights: Light | Sequence[Light], view: View, settings: PictureSettings
     ) -> PictureInputs:
-        """Combine settings, surfaces, lights and view; raise errors about them before any kernel runs."""
+        """Combine settings, surfaces, lights and view; raise errors if they do not suit, before any kernel runs."""
         lights = listed(lights)
         if isinstance(heightfield, Mapping):
             surfaces = _inputs_by_key(heightfield, lights, settings)
@@ -231,7 +231,7 @@ class PictureInputs:
 
     @property
     def plain(self) -> dict[str, bool] | None:
-        """Whether each surface is plain, by the key of its part; None for one height field."""
+        """Whether each surface is plain, by the key of its part; None if the mesh has one height field."""
         if not isinstance(self.heightfield, Mapping):
             return None
         return {key: own.is_plain for key, own in self.surfaces.items()}
@@ -252,7 +252,7 @@ class PictureInputs:
     def planned(
         self, directions: Iterable[tuple[DirectionRange, DirectionSample, float]] | None
     ) -> tuple[list[Plan], Lookups]:
-        """Return the plans of the surfaces that have a height field, and the objects that look up surfaces' colours.
+        """Return the plans of the surfaces that have a height field, and the look-ups of the colours of all surfaces.
 
         Args:
             directions: Directions for which each of these plans is required: their range, a sample of them, and the
@@ -271,13 +271,13 @@ class PictureInputs:
         return plans, Lookups(lookups)
 
     def parts_of_light(self, index: int) -> list[LightPart]:
-        """Return the parts of one light, which are not combined with those of other lights."""
+        """Return the parts of one light; they are not combined with the parts of other lights."""
         evaluation = _in_unit(self)
         light = self.lights[index]
         return parts_of([light], evaluation, refine=self.settings.refine, means=evaluation.footprint, first=index)
 
     def of_points(self, parts: Sequence[LightPart]) -> PictureInputs:
-        """Return the inputs of a picture of points with one ray per pixel, under other parts of lights."""
+        """Return the inputs for a picture of points with one ray per pixel, whose lights are the given parts."""
         settings = replace(self.settings, footprint=False, refine=False, samples_per_pixel=1)
         surfaces = {
             key: replace(own, evaluation=replace(own.evaluation, footprint=False)) for key, own in self.surfaces.items()
@@ -285,7 +285,7 @@ class PictureInputs:
         return replace(self, settings=settings, surfaces=surfaces, parts=list(parts))
 
     def by_key(self, plans: Sequence[Plan]) -> Plan | dict[str, Plan]:
-        """Return the plans of the surfaces as the user knows them: one plan, or plans by the keys of the parts.
+        """Return the plans in the form of the user's surfaces: one plan, or plans by the keys of the parts.
 
         Plain surfaces have no plan, and are omitted.
         """
@@ -304,7 +304,7 @@ class PictureInputs:
         if isinstance(self.heightfield, Mapping):
             finish_of_faces: NDArray[np.int32] | None = key_of_faces(mesh, list(self.surfaces), "heightfield")
             if not mesh.has_base_colour:
-                # Without a base colour, plain surfaces are white.
+                # On a mesh without a base colour, plain surfaces are white.
                 mesh = replace(mesh, plain_colour=np.ones(3, dtype=np.float32), has_base_colour=True)
         else:
             finish_of_faces = next(iter(self.surfaces.values())).materials_of_faces(mesh)
@@ -349,7 +349,7 @@ class PictureInputs:
 
 
 def _in_unit(inputs: PictureInputs) -> Evaluation:
-    """Return the evaluation of a surface with the coherence to which colours of the picture are relative."""
+    """Return the evaluation of a surface with the coherence to which all colours of the picture are relative."""
     evaluation = inputs.evaluation
     if not isinstance(inputs.heightfield, Mapping):
         return evaluation
@@ -357,7 +357,10 @@ def _in_unit(inputs: PictureInputs) -> Evaluation:
 
 
 def _unit_coherence(surfaces: Mapping[str, SurfaceOfPart], settings: PictureSettings) -> Coherence:
-    """Return the coherence to which colours of a picture are relative: that of surfaces without one of their own."""
+    """Return the coherence to which all colours of a picture are relative.
+
+    It is the coherence of the surfaces that do not have a coherence of their own.
+    """
     if settings.coherence is not None or not isinstance(settings.plan, Mapping):
         return settings.coherence or Coherence()
     own = {key for key, value in surfaces.items() if _has_own_coherence(value)}
@@ -380,7 +383,7 @@ def _has_own_coherence(surface: SurfaceOfPart) -> bool:
 def _inputs_by_key(
     surfaces: Mapping[str, SurfaceOfPart], lights: Sequence[Light], settings: PictureSettings
 ) -> dict[str, SurfaceInputs]:
-    """Return the inputs of each surface of a mapping from keys of parts. The first one may be plain."""
+    """Return the inputs of each surface of a mapping from keys of parts to surfaces. The first surface may be plain."""
     checked = {key: _checked_surface(key, value) for key, value in surfaces.items()}
     gratings = {key: surface for key, surface in checked.items() if surface is not None}
     if not gratings:
@@ -425,7 +428,7 @@ def _inputs_by_key(
 
 
 def _checked_surface(key: object, value: object) -> Surface | None:
-    """Return a value of the mapping as a surface; None is a plain surface."""
+    """Return a value of the user's mapping as a checked surface; None is a plain surface."""
     if not isinstance(key, str):
         raise ArgumentTypeError(f"{ref('heightfield')} must have names of parts as keys, got {type(key).__name__}")
     if isinstance(value, (HeightField, GratingMap)):
@@ -439,7 +442,7 @@ def _checked_surface(key: object, value: object) -> Surface | None:
 
 
 def _settings_of(surface: Surface, key: str, settings: PictureSettings) -> PictureSettings:
-    """Return the options of the call with those of a surface."""
+    """Return the options of the call, in which the options of a surface replace those of the same name."""
     material = settings.material.get(key) if isinstance(settings.material, Mapping) else settings.material
     plan = settings.plan.get(key) if isinstance(settings.plan, Mapping) else settings.plan
     ior = settings.ior
@@ -453,7 +456,7 @@ def _settings_of(surface: Surface, key: str, settings: PictureSettings) -> Pictu
 
 
 def _mean_solid_angle(coherence: Coherence, heightfield: HeightField) -> float:
-    """Return Ω(λ) of a coherence [sr], averaged over the wavelengths with the luminous efficiency under D65."""
+    """Return the solid angle Ω(λ) of a coherence [sr], averaged over λ with the luminous efficiency under D65."""
     area_um2 = heightfield.size_um[0] * heightfield.size_um[1]
     wavelengths_um = 1e-3 * colorimetry.VISIBLE_NM
     solid_angle = reflectance_factors.light_solid_angle(wavelengths_um, coherence, area_um2)

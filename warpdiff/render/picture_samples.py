@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from warpdiff.render.pixel_sampler import LobeIndex
     from warpdiff.render.renderer import Renderer
 
-# Largest standard deviation of a footprint in (u, v). Limit: at silhouettes, directions change so fast that footprints,
-# which are linear, would exceed the hemisphere.
+# Largest standard deviation of a footprint in (u, v). At silhouettes, directions change so fast that footprints, which
+# are linear approximations, would exceed the hemisphere without this limit.
 _WIDEST = 0.35
-# Fields of :class:`LitPixels` with an entry per sample, without the footprints.
+# Names of the fields of :class:`LitPixels` with one entry per sample, without the field of the footprints.
 _ARRAYS = ("pixels", "scattering_vectors", "to_lights", "gains")
 
 
@@ -39,12 +39,12 @@ class LitPixels:
 
     Attributes:
         pixels: Index of each sample's pixel among all pixels of the picture, shape (n,).
-        scattering_vectors: (u, v, w), shape (n, 3).
+        scattering_vectors: Scattering vectors (u, v, w), shape (n, 3).
         to_lights: Unit vectors to the light in the local frame, shape (n, 3).
         gains: Geometry factors with the power of the light, shape (n,).
         footprints: Covariances uu, uv and vv of (u, v) over the filter of each pixel, shape (n, 3); None for points.
             Standard deviations are at most 0.35.
-        illuminated: Illuminant, and the material of the surface.
+        illuminated: Illuminant of the light with the material of the surface.
     """
 
     pixels: NDArray[np.int64]
@@ -55,7 +55,7 @@ class LitPixels:
     illuminated: IlluminatedMaterial
 
     def among(self, chosen: NDArray[np.int64]) -> LitPixels:
-        """Return some of the samples."""
+        """Return the samples with the indices ``chosen``."""
         footprints = None if self.footprints is None else self.footprints[chosen]
         return replace(
             self, pixels=self.pixels[chosen], scattering_vectors=self.scattering_vectors[chosen],
@@ -64,7 +64,7 @@ class LitPixels:
 
     @staticmethod
     def joined(others: Sequence[LitPixels]) -> LitPixels:
-        """Return samples of the same illuminant and material as one object."""
+        """Join several objects whose samples have the same illuminant and material."""
         footprints = [other.footprints for other in others if other.footprints is not None]
         pixels, vectors, lights, gains = (
             np.concatenate([getattr(other, name) for other in others]) for name in _ARRAYS
@@ -75,7 +75,7 @@ class LitPixels:
 
 @dataclass(frozen=True)
 class PictureSamples:
-    """Everything of an unrefined picture except the diffraction of its height field.
+    """Directions and colours of an unrefined picture, without the diffraction of its height field.
 
     Attributes:
         inputs: Checked inputs of the picture.
@@ -123,7 +123,7 @@ def samples_of(renderer: Renderer, lights: Light | Sequence[Light]) -> PictureSa
 
 
 def _check(inputs: PictureInputs) -> None:
-    """Raise an error for pictures whose samples are not one per pixel of one surface."""
+    """Raise an error unless the picture has one sample per pixel and a single surface."""
     settings = inputs.settings
     if isinstance(inputs.heightfield, Mapping):
         raise ArgumentValueError(
@@ -189,7 +189,7 @@ def _covariances(picture: Picture, index: LobeIndex) -> NDArray[np.float64]:
     row_u, row_v, column_u, column_v = batch.samples.footprints.numpy().astype(np.float64).T
     uu, uv = row_u * row_u + column_u * column_u, row_u * row_v + column_u * column_v
     vv = row_v * row_v + column_v * column_v
-    # Footprints are scaled so that their largest variance is at most that of the widest one.
+    # Footprints are made smaller, so that their largest variance is at most the square of `_WIDEST`.
     largest = (uu + vv) / 2.0 + np.hypot((uu - vv) / 2.0, uv)
     share = np.minimum(_WIDEST**2 / np.maximum(largest, TINY), 1.0)
     return np.asarray(share[:, None] * np.stack([uu, uv, vv], axis=1))

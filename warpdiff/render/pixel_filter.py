@@ -34,21 +34,23 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Standard deviation of the filter of a subpixel cell, relative to the distance of cells. Fitted
-# (docs/decisions/adaptive_sampling.md): with 0.5, errors in pictures of a snake mesh are 1.1 to 2 times as large.
+# Standard deviation of the filter of a subpixel cell, relative to the distance of neighbouring cells. The value was
+# fitted (docs/decisions/adaptive_sampling.md): with 0.5, errors in pictures of a snake mesh are 1.1 to 2 times as
+# large.
 _CELL_SIGMA_PER_SPACING = 0.4
-# Least level of pixels at silhouettes of the mesh; level 2 has 4 × 4 cells. Choice: one level more has four times as
-# many cells at silhouettes.
+# Smallest level of pixels at silhouettes of the mesh; level 2 has 4 × 4 cells. The value was chosen because one level
+# more requires four times as many cells at silhouettes.
 SILHOUETTE_LEVEL = 2
-# Least and largest number of rays that a thread shades in one launch. Limits: with fewer rays, launches use a larger
-# share of the time; more rays require more memory.
+# Smallest and largest number of rays that a thread shades in one launch. With fewer rays, launches use a larger part of
+# the time. With more rays, buffers require more memory.
 _LEAST_RAYS, MOST_RAYS = 8192, 32_768
-# Largest number of rays whose faces are found in one rasterization. Limit: each ray requires eight bytes.
+# Largest number of rays whose faces are found in one rasterization. The value is limited by memory: a ray requires
+# eight bytes.
 _MOST_RASTERIZED = 1 << 24
 
 
 def level_of(samples: int, *, means: bool) -> int:
-    """Return the coarsest level that has at least ``samples`` cells per pixel."""
+    """Return the lowest level that has at least ``samples`` cells per pixel."""
     least = 0 if means else LEAST_LEVEL_OF_POINTS
     return int(min(max(math.ceil(math.log(samples, 4) - 1e-9), least), MOST_LEVEL))
 
@@ -101,10 +103,11 @@ def weights_of(level: int, *, means: bool) -> NDArray[np.float64]:
 
 @functools.cache
 def filter_normalisation_on(means: bool, device: str) -> wp.array:
-    """Return correction factors for the weights of cells, one row per level and one column per pixel of three in a row.
+    """Return correction factors for the weights of cells, one row per level and three columns.
 
-    The pixel filter has a certain share in each of the three pixels. The weights of the cells in a pixel add up to a
-    slightly different sum. The factor is the share divided by this sum.
+    The columns are for a pixel, and for its neighbours on both sides along an axis. In each of these three pixels, the
+    pixel filter has a certain part of its weight. The weights of the cells in this pixel add up to a slightly different
+    sum. The factor is that part divided by this sum.
     """
     filter_normalisation = [
         np.array(FILTER_SHARES) / weights_of(level, means=means).reshape(3, -1).sum(axis=1) for level in LEVELS
@@ -156,7 +159,7 @@ def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, devi
 
 
 def floor_of(colours: wp.array, illuminated: wp.array) -> float:
-    """Return the floor of relative errors: 1e-3 of the luminance that 1 % of the illuminated pixels exceed."""
+    """Return the smallest divisor of relative errors: 1e-3 of the luminance that 1 % of illuminated pixels exceed."""
     bright = colours.numpy()[:, 1][illuminated.numpy()]
     if not len(bright):
         return float(TINY)

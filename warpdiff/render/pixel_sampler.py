@@ -23,10 +23,11 @@ if TYPE_CHECKING:
     from warpdiff.lights.light_pass import LightPass, PassContext
     from warpdiff.render.accumulators import Accumulators
 
-# Maximum numbers of rays whose scattering vectors are computed before a plan is chosen for their range; time is
-# proportional to them. If pixels show points, these are at most the first number of rays per pixel. If pixels show
-# means over footprints, they are about the second number of rays in total, and at most the third number per pixel.
-# Their positions in the pixel vary, because subpixel cells have directions that do not occur at pixel centres.
+# Rays are traced before a plan is chosen, to measure the range of scattering vectors. If pixels show points, there are
+# at most `_SAMPLES_MEASURED` rays per pixel. If pixels show means over footprints, there are about `_CELLS_MEASURED`
+# rays in total, and at most `_MOST_SAMPLES_MEASURED` per pixel. Their positions in the pixel vary, because subpixel
+# cells have directions that do not occur at pixel centres. The numbers are limited by time, which is proportional to
+# them.
 _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 
 
@@ -38,7 +39,7 @@ class LobeIndex(NamedTuple):
 
 
 class PixelSampler:
-    """Sampler that traces one ray for each pixel, and samples one lobe at the hits.
+    """Sampler that traces one ray for each pixel, and samples one lobe of a light at the hits.
 
     Attributes:
         samples: Samples of the lobe of the last call of :meth:`scatter`, one entry per pixel.
@@ -92,7 +93,7 @@ class PixelSampler:
         )  # fmt: skip
 
     def trace(self, sample: int, samples_per_pixel: int | None = None) -> None:
-        """Trace one ray per pixel, the one with the index ``sample`` among the rays of a pixel."""
+        """Trace one ray per pixel: the ray with the index ``sample`` among the rays of a pixel."""
         self._context.rays.launch(self._trace_calls(sample, samples_per_pixel or self._samples_per_pixel))
         self._sample = sample
 
@@ -107,8 +108,8 @@ class PixelSampler:
         """Compute the light samples of a lobe in ``samples``, at the hits of one ray per pixel.
 
         The light that the pigment reflects is added to the colours in ``sums``. The light that the height field
-        diffracts is looked up later. ``sample`` is the index of the ray among the rays of a pixel. This ray is traced
-        first, unless the last traced one has the same index. If the previous call had the same ray and lobe, the method
+        diffracts is looked up later. ``sample`` is the index of the ray among the rays of a pixel. The ray is traced
+        first, unless the last traced ray has the same index. If the previous call had the same ray and lobe, the method
         does nothing.
         """
         if (self._sample, self._lobe) == (sample, index):
@@ -118,7 +119,7 @@ class PixelSampler:
         calls = self._trace_calls(sample, count) if self._sample != sample else []
         if self._context.casts_shadows and not light_pass.is_prepared:
             # The rays are traced before shadow rays are prepared, because the preparation depends on the number of
-            # hits: with many shadow rays, occluder grids save time.
+            # hits: occluder grids are made only if there are many shadow rays.
             rays.launch(calls)
             calls = []
             light_pass.prepare_shadow_rays(lambda: self._shadow_rays_per_hit * rays.gbuffer.hit_count)
@@ -205,7 +206,7 @@ class PixelSampler:
 
 @dataclass
 class _Measured:
-    """Directions to and from one surface, collected ray by ray and lobe by lobe.
+    """Directions to the light and to the viewer on one surface, collected ray by ray and lobe by lobe.
 
     Attributes:
         heightfield: Height field of the surface.
@@ -227,7 +228,7 @@ class _Measured:
         directions: tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]],
         parts: int,
     ) -> None:
-        """Add the directions of one lobe. ``parts`` is the number of samples that will be joined; 0 takes no sample."""
+        """Add the directions of one lobe. ``parts`` is the number of samples that will be joined; 0 adds no sample."""
         scattering_vectors, to_lights, gains = directions
         gains = context.gains_on(self.surface, gains)
         is_lit = gains > 0.0

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from warpdiff.render.tile_buffers import TileBuffers
     from warpdiff.tables.lookup import Lookups
 
-# Number of pixels per slice of a launch on the CPU. Fitted: launches then add 1 % to the time of the kernels.
+# Number of pixels per slice of a launch on the CPU. The value was fitted so that launches add 1 % to the time of the
+# kernels.
 SLICE = 32_768
 
 
@@ -78,7 +79,7 @@ class RefinementPolicy:
 
     @property
     def silhouette_level(self) -> int:
-        """Least level at which pixels end if the outline of the mesh passes through them."""
+        """Smallest level at which the subdivision of a pixel may end if the outline of the mesh passes through it."""
         return pixel_filter.SILHOUETTE_LEVEL if self.refine else 0
 
 
@@ -91,7 +92,7 @@ class LightRefinement:
     Attributes:
         light_pass: Pass that samples the light and looks up its colours.
         lookups: Look-ups of the colours of the surfaces.
-        batch: The rays of whole pixels, whose colours are computed already.
+        batch: One ray for each pixel, whose colours are computed already.
         sums: Colours, errors and illuminated pixels of the light, which refinement updates.
         policy: Rule by which pixels are subdivided.
         is_first: Whether this is the first light of the picture.
@@ -115,7 +116,7 @@ class LightRefinement:
 
     @property
     def _resolved(self) -> list[wp.array]:
-        """Arrays with one value per pixel that refinement overwrites with the sums over the cells of each pixel."""
+        """Arrays with one value per pixel, which refinement overwrites with the sums over the cells of each pixel."""
         sums = self.sums
         return [sums.xyz, sums.errors, sums.coverage, sums.coverage_levels, sums.illuminated, sums.edges]
 
@@ -219,7 +220,7 @@ class TileGroup:
         tiles: Pixels that are subdivided for the group. On a GPU the array is empty, and ``levels`` is used instead.
         sums: Sums over the cells of the tiles, the struct ``FilteredSums`` of the kernels.
         levels: For each pixel of the picture, the level of its tile; 0 is no tile.
-        share: Beginning and end of the group as shares of the light's progress.
+        share: Beginning and end of the group, as fractions of the light's progress.
     """
 
     pixels: wp.array
@@ -233,9 +234,9 @@ class TileExecutor(Protocol):
     """Interface of executors, which shade the tiles that :class:`RefinementLoop` requests.
 
     Attributes:
-        floor: Lower limit of ‖XYZ‖ in the denominator of relative errors, (1,).
-        marks: For each pixel, ``ACTIVE`` if it is subdivided, ``SHARED`` if it uses only the cells of its neighbours,
-            else 0.
+        floor: Smallest ‖XYZ‖ by which errors are divided to give relative errors, shape (1,).
+        marks: Mark of each pixel: ``ACTIVE`` if the pixel is subdivided, ``SHARED`` if it is computed from the cells of
+            its neighbours only, otherwise 0.
     """
 
     floor: wp.array
@@ -252,7 +253,7 @@ class TileExecutor(Protocol):
         """
 
     def begin(self, light: LightRefinement) -> None:
-        """Begin the refinement of a light at a tolerance: compute the floor of relative errors."""
+        """Begin the refinement of a light at a tolerance: compute the divisor ``floor`` of relative errors."""
 
     def groups(self, light: LightRefinement) -> Iterator[TileGroup]:
         """Yield groups of marked pixels. The tiles of a group are its pixels and the eight pixels around each."""
@@ -284,7 +285,7 @@ class RefinementLoop:
         self, light: LightRefinement, progress: Callable[[float], None] | None,
         previews: Sequence[tuple[float, Callable[[], None]]] = (),
     ) -> None:  # fmt: skip
-        """Refine a light: shade the base level of all tiles, select the level of each tile, and shade these levels.
+        """Refine a light: shade all tiles at the base level, select the level of each tile, and shade the tiles there.
 
         With previews, the light is first refined to the larger tolerance of each preview, and the preview's callable is
         called. Previews do not change the final picture, because each refinement begins again from one ray per pixel.

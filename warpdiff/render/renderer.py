@@ -77,8 +77,8 @@ class Renderer:
     ) -> None:  # fmt: skip
         """Prepare pictures, and draw the first one.
 
-        The tolerance is met for directions over the whole hemisphere under the illuminants of these lights, as the
-        directions of later pictures are unknown. The method ``"direct"`` is only for single pictures.
+        The directions of later pictures are unknown. The tolerance is therefore met for all directions of the
+        hemisphere, under the illuminants of these lights. The method ``"direct"`` is only for single pictures.
 
         Args:
             mesh: Mesh with texture coordinates or tangents: see :func:`warpdiff.shade`.
@@ -135,7 +135,7 @@ class Renderer:
 
     @property
     def _made_of(self) -> tuple[PictureInputs, list[Plan], Surface, View]:
-        """Checked inputs, plans and mesh of the pictures, and this thread's view; for ``wd.adjoint.pixels``."""
+        """Checked inputs, plans, mesh and this thread's view of the pictures, which ``wd.adjoint.pixels`` requires."""
         return self._inputs, self._plans, self._surface, self._mine.view
 
     @property
@@ -148,13 +148,13 @@ class Renderer:
 
         Args:
             view: Camera of the new renderer's first picture.
-            refine: As in :func:`warpdiff.shade`; None keeps the setting of this renderer.
+            refine: As in :func:`warpdiff.shade`; None uses the setting of this renderer.
 
         Returns:
             A renderer with the first lights, the plan and the tables of this one.
 
         Raises:
-            MemoryError: More memory than is free; the message says what fits.
+            MemoryError: The pictures require more memory than is free; the message says what fits.
         """
         validation.instance(view, View, "view")
         require_picture_memory(view, self._inputs.evaluation.device)
@@ -169,8 +169,8 @@ class Renderer:
     def __getstate__(self) -> dict[str, Any]:
         """Return the inputs of the pictures: settings, plan, height field, lights, surface and view."""
         evaluation = self._inputs.evaluation
-        # If the number of threads is the default, the number of cores, it is not stored, because another machine may
-        # have another number of cores.
+        # The default number of threads is the number of cores. It is not stored, because another machine may have
+        # another number of cores.
         threads = None if evaluation.threads == resolve_threads(None) else evaluation.threads
         settings = replace(
             self._inputs.settings, plan=self.plan, tangents=None, footprint=evaluation.footprint,
@@ -189,13 +189,13 @@ class Renderer:
         """Draw the next picture.
 
         Args:
-            lights: Lights of this thread's pictures from now on; None keeps the previous ones.
-            view: Camera from now on, with the same size in pixels; None keeps the previous one.
+            lights: Lights of this thread's pictures from now on; None uses the previous lights.
+            view: Camera from now on, with the same size in pixels; None uses the previous camera.
             progress: As for :func:`warpdiff.shade`. On a GPU it is called once, after all launches. An exception that
                 it raises cancels the picture; the next picture starts from scratch.
-            previews: Callables by tolerances larger than the plan's. Each is called once the picture meets its
-                tolerance, and :meth:`image` then returns that picture. Previews reuse all work and do not change the
-                final picture. Previews have no effect on a GPU, or without refinement.
+            previews: Callables by tolerances that are larger than the plan's tolerance. Each callable is called once
+                the picture meets its tolerance, and :meth:`image` then returns that picture. Previews reuse all work
+                and do not change the final picture. They have no effect on a GPU, or without refinement.
 
         Returns:
             XYZ on the device, shape (height, width) of ``wp.vec3f``. This thread's next picture overwrites the array.
@@ -337,7 +337,7 @@ def _unpickled(state: dict[str, Any]) -> Renderer:
 
 
 class _ThreadPicture(threading.local):
-    """Picture of one thread, made when the thread first uses it.
+    """Picture of one thread, which is made when the thread first draws.
 
     Attributes:
         picture: Rays, passes and sums of this thread's pictures.

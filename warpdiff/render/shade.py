@@ -1,4 +1,4 @@
-"""``shade``: a picture of a mesh whose surface carries a height field."""
+"""Function ``shade``, which renders a picture of a mesh whose surface carries a height field."""
 
 from __future__ import annotations
 
@@ -39,8 +39,9 @@ def shade(
 ) -> Image:  # fmt: skip
     """Render a mesh whose surface carries a height field.
 
-    A pixel is the sum over the lights of power · XYZ(ρ, illuminant), a ratio of radiances. Where the mesh has a base
-    colour, the light of the pigment is added. The mesh is visible from both sides.
+    The colour of a pixel is the sum over the lights of power · XYZ(ρ, illuminant), where the relative reflectance ρ is
+    a ratio of radiances. Where the mesh has a base colour, the light of the pigment is added. The mesh is visible from
+    both sides.
 
     Args:
         mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene``, or the path of a mesh file. Mesh units are arbitrary and
@@ -49,10 +50,10 @@ def shade(
         heightfield: The height field; its x axis lies along the tangent field. For several surfaces, a mapping from
             parts of the mesh to height fields, to :class:`warpdiff.Surface`, or to None for a plain surface with the
             mesh's base colour, metallic, roughness and emission. A part is the name of a geometry or of a material,
-            both as ``"geometry/material"``, or ``"*"`` for the rest.
+            both as ``"geometry/material"``, or ``"*"`` for all parts that no other key names.
         lights: One light, or several.
         view: Camera and size of the picture.
-        progress: Callable that gets the share that is done, 0 to 1, from any thread, one call at a time; True shows a
+        progress: Callable that gets the finished fraction, 0 to 1, from any thread, one call at a time; True shows a
             bar. An exception that it raises cancels the picture.
 
     Returns:
@@ -60,10 +61,10 @@ def shade(
         to plans, and colours are relative to a perfect mirror under ``coherence``.
 
     Raises:
-        ValueError: A bad argument, or a mesh without area or tangents; the message names it.
+        ValueError: An argument is not accepted, or a mesh has no area or no tangents; the message names it.
         ToleranceError: The tolerance cannot be met, and ``strict`` is True.
         FileNotFoundError: The mesh file does not exist.
-        MemoryError: More memory than is free; the message states what fits.
+        MemoryError: The picture requires more memory than is free; the message states what fits.
 
     Examples:
         This picture is so small that it does not meet its tolerance:
@@ -114,10 +115,10 @@ class LayerRequest:
     """Layers of a picture, after checks against its lights.
 
     Attributes:
-        names: Names of the layers, with the index of a light where there is one layer per light.
-        parts: Parts of the lights that are rendered one after the other, for each light; empty if no layer is the light
-            of a single light.
-        directed: Parts whose directions layers show, for each light of ``layers.lights_of``.
+        names: Names of the layers. If there is one layer per light, its name includes the index of the light.
+        parts: For each light, the parts that are rendered one after the other; empty if no layer is the light of a
+            single light.
+        directed: Parts whose directions the layers show, one for each light of ``layers.lights_of``.
     """
 
     names: tuple[str, ...]
@@ -126,7 +127,7 @@ class LayerRequest:
 
     @classmethod
     def of(cls, names: Collection[str], inputs: PictureInputs) -> LayerRequest:
-        """Check layers, before any kernel runs."""
+        """Check the names of layers against the inputs of the picture, before any kernel runs."""
         every = expanded(tuple(names), inputs.lights, inputs.parts)
         apart = any(name.partition(".")[0] == LIGHT for name in every)
         of_light = [inputs.parts_of_light(index) for index in range(len(inputs.lights) * apart)]
@@ -164,7 +165,7 @@ def _render(
 ) -> tuple[Image, list[NDArray[np.float32]]]:
     """Render a prepared mesh, after choosing a plan for the directions that the pixels of each surface require.
 
-    The second result are the colours under each part of ``request.parts``.
+    The second result has the colours under each part of ``request.parts``.
     """
     parts = [part for of_light in request.parts for part in of_light]
     xyz_by_part: list[NDArray[np.float32]] = []
@@ -184,8 +185,8 @@ def _render(
     return inputs.image(picture, plans), xyz_by_part
 
 
-# Share of the progress of a spectral picture [0 to 1] that is reported when its colours are complete. Choice: it
-# changes only the display.
+# Fraction of the progress of a spectral picture [0 to 1] that is reported when its colours are complete. Other values
+# would change only the display of the progress.
 _PROGRESS_OF_COLOURS = 0.5
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from warpdiff.request.evaluation import Evaluation
     from warpdiff.scene.camera import View
 
-# Memory of a spectral picture per pixel and wavelength [bytes]. Derived: a float32 value.
+# Memory of a spectral picture per pixel and wavelength [bytes]: one float32 value.
 _BYTES_PER_VALUE = 4
 
 
@@ -45,7 +45,7 @@ def check_spectral(evaluation: Evaluation, parts: Sequence[LightPart], view: Vie
 
 
 def check_pigment(pigment: float, *, has_base_colour: bool) -> None:
-    """Raise an error if a mesh has a base colour that would be visible."""
+    """Raise an error if the base colour of the mesh would be visible, because its spectrum is not known."""
     if pigment > 0.0 and has_base_colour:
         raise ArgumentValueError(
             f"{ref('pigment')} must be 0 with {ref('wavelengths_nm')} for a mesh with a base colour, which has no "
@@ -58,13 +58,14 @@ def spectra_of(
 ) -> NDArray[np.float32]:
     """Return the spectra of a picture of points, shape (height, width, m).
 
-    The radiance at a wavelength is the sum over the lights of power · ρ(λ) S(λ) / S̄. S̄ is the mean of the illuminant S
-    with the weight ȳ, so that the integral of the radiance with the observer's curves is the colour of the pixel.
+    The radiance at a wavelength λ is the sum over the lights of power · ρ(λ) S(λ) / S̄. Here ρ is the relative
+    reflectance, and S̄ is the mean of the illuminant S with the luminous efficiency ȳ as weight. The integral of the
+    radiance with the observer's curves is then the colour of the pixel.
 
     Args:
         picture: Picture whose lights are set.
         evaluation: Checked inputs, with the wavelengths.
-        progress: Callable that gets the share that is done; None reports nothing.
+        progress: Callable that gets the finished fraction; None reports nothing.
     """
     wavelengths, heightfield = np.asarray(evaluation.wavelengths_nm), evaluation.heightfield
     ((direction_range, sample, count),) = picture.measure_directions([heightfield])

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from warpdiff.render.tile_buffers import BufferKind
     from warpdiff.scene.camera_rays import RasterizedRays
 
-# Largest number of pixels that are subdivided together. Limit: each of their tiles requires about 200 bytes.
+# Largest number of pixels that are subdivided together. The number is limited by memory: each of their tiles requires
+# about 200 bytes.
 _MOST_PIXELS = 1 << 17
 
 
@@ -43,7 +44,10 @@ class HostTileGroup(TileGroup):
     host_levels: NDArray[np.uint8]
 
     def results(self, *, is_base: bool) -> list[NDArray[Any]]:
-        """Return the arrays of sums over cells into which kernels write when the tiles of a level are shaded."""
+        """Return the arrays of sums over cells into which kernels write when the tiles of a level are shaded.
+
+        ``is_base`` states whether the level is the base level.
+        """
         names = "filtered_sums", "levels", "lighting", "changes", *(("quadrants",) if is_base else ())
         return [getattr(self.sums, name).numpy() for name in names]
 
@@ -87,9 +91,9 @@ class ThreadedTiles:
     Attributes:
         count: Number of pixels that were subdivided under one light; under several lights, the largest of these
             numbers.
-        floor: Lower limit of ‖XYZ‖ in the denominator of relative errors, (1,).
-        marks: For each pixel, ``ACTIVE`` if it is subdivided, ``SHARED`` if it uses only the cells of its neighbours,
-            else 0.
+        floor: Smallest ‖XYZ‖ by which errors are divided to give relative errors, shape (1,).
+        marks: Mark of each pixel: ``ACTIVE`` if the pixel is subdivided, ``SHARED`` if it is computed from the cells of
+            its neighbours only, otherwise 0.
     """
 
     def __init__(self, rays: RasterizedRays) -> None:
@@ -97,7 +101,7 @@ class ThreadedTiles:
         self._rays, self._device = rays, rays.options["device"]
         self.count = 0
         self._threads = min(rays.options["threads"], pixel_filter.most_threads(rays.size))
-        # Buffers are reused for later pictures, because allocating them requires as much time as thousands of look-ups.
+        # Buffers are stored for later pictures, because their allocation takes as much time as thousands of look-ups.
         self._buffers: dict[BufferKind, SharedTileBuffers] = {}
         self._shaded: _ShadedTiles | None = None
 
@@ -112,7 +116,7 @@ class ThreadedTiles:
         self._shaded = _ShadedTiles() if keep else None
 
     def begin(self, light: LightRefinement) -> None:
-        """Begin a light: compute the floor of relative errors on the host, from the exact percentile of luminances."""
+        """Begin a light: compute ``floor``, the divisor of relative errors, from the exact percentile of luminances."""
         self.count = 0 if light.is_first else self.count
         floor = pixel_filter.floor_of(light.sums.xyz, light.sums.illuminated)
         self.floor = self._array(np.array([floor], dtype=np.float32), wp.float32)
@@ -133,8 +137,8 @@ class ThreadedTiles:
         if not len(pixels):
             return
         if len(pixels) > _MOST_PIXELS:
-            # If there are several groups, results of tiles are not stored for smaller tolerances. The results of a
-            # group depend on colours that the previous group has changed, and thus on the tolerance.
+            # The results of a group depend on colours that the previous group has changed, and thus on the tolerance.
+            # If there are several groups, results are therefore not stored for smaller tolerances.
             self.keep_tiles(keep=False)
         for first in range(0, len(pixels), _MOST_PIXELS):
             last = min(first + _MOST_PIXELS, len(pixels))

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 class BufferKind(NamedTuple):
     """Flags that say which optional arrays tile buffers have.
 
-    In the order of the flags, the arrays are: geometry factors of directions that a table cannot serve; base colours;
-    geometry factors at faces with the finish that is being evaluated, if faces have several finishes; the rays' own
-    directions to the light; metallic, roughness and emission of textures; and samples in the frames of the dots of
-    grating maps.
+    The flags are in the order of these optional arrays: geometry factors of directions that a table does not contain;
+    base colours; geometry factors at faces with the finish that is evaluated, if faces have several finishes; each
+    ray's own direction to the light; metallic, roughness and emission of textures; and samples in the frames of the
+    dots of grating maps.
     """
 
     needs_sampling: bool
@@ -47,11 +47,11 @@ class TileBuffers:
 
     Attributes:
         gbuffer: Hits of the rays.
-        samples: Samples of one lobe at the hits; each lobe overwrites those of the lobe before.
+        samples: Samples of one lobe at the hits; the samples of the next lobe overwrite them.
         colours: Colours of the rays, added over the lobes of a light.
-        unserved_gain: Geometry factors of directions that a table cannot serve.
-        tiles: For each level, an array of the pixels whose cells are in the buffers. Only that of the present level is
-            used.
+        unserved_gain: Geometry factors of directions that a table does not contain. tiles: For each level, an array of
+        the pixels whose cells are in the buffers. Only the array of the level that is
+            shaded at the moment is used.
     """
 
     gbuffer: GBuffer
@@ -85,7 +85,7 @@ class TileBuffers:
     def batch(self, level: int) -> RayBatch:
         """Return the cells of one level in the buffers as a batch of rays.
 
-        The batch has no sums of coverage and illumination, because these are not counted per cell.
+        The batch has no sums of coverage and illumination, because coverage and illumination are not counted per cell.
         """
         device = self.colours.device
         coverage, illuminated = (wp.empty(0, dtype=dtype, device=device) for dtype in (wp.float64, wp.bool))
@@ -130,7 +130,7 @@ class SharedTileBuffers:
             pipeline: Kernel calls that shade the cells in the buffers. The colours are set to zero before.
             nearest: Index of the nearest face for the ray of each cell, pixel after pixel.
             threads: Number of threads, at most the number of parts.
-            progress: Callable that gets the share that is done; None reports nothing.
+            progress: Callable that gets the finished fraction; None reports nothing.
         """
         rays = refinement_levels.rays_at(level)
 
@@ -141,8 +141,8 @@ class SharedTileBuffers:
                 self._tiles[level][first // rays : end // rays] = pixels[part.start : part.stop]
                 self._nearest[first:end] = nearest[part.start * rays : part.stop * rays]
                 self._colours[first:end] = 0.0
-                # Look-ups process whole batches of rays. The unused rays at the end of the last batch get the gain 0,
-                # so that they contribute nothing.
+                # Look-ups process whole batches of rays. The rays after the end of the slice fill the last batch. They
+                # get the gain 0, so that they contribute nothing.
                 for gains in self._gains:
                     gains[end : -(-end // BATCH) * BATCH] = 0.0
                 pipeline.launch(range(first, end))

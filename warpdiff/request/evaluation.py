@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from warpdiff.core import forks, validation
-from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.device.devices import resolve_device, resolve_threads
 from warpdiff.diffraction import energy_normalisation
 from warpdiff.heightfield.edge_checks import warn_of_edges
 from warpdiff.heightfield.field import check_whole
+from warpdiff.heightfield.grating_map import GratingMap
 from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import IlluminatedMaterial, check_materials
 from warpdiff.request.plan import Plan
@@ -79,6 +80,11 @@ class Evaluation:
         ``by_geometry`` states whether the setting ``material`` may be a mapping from the names of a mesh's geometries
         to materials.
         """
+        if isinstance(heightfield, GratingMap):
+            raise ArgumentTypeError(
+                f"{ref('heightfield')} must be a warpdiff.HeightField, got a GratingMap, which pictures of a mesh "
+                "support, but not reflectances, baked tables, web pages and Mitsuba: give its cell, or use shade()"
+            )
         check_whole(heightfield)
         for illuminant in illuminants:
             colorimetry.check_illuminant(illuminant)

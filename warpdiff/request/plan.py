@@ -390,7 +390,7 @@ class Plan:
         """
         file = validation.path(path, "path")
         text = files.read_text(file, _MOST_BYTES)
-        with files.holding("text", file):
+        with files.describing(file), files.holding("text", file):
             return cls.from_json(text)
 
 

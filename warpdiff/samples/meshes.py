@@ -2,7 +2,7 @@
 
 This axis is the tangent t of a body, along the increasing texture coordinate u. A grating that varies along x diffracts
 along t. On ``tube`` and ``snake``, t runs around the body with ``tangent="around"``, and from head to tail with
-``"along"``. On ``disc``, t runs radially outwards.
+``"along"``. On ``disc``, t runs radially outwards. On ``card``, t is +x.
 
 Examples:
     >>> import warpdiff as wd
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import trimesh
     from numpy.typing import NDArray
 
-__all__ = ["disc", "snake", "tube"]
+__all__ = ["card", "disc", "snake", "tube"]
 
 
 @memory.as_memory_error(
@@ -136,6 +136,33 @@ def tube(
     first_cap = np.stack([i, columns + i + 1, columns + i], axis=1)
     last_cap = np.stack([last + i, last - columns + i, last - columns + i + 1], axis=1)
     return _mesh(vertices, np.concatenate([first_cap, inner, last_cap]), normals, uvs)
+
+
+def card(width: float = 1.0, height: float = 0.75) -> trimesh.Trimesh:
+    """Make a card: a flat rectangle in the xy plane, centred at the origin, that faces +z.
+
+    The texture coordinates are those of an image: u increases from 0 to 1 along +x, and v from 0 to 1 along +y. The
+    tangent t is +x.
+
+    Args:
+        width: Length along x [mesh units], more than 0, default 1.
+        height: Length along y [mesh units], more than 0, default 0.75.
+
+    Returns:
+        A mesh of two triangles with texture coordinates and vertex normals.
+
+    Raises:
+        ValueError: A length is not positive.
+
+    Examples:
+        >>> import warpdiff as wd
+        >>> wd.meshes.card(60.0, 45.0).extents.tolist()
+        [60.0, 45.0, 0.0]
+    """
+    half = np.array([validation.positive(width, "width"), validation.positive(height, "height")]) / 2.0
+    uvs = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    vertices = np.column_stack([(2.0 * uvs - 1.0) * half, np.zeros(4)])
+    return _mesh(vertices, np.array([[0, 1, 2], [0, 2, 3]]), np.tile([0.0, 0.0, 1.0], (4, 1)), uvs)
 
 
 @memory.as_memory_error("a body of this many faces", f"take fewer {ref('segments')}, or fewer {ref('rings')}")

@@ -24,10 +24,11 @@ if TYPE_CHECKING:
     from warpdiff.scene.mesh_import import Surface
 
 
-# Share of the narrower image dimension that a framed mesh fills. Choice: the margin is 4 % on each side.
+# Fraction of the width or height of the image that a framed mesh fills, whichever is the narrower. The value was chosen
+# so that a margin of 4 % remains on each side.
 _FILLED = 0.92
-# Least distance of the eye from a framed mesh, in radii of the mesh. Limit: without it, a mesh that looks like a point,
-# such as a line along the viewing direction, would have distance 0.
+# Smallest distance of the eye from a framed mesh, in radii of the mesh. Without this limit, a mesh that looks like a
+# point, such as a line along the viewing direction, would have the distance 0.
 _LEAST_DISTANCE = 1e-2
 
 
@@ -43,8 +44,8 @@ class ViewFrame(NamedTuple):
         right: Unit vector to the right of the image, shape (3,).
         up: Unit vector to the top of the image, shape (3,).
         back: Unit vector from the target to the eye, shape (3,).
-        half_width: Half the image's width: a tangent (perspective) or a length (orthographic).
-        half_height: Half the image's height, a tangent or a length as ``half_width``.
+        half_width: Half of the image's width: a tangent for a perspective camera, a length for an orthographic camera.
+        half_height: Half of the image's height, as a tangent or a length like ``half_width``.
         orthographic: Whether the rays are parallel.
     """
 
@@ -62,7 +63,7 @@ class View(Checked):
     """Camera: right-handed, it looks along its −z axis from ``eye`` to ``target``, with its +y axis up.
 
     Pixels are square. The centre of the pixel (row, column) is at (row + 0.5, column + 0.5), and row 0 is at the top.
-    The camera is perspective; :meth:`orthographic` makes an orthographic one, and :meth:`fit` frames a mesh.
+    The camera is perspective. :meth:`orthographic` makes an orthographic camera, and :meth:`fit` frames a mesh.
 
     Attributes:
         eye: Position of the camera, world frame.
@@ -100,8 +101,8 @@ class View(Checked):
                 f"{ref('width')} times {ref('height')} must be at most {MOST_ELEMENTS} pixels, "
                 f"got {self.width} × {self.height}"
             )
-        # The frame is computed here, although it is not stored, because its computation raises errors about wrong
-        # fields.
+        # The frame is computed here although it is not stored, because its computation raises errors if the arguments
+        # do not define a camera.
         self.frame()
 
     @classmethod
@@ -119,8 +120,8 @@ class View(Checked):
             width: Width of the image in pixels.
             height: Height of the image in pixels.
         """
-        # The arguments may be arrays, but the fields are tuples. They are annotated as Any, because ``__post_init__``
-        # converts them.
+        # The arguments may be arrays, but the fields of a view are tuples. The arguments are annotated as Any, because
+        # ``__post_init__`` converts them.
         operands: Any = (eye, target, up)
         extent = validation.positive(extent_y, "extent_y")
         return cls(operands[0], operands[1], up=operands[2], extent_y=extent, width=width, height=height)
@@ -165,8 +166,8 @@ class View(Checked):
             back = front / np.linalg.norm(front) + 0.6 * above
         else:
             back = validation.directions(validation.vector(direction, "direction"), "direction")[0][0]
-        # The arguments may be arrays, but the fields are tuples. They are annotated as Any, because ``__post_init__``
-        # converts them.
+        # The arguments may be arrays, but the fields of a view are tuples. The arguments are annotated as Any, because
+        # ``__post_init__`` converts them.
         operands: Any = (back, up)
         view = cls(operands[0], (0.0, 0.0, 0.0), up=operands[1], fov_y_deg=fov_y_deg, width=width, height=height)
         validation.flag(turning, "turning")
@@ -174,14 +175,15 @@ class View(Checked):
         middle: Any = centre if target is None else validation.vector(target, "target")
         frame = view.frame()
         if turning:
-            # While the mesh turns, its bounding sphere must fit in the narrower of the horizontal and the vertical
-            # field of view.
+            # The bounding sphere of a turning mesh must fit into the narrower of the horizontal and the vertical field
+            # of view.
             half = math.atan(min(frame.half_height, frame.half_width))
             reach = radius + math.dist(middle, centre)
             return replace(view, eye=middle + reach / math.sin(half) * frame.back, target=middle)
         # Let the middle of the image be at cₓ, and let tₓ be the tangent of half the horizontal field of view. A point
-        # (x, z), with z towards the eye, is in the image if |x − cₓ| ≤ tₓ (d − z). The least distance d of the eye from
-        # z = 0 follows from the largest x + tₓ z and the least x − tₓ z. The condition along y is similar.
+        # (x, z), with z towards the eye, is in the image if |x − cₓ| ≤ tₓ (d − z). Here d is the distance of the eye
+        # from z = 0. The least d follows from the largest x + tₓ z and the least x − tₓ z. The condition along y is
+        # similar.
         points = points + (centre - middle) / radius
         towards = points @ frame.back
         distance, moved = float(towards.max()) + _LEAST_DISTANCE, np.zeros(3)
@@ -223,6 +225,6 @@ class View(Checked):
 
 
 def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the cross product of two vectors, in a tenth of the time of ``numpy.cross``."""
+    """Return the cross product of two vectors. The function takes a tenth of the time of ``numpy.cross``."""
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])

@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     from warpdiff.scene.camera import View
     from warpdiff.scene.mesh_import import Surface
 
-# Seed of the random positions of rays within pixels. Choice: any constant makes pictures reproducible.
+# Seed of the random positions of rays within pixels. Any constant makes pictures reproducible.
 _SEED = 0
-# Number of rays, and number of rasterized faces, that a CPU thread processes per slice. Fitted: a slice then requires
-# about 1 ms.
+# Number of rays, and number of rasterized faces, that a CPU thread processes per slice. The values were fitted so that
+# a slice requires about 1 ms.
 RAYS_OF_SLICE, _FACES_OF_SLICE = 8192, 2048
-# Occluder grids are made if the mesh has fewer than this many faces per shadow ray. Fitted: adding a face to a grid
-# requires a fifth of the time of a shadow ray through the hierarchy, and a shadow ray through the grid requires a
-# quarter.
+# Occluder grids are made if the mesh has fewer than this number of faces per shadow ray. The value was fitted. The time
+# to add a face to a grid is a fifth of that of a shadow ray through the hierarchy. The time of a shadow ray through the
+# grid is a quarter of it.
 _FACES_PER_RAY = 3
-# Approximate size of an occluder grid per face [bytes], and largest size of all grids together [bytes]. Limit: memory.
-# With 100 lobes, for example, grids are used for meshes of up to 149,000 faces.
+# Approximate size of an occluder grid per face [bytes], and largest size of all grids together [bytes]. The largest
+# size is limited by memory. With 100 lobes, for example, grids are used for meshes of up to 149,000 faces.
 _BYTES_PER_FACE, _MOST_BYTES = 72, 1 << 30
 
 
@@ -44,7 +44,7 @@ class CameraRays:
         surface: The prepared mesh.
         scene: The surface's arrays on the device.
         view: View that was set last.
-        camera: That view as the struct ``Camera`` of the kernels.
+        camera: The view that was set last, as the struct ``Camera`` of the kernels.
         width: Number of pixels per row, including the margin.
         height: Number of rows, including the margin.
         size: Number of pixels, including the margin.
@@ -83,7 +83,7 @@ class CameraRays:
     def trace(self, sample: int, samples: int, deviation: float = 0.0) -> list[KernelCall]:
         """Choose the position of one of ``samples`` rays in each pixel; return the kernel calls that trace it.
 
-        ``deviation`` is that of :meth:`calls`.
+        ``deviation`` is the standard deviation of the rays' filter [pixels], as in :meth:`calls`.
         """
         return self.calls(self._sampling(sample, samples), self.gbuffer, deviation)
 
@@ -203,7 +203,7 @@ def rays_for(
 
     Args:
         surface: The prepared mesh.
-        view: First view; later ones must have the same size in pixels.
+        view: First view. Later views must have the same size in pixels.
         smooth: Whether vertex normals are interpolated.
         margin: Number of pixels that are added to the picture on each side.
         device_driven: Whether the CPU uses the hierarchy, too, because its launches can be recorded.

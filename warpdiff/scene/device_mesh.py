@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from warpdiff.scene.mesh_import import Surface
 
 
-# Largest number of faces per leaf of a hierarchy on the CPU. Choice: it changes the time of rays, not their hits.
+# Largest number of faces per leaf of a hierarchy on the CPU. The value changes the time of rays, not their hits.
 _LEAF = 4
 # Lock that is held while a hierarchy is built, so that two threads do not build the same one.
 _once = forks.lock()
 _cached: weakref.WeakKeyDictionary[Surface, LruCache[SceneArrays]] = weakref.WeakKeyDictionary()
-# Number of cached occluder grids per mesh; those of the latest light directions are kept. Limit: a grid takes about 72
-# bytes per face.
+# Number of cached occluder grids per mesh. The grids for the last light directions remain in the cache. The number is
+# limited by memory: a grid requires about 72 bytes per face.
 _MOST_GRIDS = 4
 
 
@@ -35,7 +35,7 @@ class SceneArrays:
     Kernels refer to the mesh by an id only. Keep this object until all launches that use the id have finished.
 
     Attributes:
-        bare: The arrays as a struct for kernels. It has a hierarchy of faces after the first call of
+        bare: The mesh as a struct for kernels. It has a hierarchy of faces only after the first call of
             :meth:`with_hierarchy`.
         textures: Textures as a struct for kernels; empty without any.
         transparency: Transparency as a struct for kernels; empty if all faces are opaque.

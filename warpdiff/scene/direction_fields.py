@@ -18,30 +18,33 @@ if TYPE_CHECKING:
 
     from warpdiff.request.settings import TangentRule
 
-# Largest number of positions of a connected part for a smooth field. Limit: 99,000 positions of a torus required 5 s
-# and 0.6 GB, and twice as many require more than twice of both.
+# Largest number of positions of a connected part for which a smooth field is computed. The number is limited by time
+# and memory: 99,000 positions of a torus required 5 s and 0.6 GB, and twice as many require more than twice as much of
+# both.
 MOST_POSITIONS = 100_000
-# Cosine of the angle between normals from which vertices at one position belong to opposite sides of a thin sheet:
-# 150°. Choice: edges of solid bodies are blunter.
+# Vertices at one position belong to opposite sides of a thin sheet if the cosine of the angle between their normals is
+# below this number. It is the cosine of 150°, which was chosen because edges of solid bodies have smaller angles.
 _OPPOSITE_COSINE = float(np.cos(np.radians(150.0)))
-# Smallest and largest weight of an edge. Limits: negative weights, of obtuse angles, would reward turns along the edge,
-# and weights of slivers would exceed the accuracy of float64.
+# Smallest and largest weight of an edge. Negative weights, which obtuse angles cause, would reward rotations of the
+# field along the edge. Weights of extremely narrow triangles would exceed the accuracy of float64.
 _LEAST_WEIGHT, _MOST_WEIGHT = 1e-3, 1e3
-# Least area of a node, relative to the mean area. Limit: areas of slivers underflow.
+# Smallest area of a node, relative to the mean area of nodes. Areas of extremely narrow triangles would underflow.
 _LEAST_MASS = 1e-9
-# Shift of the eigenvalues, in units of 1 / area of a connected part. Limit: the least eigenvalue of a plane is 0, and
-# its matrix cannot be factorised. The eigenvalues of round bodies are about 10.
+# Shift that is added to the eigenvalues, in units of 1 / area of a connected part. The least eigenvalue of a plane is
+# 0, so that its matrix could not be factorised without a shift. The eigenvalues of round bodies are about 10.
 _SHIFT = 1e-4
-# Number of random columns of the subspace, largest number of iterations, and relative change of the least eigenvalue
-# at which they end. Choice: the energy of the field is then within 0.1 % of its minimum.
+# Inverse iteration for eigenvectors: number of random columns of the subspace, largest number of iterations, and
+# relative change of the least eigenvalue at which they end. With these values, the energy of the field is within 0.1 %
+# of its minimum.
 _RANDOM, _MOST_ITERATIONS, _CONVERGED = 2, 40, 1e-4
-# Eigenvectors whose eigenvalues exceed the least one by at most this share count as equally smooth. Choice: those of a
-# sphere are equal, but those of its triangles differ by about this much.
+# Eigenvectors count as equally smooth if their eigenvalues exceed the least eigenvalue by at most this fraction. On a
+# sphere, several eigenvalues are equal, but on its triangles they differ by about this fraction.
 _EQUAL_SHARE = 0.02
 # Largest number of positions of a connected part whose matrix is dense, and largest number of elements of a batch of
-# such matrices. Choice: sparse matrices of small parts require 5 ms each, mainly for calls. A batch has 4 MB.
+# such matrices. Sparse matrices of small parts would require 5 ms each, mainly for function calls. A batch has 4 MB.
 _MOST_DENSE, _MOST_ELEMENTS = 64, 2**18
-# Values of an eigenvector below this share of the largest one have no direction. Limit: rounding.
+# Values of an eigenvector, relative to its largest value, below which the field has no direction, because they are only
+# rounding errors.
 _LEAST_SIZE = 1e-13
 
 
@@ -74,7 +77,10 @@ class Body:
 
 
 def direction_field(rule: TangentRule, body: Body) -> NDArray[np.float64]:
-    """Return directions at the vertices of a body by a rule, shape (3, n), of any length and not always tangential."""
+    """Return directions at the vertices of a body by a rule, shape (3, n).
+
+    The directions have any length, and some rules return directions that are not tangential.
+    """
     if rule == "smooth":
         return _smooth(body)
     axis = np.eye(3)["xyz".index(rule[-1])]
@@ -89,7 +95,7 @@ def _around(axis: NDArray[np.float64], body: Body) -> NDArray[np.float64]:
     count = int(body.objects.max()) + 1
     middles = np.stack([component.take(body.faces).mean(axis=0) for component in body.vertices])
     centres = np.stack([sum_at(body.objects, areas * middle, count) for middle in middles])
-    # An object whose faces all have no area has no faces here.
+    # An object without any face of non-zero area has the sum 0 here, which must not be a divisor.
     centres /= np.maximum(sum_at(body.objects, areas, count), np.finfo(float).tiny)
     of_vertices = np.zeros(body.vertices.shape[1], np.int64)
     of_vertices[body.faces] = body.objects
@@ -97,12 +103,13 @@ def _around(axis: NDArray[np.float64], body: Body) -> NDArray[np.float64]:
 
 
 def _smooth(body: Body) -> NDArray[np.float64]:
-    """Return the unit directions at vertices that turn least over the surface.
+    """Return unit directions at vertices that change as little as possible along the surface.
 
     The field is the least eigenvector of the connection Laplacian, which minimises the integral of the squared
     derivative (Knöppel, Crane, Pinkall and Schröder, "Globally optimal direction fields", 2013, section 3). A vector is
-    transported along an edge by the smallest rotation between the normals at its ends. This also works on meshes that
-    are no manifolds, unlike the angles of Sharp, Soliman and Crane ("The vector heat method", 2019, section 5).
+    transported along an edge by the smallest rotation between the normals at its ends. This transport also works on
+    meshes that are no manifolds, unlike the angles of Sharp, Soliman and Crane ("The vector heat method", 2019, section
+    5).
     """
     used, faces = compacted(body.faces.compress(body.is_used, axis=1), body.vertices.shape[1])
     result = np.zeros_like(body.vertices)
@@ -120,9 +127,10 @@ def _smooth(body: Body) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class _Net:
-    """Positions of a mesh as nodes, with a plane of complex numbers at each one, and the connection Laplacian.
+    """Nodes of a mesh, with the connection Laplacian of tangential vectors at the nodes.
 
-    A complex number z at a node is the tangential vector Re z · ``first`` + Im z · ``second``.
+    A node is a position of the mesh with its tangent plane. A complex number z at a node stands for the tangential
+    vector Re z · ``first`` + Im z · ``second``.
 
     Attributes:
         node: Node of each vertex, shape (n,).
@@ -147,7 +155,7 @@ class _Net:
         cls, vertices: NDArray[np.float64], faces: NDArray[np.int64], normals: NDArray[np.float64],
         welded: NDArray[np.int64],
     ) -> _Net:  # fmt: skip
-        """Return the net of a mesh; vertices at one position share a node unless they have opposite normals."""
+        """Return the nodes of a mesh. Vertices at one position share a node unless they have opposite normals."""
         from scipy.sparse import coo_array
 
         geometry = FaceGeometry(vertices, faces)
@@ -161,7 +169,7 @@ class _Net:
         of_nodes = unit(np.stack([sum_at(node, weights * component, count) for component in normals]))
         first, second = _planes(of_nodes)
 
-        # The weight of an edge is half the sum of the cotangents of the angles opposite to it.
+        # The weight of an edge is half of the sum of the cotangents of the two angles opposite to the edge.
         corners = node[faces]
         start, end = corners[[1, 2, 0]].ravel(), corners[[2, 0, 1]].ravel()
         weight = 0.5 * (geometry.products / geometry.twice_area).ravel().clip(_LEAST_WEIGHT, _MOST_WEIGHT)
@@ -179,7 +187,7 @@ class _Net:
         return cls(node, positions, of_nodes, first, second, mass, laplacian)
 
     def components(self) -> Iterator[NDArray[np.int64]]:
-        """Yield the nodes of connected components of equal size, shape (components, size).
+        """Yield the nodes of connected components. Components of equal size form one array, shape (components, size).
 
         Components of more than ``_MOST_DENSE`` nodes are separate. An error is raised first if one is too large.
         """
@@ -209,9 +217,9 @@ class _Net:
         return result
 
     def candidates(self, nodes: NDArray[np.int64]) -> NDArray[np.complex128]:
-        """Return unit fields along the three axes and around them at the nodes of components, shape (…, 6).
+        """Return six unit fields at the nodes of components: along the three axes and around them, shape (…, 6).
 
-        Bodies of revolution, plates and other symmetric bodies have one of them as their smooth field.
+        For bodies of revolution, plates and other symmetric bodies, one of these fields is the smooth field.
         """
         positions, mass, normals = (
             self.positions.take(nodes, axis=1),
@@ -228,11 +236,12 @@ class _Net:
 
 
 def _smoothest(net: _Net, nodes: NDArray[np.int64]) -> NDArray[np.complex128]:
-    """Return the smoothest fields on connected components of equal size, unit complex numbers at their nodes.
+    """Return the smoothest fields on connected components of equal size: complex numbers of magnitude 1 at nodes.
 
-    If several eigenvectors are equally smooth, which they always are by a common rotation, the field is that
-    combination of them which is nearest to a candidate field. Candidates are ordered by preference. One is accepted if
-    it has at least half of the largest share in these eigenvectors that any candidate has.
+    Several eigenvectors may be equally smooth. A common rotation of all vectors, for example, never changes the
+    smoothness. The field is then the combination of these eigenvectors that is nearest to a candidate field. Candidates
+    are ordered by preference. The first candidate is chosen whose projection onto the eigenvectors has at least half of
+    the squared norm of the largest projection.
 
     Args:
         net: Net of the mesh.
@@ -253,7 +262,7 @@ def _smoothest(net: _Net, nodes: NDArray[np.int64]) -> NDArray[np.complex128]:
     shares = np.sum(np.abs(parts) ** 2, axis=1)
     largest = shares.max(axis=1, keepdims=True)
     chosen = np.take_along_axis(parts, np.argmax(shares >= 0.5 * largest, axis=1)[:, None, None], axis=2)
-    # Without any candidate, the field is the first eigenvector.
+    # If all candidate fields have a projection of 0, the field is the first eigenvector.
     chosen[:, 0] += largest == 0.0
     field = (eigenvectors @ chosen)[..., 0]
     sizes = np.abs(field)
@@ -269,7 +278,7 @@ def _least_eigenvectors(
     Args:
         laplacian: Connection Laplacian of one connected component, shape (k, k).
         root: Square roots of the areas of the nodes, whose sum is 1, shape (k,).
-        start: First columns of the start of the iteration, shape (k, columns).
+        start: Vectors with which the iteration starts, besides random vectors, shape (k, columns).
 
     Returns:
         Eigenvalues in ascending order, shape (columns,), and orthonormal columns, shape (k, columns). A field is a
@@ -282,7 +291,7 @@ def _least_eigenvectors(
     matrix = (scale @ laplacian @ scale).tocsc()
     shifted = (matrix + _SHIFT * eye_array(len(root))).tocsc()
     factors = splu(shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    # Random columns prevent that the least eigenvector is perpendicular to the start.
+    # Random columns ensure that the start is not perpendicular to the least eigenvector, which could not be found then.
     random = np.exp(2j * np.pi * np.random.default_rng(0).random((len(root), _RANDOM)))
     block, least = np.concatenate([start, root[:, None] * random], axis=1), np.inf
     for _ in range(_MOST_ITERATIONS):

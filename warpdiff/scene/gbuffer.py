@@ -30,7 +30,7 @@ class GBuffer:
         Args:
             rays: Number of rays.
             coloured: Whether the arrays include base colours.
-            has_maps: Whether they include metallic, roughness and emission of textures.
+            has_maps: Whether the arrays include metallic, roughness and emission from textures.
             device: The Warp device.
         """
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from warpdiff.scene.scene_parts import Appearance, ScenePart
 
 
-# Names of factors in messages, attributes of ``Appearance``, and their largest values.
+# Factors of materials: name in messages, attribute of ``Appearance``, and largest permitted value.
 _FACTORS = (
     ("base colour", "base_colour", 1.0), ("base colour", "fallback_colour", 1.0), ("metallic", "metallic", 1.0),
     ("roughness", "roughness", 1.0), ("emission", "emission", np.inf), ("alpha cut-off", "alpha_cutoff", np.inf),
@@ -30,10 +30,10 @@ _FACTORS = (
 
 @dataclass(frozen=True, eq=False)
 class MaterialFactors:
-    """Factors of the materials of a mesh, one row for each of k appearances of materials on parts.
+    """Factors of the materials of a mesh. Each of the k rows is the appearance of a material on a part of the mesh.
 
     Attributes:
-        metallic: Share of metal, 0 to 1, shape (k,), float32.
+        metallic: Metallic of the metallic-roughness model, 0 to 1, shape (k,), float32.
         roughness: Perceptual roughness, 0 to 1, shape (k,), float32; −1 for a matte material.
         emission: Emitted linear RGB, shape (k, 3), float32.
     """
@@ -44,9 +44,10 @@ class MaterialFactors:
 
 
 def checked_parts(parts: Sequence[ScenePart]) -> list[ScenePart]:
-    """Return the parts of a scene with vertex colours and factors of materials that are finite and from 0 to 1.
+    """Return the parts of a scene with finite vertex colours and factors from 0 to 1.
 
-    Emission may exceed 1. One warning names all factors outside of these limits, which become the nearest limit.
+    Emission may exceed 1. One warning names all factors outside of these limits; they are replaced by the nearest
+    limit.
 
     Raises:
         ValueError: A factor of a material is not finite; the message names it and its material.
@@ -70,7 +71,7 @@ def checked_parts(parts: Sequence[ScenePart]) -> list[ScenePart]:
 
 
 def _checked(material: Appearance, outside: list[str]) -> Appearance:
-    """Return a material with factors from 0 to 1; add texts about others to a list."""
+    """Return a material with factors from 0 to 1; add the names of factors outside of this range to ``outside``."""
     changes: dict[str, Any] = {}
     for label, name, most in _FACTORS:
         value = getattr(material, name)
@@ -91,11 +92,11 @@ def _checked(material: Appearance, outside: list[str]) -> Appearance:
 
 
 def factors_of(appearances: Sequence[PartAppearance], not_sampled: NotSampled) -> MaterialFactors | None:
-    """Return the factors of materials; None if all are matte and dark.
+    """Return the factors of materials; None if all materials are matte and emit no light.
 
     Args:
-        appearances: Appearance of each row.
-        not_sampled: Rows whose textures cannot be sampled.
+        appearances: Appearances of materials on parts, one per row.
+        not_sampled: Numbers of the rows whose textures cannot be sampled.
     """
     emission = np.array([own.material.emission for own in appearances], dtype=np.float32).reshape(-1, 3)
     emission[not_sampled.emission] = 0.0
@@ -110,7 +111,7 @@ def factors_of(appearances: Sequence[PartAppearance], not_sampled: NotSampled) -
 
 
 def warn_of_hidden_emission(factors: MaterialFactors, rows: NDArray[np.int32], names: Sequence[str]) -> None:
-    """Warn of materials that emit light, but whose faces have a height field, and are therefore dark.
+    """Warn of materials that emit light on faces with a height field, where the emission has no effect.
 
     Args:
         factors: Factors of the materials.
@@ -127,7 +128,7 @@ def warn_of_hidden_emission(factors: MaterialFactors, rows: NDArray[np.int32], n
 def _metallic_roughness(material: Appearance, *, by_mean: bool) -> tuple[float, float]:
     """Return metallic and roughness of a material; the roughness is −1 if it is matte.
 
-    ``by_mean`` states whether they are multiplied by the mean of their texture.
+    ``by_mean`` states whether both numbers are multiplied by the mean of their texture.
     """
     if material.roughness is None:
         return 0.0, -1.0

@@ -1,4 +1,4 @@
-"""Textures of metallic, roughness and emission on the plain parts of a scene."""
+"""Textures of metallic, roughness and emission on the plain parts of a scene (parts without a height field)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from warpdiff.scene.textures import Texture, TextureImages
 
 _WHITE = (1.0, 1.0, 1.0, 1.0)
-# Texture of a material by its use: attribute of ``Appearance``.
+# Name of the attribute of ``Appearance`` that has a texture, which depends on the use of the texture.
 _Use = Literal["metallic_roughness_texture", "emission_texture"]
 
 
@@ -58,7 +58,10 @@ def maps_of(
 def _uvs(
     parts: Sequence[tuple[ScenePart, str]], scene: SceneArrays, textures: Sequence[Texture | None], use: _Use
 ) -> NDArray[np.float64]:
-    """Return the texture coordinates of textures by row at the vertices of a scene, shape (n, 2); NaN without any."""
+    """Return the texture coordinates at which the textures of all rows are sampled, shape (n, 2).
+
+    Vertices without a texture have NaN.
+    """
     result = np.full((len(scene.vertices), 2), np.nan)
     vertex = face = 0
     for part, label in parts:
@@ -76,8 +79,8 @@ class NotSampled:
     """Rows of plain materials whose textures of metallic and roughness, or of emission, cannot be sampled.
 
     Attributes:
-        metallic_roughness: Whether the first one is missing, shape (k,).
-        emission: Whether the texture of an emission is missing, shape (k,).
+        metallic_roughness: Whether the texture of metallic and roughness cannot be sampled, for each row, shape (k,).
+        emission: Whether the texture of emission cannot be sampled, for each row, shape (k,).
     """
 
     metallic_roughness: NDArray[np.bool_]
@@ -85,7 +88,7 @@ class NotSampled:
 
     @classmethod
     def of(cls, scene: SceneArrays, is_plain: NDArray[np.bool_], maps: MaterialMaps | None) -> NotSampled:
-        """Return the rows of a scene; rows without a plain face have no texture that is missing."""
+        """Return the rows of a scene. For rows without a plain face, both values are False."""
         used = np.zeros(len(scene.appearances), np.bool_)
         used[scene.rows[is_plain & (scene.rows >= 0)]] = True
         none = [None] * len(used)

@@ -1,4 +1,4 @@
-"""Mesh files as parts of a scene. glTF has a reader of its own; trimesh reads the other formats."""
+"""Mesh files as parts of a scene. A reader of this package reads glTF files; trimesh reads the other formats."""
 
 from __future__ import annotations
 
@@ -23,12 +23,15 @@ if TYPE_CHECKING:
     from PIL import Image
     from trimesh.resolvers import FilePathResolver
 
-# Name of the geometry of a file that names none.
+# Name of the geometry of a file whose format has no names of geometries.
 UNNAMED = "mesh 0"
 # Size of the header of a binary .stl file, and of each of its triangles [bytes].
 _STL_HEADER_BYTES, _STL_TRIANGLE_BYTES = 84, 50
-# Formats whose files do not name their meshes.
+# Suffixes of formats in which a file has one mesh without a name.
 _SINGLE = (".ply", ".stl", ".off")
+# Formats that trimesh reads here, the last two with packages of its own. Its readers of archives and of other formats
+# are not used, so that a file can neither contain files nor select another decoder.
+_BY_TRIMESH = (".obj", *_SINGLE, ".3mf", ".dae")
 
 
 def load(path: str | os.PathLike[str]) -> list[ScenePart]:
@@ -45,8 +48,11 @@ def load(path: str | os.PathLike[str]) -> list[ScenePart]:
         if not file.is_file():
             raise ArgumentValueError(f"{ref('mesh')} must be a file, got the folder {str(file)!r}")
         parts = gltf.load(file)
-    else:
+    elif file.suffix.lower() in _BY_TRIMESH or not file.is_file():
         parts = _load_by_trimesh(file)
+    else:
+        names = ", ".join((".gltf", ".glb", *_BY_TRIMESH))
+        raise ArgumentValueError(f"{ref('mesh')} must be a file of the formats {names}, got {str(file)!r}; convert it")
     if not parts:
         raise ArgumentValueError(f"{ref('mesh')} must have triangles, got a scene or file without any")
     return parts
@@ -124,7 +130,7 @@ def _rewritten(data: bytes, suffix: str) -> tuple[bytes, list[obj_text.PartName]
 
 
 def _named_parts(parts: list[ScenePart], names: list[obj_text.PartName]) -> list[ScenePart]:
-    """Return the parts of an .obj file with the names of their objects and materials."""
+    """Return the parts of an .obj file, named after the objects and materials in the file."""
     appearances: dict[str, Appearance] = {}
     named = []
     for part in parts:
@@ -139,9 +145,9 @@ def _named_parts(parts: list[ScenePart], names: list[obj_text.PartName]) -> list
 
 
 def _resolver(file: Path, contents: dict[str, bytes], reasons: dict[str, str]) -> FilePathResolver:
-    """Return the object by which trimesh opens referenced files.
+    """Return the object by which trimesh opens the files to which a mesh file refers.
 
-    It records their ``contents``, or ``reasons`` for failure.
+    The object stores the content of each opened file in ``contents``, and the reason of each failure in ``reasons``.
     """
     from trimesh.resolvers import FilePathResolver
 
@@ -163,7 +169,7 @@ def _resolver(file: Path, contents: dict[str, bytes], reasons: dict[str, str]) -
 
 
 def _why_no_image(name: str, data: bytes) -> str:
-    """Return why Pillow cannot open the content of a file as an image, or an empty string. Pixels are not decoded."""
+    """Return the reason why Pillow cannot open bytes as an image; an empty string if it can. No pixel is decoded."""
     from PIL import Image
 
     if Path(name).suffix.lower() not in Image.registered_extensions():

@@ -1,7 +1,7 @@
 """Normals, tangents and convexity of a mesh, from its vertices, faces and texture coordinates.
 
-Vectors are stored by component, (3, n), and faces by corner, (3, m), because NumPy is several times faster along the
-long axis if it is the last one.
+Vectors are stored with their components along the first axis, shape (3, n), and faces with their corners along it,
+shape (3, m). NumPy is several times faster if the long axis is the last axis.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ from warpdiff.core.wording import ArgumentValueError, ref
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# A face counts as having no area if twice its area is at most this share of its longest edge squared. Choice: normals
-# of narrower faces are unreliable.
+# A face counts as having no area if twice its area, divided by the square of its longest edge, is at most this number.
+# The value was chosen because normals of narrower faces are unreliable.
 ZERO_AREA = 1e-9
-# Vertices closer than this distance [radii of the mesh] count as being at one position. Choice: above float32 rounding.
+# Distance below which vertices count as being at one position [radii of the mesh]. The value was chosen above the
+# rounding errors of float32.
 WELD = 1e-6
-# Cosine of the largest angle between tangents on two sides of a texture seam that are averaged: 30°. Choice: tangents
-# with larger angles remain separate.
+# Tangents on two sides of a texture seam are averaged if the cosine of the angle between them is at least this number.
+# It is the cosine of 30°, which was chosen. Tangents with larger angles remain separate.
 SEAM_COSINE = float(np.cos(np.radians(30.0)))
 
 
@@ -31,9 +32,9 @@ class FaceGeometry:
     """Edges, areas, normals and angles of faces; each quantity is computed at its first use.
 
     Attributes:
-        edges: Edges from each corner to the next one, shape (3, 3, m): component, corner, face.
-        cross: Cross product of the first edge and the second, shape (3, m).
-        twice_area: Length of ``cross``, shape (m,).
+        edges: Edge vectors from each corner to the next corner, shape (3, 3, m): component, corner, face.
+        cross: Cross product of the first and the second edge vector, shape (3, m).
+        twice_area: Length of ``cross``, which is twice the area, shape (m,).
         products: Scalar products of the two edge vectors that start at each corner, shape (3, m).
     """
 
@@ -94,7 +95,7 @@ class TextureGeometry:
     def mirrored(self, faces: NDArray[np.int64], count: int) -> NDArray[np.bool_]:
         """Return whether the texture is mirrored on each face, shape (m,).
 
-        Faces without texture area follow their neighbours.
+        A face without area in the texture is mirrored if the faces around it are.
         """
         mirrored = self.orientation < 0.0
         unknown = self.orientation == 0.0
@@ -135,7 +136,10 @@ def sum_at(index: NDArray[np.int64], values: NDArray[np.float64], count: int) ->
 
 
 def compacted(indices: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Remove unused numbers from indices: return the sorted used numbers below ``count``, and the new indices."""
+    """Return the sorted numbers that occur in ``indices``, and the indices renumbered so that no number is unused.
+
+    All indices must be below ``count``.
+    """
     is_used = np.zeros(count, dtype=np.bool_)
     is_used[indices] = True
     if is_used.all():
@@ -144,13 +148,13 @@ def compacted(indices: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64]
 
 
 def weld(vertices: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Give vertices at the same position the same number, and other vertices other numbers.
+    """Return a number for each vertex, which is equal for vertices at the same position.
 
-    Return the number of each vertex, and the indices of the vertices in the order of their numbers.
+    The second result has the indices of the vertices in the order of these numbers.
     """
     x, y, z = np.round(vertices / WELD).astype(np.int64) + 2**20
-    # Coordinates are rounded to integers of 21 bits, and joined to one integer per vertex, which is faster to sort than
-    # three.
+    # The three coordinates are rounded to integers of 21 bits and joined to one integer per vertex. One integer is
+    # faster to sort than three numbers.
     key = (x * 2**21 + y) * 2**21 + z
     order = np.argsort(key)
     key = key[order]
@@ -162,13 +166,13 @@ def weld(vertices: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.i
 def vertex_normals(
     geometry: FaceGeometry, faces: NDArray[np.int64], welded: NDArray[np.int64], own: NDArray[np.float64] | None
 ) -> NDArray[np.float64]:
-    """Return unit vertex normals, shape (3, n): the mesh's own normals, and computed ones where these are missing."""
+    """Return unit vertex normals, shape (3, n): the normals of the input mesh, or computed normals if it has none."""
     beside = geometry.angle_weighted_normals(faces, len(welded))
     if own is not None:
         own = unit(np.nan_to_num(own))
-        # A normal of the input mesh is reversed if it is opposite to the mean normal of the faces of its vertex. Faces
-        # of other vertices at the same position do not count: where two surfaces touch, most of them may face the other
-        # way.
+        # A normal of the input mesh is reversed if it points against the mean normal of the faces of its vertex. Faces
+        # of other vertices at the same position do not count: where two surfaces touch, most of these faces may point
+        # to the other side.
         own = np.where(dot(own, beside) < 0.0, -own, own)
         missing = ~own.any(axis=0)
         if not missing.any():
@@ -176,8 +180,8 @@ def vertex_normals(
     count = int(welded.max()) + 1
     total = np.stack([sum_at(welded, component, count) for component in beside])
     weight = sum_at(welded, sum_at(faces, geometry.angles, len(welded)), count)
-    # On a thin sheet, faces of both sides meet at a position, and their normals add up to zero. Each vertex there uses
-    # the sum over its own faces instead.
+    # On a thin sheet, faces of both sides meet at a position, and their normals add up to zero. The normal of a vertex
+    # is then computed from the faces of this vertex only.
     cancelled = (length(total) <= 1e-6 * weight)[welded]
     computed = unit(np.where(cancelled, beside, total.take(welded, axis=1)))
     return computed if own is None else np.where(missing, computed, own)
@@ -190,9 +194,9 @@ def tangents_from_uvs(
     along_u = geometry.edges[:, 0] * texture.two[1] + geometry.edges[:, 2] * texture.one[1]
     size = length(along_u)
     along_u *= texture.orientation / np.where(size > 0.0, size, 1.0)
-    # The direction ∂P/∂u of a face is scaled so that its projection on the tangent plane of the vertex has unit length.
-    # Otherwise faces with steep directions would have less weight in the mean. The projection itself follows after the
-    # sum over faces.
+    # The direction ∂P/∂u of a face is scaled so that its projection onto the tangent plane of the vertex has unit
+    # length. Otherwise faces with steep directions would have less weight in the mean. The projection itself is
+    # computed after the sum over faces.
     cosines = np.zeros(faces.shape)
     for component, normal in zip(along_u, normals, strict=True):
         cosines += component * normal.take(faces)
@@ -205,7 +209,7 @@ def tangents_from_uvs(
 def join_seams(
     field: NDArray[np.float64], welded: NDArray[np.int64], order: NDArray[np.int64], handedness: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Add to a vertex's tangent those tangents of other vertices at its position that have a similar direction.
+    """Add to the tangent of each vertex the tangents of other vertices at its position that have a similar direction.
 
     Tangents of two vertices are added only if the vertices have the same handedness.
     """
@@ -214,9 +218,9 @@ def join_seams(
     following = ends[welded[order]] - 1 - np.arange(count)
     directions = unit(field)
     result = field.copy()
-    # Vertices are sorted by position. A vertex is compared with the next one at its position, then with the one after
-    # that, and so on. A round of the loop makes many comparisons at once. To limit memory, a round has at most about as
-    # many pairs as the mesh has vertices.
+    # Vertices are sorted by position. Each vertex is compared with the next vertex at its position, then with the
+    # vertex after that, and so on. A round of the loop makes many comparisons at once. To limit memory, the number of
+    # pairs in a round is at most about the number of vertices.
     step = 1
     while len(start := np.flatnonzero(following >= step)):
         steps = max(1, count // len(start))
@@ -236,7 +240,7 @@ def fill(
     field: NDArray[np.float64], normals: NDArray[np.float64], faces: NDArray[np.int64], welded: NDArray[np.int64],
     is_needed: NDArray[np.bool_], name: str, *, has_poles: bool = False,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return tangents at all vertices. Missing ones are means over neighbouring vertices, from known ones outwards.
+    """Return tangents at all vertices. A missing tangent is the mean over neighbouring vertices with known tangents.
 
     Args:
         field: Tangents, shape (3, n); zero where missing.
@@ -244,9 +248,9 @@ def fill(
         faces: Vertex indices, shape (3, m).
         welded: Number of each vertex's position, shape (n,).
         is_needed: Whether pictures need the tangent of each vertex, shape (n,). A warning counts only these vertices.
-        name: Name of the source of the tangents for messages.
-        has_poles: Whether single vertices without a tangent are normal, as the poles of a direction field. The warning
-            then counts only the vertices of faces without a tangent at any corner.
+        name: Name of the source of the tangents, for messages.
+        has_poles: Whether single vertices without a tangent are expected, such as the poles of a direction field. The
+            warning then counts only the vertices of faces that have no tangent at any corner.
     """
     missing = (field == 0.0).all(axis=0)
     if not missing.any():
@@ -277,11 +281,11 @@ def fill(
         if not new.any():
             break
         at += new
-    # In a connected part of the mesh where no vertex has a tangent, all vertices get the sum of all tangents of the
-    # mesh, made tangential.
+    # In a connected part of the mesh where no vertex has a tangent, all vertices get the sum of the tangents of the
+    # whole mesh, projected onto their tangent planes.
     at = np.where(at.any(axis=0), at, field.sum(axis=1)[:, None])
     field = np.where(missing, unit(tangential(at.take(welded, axis=1), normals)), field)
-    # Some faces still have no tangent at any corner, for example those perpendicular to all directions around them.
+    # Some faces still have no tangent at any corner. Examples are faces perpendicular to all tangents around them.
     is_zero = (field == 0.0).all(axis=0)
     if is_zero.any():
         corners = np.unique(faces[:, is_zero[faces].all(axis=0)])
@@ -311,9 +315,10 @@ def _sides_of_edges(
 
 
 def is_closed(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> bool:
-    """Return whether the faces bound bodies, with corners counter-clockwise as viewed from outside of each.
+    """Return whether the faces bound bodies, with counter-clockwise corners as viewed from outside of each body.
 
-    In such a mesh, as many faces run along an edge in one direction as in the opposite one, and the volume of each body
+    In such a mesh, the volume of each body is positive. Along each edge, equally many faces have the edge in one
+    direction and in the opposite direction.
     is positive.
     """
     welded = weld(vertices)[0]
@@ -333,7 +338,7 @@ def is_closed(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) ->
 def is_convex(
     vertices: NDArray[np.float64], faces: NDArray[np.int64], outward: NDArray[np.float64], welded: NDArray[np.int64]
 ) -> bool:
-    """Return whether the faces, with normals ``outward``, are in a plane or bound one convex body.
+    """Return whether the faces lie in one plane or bound one convex body. ``outward`` are the normals of the faces.
 
     A convex body is closed, bent outwards at every edge, and has the Euler characteristic of a sphere.
     """
@@ -344,7 +349,8 @@ def is_convex(
 
     if np.all(np.abs(heights_over(0)) <= 1e-6):
         return True
-    # Most bodies are not convex. To find this quickly, a few faces are tested: no vertex may be above their planes.
+    # Most bodies are not convex. A quick test finds this for most of them: no vertex may be above the planes of a few
+    # faces.
     number = faces.shape[1]
     if any(heights_over(face).max() > 1e-5 for face in range(0, number, number // 16 + 1)):
         return False

@@ -1,4 +1,4 @@
-"""Images that mesh files refer to: opened from bytes, and decoded to linear RGBA."""
+"""Images to which mesh files refer: opening from bytes, and decoding to linear RGBA."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 # Key under which the dictionary ``info`` of a Pillow image stores the reason why the image cannot be decoded.
 _DAMAGE = "warpdiff:damage"
+# Names of the image formats in Pillow that textures may have. Other decoders of Pillow do not read files of a mesh.
+_FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "TGA", "PPM", "DDS", "MPO")
 # Pillow's image modes with an alpha channel.
 _MODES_WITH_ALPHA = ("RGBA", "RGBa", "LA", "La", "PA")
 
@@ -25,27 +27,27 @@ def opened(data: bytes) -> Image.Image:
     """Open an image; its pixels are not decoded.
 
     Raises:
-        OSError: Pillow cannot open it. The message is the reason.
+        OSError: Pillow cannot open the image. The message is the reason.
     """
     from PIL import Image
 
     try:
-        return Image.open(io.BytesIO(data))
+        return Image.open(io.BytesIO(data), formats=_FORMATS)
     except Image.DecompressionBombError as error:
         raise OSError(str(error)) from None
     except Exception:
         # Pillow raises errors of several classes for damaged data.
-        raise OSError("Pillow cannot read it as an image") from None
+        raise OSError(f"Pillow cannot read it as an image of the formats {', '.join(_FORMATS)}") from None
 
 
 def linear_rgba(image: Image.Image, *, is_data: bool = False) -> NDArray[np.float32] | None:
     """Return an image in linear RGBA, shape (h, w, 4), or None with a warning if it is damaged.
 
-    Alpha is 1 in images without an alpha channel. Numbers of float images are linear already.
+    Alpha is 1 in images without an alpha channel. Images of floating-point numbers are linear already.
 
     Args:
         image: The image.
-        is_data: Whether the numbers of the image are linear, not encoded in sRGB.
+        is_data: Whether the numbers of the image are linear and not encoded in sRGB.
     """
     try:
         return _linear_rgba(image, is_data=is_data)
@@ -100,6 +102,11 @@ def mean_values(image: Image.Image) -> tuple[float, float, float] | None:
 def _damage(image: Image.Image) -> str:
     """Return the reason why an image cannot be decoded, or an empty string."""
     if _DAMAGE not in image.info:
+        # trimesh opens images of .mtl and .ply files by any decoder, which then has read only the header. An image that
+        # a program made has no format.
+        if image.format is not None and image.format not in _FORMATS:
+            image.info[_DAMAGE] = f"the format {image.format} is not read; use one of {', '.join(_FORMATS)}"
+            return str(image.info[_DAMAGE])
         try:
             image.load()
             image.info[_DAMAGE] = ""

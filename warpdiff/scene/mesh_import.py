@@ -57,14 +57,14 @@ if TYPE_CHECKING:
     from warpdiff.scene.scene_parts import ScenePart
     from warpdiff.scene.textures import MaterialMaps, Texture
 
-# Remedy in messages about a mesh without directions.
+# Remedy in the messages about a mesh that has neither tangents nor texture coordinates.
 _HOW_TO_GET_TANGENTS = (
     f"give {ref('tangents', 'smooth')}, another rule ({', '.join(TANGENT_RULES[:-1])}) or directions of the height "
     "field's x axis, one for all or one per vertex, or a mesh with texture coordinates, whose u axis is then the "
     "direction"
 )
-# Cosine of the smallest angle between faces at an edge that counts as sharp: 40°. Choice: faces of round bodies meet at
-# smaller angles.
+# An edge counts as sharp if the cosine of the angle between its faces is below this number. It is the cosine of 40°,
+# which was chosen because the faces of round bodies meet at smaller angles.
 _SHARP_COSINE = float(np.cos(np.radians(40.0)))
 
 
@@ -90,9 +90,10 @@ class Surface:
         geometry_names: Names of the geometries, which all differ; "mesh 0" for a single mesh without a name.
         materials: For each face, the index of its material in ``material_names``, shape (m,), int32; −1 without one.
         material_names: Names of the materials, which all differ.
-        rows: For each face, the index of its row in the next four attributes, shape (m,), int32; −1 without a
-            material. A material has several rows if only some of its faces have texture coordinates or transparency.
-        material_factors: Metallic, roughness and emission by row; None if all are matte and dark.
+        rows: For each face, the index of its row in ``material_factors``, ``textures``, ``alpha_cutoffs`` and ``maps``,
+            shape (m,), int32; −1 without a material. A material has several rows if only some of its faces have texture
+            coordinates or transparency.
+        material_factors: Metallic, roughness and emission by row; None if all are matte and emit no light.
         textures: Base-colour texture of each row; None without one.
         alpha_cutoffs: Alpha below which rays pass through a face, by row; 0 for opaque faces, and negative for faces
             that are blended with their background.
@@ -140,7 +141,7 @@ class Surface:
 
     @property
     def is_opaque(self) -> bool:
-        """Whether no ray passes through a face."""
+        """Whether every ray stops at the first face that it hits, because no face is transparent."""
         return not any(self.alpha_cutoffs)
 
     @forks.cached_property
@@ -155,19 +156,20 @@ def prepare_surface(
 ) -> Surface:  # fmt: skip
     """Check a mesh and compute its normals, tangents and base colours.
 
-    Vertices with normals in the input keep them. Other normals are angle-weighted means over all faces that meet at a
-    position, so that texture seams are invisible. STL files, and glTF meshes without normals, have one normal per face.
-    ``copy()`` of trimesh drops the normals of a mesh; ``copy(include_cache=True)`` keeps them. Tangents are
-    ``tangents``, or those of a glTF file, or ∂P/∂u of the texture coordinates of the base colour, averaged across seams
-    where directions differ by less than 30°.
+    If the input has a normal at a vertex, this normal is used. Other normals are means over all faces that meet at a
+    position, weighted by angle, so that texture seams are invisible. STL files, and glTF meshes without normals, have
+    one normal per face. ``copy()`` of trimesh drops the normals of a mesh; ``copy(include_cache=True)`` keeps them.
+    Tangents are ``tangents``, or those of a glTF file, or the derivatives ∂P/∂u of the position by the first texture
+    coordinate of the base colour. They are averaged across seams where their directions differ by less than 30°.
 
     Args:
         mesh: A ``trimesh.Trimesh``, a ``trimesh.Scene`` (its transforms apply) or the path of a mesh file. trimesh
             merges vertices of a mesh that is built or loaded without ``process=False``. A :class:`Surface` is returned
             unchanged.
         tangents: Directions of the height field's x axis, world frame, of any length and not necessarily tangential.
-            Shape (n, 3) is one per vertex, for a scene in the order of its nodes; shape (3,) is one for all vertices.
-            A text is the rule of :mod:`warpdiff.scene.direction_fields`. None takes them from the texture coordinates.
+            The shape (n, 3) has one direction per vertex, for a scene in the order of its nodes. The shape (3,) is one
+            direction for all vertices. A text is a rule of :mod:`warpdiff.scene.direction_fields`. None takes the
+            directions from the texture coordinates.
         plain: For each key of a part, whether the part is plain. Plain parts need no tangents. None means that no part
             is plain.
 
@@ -236,8 +238,8 @@ def _sphere(world: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     low, high = world.min(axis=1), world.max(axis=1)
     centre = low / 2.0 + high / 2.0
     largest = float(np.max(high - centre))
-    # The radius is half the diagonal of the box. Its sides are divided by the largest one, so that the squares of tiny
-    # and huge lengths neither underflow nor overflow.
+    # The radius is half of the diagonal of the box. The sides of the box are divided by the largest side before they
+    # are squared, so that the squares of tiny and huge lengths neither underflow nor overflow.
     radius = largest * float(np.linalg.norm((high - centre) / largest)) if largest > 0.0 else 1.0
     if not validation.LEAST <= radius <= validation.MOST:
         raise ArgumentValueError(
@@ -248,7 +250,7 @@ def _sphere(world: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
 
 @dataclass(frozen=True, eq=False)
 class _FaceRoles:
-    """Roles of the faces of a scene in the computation of tangents.
+    """Properties of the faces of a scene that determine how their tangents are computed.
 
     Attributes:
         is_plain: Whether the part of each face is plain and needs no tangents, shape (m,).
@@ -260,7 +262,7 @@ class _FaceRoles:
 
     @classmethod
     def of(cls, scene: list[ScenePart], part: SceneArrays, plain: Mapping[str, bool] | None) -> _FaceRoles:
-        """Return the roles of the faces of a scene, whose parts are joined to ``part``."""
+        """Return the properties of the faces of a scene, whose parts have been joined to ``part``."""
         is_plain = np.zeros(len(part.faces), np.bool_)
         if plain is not None:
             is_plain = np.array(list(plain.values()))[key_of_faces(part, list(plain), "heightfield")]
@@ -269,7 +271,7 @@ class _FaceRoles:
         return cls(is_plain, np.repeat(objects, [len(entry.faces) for entry in scene]))
 
     def kept(self, keep: NDArray[np.bool_]) -> _FaceRoles:
-        """Return the roles of some of the faces."""
+        """Return the properties of the faces that the mask ``keep`` selects."""
         return _FaceRoles(self.is_plain[keep], self.objects[keep])
 
 
@@ -394,14 +396,14 @@ def _equal_but_for_normals(
     part: SceneArrays, index: NDArray[np.int64], own: NDArray[np.float64] | None, welded: NDArray[np.int64],
     order: NDArray[np.int64],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:  # fmt: skip
-    """Return pairs of vertices without normals that are equal in position, texture coordinates and colour.
+    """Return pairs of vertices without normals that have the same position, texture coordinates and colour.
 
     Args:
         part: Scene.
         index: Index of each vertex in the arrays of ``part``.
-        own: Normals of the input, shape (3, n), NaN where it has none; None without any.
+        own: Normals of the input, shape (3, n), NaN where the input has none; None if it has no normals.
         welded: Number of each vertex's position.
-        order: Indices of the vertices in the order of these numbers.
+        order: Indices of the vertices in the order of the numbers in ``welded``.
     """
     one, two = order[:-1], order[1:]
     alike = np.asarray(welded[one] == welded[two]) & (part.source[index[one]] != part.source[index[two]])
@@ -421,10 +423,10 @@ def _warn_of_lost_normals(
     alike: tuple[NDArray[np.int64], NDArray[np.int64]], geometry: FaceGeometry, faces: NDArray[np.int64],
     welded: NDArray[np.int64],
 ) -> None:  # fmt: skip
-    """Warn if faces at sharp edges have separate vertices that differ in nothing but lost normals.
+    """Warn if faces at sharp edges have separate but equal vertices, so that normals were probably lost.
 
     Args:
-        alike: Pairs of vertices that are equal but for their normals.
+        alike: Pairs of vertices that are equal in everything except their normals.
         geometry: Normals of faces.
         faces: Vertex indices, shape (3, m).
         welded: Number of each vertex's position.
@@ -443,7 +445,7 @@ def _warn_of_lost_normals(
     other = order[np.searchsorted(edges, opposite, sorter=order).clip(max=len(edges) - 1)]
     is_split = np.asarray(edges[other] == opposite) & (start != end[other]) & (end != start[other])
     cosines = dot(geometry.normals.take(face, axis=1), geometry.normals.take(face[other], axis=1))
-    # The two sides of a thin sheet have opposite normals, which remain.
+    # The two sides of a thin sheet have opposite normals. Their vertices are separate on purpose and do not count.
     is_split &= np.abs(cosines) < _SHARP_COSINE
     if split := int(np.count_nonzero(is_split)) // 2:
         warn(
@@ -466,7 +468,7 @@ def _checked_field(tangents: TangentRule | ArrayLike | None) -> Any:
 
 
 def _check_tangents(part: SceneArrays, tangents: Any, is_plain: NDArray[np.bool_]) -> None:
-    """Check that an array of tangents has a vector per vertex, and without tangents, that texture coordinates exist."""
+    """Check that an array of tangents has one vector per vertex; without tangents, require texture coordinates."""
     if isinstance(tangents, np.ndarray) and tangents.shape != (part.count, 3):
         raise ArgumentValueError(
             f"{ref('tangents')} must have shape ({part.count}, 3), one vector per vertex of the mesh, or (3,), "

@@ -1,7 +1,7 @@
-"""Texts of .obj and .off files, rewritten before trimesh reads them: concave polygons as triangles, and names.
+"""Texts of .obj and .off files, which are changed before trimesh reads them.
 
-trimesh cuts every polygon into a fan from its first corner, and names the parts of an .obj file by their materials
-alone.
+Concave polygons become triangles, because trimesh cuts every polygon into a fan from its first corner. Parts get names
+of objects and materials, because trimesh names the parts of an .obj file by their materials alone.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _VERTEX = re.compile(r"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.MULTILINE)
-# Line of a face with more than three corners.
+# Matches the line of a face with more than three corners in an .obj file.
 _POLYGON = re.compile(r"^[ \t]*f((?:[ \t]+[^\s#]+){4,})[^\n]*$", re.MULTILINE)
-# Line of a face with a negative index.
+# Matches the line of a face with a negative index in an .obj file.
 _NEGATIVE = re.compile(r"^[ \t]*f[^\n]*[\s/]-\d", re.MULTILINE)
 _NAME = re.compile(r"^[ \t]*(o|g|usemtl)(?:[ \t]+([^\n]*))?$", re.MULTILINE)
 _AFTER_SLASH = re.compile(r"/\S*")
@@ -33,7 +33,7 @@ class PartName(NamedTuple):
 
 
 def triangulated_obj(text: str) -> str:
-    """Return the text of an .obj file in which concave polygons are triangles, with the data of their corners."""
+    """Return the text of an .obj file in which concave polygons are replaced by triangles with the same corner data."""
     found_polygons = list(_POLYGON.finditer(text))
     if not found_polygons:
         return text
@@ -55,9 +55,10 @@ def triangulated_obj(text: str) -> str:
 
 
 def absolute_obj(text: str) -> str:
-    """Return the text of an .obj file without negative indices, which count back from the last line before a face.
+    """Return the text of an .obj file with positive indices instead of negative ones.
 
-    trimesh counts them back from the end of the file.
+    A negative index counts back from the last line of this kind before the face. trimesh would count back from the end
+    of the file instead.
     """
     if not _NEGATIVE.search(text):
         return text
@@ -75,9 +76,9 @@ def absolute_obj(text: str) -> str:
 
 
 def numbered_obj(text: str) -> tuple[str, list[PartName]]:
-    """Return the text of an .obj file with a number for each pair of object and material, and the list of pairs.
+    """Return the text of an .obj file with a number for each pair of object and material, and the list of all pairs.
 
-    The lines ``o`` of the text have the numbers. Groups count as objects in a file without objects.
+    The numbers are in the lines ``o`` of the text. In a file without objects, groups count as objects.
     """
     kind = "o" if re.search(r"^[ \t]*o[ \t]", text, re.MULTILINE) else "g"
     numbers: dict[PartName, int] = {PartName(None, None): 0}
@@ -126,7 +127,7 @@ def triangulated_off(text: str) -> str:
     for number, index in corners.items():
         if len(index) <= 4 and number not in concave:
             continue
-        # trimesh cannot read a file of faces with different numbers of corners, if these are more than four.
+        # trimesh cannot read .off files whose faces have different numbers of corners, if these numbers exceed four.
         is_concave = number in concave
         triangles = polygons.triangulated(positions[index]) if is_concave else polygons.fan(len(index))
         colour = faces[number][1 + counts[number] :]

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from warpdiff.scene.device_mesh import SceneArrays
     from warpdiff.scene.mesh_import import Surface
 
-# Numbers above which a hierarchy is used instead of a grid. First number: mean number of cells that a face overlaps.
-# Second number: mean length of the lists that contain a face. Meshes with very uneven faces exceed these numbers, and a
-# hierarchy is then faster.
+# Limits above which a hierarchy is used instead of a grid. `_MOST_CELLS` is the mean number of cells that a face
+# overlaps. `_MOST_LISTED` is the mean length of the lists that contain a face. Meshes with very uneven faces exceed
+# these limits, and a hierarchy is then faster.
 _MOST_CELLS, _MOST_LISTED = 16, 48
-# Number of faces per slice of a launch. Choice: other values change only the time.
+# Number of faces per slice of a launch. Other values would change only the time.
 _SLICE = 4096
 
 
@@ -60,7 +60,7 @@ def _made(
     low, high = np.floor(projected.min(axis=1)) - 2.0, np.ceil(projected.max(axis=1)) + 2.0
     wide, tall = high - low
     faces = len(surface.faces)
-    # Side of a cell. The grid has about as many cells as the mesh has faces.
+    # Side of a cell. It is chosen so that the grid has about as many cells as the mesh has faces.
     side = max(math.sqrt(wide * tall / faces), max(wide, tall) / faces)
     grid = shadow_rays.ShadowGrid()
     grid.across, grid.up, grid.towards = wp.vec3d(*across), wp.vec3d(*up), wp.vec3d(*towards)

@@ -1,7 +1,7 @@
 """Parts of a mesh by name: keys such as ``"gold"``, ``"lid/silver"`` and ``"*"`` select faces.
 
-A part has the faces of one geometry with one material. A key is the name of a geometry or of a material, both as
-``geometry/material``, or ``"*"`` for all parts that no other key names.
+A part has the faces of one geometry with one material. A key is the name of a geometry, the name of a material, both
+names as ``geometry/material``, or ``"*"`` for all parts that no other key names.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class _Part(NamedTuple):
         return "/".join(filter(None, self)) or "the whole mesh"
 
     def precedence(self, key: str) -> int | None:
-        """Return the precedence with which a key selects this part, 0 being the highest; None if it does not."""
+        """Return the precedence with which a key selects this part, 0 is the highest; None if it does not."""
         matches = key == str(self), key in self, key == REST
         return matches.index(True) if any(matches) else None
 
@@ -59,7 +59,8 @@ class NamedFaces(Protocol):
 def key_of_faces(surface: NamedFaces, keys: Sequence[str], argument: str) -> NDArray[np.int32]:
     """Return for each face the index of the key that selects it.
 
-    A key ``geometry/material`` takes precedence over the name of a geometry or a material, and these over ``"*"``.
+    A key ``geometry/material`` takes precedence over the name of a geometry or of a material. Both take precedence over
+    ``"*"``.
 
     Args:
         surface: The mesh.
@@ -70,8 +71,8 @@ def key_of_faces(surface: NamedFaces, keys: Sequence[str], argument: str) -> NDA
         Shape (m,) for m faces.
 
     Raises:
-        ValueError: A key selects no part, or is the name of a geometry and also of a material that other faces have; a
-            part has no key, or two keys of the same precedence.
+        ValueError: A key selects no part, or is the name of a geometry and also of a material of faces of another
+            geometry; a part has no key, or two keys of the same precedence.
     """
     pairs = np.stack([surface.geometries, surface.materials])
     numbers, part_of_faces = np.unique(pairs, axis=1, return_inverse=True)

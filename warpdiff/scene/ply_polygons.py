@@ -1,7 +1,7 @@
 """Polygons of .ply files, rewritten as triangles before trimesh reads them.
 
-trimesh cuts every polygon into a fan from its first corner, and cannot read binary files of faces with different
-numbers of corners.
+trimesh cuts every polygon into a fan from its first corner, which is wrong for concave polygons. It also cannot read
+binary files whose faces have different numbers of corners.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _INDEX_NAMES = ("vertex_index", "vertex_indices")
 
 @dataclass(frozen=True)
 class _Property:
-    """Property of an element: type, and the type of its length if it is a list."""
+    """Property of an element: type of its values, and for a list also the type of the length of the list."""
 
     name: str
     dtype: str
@@ -47,11 +47,11 @@ class _Element:
 
 
 class _UnknownLayoutError(ValueError):
-    """Error about a file whose layout this module does not read."""
+    """Error for a file with a layout that this module does not read; trimesh then reads or refuses the file."""
 
 
 def triangulated_ply(data: bytes) -> bytes:
-    """Return a .ply file whose polygons are triangles, if one is concave or a binary file has different polygons."""
+    """Return a .ply file; concave polygons, and mixed polygons of binary files, are replaced by triangles."""
     try:
         return _triangulated(data)
     except (ValueError, IndexError, KeyError, OverflowError, struct.error):
@@ -59,7 +59,7 @@ def triangulated_ply(data: bytes) -> bytes:
 
 
 def header_size(data: bytes) -> int:
-    """Return the number of bytes of the header of a .ply file, with the end of its last line."""
+    """Return the number of bytes of the header of a .ply file, including the end of its last line."""
     at = data.find(b"end_header")
     if at < 0:
         raise _UnknownLayoutError
@@ -260,6 +260,6 @@ def _packed(row: list[list[Any]], face: _Element, order: str) -> bytes:
 
 
 def _header(lines: list[str], face: _Element, count: int) -> bytes:
-    """Return the header with another number of faces."""
+    """Return the header of the file with the number of faces changed to ``count``."""
     old = next(line for line in lines if line.split()[:2] == ["element", face.name])
     return "".join(f"{f'element {face.name} {count}' if line is old else line}\n" for line in lines).encode()

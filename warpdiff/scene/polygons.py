@@ -1,4 +1,4 @@
-"""Concave polygons of mesh files, cut into triangles by mapbox_earcut. Other polygons are cut into fans."""
+"""Triangulation of the polygons of mesh files: mapbox_earcut cuts concave polygons, and other polygons are fans."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# A corner is concave if the sine of its turn, times the lengths of its two edges, is below this negative share of the
-# square of the polygon's longest edge. The turn is positive at the corners of a convex polygon. Choice: the magnitude
-# is larger than rounding errors of float32, so that corners on a straight line do not count as concave.
+# A corner is concave if the sine of its turn, times the lengths of its two edges, divided by the square of the
+# polygon's longest edge, is below this negative number. The turn is positive at the corners of a convex polygon. The
+# magnitude was chosen above the rounding errors of float32, so that corners on a straight line do not count as concave.
 _CONCAVE = -1e-6
 
 
@@ -32,7 +32,7 @@ def are_concave(polygons: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def concave(corners: dict[int, NDArray[np.int64]], positions: NDArray[np.float64]) -> list[int]:
-    """Return the sorted numbers of concave polygons. Polygons with indices beyond the vertices do not count.
+    """Return the sorted numbers of concave polygons. Polygons with an index beyond the vertices are ignored.
 
     Args:
         corners: Vertex indices of the corners of each polygon, by the polygon's number.
@@ -59,7 +59,7 @@ def triangulated(polygon: NDArray[np.float64]) -> NDArray[np.int64]:
 
     normal = _normals(polygon[None])[0]
     axis = int(np.argmax(np.abs(normal)))
-    # The polygon is projected along the axis closest to its normal, and keeps its orientation.
+    # The polygon is projected along the coordinate axis that is closest to its normal. Its orientation does not change.
     first, second = (axis + 1) % 3, (axis + 2) % 3
     flat = np.ascontiguousarray(polygon[:, [first, second] if normal[axis] > 0.0 else [second, first]])
     triangles = mapbox_earcut.triangulate_float64(flat, np.array([len(flat)], dtype=np.uint32))

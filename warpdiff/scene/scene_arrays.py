@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     from warpdiff.scene.textures import MaterialMaps, Texture, TextureImages
 
 _Name = TypeVar("_Name", bound="Hashable")
-# First words of the label by which messages name a geometry of a scene; the name of the geometry follows.
+# Beginning of the label by which messages name a geometry of a scene. The name of the geometry follows it.
 _GEOMETRY = f"{ref('mesh')}'s geometry "
 
 
 @dataclass(frozen=True, eq=False)
 class PartAppearance:
-    """Appearance of a material on a part of a scene. Parts with the same material differ in what they can sample.
+    """Appearance of a material on a part of a scene. It depends on the textures that can be sampled on this part.
 
     Attributes:
         material: Appearance of the material in the file.
-        texture: Base-colour texture; None without one, or on a part without its texture coordinates.
+        texture: Base-colour texture; None if there is none, or if the part lacks the texture's coordinates.
         cutoff: Alpha below which rays pass through faces. It is 0 for opaque faces, and negative for faces that are
             blended with their background.
         has_map_uvs: Whether the part has the texture coordinates of the texture of metallic and roughness, and those of
@@ -56,8 +56,8 @@ class SceneArrays:
     """Arrays of one part of a scene, or of a whole scene, in world coordinates.
 
     Some vertices of the input are duplicated. For each vertex, ``source`` has the index of the input vertex, and
-    ``count`` is the number of input vertices. Each name of ``geometry_names`` and ``material_names`` has its index in
-    ``geometries`` and ``materials``, which have an element per face. So has each of the ``appearances`` in ``rows``.
+    ``count`` is the number of input vertices. The arrays ``geometries``, ``materials`` and ``rows`` have one index per
+    face. They are indices of ``geometry_names``, ``material_names`` and ``appearances``.
     """
 
     vertices: NDArray[np.float64]
@@ -144,7 +144,7 @@ def _check(entry: ScenePart, label: str) -> None:
 
 
 def _sound(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return normals, or tangents with their handedness, with unit vectors; those that are not finite become zero."""
+    """Return normals, or tangents with their handedness, as unit vectors; vectors that are not finite become zero."""
     result = np.where(np.isfinite(vectors), vectors, 0.0)
     result[:, :3] = unit(result[:, :3].T).T
     return np.asarray(result)
@@ -160,11 +160,11 @@ def _of_part(part: ScenePart, material: Appearance, texture: Texture | None, cut
 
 
 def uvs_at(part: ScenePart, texture: TextureMap | None, label: str) -> NDArray[np.float64] | None:
-    """Return the coordinates at which a texture is sampled, shape (n, 2), or None without any.
+    """Return the coordinates at which a texture is sampled, shape (n, 2); None if the part lacks them.
 
     Args:
         part: Part of a scene.
-        texture: The texture; None has the first texture coordinates, without a transform.
+        texture: The texture. None stands for the first texture coordinates without a transform.
         label: Label of the part for messages.
     """
     uvs = part.uvs.get(0 if texture is None else texture.uv_set)
@@ -208,7 +208,7 @@ def _take_colours(entry: ScenePart, part: SceneArrays, images: TextureImages) ->
 
 
 def _cutoff(appearance: Appearance, least: float) -> float:
-    """Return the cut-off of a material on a part with a least alpha; 0 if no alpha is below the material's cut-off."""
+    """Return the cut-off of a material on a part; 0 if ``least``, the smallest alpha of the part, is not below it."""
     if appearance.alpha_mode == "opaque":
         return 0.0
     if appearance.alpha_mode == "blend":
@@ -243,7 +243,10 @@ def warn_of_features(parts: list[ScenePart], not_sampled: Mapping[str, Sequence[
 
 
 def joined(parts: list[SceneArrays]) -> SceneArrays:
-    """Join the parts of a scene to one part. Missing values become NaN; colours are −1 at vertices with a texture."""
+    """Join the parts of a scene to one part.
+
+    Missing values become NaN. Colours become −1 at vertices whose base colour is that of a texture.
+    """
     if len(parts) == 1:
         return parts[0]
     geometry_names, geometries = _joined_names([(part.geometry_names, part.geometries) for part in parts])
@@ -293,8 +296,8 @@ def joined(parts: list[SceneArrays]) -> SceneArrays:
 def with_missing_colours(scene: SceneArrays, is_plain: NDArray[np.bool_]) -> SceneArrays:
     """Return a scene with a colour at each vertex, if any vertex has a colour or a texture.
 
-    Parts without a colour then look as they do alone: plain ones are white, and those with a height field have no
-    pigment, which is black.
+    Parts without a colour then look as they do alone. Plain parts are white. Parts with a height field have the base
+    colour black, which is no pigment.
 
     Args:
         scene: Joined parts of a scene.
@@ -310,7 +313,7 @@ def with_missing_colours(scene: SceneArrays, is_plain: NDArray[np.bool_]) -> Sce
 def _joined_names(
     parts: list[tuple[tuple[_Name, ...], NDArray[np.int32]]],
 ) -> tuple[tuple[_Name, ...], NDArray[np.int32]]:
-    """Return the names of all parts, and the index of each face's name among them; −1 stays."""
+    """Return the names of all parts, and for each face the index of its name among them; −1 is unchanged."""
     numbers: dict[_Name, int] = {}
     joined = []
     for names, indices in parts:

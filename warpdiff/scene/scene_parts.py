@@ -1,4 +1,4 @@
-"""Parts of a scene, as every reader of mesh files returns them: placed triangles and the appearance of materials."""
+"""Parts of a scene, as every reader of mesh files returns them: triangles with their transform, and materials."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class TextureMap:
     """Image that a material uses, and how texture coordinates address it.
 
     Attributes:
-        image: The image, row 0 at v = 1; None if it cannot be read.
+        image: The image, whose row 0 is at v = 1; None if it cannot be read.
         uv_set: Number of the set of texture coordinates.
         transform: Matrix that maps (u, v, 1) to the coordinates in the image, v upwards, shape (2, 3).
         wrap: Continuation outside of the image along u and along v.
@@ -48,14 +48,14 @@ class Appearance:
         base_colour: Linear RGBA that multiplies the base-colour texture; None without a colour.
         base_texture: Base-colour texture, or None.
         fallback_colour: Linear RGBA that replaces ``base_colour`` if the texture cannot be used, or None.
-        metallic: Share of metal, 0 to 1.
+        metallic: Metallic of the metallic-roughness model, 0 to 1.
         roughness: Perceptual roughness, 0 to 1. None is a matte material without specular reflection, for which
             ``metallic`` has no effect.
-        metallic_roughness_texture: Texture with roughness in green and metallic in blue, which multiply the two
-            numbers above, or None.
+        metallic_roughness_texture: Texture with roughness in green and metallic in blue, which multiply ``roughness``
+            and ``metallic``, or None.
         emission: Emitted linear RGB.
         emission_texture: Texture that multiplies ``emission``, or None.
-        alpha_mode: Whether the alpha of the base colour is ignored, compared with ``alpha_cutoff``, or mixes the
+        alpha_mode: Use of the alpha of the base colour: it is ignored, compared with ``alpha_cutoff``, or mixes the
             surface with its background.
         alpha_cutoff: Smallest alpha at which a surface with the mode "mask" is visible.
         is_double_sided: Whether faces are visible from both sides.
@@ -128,7 +128,7 @@ class ScenePart:
         )  # fmt: skip
 
     def with_separate_corners(self) -> ScenePart:
-        """Return the part with vertices of its own for each face, in the order of faces and corners."""
+        """Return the part with separate vertices for each face, in the order of the faces and their corners."""
         corner = self.faces.ravel()
 
         def at_corners(values: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
@@ -142,16 +142,16 @@ class ScenePart:
 
 
 def unique_names(names: Iterable[str | None], kind: str) -> list[str]:
-    """Return names that differ: "(2)" follows the second one of a kind, and unnamed ones get their number.
+    """Return names that are all different: "(2)" is appended to the second equal name, and missing names get a number.
 
     Args:
         names: Names in the file; None or empty if unnamed.
-        kind: Word before the number of an unnamed one, such as "mesh".
+        kind: Word before the number that replaces a missing name, such as "mesh".
     """
     result: list[str] = []
     used: set[str] = set()
-    # Equal names get a number in brackets. The last number that each name has got is stored here. The search for a free
-    # number then begins after it, and is fast for many equal names.
+    # Equal names get a number in brackets. The dictionary has the last number that each name has got. The search for a
+    # free number begins after this number, so that it is fast for many equal names.
     last: dict[str, int] = {}
     for index, name in enumerate(names):
         base = name or f"{kind} {index}"

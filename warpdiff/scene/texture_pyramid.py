@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def sizes(height: int, width: int) -> list[tuple[int, int]]:
-    """Return the heights and widths of all levels of a pyramid: halves, rounded up, until one texel is left."""
+    """Return height and width of each level of a pyramid: half of the previous level, rounded up, down to 1."""
     result = [(height, width)]
     while max(result[-1]) > 1:
         height, width = result[-1]
@@ -22,7 +22,7 @@ def sizes(height: int, width: int) -> list[tuple[int, int]]:
 def pyramid(texels: NDArray[np.float32]) -> list[NDArray[np.float32]]:
     """Return all levels of the pyramid of an image, shape (h, w, channels); the first level is the image.
 
-    A texel of a level is the mean of the previous level over its area. Levels therefore have the mean of the image.
+    A texel of a level is the mean of the previous level over its area. Every level therefore has the same mean.
     """
     levels = [texels]
     for height, width in sizes(*texels.shape[:2])[1:]:
@@ -31,11 +31,13 @@ def pyramid(texels: NDArray[np.float32]) -> list[NDArray[np.float32]]:
 
 
 def mean_products(one: NDArray[np.float32], two: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the mean product of two images over each texel, where both are interpolated bilinearly, shape (h, w).
+    """Return the mean over each texel of the product of two images, shape (h, w).
 
-    Images are continued by repetition.
+    Both images are interpolated bilinearly, and are repeated beyond their edges.
     """
-    # Means of (1 − x)², x (1 − x) and x² over the half of a texel next to another one, where 0 < x < 1/2.
+    # Bilinear interpolation at the distance x from a texel's centre has the weights 1 − x and x, with 0 < x < 1/2
+    # inside the texel. The numbers are twice the integrals of (1 − x)², x (1 − x) and x² over this range: means over
+    # half a texel.
     own, mixed, other = 7.0 / 12.0, 1.0 / 6.0, 1.0 / 12.0
 
     def along_rows(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -54,7 +56,7 @@ def mean_products(one: NDArray[np.float32], two: NDArray[np.float32]) -> NDArray
 
 
 def _reduced(texels: NDArray[np.float32], size: int, axis: int) -> NDArray[np.float32]:
-    """Return means over ``size`` equal parts of an axis, where texels at the edges of a part count by their share."""
+    """Return means over ``size`` equal parts of an axis. A texel that is partly in a part counts by its overlap."""
     before = texels.shape[axis]
     if before == size:
         return texels
@@ -62,8 +64,8 @@ def _reduced(texels: NDArray[np.float32], size: int, axis: int) -> NDArray[np.fl
     if before == 2 * size:
         reduced = 0.5 * (lines[0::2] + lines[1::2])
     else:
-        # The number of texels is odd, 2 n − 1 for n parts. Each part overlaps two texels or, near a texel's middle,
-        # three of them.
+        # The number of texels is odd: 2 n − 1 texels for n parts. Each part overlaps two texels, or three texels if it
+        # begins near the middle of a texel.
         edges = np.arange(size + 1) * (before / size)
         first = np.minimum(edges[:-1].astype(np.int64), before - 1)
         reduced = np.zeros((size, *lines.shape[1:]), np.float32)

@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from warpdiff.scene.scene_parts import Wrap
     from warpdiff.scene.textures import MaterialMaps, Texture
 
-# Size of a texel, and memory for the reductions of an image while they are made, per texel of the image [bytes].
-# Derived: four float32; a third of it for all reductions, and half of it for the first one before it is halved again.
+# Size of a texel [bytes]: four float32. Memory per texel of an image while its reductions are made [bytes]: a third of
+# a texel for all reductions, and half of a texel for the first reduction before it is halved along the second axis.
 _BYTES_PER_TEXEL, _BYTES_OF_REDUCTIONS = 16.0, 16.0 / 3.0 + 8.0
-# Codes of continuations, as in kernels/native/textures.h.
+# Codes of the wrap modes of textures, as in kernels/native/textures.h.
 _WRAPS: dict[Wrap, int] = {"repeat": 0, "clamp": 1, "mirror": 2}
 
 
@@ -38,7 +38,8 @@ def table_of(
         of_base_colour: Texture of each row's base colour; None without one.
         rows: Row of each face; −1 without a material.
         device: Warp device.
-        maps: Textures of metallic, roughness and emission; None without any. Their coordinates are not in the result.
+        maps: Textures of metallic, roughness and emission; None if there are none. The result does not contain their
+            texture coordinates.
 
     Raises:
         MemoryError: The pyramids require more memory than is free, or more than 2,147,483,647 texels.
@@ -85,7 +86,7 @@ def _require_texels(count: int, largest: int) -> None:
 
     Args:
         count: Number of texels of all pyramids.
-        largest: Number of texels of the largest image, whose pyramid is on the host while it is copied.
+        largest: Number of texels of the largest image. Its pyramid is also in host memory while it is copied.
     """
     what = f"the textures of {ref('mesh')}, {count} texels with their reductions,"
     needed = _BYTES_PER_TEXEL * count + _BYTES_OF_REDUCTIONS * largest

@@ -1,4 +1,4 @@
-"""Textures of a scene: decoded images times constant colours."""
+"""Textures of a scene: decoded images, multiplied by constant colours."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 
     from warpdiff.scene.scene_parts import TextureMap, Wrap
 
-# Memory for a texel of an image: 16 bytes decoded, 21.3 bytes for its pyramid on the device and as much while it is
-# made, and 8 bytes while it is decoded. If doubled, scenes that would fit are refused.
+# Memory per texel of an image [bytes]: 16 for the decoded image, 21.3 for its pyramid on the device, as much while the
+# pyramid is made, and 8 while the image is decoded. If doubled, scenes that would fit are refused.
 _BYTES_PER_TEXEL = 67.0
-# Memory for a texel of an image that is multiplied by a colour: 32 bytes in double precision, 16 bytes for the result,
-# and 16 bytes on the device with its reductions. If doubled, scenes that would fit are refused.
+# Memory per texel of an image that is multiplied by a colour [bytes]: 32 in double precision, 16 for the result, and
+# about 21 on the device with its reductions. If doubled, scenes that would fit are refused.
 _BYTES_PER_PRODUCT = 70.0
 
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """Image times a constant colour.
+    """Image that is multiplied by a constant colour.
 
     Attributes:
         texels: Linear RGBA, row 0 at v = 1, shape (h, w, 4), float32.
@@ -49,9 +49,9 @@ class MaterialMaps:
     Attributes:
         metallic_roughness: Texture with roughness in green and metallic in blue, linear; None where a row has none.
         emission: Texture of emission; None where a row has none.
-        metallic_roughness_uvs: Texture coordinates of the first ones, shape (n, 2); NaN at vertices without them. None
-            if they are those of the base colour.
-        emission_uvs: Texture coordinates of the textures of emission.
+        metallic_roughness_uvs: Texture coordinates of the textures in ``metallic_roughness``, shape (n, 2); NaN at
+            vertices without them. None if they are the texture coordinates of the base colour.
+        emission_uvs: Texture coordinates of the textures in ``emission``, in the same form.
     """
 
     metallic_roughness: tuple[Texture | None, ...]
@@ -63,7 +63,7 @@ class MaterialMaps:
         """Return the maps of a mesh with other vertices.
 
         Args:
-            index: Index of each new vertex among the present ones.
+            index: For each new vertex, the index of the present vertex from which it comes.
             uvs: Texture coordinates of the base colour at the new vertices, shape (n, 2).
         """
 
@@ -80,7 +80,7 @@ class MaterialMaps:
 
 
 class TextureImages:
-    """Decoded images of a scene. Equal images times equal colours are stored once."""
+    """Decoded images of a scene, multiplied by colours. Equal images with equal colours are stored once."""
 
     def __init__(self) -> None:
         self._decoded: list[tuple[Image.Image, bool, NDArray[np.float32] | None]] = []
@@ -88,14 +88,14 @@ class TextureImages:
         self._textures: list[tuple[NDArray[np.float32], NDArray[np.float64], Texture]] = []
 
     def texture(self, source: TextureMap, colour: Sequence[float], *, is_roughness: bool = False) -> Texture | None:
-        """Return an image times a linear RGBA, or None with a warning if the image is damaged.
+        """Return an image multiplied by a linear RGBA colour, or None with a warning if the image is damaged.
 
         Args:
-            source: The image and its addressing.
+            source: The image, and how texture coordinates address it.
             colour: Linear RGBA.
             is_roughness: Whether the image has roughness in green and metallic in blue, which are linear. The texture
-                then has means over each texel in red and alpha: of the squared roughness, and of roughness times
-                metallic.
+                then has two further values in red and alpha, as means over each texel: the squared roughness, and the
+                product of roughness and metallic.
 
         Raises:
             MemoryError: The image requires more memory than is free.

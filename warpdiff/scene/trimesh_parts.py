@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from warpdiff.scene.scene_parts import AlphaMode
 
 _WHITE = (1.0, 1.0, 1.0, 1.0)
-# Textures of materials of trimesh that have no effect on pictures, by their attributes.
+# Textures of trimesh's materials that have no effect on pictures: names for messages, by attribute.
 _PBR_MAPS = {"normalTexture": "normal map", "occlusionTexture": "occlusion"}
-# Features of materials in .mtl files that have no effect on pictures, by their keys.
+# Features of materials in .mtl files that have no effect on pictures: names for messages, by key.
 _MTL_MAPS = {
     "map_d": "texture of transparency", "map_pm": "texture of metallic", "map_pr": "texture of roughness",
     "map_ke": "texture of emission", "norm": "normal map", "map_bump": "bump map", "bump": "bump map",
 }  # fmt: skip
-# Alpha modes by the names that trimesh uses, which are those of glTF.
+# Alpha modes by trimesh's names of them, which are the names in glTF.
 _ALPHA_MODES: dict[str, AlphaMode] = {"MASK": "mask", "BLEND": "blend"}
 
 
@@ -90,13 +90,13 @@ def _with_colours(part: ScenePart, visual: Any) -> ScenePart:
 
 
 def _linear_rgba(colours: Any) -> NDArray[np.float64]:
-    """Return colours of 8 bits as linear RGBA."""
+    """Convert colours of 8 bits in sRGB to linear RGBA."""
     shares = np.asarray(colours) / 255.0
     return np.concatenate([srgb_decode(shares[:, :3]), shares[:, 3:]], axis=1)
 
 
 def _appearances(meshes: list[Any]) -> list[Appearance | None]:
-    """Return the materials of meshes. Meshes that share a material share its appearance."""
+    """Return the materials of meshes. Meshes with the same material get the same object."""
     materials: list[Any] = []
     numbers = []
     for mesh in meshes:
@@ -168,12 +168,12 @@ def _appearance(material: Any, name: str) -> Appearance:
 
 
 def _map(image: Image.Image | None) -> TextureMap | None:
-    """Return a texture with the default addressing; None without an image."""
+    """Return a texture with the default addressing (first coordinates, repeated); None without an image."""
     return None if image is None else TextureMap(image)
 
 
 def _stated_roughness(material: PBRMaterial) -> float | None:
-    """Return the roughness of a material of trimesh; None if it states neither metallic nor roughness."""
+    """Return the roughness of a material of trimesh; None if the material states neither metallic nor roughness."""
     stated = material.metallicFactor, material.roughnessFactor, material.metallicRoughnessTexture
     if all(value is None for value in stated):
         return None
@@ -181,7 +181,7 @@ def _stated_roughness(material: PBRMaterial) -> float | None:
 
 
 def _emission(values: Any, name: str) -> tuple[float, float, float]:
-    """Return the emission of a material of trimesh; zeros if it states none."""
+    """Return the emission of a material of trimesh; zeros if the material states none."""
     if values is None:
         return (0.0, 0.0, 0.0)
     numbers = np.asarray(values, dtype=np.float64)
@@ -197,8 +197,8 @@ class _MtlFactors(NamedTuple):
     """Factors of a material of an .mtl file.
 
     ``Pm`` and ``Pr`` are the metallic and the roughness of the metallic-roughness model, and ``Ke`` is the emission.
-    ``Ks`` and ``Ns`` belong to the Phong model, whose normalisation the format does not define: materials with these
-    alone are matte.
+    ``Ks`` and ``Ns`` belong to the Phong model, whose normalisation the format does not define. Materials that have
+    only ``Ks`` and ``Ns`` are therefore matte.
     """
 
     colour: tuple[float, float, float] | None
@@ -255,9 +255,9 @@ class _MtlFactors(NamedTuple):
 def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64] | None:
     """Return the vertex normals of the input mesh, shape (n, 3), or None if trimesh computed them.
 
-    trimesh stores normals of the file and computed normals in the same place. If it has computed normals, its cache
-    also has the angles of faces, but these may have been computed for another reason. In this case normals count as
-    computed if they have the values that trimesh would compute.
+    trimesh stores normals of the file and computed normals in the same attribute. If it has computed normals, its cache
+    also has the angles of faces, but these angles may have been computed for another reason. If the cache has angles,
+    normals count as computed if they have the values that trimesh would compute.
     """
     normals = mesh.vertex_normals if "vertex_normals" in mesh._cache else None
     worked_out = normals is None or "face_angles" in mesh._cache
@@ -274,8 +274,8 @@ def _own_normals(mesh: Any, vertices: NDArray[np.float64], faces: NDArray[np.int
     if vertices.ndim != 2 or not len(faces) or not 0 <= faces.min() <= faces.max() < len(vertices):
         return None
     corners = np.ascontiguousarray(faces.T)
-    # Normals of the input are compared with computed ones at the vertices of a few faces first, and at all vertices
-    # only if these agree.
+    # Normals of the input are first compared with computed normals at the vertices of a few faces. Only if these agree,
+    # all vertices are compared.
     some = np.zeros(len(vertices), dtype=np.bool_)
     some[faces[:: len(faces) // 16 + 1]] = True
     for at in (some, np.ones_like(some)):

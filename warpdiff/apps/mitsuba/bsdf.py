@@ -7,9 +7,10 @@ vector. Both look-ups give the absolute BRDF f of ``warpdiff.brdf``:
     f cos θo = R(θd) M (1 + ωi·ωo)² / (cos θi w²) · D.
 
 The unit vectors ωi and ωo point away from the surface along the incoming and the outgoing path, at the angles θi and θo
-the density of the reflected power over (u, v), which integrates to 1. ⟨|P|²⟩ is the diffracted power: P is the Fourier
-transform of exp(2πiκh) for the heights h, and ⟨⟩ is the mean over positions on the surface. For a coherence window of
-standard deviation σ, D is 4πσ²/λ² ⟨|P|²⟩. For a source with the angular spread s, D is ⟨|P|²⟩ / 2πs². Scalar
+from the normal. R is Schlick's power reflectance, θd half of the angle between ωi and ωo, M the masking factor, and D
+the density of the reflected power over (u, v), which integrates to 1. ⟨|P|²⟩ is the
+normalised diffracted power, as in ``warpdiff.brdf``. For a coherence window of standard deviation σ, D is
+4πσ²/λ² ⟨|P|²⟩. For a source with the angular spread s, D is ⟨|P|²⟩ / 2πs². Scalar
 diffraction does not conserve energy, so the reflected power may exceed the incident power. The reflected power divided
 by the incident power is the sum of the efficiencies of ``warpdiff.order_efficiencies``.
 

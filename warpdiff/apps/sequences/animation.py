@@ -60,7 +60,7 @@ def write(target: Path, frames: Sequence[Path], frames_per_second: float) -> Non
 def _opened(path: Path) -> Image:
     from PIL import Image
 
-    with Image.open(path) as picture:
+    with Image.open(path, formats=("PNG",)) as picture:
         picture.load()
         # Pillow cannot write animated files with 16 bits per channel, so that frames are converted to 8 bits.
         return picture.convert("RGBA" if "A" in picture.getbands() else "RGB")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.core import validation
-from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.core.wording import ArgumentValueError, ref, renaming
 from warpdiff.lights.directional import DirectionalLight
 from warpdiff.lights.environment import Environment, with_settings
 from warpdiff.lights.point import PointLight
@@ -60,7 +60,8 @@ class Rotation:
             return replace(light, to_light=tuple((self.matrix @ np.array(light.to_light)).tolist()))
         if type(light) is PointLight:
             position = self.centre + self.matrix @ (np.array(light.position) - self.centre)
-            return replace(light, position=tuple(position.tolist()))
+            with renaming({"position": f"{name}.position"}):
+                return replace(light, position=tuple(position.tolist()))
         if type(light) is not Environment:
             raise ArgumentValueError(
                 f"{ref(name)} must be a DirectionalLight, a PointLight or an Environment to be moved, got "

@@ -19,6 +19,7 @@ from warpdiff.core import files, openimageio, validation
 from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.heightfield.field import HeightField
+from warpdiff.heightfield.grating_map import GratingMap
 from warpdiff.image.display_transform import MEAN_SHOWN, exposure_factor
 from warpdiff.image.picture_files import PNG_END
 from warpdiff.lights.base import LobeLight
@@ -82,8 +83,8 @@ def sequence(
             draws; True shows a bar. Frames that existed before count as finished. An exception that the callable raises
             ends the call.
 
+    Returns:
         Paths of the frames: all frames in the first format in their order, then all frames in the second format.
-        Paths of the frames in order, those of the first format, then those of the second.
 
     Raises:
         ValueError: An argument is not accepted, or the folder contains frames of another sequence.
@@ -220,6 +221,8 @@ def _feed(digest: Any, value: Any) -> None:
     """Add a value to a hash: array, height field, dataclass, mapping, sequence, or any object by its repr."""
     if isinstance(value, HeightField):
         _feed(digest, (value.heights_um, value.pitch_um))
+    elif isinstance(value, GratingMap):
+        _feed(digest, (value.cell, value.turn_deg, value.depth_scale, value.pitch_scale))
     elif isinstance(value, np.ndarray):
         digest.update(repr((value.dtype.str, value.shape)).encode())
         digest.update(np.ascontiguousarray(value).data)
@@ -305,17 +308,17 @@ def _is_whole(path: Path, shot: Shot) -> bool:
     if not path.is_file():
         return False
     with openimageio.in_use() as oiio:
-        source = oiio.ImageInput.open(str(path))
+        source = openimageio.opened(oiio, path, ("openexr", "png"))
         if source is None:
             # OpenImageIO prints unread error messages at the end of the process. Reading the message prevents this.
-            oiio.geterror()
+            openimageio.error_text(oiio)
             return False
         spec = source.spec()
         is_whole = (spec.width, spec.height) == (shot.view.width, shot.view.height)
         if path.suffix == ".exr" and is_whole:
             # The last rows of an EXR file are written last. If they can be read, the file is complete.
             is_whole = source.read_scanlines(spec.height - 1, spec.height, 0, 0, spec.nchannels) is not None
-            source.geterror()
+            openimageio.error_text(source)
         source.close()
     return is_whole and (path.suffix != ".png" or path.read_bytes().endswith(PNG_END))
 

@@ -209,7 +209,13 @@ def camera_path(
     lights = tuple(_check_lights(lights))
     names, rows = _rows(path)
     if count is not None:
-        rows = _between(rows, count)
+        try:
+            rows = _between(rows, count)
+        except ValueError:
+            # SciPy refuses slopes between rows that exceed the largest number.
+            raise ArgumentValueError(
+                f"{ref('path')}: numbers of {str(path)!r} are too large for positions of a camera"
+            ) from None
     shots = []
     for index, row in enumerate(rows.tolist()):
         values: dict[str, Any] = dict(zip(names, row, strict=True))

@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 _BYTES_PER_SAMPLE = 28.0
 
 
+# Names of the accepted formats in OpenImageIO. Other decoders of the library do not read files of heights.
+_FORMATS = (
+    "png", "tiff", "openexr", "bmp", "pnm", "jpeg", "jpeg2000", "webp", "hdr", "dpx", "fits", "gif", "psd", "targa",
+)  # fmt: skip
 _SUFFIXES = (
     ".png", ".tif", ".tiff", ".exr", ".bmp", ".tga", ".pgm", ".pfm", ".pnm", ".jpg", ".jpeg", ".jp2", ".webp", ".hdr",
     ".dpx", ".fits", ".gif", ".psd",
@@ -43,11 +47,11 @@ def image_samples(file: Path) -> np.ndarray:
         # for other formats, OpenImageIO ignores the attribute.
         configuration = oiio.ImageSpec()
         configuration.attribute("pnm:pfmflip", 1)
-        image = oiio.ImageInput.open(str(file), configuration)
+        image = openimageio.opened(oiio, file, _FORMATS, configuration)
         if image is None:
             # The error message is read even if it is not used, because OpenImageIO prints unread messages when the
             # process ends.
-            reason = _unknown(_reason(oiio))
+            reason = _unknown(openimageio.error_text(oiio))
             raise refusal(file, reason if file.suffix.lower() in _SUFFIXES else _OTHER_FORMAT)
         try:
             return _samples_of(image, file)
@@ -71,7 +75,7 @@ def _samples_of(image: Any, file: Path) -> np.ndarray:
     # The type "unknown" means the type of the samples in the file, so that OpenImageIO does not convert them.
     samples = image.read_image("unknown")
     if samples is None or image.has_error:
-        raise refusal(file, f"is damaged ({_reason(image)}); export the image again")
+        raise refusal(file, f"is damaged ({openimageio.error_text(image)}); export the image again")
     if image.seek_subimage(1, 0):
         raise refusal(file, "contains several images; save the one with the heights alone")
     return _upright(np.asarray(samples)[..., 0], spec.getattribute("Orientation"))
@@ -84,14 +88,3 @@ def _upright(samples: np.ndarray, orientation: object) -> np.ndarray:
     turned = {5: samples.T, 6: np.rot90(samples, -1), 7: np.rot90(samples, 2).T, 8: np.rot90(samples)}
     flipped = {2: samples[:, ::-1], 3: samples[::-1, ::-1], 4: samples[::-1]}
     return np.ascontiguousarray((flipped | turned)[orientation])  # type: ignore[index]
-
-
-def _reason(source: Any) -> str:
-    """Return the last message of OpenImageIO as one line.
-
-    The message may quote bytes of the file that are not text. A fixed text is returned for such a message.
-    """
-    try:
-        return " ".join(source.geterror().split())
-    except UnicodeDecodeError:
-        return "its header is damaged"

@@ -102,7 +102,7 @@ class Source(NamedTuple):
         rows: Orientation: ``"down"`` if row 0 of the file is at y = 0, ``"up"`` if row 0 is the top of the picture.
         metadata: Facts about instrument and measurement that the file states, as text by name.
         stated: Arguments by which the caller stated size, unit, channel or orientation, as text by name.
-        clipped: Share of integer samples with the smallest or the largest value of their type; 0 for floating-point
+        clipped: Fraction of integer samples with the smallest or the largest value of their type; 0 for floating-point
             samples.
     """
 
@@ -291,7 +291,7 @@ def _factor(content: FileContent, file: Path, unit: str | None) -> float:
 
 
 def clipped_share(samples: NDArray[Any]) -> float:
-    """Return the share of integer samples with the smallest or largest value of their type; 0 for other samples."""
+    """Return the fraction of integer samples with the smallest or largest value of their type; 0 for other samples."""
     if samples.dtype.kind != "u" or not samples.size:
         return 0.0
     is_extreme = (samples == 0) | (samples == np.iinfo(samples.dtype).max)

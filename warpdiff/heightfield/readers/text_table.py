@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 # Size of the decompressed text above which a file is refused [bytes]: 100 million numbers of ten characters. The limit
 # also stops small compressed files that expand to very large texts.
 MOST_BYTES = 1 << 30
-# The separator and the decimal sign of a text are found by trials on a sample of its lines. The first number is the
-# largest number of lines of this sample, and the second is the largest number of characters. If doubled, the trials
-# take twice as long and have the same results.
+# The separator and the decimal sign of a text are found by trials on a sample of its lines. The sample has at most
+# `_SAMPLE_LINES` lines and `_SAMPLE_CHARACTERS` characters. If doubled, the trials take twice as long and have the same
+# results.
 _SAMPLE_LINES, _SAMPLE_CHARACTERS = 400, 200_000
 # Number of bytes at the beginning of a file that are read to find out whether the file is text.
 _HEAD_BYTES = 4096
@@ -65,13 +65,13 @@ _FORMS: tuple[tuple[str | None, str], ...] = (
 # Thousands signs that are tried, by the decimal sign, after the pairs above without a thousands sign. A no-break space
 # also stands for other kinds of spaces, and is not tried if white space separates the numbers.
 _THOUSANDS = {".": (",", "\xa0"), ",": (".", "\xa0")}
-# Positions of points are assigned to an evenly spaced axis. A rounded position may differ from the axis by at most the
-# first number. Positions with noise that count as equal may spread over at most the second number. Both are shares of
-# the step of the axis. If doubled, more scattered points are taken for a grid.
+# Positions of points are assigned to an evenly spaced axis. A rounded position may differ from the axis by at most
+# `_MOST_ROUNDING`. Positions with noise that count as equal may spread over at most `_MOST_NOISE`. Both numbers are
+# relative to the step of the axis. If doubled, more scattered points are taken for a grid.
 _MOST_ROUNDING, _MOST_NOISE = 0.1, 0.01
-# Positions that are equal up to noise form a group. The number is the smallest gap between two groups, as a share of
-# the largest gap. If doubled, positions with noise are refused if ten neighbouring positions of the axis have no point,
-# instead of twenty.
+# Positions that are equal up to noise form a group. The number is the smallest gap between two groups, relative to the
+# largest gap. With 0.05, positions with noise are refused if twenty neighbouring positions of the axis have no point.
+# If doubled, they are refused if ten neighbouring positions have no point.
 _GROUP_GAP = 0.05
 _LINE_END = re.compile(r"\r\n?|\n")
 

@@ -115,7 +115,9 @@ def measure_layout(path: str | os.PathLike[str]) -> Table:
         raise ArgumentValueError(
             f"{ref('path')} must have one top cell with polygons, got {len(cells)} cells in {file.name!r}"
         )
-    xs, ys = _edges(polygons, 0), _edges(polygons, 1)
+    corners = np.concatenate([polygon.points for polygon in polygons])
+    # Coordinates of all vertices, increasing: the cells between them are covered as a whole or not at all.
+    xs, ys = (np.unique(np.round(corners[:, axis], _DIGITS)) for axis in (0, 1))
     rows: list[tuple[float, ...]] = []
     for layer in sorted({polygon.layer for polygon in polygons}):
         own = [polygon for polygon in polygons if polygon.layer == layer]
@@ -132,12 +134,6 @@ def measure_layout(path: str | os.PathLike[str]) -> Table:
     )  # fmt: skip
     columns = dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True))
     return Table(columns)
-
-
-def _edges(polygons: list[Any], axis: int) -> NDArray[np.float64]:
-    """Return the different coordinates of all vertices along an axis [µm], in increasing order."""
-    points = np.concatenate([polygon.points[:, axis] for polygon in polygons])
-    return np.unique(np.round(points, _DIGITS))
 
 
 def _fill(

@@ -18,22 +18,22 @@ if TYPE_CHECKING:
 
 # Component types by their number in the format.
 _DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-# Number of components of each type that vertices, indices and instances have.
+# Number of components of an element, for the types that vertices, indices and instances use.
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-# Size of a number in the arrays that are returned [bytes]. Derived: they are float64 or int64.
+# Size of a number in the arrays that are returned [bytes]. They are float64 or int64.
 _BYTES_PER_NUMBER = 8
 
 
 def normalised(values: NDArray[Any], largest: float) -> NDArray[np.float64]:
-    """Return integers as shares of the largest one, at least −1."""
+    """Return integers divided by the largest integer of their type; the result is at least −1."""
     return np.asarray(np.maximum(values.astype(np.float64) / largest, -1.0))
 
 
 class Accessors:
-    """Accessors of a file."""
+    """Accessors of a glTF file, which describe the arrays in its buffers."""
 
     def __init__(self, container: Container) -> None:
-        """Keep the contents of a glTF file, whose arrays are read later."""
+        """Store the container of a glTF file. Arrays are read from it later."""
         self._container = container
         self._elements = container.root.elements("accessors")
 
@@ -45,19 +45,19 @@ class Accessors:
 
         Args:
             index: Index of the accessor.
-            bytes_each: Memory that each element requires later if the file has no data that confirms the number.
+            bytes_each: Memory that each element requires later [bytes], for files without data that confirm the number.
         """
         accessor = self._elements[index]
         count = accessor.integer("count", least=1)
         if "bufferView" in accessor:
             self._rows(accessor, count, _dtype(accessor), _WIDTHS.get(accessor.text("type"), 1))
         elif (needed := bytes_each * count) > memory.available():
-            # No data of the file confirms this count, so that it is damaged rather than large.
+            # The file has no data of this size. The number is therefore probably damaged, and the file is not large.
             accessor.refuse("count", f"must fit into memory, got {count}, which require {needed / 1e9:.2g} GB")
         return count
 
     def is_normalised(self, index: int) -> bool:
-        """Return whether integers of an accessor stand for shares of the largest one."""
+        """Return whether integers of an accessor stand for themselves divided by the largest integer of their type."""
         return self._elements[index].flag("normalized", default=False)
 
     def place(self, index: int) -> str:
@@ -70,7 +70,7 @@ class Accessors:
         Args:
             index: Index of the accessor.
             widths: Accepted numbers of components.
-            normalise: Whether integers always stand for shares of the largest one.
+            normalise: Whether integers are always divided by the largest integer of their type.
         """
         values = self._read(index, widths)
         if values.dtype.kind != "f" and (normalise or self.is_normalised(index)):
@@ -116,7 +116,8 @@ class Accessors:
         data = self._container.view(view)
         size = dtype.itemsize * width
         offset = element.integer("byteOffset", 0)
-        # The format states that the stride is in the buffer view, and that only vertex attributes have one.
+        # By the format, the buffer view states the stride (distance of elements), and only vertex attributes have
+        # one.
         stride = self._container.stride(view) or size
         if stride < size:
             refuse(f"bufferViews[{view}].byteStride", f"must be at least {size}, got {stride}")

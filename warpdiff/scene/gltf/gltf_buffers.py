@@ -1,4 +1,4 @@
-"""Container of a glTF file (.gltf or .glb), and the files and data URIs that it refers to."""
+"""Container of a glTF file (.gltf or .glb): its JSON, its buffers, and the files and data URIs to which it refers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class UnreadableUriError(ValueError):
 
 
 class Container:
-    """JSON of a file, and its buffers, which are read at their first use.
+    """JSON of a glTF file, and its buffers, which are read when they are first used.
 
     Attributes:
         name: Name of the file.
@@ -68,7 +68,7 @@ class Container:
         return buffer[begin : begin + size]
 
     def stride(self, index: int) -> int | None:
-        """Return the distance of the elements in a buffer view [bytes], or None if they adjoin."""
+        """Return the distance of neighbouring elements in a buffer view [bytes]; None if there are no gaps."""
         view = self.views[index]
         return view.integer("byteStride", least=1) if "byteStride" in view else None
 
@@ -76,7 +76,7 @@ class Container:
         """Return the content of a data URI, or of a file in the folder of the glTF file.
 
         Raises:
-            UnreadableUriError: It cannot be read. The message is the reason.
+            UnreadableUriError: The URI cannot be read. The message is the reason.
         """
         if uri.startswith("data:"):
             return _data_of(uri)
@@ -88,14 +88,14 @@ class Container:
             raise UnreadableUriError(error.strerror or str(error)) from None
 
     def _path_of(self, uri: str) -> Path:
-        """Return the path of a file in the folder of the glTF file, which fits into memory."""
+        """Return the path of a file in the folder of the glTF file, after a check that it fits into memory."""
         if _ADDRESS.match(uri):
             raise UnreadableUriError("it lies outside the mesh's folder")
         try:
             file = (self._folder / urllib.parse.unquote(uri)).resolve()
             size = file.stat().st_size if file.is_relative_to(self._folder) else 0
         except ValueError as error:
-            # Names with NUL characters cause a ValueError.
+            # A name with a NUL character raises a ValueError in ``pathlib``.
             raise UnreadableUriError(str(error)) from None
         if not file.is_relative_to(self._folder):
             raise UnreadableUriError("it lies outside the mesh's folder")
@@ -138,14 +138,14 @@ class Container:
         return self._contents[index]
 
     def _is_placeholder(self, view: Element) -> bool:
-        """Whether the buffer of a compressed view has no uncompressed data."""
+        """Whether the buffer of a compressed view is only a placeholder without uncompressed data."""
         number = view.integer("buffer", most=len(self._buffers) - 1)
         buffer = self._buffers[number]
         return "uri" not in buffer and not (number == 0 and self._binary is not None)
 
 
 def _chunks(data: bytes) -> Iterator[tuple[int, memoryview]]:
-    """Yield type and content of each chunk of a .glb file."""
+    """Yield the type and the content of each chunk of a .glb file."""
     if len(data) < 20:
         refuse("its header", f"must have 20 bytes, got {len(data)}; the file may be truncated")
     version, total = struct.unpack_from("<II", data, 4)

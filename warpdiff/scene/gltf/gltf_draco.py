@@ -25,13 +25,13 @@ _LARGEST = {1: 127.0, 2: 255.0, 3: 32767.0, 4: 65535.0}
 def decoded_primitive(
     compressed: Element, attributes: dict[str, int], container: Container, accessors: Accessors
 ) -> tuple[NDArray[np.int64], dict[str, NDArray[np.float64]]]:
-    """Return the vertex indices of the corners of triangles, and the compressed attributes by name.
+    """Decode a primitive: return the vertex indices of the corners of triangles, and the decoded attributes by name.
 
     Args:
         compressed: Object of the extension.
         attributes: Indices of the accessors of the primitive's attributes, by name.
         container: Buffers of the file.
-        accessors: Accessors of the file. They state which integers are normalised.
+        accessors: Accessors of the file, which state the attributes whose integers are normalised.
     """
     try:
         import DracoPy
@@ -46,7 +46,7 @@ def decoded_primitive(
         mesh = DracoPy.decode(bytes(data))
         faces = np.asarray(mesh.faces).astype(np.int64).reshape(-1)
     except Exception as error:
-        # DracoPy raises errors of its own classes for damaged data, and others.
+        # For damaged data, DracoPy raises errors of its own classes and of other classes. All are caught.
         refuse(compressed.place, f"must be sound Draco data: {str(error) or type(error).__name__}")
     numbers = compressed.stated_element("attributes")
     result = {}
@@ -61,7 +61,7 @@ def decoded_primitive(
             values = values.reshape(len(values), -1).astype(np.float64)
         except Exception as error:
             numbers.refuse(name, f"must be an attribute of the Draco data: {str(error) or type(error).__name__}")
-        # DracoPy returns integers as float32, so that the type is read from the attribute.
+        # DracoPy returns integers as float32. The type in the file is therefore read from the attribute.
         is_share = name.startswith("COLOR") or accessors.is_normalised(attributes[name])
         result[name] = normalised(values, _LARGEST[kind]) if is_share and kind in _LARGEST else values
     return faces, result

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from warpdiff.scene.scene_parts import AlphaMode, Wrap
 
 _SPECULAR_GLOSSINESS = "KHR_materials_pbrSpecularGlossiness"
-# Extensions of textures with images that Pillow reads.
+# Names of extensions of textures whose images Pillow can read.
 _IMAGE_EXTENSIONS = ("EXT_texture_webp", "EXT_texture_avif")
 _WRAPS: dict[int, Wrap] = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
 # Features of materials that have no effect on pictures, by the names of their extensions.
@@ -39,14 +39,14 @@ _NOT_RENDERED = {
     "KHR_materials_volume": "volume",
     _SPECULAR_GLOSSINESS: "specular colour",
 }
-# Index of refraction of dielectric materials (specification, appendix B); other indices have no effect.
+# Index of refraction that the format specifies for dielectric materials (appendix B). Other indices have no effect.
 _IOR = 1.5
-# Extensions of materials that are read, or change nothing alone.
+# Names of extensions of materials that are read, or that have no effect on their own.
 _READ = ("KHR_materials_emissive_strength", "KHR_materials_ior")
 
 
 class Materials:
-    """Materials of a file. Images are opened at their first use, and their pixels are decoded later.
+    """Materials of a glTF file. Images are opened when they are first used, and their pixels are decoded later.
 
     Attributes:
         names: Names of the materials, which all differ.
@@ -55,7 +55,7 @@ class Materials:
     """
 
     def __init__(self, container: Container) -> None:
-        """Use the materials of a file."""
+        """Store the container of a glTF file. Materials are read from it later."""
         root = container.root
         self._container = container
         self._elements = root.elements("materials")
@@ -71,7 +71,7 @@ class Materials:
         return len(self._elements)
 
     def appearance(self, index: int) -> Appearance:
-        """Return a material."""
+        """Return the material with an index."""
         if index not in self._appearances:
             self._appearances[index] = self._appearance(index)
         return self._appearances[index]
@@ -103,14 +103,14 @@ class Materials:
         )  # fmt: skip
 
     def normal_uv_set(self, index: int) -> int:
-        """Return the number of the texture coordinates of a material's normal map; tangents belong to these."""
+        """Return the number of the set of texture coordinates of a material's normal map, to which tangents belong."""
         reference = self._elements[index].element("normalTexture")
         return 0 if reference is None else _uv_set(reference)
 
     def _base(
         self, owner: Element, factor: str, texture: str
     ) -> tuple[tuple[float, float, float, float] | None, TextureMap | None]:
-        """Return base colour and texture. A material that states no colour, or no readable texture, has no colour."""
+        """Return base colour and texture. The colour is None if none is stated, or if no texture can be read."""
         image = self._texture(owner, texture)
         if factor not in owner and (image is None or image.image is None):
             return None, image
@@ -118,7 +118,7 @@ class Materials:
         return (red, green, blue, alpha), image
 
     def _texture(self, owner: Element, name: str) -> TextureMap | None:
-        """Return a texture that a material refers to, or None."""
+        """Return the texture to which a material refers under a name, or None."""
         reference = owner.element(name)
         if reference is None:
             return None
@@ -131,7 +131,7 @@ class Materials:
         return TextureMap(self._image_of(texture), _uv_set(reference), _uv_transform(reference), wrap)
 
     def _image_of(self, texture: Element) -> Image.Image | None:
-        """Return the image of a texture, or None if the file has none that can be read."""
+        """Return the image of a texture, or None if the texture has no image that can be read."""
         source = texture.index("source", len(self._images))
         for name in _IMAGE_EXTENSIONS:
             extension = texture.extension(name)
@@ -145,7 +145,7 @@ class Materials:
         return None
 
     def _image(self, index: int) -> Image.Image | None:
-        """Return an image, or None if it cannot be read."""
+        """Return the image with an index, or None if it cannot be read."""
         if index not in self._opened:
             image = self._images[index]
             uri = image.text("uri")
@@ -161,14 +161,14 @@ class Materials:
             except (UnreadableUriError, OSError) as error:
                 self.ignored[label] = str(error)
             if result is not None:
-                # The name is stored for warnings about pixels that cannot be decoded.
+                # The name is stored in the image for warnings about pixels that cannot be decoded later.
                 result.info["file_path"] = uri if is_file else f"an image in {self._container.name}"
             self._opened[index] = result
         return self._opened[index]
 
 
 def _uv_set(reference: Element) -> int:
-    """Return the number of the texture coordinates that a reference to a texture uses."""
+    """Return the number of the set of texture coordinates that a reference to a texture uses."""
     number = reference.integer("texCoord", 0)
     transform = reference.extension("KHR_texture_transform")
     return number if transform is None else transform.integer("texCoord", number)
@@ -182,7 +182,7 @@ def _uv_transform(reference: Element) -> NDArray[np.float64]:
     (u0, v0), (su, sv) = transform.numbers("offset", (0.0, 0.0)), transform.numbers("scale", (1.0, 1.0))
     angle = transform.number("rotation", 0.0)
     cosine, sine = math.cos(angle), math.sin(angle)
-    # The format states these six numbers for v downwards, which is 1 − v upwards.
+    # The format states the six numbers of this matrix for v downwards. Here v is upwards, and replaces 1 − v.
     a, b, d, e = cosine * su, sine * sv, -sine * su, cosine * sv
     return np.array([[a, -b, b + u0], [-d, e, 1.0 - e - v0]])
 

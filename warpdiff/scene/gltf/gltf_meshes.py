@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 # Measured peak memory while a mesh without normals is read and prepared [bytes per corner of a triangle]; a mesh with
 # normals requires 160. If doubled, meshes that would fit are refused.
 BYTES_PER_CORNER = 540.0
-# Modes of primitives in the format.
+# Numbers of the modes of primitives that are read, as in the format.
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _UV_SET = re.compile(r"TEXCOORD_([0-7])")
 
 
 class Meshes:
-    """Meshes of a file. Primitives are read at their first use.
+    """Meshes of a glTF file. Primitives are read when they are first used.
 
     Attributes:
         names: Names of the meshes, which all differ.
@@ -37,7 +37,7 @@ class Meshes:
     """
 
     def __init__(self, container: Container, accessors: Accessors, materials: Materials) -> None:
-        """Use the meshes of a file."""
+        """Store the container, the accessors and the materials of a glTF file. Meshes are read from them later."""
         self._container, self._accessors, self._materials = container, accessors, materials
         self._elements = container.root.elements("meshes")
         self._parts: dict[tuple[int, tuple[float, ...]], list[ScenePart]] = {}
@@ -48,7 +48,7 @@ class Meshes:
         return len(self._elements)
 
     def size(self, index: int) -> int:
-        """Return how many corners the triangles of a mesh have at most, as the file states it without its data."""
+        """Return the largest possible number of corners of a mesh's triangles, from the JSON of the file alone."""
         corners = 0
         for primitive in self._elements[index].elements("primitives"):
             accessor = primitive.index("indices", len(self._accessors))
@@ -145,7 +145,7 @@ class Meshes:
         return appearance
 
     def _normal_uv_set(self, primitive: Element) -> int:
-        """Return the number of the texture coordinates to which the tangents of a primitive belong."""
+        """Return the number of the set of texture coordinates to which the tangents of a primitive belong."""
         number = primitive.index("material", len(self._materials))
         return 0 if number is None else self._materials.normal_uv_set(number)
 
@@ -166,14 +166,14 @@ class Meshes:
 
 
 def _widths(name: str) -> tuple[int, ...]:
-    """Return the accepted numbers of components of an attribute; none if the attribute is not read."""
+    """Return the accepted numbers of components of an attribute; an empty tuple if the attribute is not read."""
     if _UV_SET.fullmatch(name):
         return (2,)
     return {"POSITION": (3,), "NORMAL": (3,), "TANGENT": (4,), "COLOR_0": (3, 4)}.get(name, ())
 
 
 def _faces(corners: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
-    """Return triangles from the vertex indices of a list, a strip or a fan, shape (m, 3)."""
+    """Return triangles from the vertex indices of a list, a strip or a fan of triangles, shape (m, 3)."""
     if mode == _TRIANGLES:
         return corners[: len(corners) // 3 * 3].reshape(-1, 3)
     if mode == _STRIP:
@@ -181,23 +181,24 @@ def _faces(corners: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
         faces[1::2] = faces[1::2][:, [1, 0, 2]]
     else:
         faces = np.stack([np.broadcast_to(corners[:1], max(len(corners) - 2, 0)), corners[1:-1], corners[2:]], axis=1)
-    # Strips repeat vertices to join separate pieces. These triangles have no area on purpose.
+    # Strips repeat vertices to join separate strips. The triangles between them have no area on purpose and are
+    # removed.
     distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     return np.asarray(faces[distinct])
 
 
 def _with_alpha(colours: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
-    """Return linear RGBA of vertex colours that may have no alpha."""
+    """Return vertex colours as linear RGBA; colours without alpha get an alpha of 1."""
     if colours is None or colours.shape[1] == 4:
         return colours
     return np.concatenate([colours, np.ones((len(colours), 1))], axis=1)
 
 
 def _tangents_of_base(part: ScenePart, normal_uv_set: int) -> NDArray[np.float64] | None:
-    """Return the tangents of a part along u of its base-colour texture, shape (n, 4), or None.
+    """Return the tangents of a part along u of its base-colour texture, shape (n, 4); None if they are not known.
 
-    Tangents in a file are along u of the normal map. If the base colour uses the same set of texture coordinates, they
-    are turned by the transform of its texture; otherwise they have no known relation to it.
+    Tangents in a file are along u of the normal map. If the base colour uses the same set of texture coordinates, the
+    tangents are rotated by the transform of the base-colour texture. Otherwise they have no known relation to its u.
     """
     if part.tangents is None or part.normals is None:
         return None
@@ -217,7 +218,7 @@ def _tangents_of_base(part: ScenePart, normal_uv_set: int) -> NDArray[np.float64
 
 
 def _flat(part: ScenePart) -> ScenePart:
-    """Return a part without normals with those of its faces; the format then ignores tangents of the file."""
+    """Return a part without normals with face normals. By the format, tangents of the file are then ignored."""
     separate = replace(part, tangents=None).with_separate_corners()
     first, second, third = (separate.vertices[corner::3] for corner in range(3))
     with np.errstate(all="ignore"):  # vertices that are not finite are refused later

@@ -1,4 +1,4 @@
-"""Nodes of a glTF file: which meshes its scene shows, and where."""
+"""Nodes of a glTF file: the meshes that its scene shows, and their positions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _INSTANCING = "EXT_mesh_gpu_instancing"
 
 
 class Placement(NamedTuple):
-    """Mesh of a node, with the matrices from its coordinates to the world, shape (k, 4, 4), one per instance."""
+    """Mesh of a node, and the matrices from the mesh's coordinates to the world, shape (k, 4, 4), one per instance."""
 
     node: str
     mesh: int
@@ -30,7 +30,7 @@ class Placement(NamedTuple):
 
 
 def placements(root: Element, mesh_count: int, accessors: Accessors) -> Iterator[Placement]:
-    """Yield the meshes of the default scene in the order of its nodes; without a scene, those of all nodes."""
+    """Yield the meshes of the default scene in the order of its nodes; if there is no scene, those of all nodes."""
     nodes = root.elements("nodes")
     children = [node.indices("children", len(nodes)) for node in nodes]
     visited: set[int] = set()
@@ -57,7 +57,7 @@ def placements(root: Element, mesh_count: int, accessors: Accessors) -> Iterator
 
 
 def _roots(root: Element, children: list[list[int]]) -> list[int]:
-    """Return the nodes at the top of the default scene, or without a scene, of the file."""
+    """Return the nodes without a parent in the default scene; if there is no scene, those of the whole file."""
     scenes = root.elements("scenes")
     if scenes:
         return scenes[root.integer("scene", 0, most=len(scenes) - 1)].indices("nodes", len(children))
@@ -66,7 +66,7 @@ def _roots(root: Element, children: list[list[int]]) -> list[int]:
 
 
 def _below(index: int, children: list[list[int]]) -> set[int]:
-    """Return all nodes below a node."""
+    """Return the indices of all descendants of a node."""
     below: set[int] = set()
     stack = list(children[index])
     while stack:
@@ -80,7 +80,7 @@ def _below(index: int, children: list[list[int]]) -> set[int]:
 def _local(node: Element) -> NDArray[np.float64]:
     """Return the matrix from a node's coordinates to those of its parent, shape (4, 4)."""
     if "matrix" in node:
-        # The format lists the columns one after another.
+        # The format lists the elements of a matrix column by column.
         return np.array(node.numbers("matrix", np.eye(4).ravel().tolist())).reshape(4, 4).T
     return _composed(
         node.numbers("translation", (0.0, 0.0, 0.0)), node.numbers("rotation", (0.0, 0.0, 0.0, 1.0)),
@@ -89,7 +89,7 @@ def _local(node: Element) -> NDArray[np.float64]:
 
 
 def _composed(shift: Sequence[float], rotation: Sequence[float], scale: Sequence[float]) -> NDArray[np.float64]:
-    """Return the matrix of a scale, then a rotation (quaternion x, y, z, w), then a shift, shape (4, 4)."""
+    """Return the matrix that scales, then rotates (quaternion x, y, z, w), and then shifts, shape (4, 4)."""
     quaternion = np.asarray(rotation, dtype=np.float64)
     length = float(np.linalg.norm(quaternion))
     x, y, z, w = quaternion / length if length > 0.0 else (0.0, 0.0, 0.0, 1.0)
@@ -105,7 +105,7 @@ def _composed(shift: Sequence[float], rotation: Sequence[float], scale: Sequence
 
 
 def _instances(node: Element, world: NDArray[np.float64], accessors: Accessors) -> NDArray[np.float64]:
-    """Return the matrices of the instances of a node's mesh, shape (k, 4, 4); one without instancing."""
+    """Return the matrices of the instances of a node's mesh, (k, 4, 4); without instances, there is one matrix."""
     instancing = node.extension(_INSTANCING)
     if instancing is None:
         return world[None]

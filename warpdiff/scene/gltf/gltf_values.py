@@ -1,4 +1,4 @@
-"""Values of glTF's JSON, checked while they are read. Errors name the place of a value, such as ``nodes[3].mesh``."""
+"""Values of glTF's JSON, which are checked when they are read. Errors name their path, such as ``nodes[3].mesh``."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from warpdiff.scene.text_encodings import decoded
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-# Largest magnitude of a number. Limit: products of larger ones could overflow.
+# Largest magnitude of a number. The value is limited because products of larger numbers could overflow.
 _MOST_NUMBER = 1e100
-# Largest integer. Limit: larger ones are not exact in JSON, whose numbers are of double precision.
+# Largest integer. The value is limited because JSON has numbers of double precision, which do not represent all larger
+# integers exactly.
 _MOST_INTEGER = 2**53
 
 
@@ -29,13 +30,13 @@ def refuse(place: str, rule: str) -> NoReturn:
 
 
 def _shown(value: object) -> str:
-    """Return the start of a value as JSON, for messages."""
+    """Return the beginning of a value as JSON text, for messages."""
     text = repr(value)
     return text if len(text) <= 40 else text[:39] + "…"
 
 
 class Element:
-    """JSON object with its place in the file."""
+    """JSON object with its path in the file."""
 
     __slots__ = ("place", "values")
 
@@ -50,15 +51,15 @@ class Element:
         return name in self.values
 
     def where(self, name: str) -> str:
-        """Return the place of one of the values."""
+        """Return the path of one of the values of the object."""
         return f"{self.place}.{name}" if self.place else name
 
     def refuse(self, name: str, rule: str) -> NoReturn:
-        """Raise an error about one of the values; see :func:`refuse`."""
+        """Raise an error about one of the values of the object; see :func:`refuse`."""
         refuse(self.where(name), rule)
 
     def integer(self, name: str, default: int | None = None, *, least: int = 0, most: int = _MOST_INTEGER) -> int:
-        """Return an integer from ``least`` to ``most``; without a ``default``, the file must state it."""
+        """Return an integer from ``least`` to ``most``; an error is raised if the file and ``default`` state none."""
         if name not in self.values and default is not None:
             return default
         return self._integer(self._stated(name), self.where(name), least, most)
@@ -144,7 +145,7 @@ class Element:
 
     @staticmethod
     def _integer(value: object, place: str, least: int, most: int) -> int:
-        # Some exporters write integers as 24.0.
+        # Some exporters write integers with a decimal point, such as 24.0.
         is_whole = isinstance(value, float) and math.isfinite(value) and value.is_integer()
         if isinstance(value, bool) or not (isinstance(value, int) or is_whole):
             refuse(place, f"must be an integer, got {_shown(value)}")
@@ -163,7 +164,7 @@ class Element:
 
 
 def parsed(data: bytes) -> Element:
-    """Return the JSON object of a file's text."""
+    """Return the JSON object that is the text of a file."""
     try:
         return Element(json.loads(decoded(data)), "")
     except ArgumentValueError:

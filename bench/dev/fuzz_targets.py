@@ -1,0 +1,159 @@
+"""Readers of files and messages for fuzzing, each with its valid files in ``tests/corpus`` and its own source files."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import warpdiff as wd
+from warpdiff.apps.report.measured_curve import read_curve
+from warpdiff.apps.viewer import controls
+from warpdiff.apps.viewer.server import _HostileError, _Page
+from warpdiff.scene.mesh_import import prepare_surface
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+CORPUS = Path(__file__).resolve().parents[2] / "tests" / "corpus"
+# Mesh files that refer to other files, by the suffix of the other file: a damaged one is read through its mesh.
+_BESIDE = {".mtl": ("mesh.obj",), ".png": ("mesh.obj", "buffer.gltf"), ".bin": ("buffer.gltf",)}
+
+
+@dataclass(frozen=True)
+class Target:
+    """Reader of one kind of file.
+
+    Attributes:
+        name: Name of the reader, and of the folder of its valid files.
+        read: Function of a path that reads the file and checks the result.
+        sources: Parts of the paths of the source files whose coverage guides the mutations.
+        reads: Names of the public functions or methods, or titles of the registered formats, that this reader tests.
+        errors: Accepted exceptions. ``MemoryError`` is accepted if its message states the free memory.
+        is_named: Whether errors must name the file, or an argument that the damaged file no longer states.
+    """
+
+    name: str
+    read: Callable[[Path], object]
+    sources: tuple[str, ...]
+    reads: tuple[str, ...]
+    errors: tuple[type[Exception], ...] = (ValueError,)
+    is_named: bool = True
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the valid files."""
+        return CORPUS / self.name
+
+
+class InvalidResultError(Exception):
+    """Error for a result that no valid or damaged file may have."""
+
+
+def _check(is_valid: object, what: str) -> None:
+    if not is_valid:
+        raise InvalidResultError(what)
+
+
+def _heights(path: Path) -> None:
+    integers = re.search("uint|i4", path.name)
+    has_pitch = path.suffix == ".npz" or path.name.startswith("export")
+    for channel in wd.HeightField.channels(path)[:1] or (None,):
+        heightfield = wd.HeightField.load(
+            path, pitch_um=None if has_pitch else 0.1, height_range_um=0.3 if integers else None, channel=channel
+        )
+        _check(np.isfinite(heightfield.heights_um[~heightfield.missing]).all(), "values are not finite")
+
+
+def _mesh(path: Path) -> None:
+    names = ("scene-plain.gltf",) if path.name == "scene-plain.bin" else _BESIDE.get(path.suffix, (path.name,))
+    main = next(file for name in names if (file := path.with_name(name)).is_file())
+    if main.suffix in (".gltf", ".glb"):
+        for tangents in ((1.0, 0.2, 0.1), None):
+            surface = prepare_surface(main, tangents=tangents)
+            _check(np.isfinite(surface.vertices).all(), "values are not finite")
+            _check(np.isfinite(surface.tangents).all(), "values are not finite")
+    else:
+        _check(np.isfinite(prepare_surface(main, tangents="x").vertices).all(), "values are not finite")
+
+
+def _camera(path: Path) -> None:
+    view = wd.View((0, 1, 3), (0, 0, 0), width=8, height=6)
+    shots = wd.camera_path(path, wd.DirectionalLight((0, 1, 0)), view, count=3)
+    _check(len(shots) == 3, "the number of shots is wrong")
+
+
+class _Connection:
+    """Stand-in for the connection of a page of the viewer."""
+
+    class transport:  # noqa: N801 (the name of the attribute in the package websockets)
+        """Stand-in for the transport of a connection."""
+
+        abort = staticmethod(lambda: None)
+
+
+class _Studio:
+    """Stand-in for the rendering thread of the viewer, which draws nothing."""
+
+    def session(self, send: Any) -> Any:
+        """Return the function that sends messages as the session."""
+        return send
+
+    def acknowledge(self, session: Any) -> None:
+        """Accept that a page has shown a picture."""
+
+    def request(self, _: Any, request: Any) -> None:
+        """Check that the values of a checked request can be made into library calls."""
+        json.dumps(request.values, allow_nan=False)
+
+    def saved(self, _: Any, suffix: str) -> bytes:
+        """Return the content of a file."""
+        return suffix.encode()
+
+
+_CONTROLS = controls.controls()
+
+
+def _message(path: Path) -> None:
+    """Let the viewer's server handle the content of a file as the message of a page."""
+    raw = path.read_bytes()
+    message = raw.decode("utf-8", errors="replace")
+
+    async def take() -> None:
+        page = _Page(_Connection(), _CONTROLS, _Studio())  # type: ignore[arg-type]
+        for _ in range(2):
+            await page._take(message)
+        await asyncio.sleep(0)
+        while not page._queue.empty():
+            _check(page._queue.get_nowait(), "a message is empty")
+
+    asyncio.run(take())
+
+
+_READERS = "heightfield/readers/"
+TARGETS = (
+    Target("gltf", _mesh, ("scene/",), ("warpdiff.shade",)),
+    Target("mesh", _mesh, ("scene/",), ("warpdiff.shade",)),
+    Target("text", _heights, (_READERS,), ("text: matrix, or points x, y, z", "HeightField.load")),
+    Target("x3p", _heights, (_READERS,), ("X3P (ISO 25178-72)",)),
+    Target("npy", _heights, (_READERS,), ("NumPy array",)),
+    Target("npz", _heights, (_READERS,), ("file of `HeightField.save`",)),
+    Target("image", _heights, (_READERS, "core/openimageio"), ("grey image of 8 or 16 bit, or of floats",)),
+    Target("index", wd.Material.from_file, ("optics/",), ("Material.from_file",)),
+    Target("spectrum", wd.Spectrum.from_csv, ("optics/",), ("Spectrum.from_csv",)),
+    Target("measured", wd.Measured.from_csv, ("fitting/",), ("Measured.from_csv",)),
+    Target("curve", read_curve, (_READERS, "apps/report/"), ("report",)),
+    Target("camera", _camera, ("apps/sequences/",), ("camera_path",)),
+    Target("plan", wd.Plan.load, ("request/",), ("Plan.load",)),
+    Target("lobes", wd.BakedLobes.load, ("baked/",), ("BakedLobes.load",)),
+    Target("spectra", wd.BakedSpectrum.load, ("baked/",), ("BakedSpectrum.load",)),
+    Target("picture", wd.Image.load, ("image/", "core/openimageio"), ("Image.load",)),
+    Target("environment", wd.Environment.load, ("lights/environment", "core/openimageio"), ("Environment.load",)),
+    Target("message", _message, ("apps/viewer/", "core/validation"), ("viewer",), (_HostileError,), is_named=False),
+)  # fmt: skip
+BY_NAME = {target.name: target for target in TARGETS}
