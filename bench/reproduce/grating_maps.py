@@ -1,0 +1,203 @@
+"""Figures of grating maps: exactness of the transforms, errors and times of pictures, and a card of hidden pictures.
+
+::
+
+    python -m bench.reproduce.grating_maps --transforms
+    python -m bench.reproduce.grating_maps --pictures --seed 0
+    python -m bench.reproduce.grating_maps --times
+    python -m bench.reproduce.grating_maps --card
+
+``--transforms`` compares direct sums in float64: those of a field that is turned and scaled, and those of the cell at
+transformed scattering vectors. The turned field is a sine on a square patch along a diagonal of its lattice.
+
+``--pictures`` compares pictures with ones of 4,096 cells per pixel, which have the same colours and no edges left out.
+Errors are those of illuminated pixels inside of the card. ``P99 est`` is the 99th percentile of ``image.error``.
+
+``--times`` are processor times of ``Renderer.draw`` with a new light, with and without a map, in turns; the ratio of
+the medians counts. Dots are about ten pixels wide.
+
+``--card`` has 256 × 192 dots. Each dot is one ray through the pixel nearest to its middle. "Own" and "other" are the
+correlations of the luminances of an eye's dots with its own picture and with the picture of the other eye.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+import warnings
+from typing import Any
+
+import numpy as np
+
+import warpdiff as wd
+from warpdiff.diffraction.direct_sum import window_power
+
+VIEW = wd.View((0.0, 0.0, 4.0), (0.0, 0.0, 0.0), fov_y_deg=12.0, width=48, height=36)
+LIGHT = wd.DirectionalLight((0.0, 0.5, 1.0))
+SINE = wd.gratings.sinusoidal(1.2, 0.15)
+# Wavelengths of the direct sums [µm]; any values of the visible range serve.
+WAVELENGTHS_UM = np.array([0.42, 0.5, 0.58, 0.7])
+
+
+def transforms(rng: np.random.Generator) -> None:
+    """Print the largest difference of powers, relative to the largest power."""
+    z, azimuth = rng.uniform(0.5, 1.0, (2, 60)), rng.uniform(0.0, 2.0 * np.pi, (2, 60))
+    side = np.sqrt(1.0 - z * z)
+    lights, views = np.stack([side * np.cos(azimuth), side * np.sin(azimuth), z], axis=-1)
+    # Half of the views are near an order.
+    views[:30] = lights[:30] * [-1.0, -1.0, 1.0] + rng.normal(0.0, 0.2, (30, 3)) * [1.0, 1.0, 0.0]
+    views[:, 2] = np.abs(views[:, 2])
+    views /= np.linalg.norm(views, axis=1)[:, None]
+    vectors = -(lights + views)
+    size, count, depth_scale, turn = 5.2, 96, 0.6, np.arctan2(4.0, 3.0)
+    y, x = np.indices((count, count)) * size / count
+    diagonal = 0.075 * np.sin(2.0 * np.pi * (3.0 * x + 4.0 * y) / size)
+    straight = 0.075 * np.sin(2.0 * np.pi * 5.0 * x / size)
+    cosine, sine = np.cos(turn), np.sin(turn)
+    back = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    for kind, scale in (("averaged", 1.0), ("source", 1.0), ("source", 1.3)):
+        coherence = scaled = wd.Coherence(sigma_um=2.0)
+        if kind == "source":
+            coherence, scaled = (wd.Coherence("source", angular_diameter_deg=2.0 * factor) for factor in (1.0, scale))
+        field = wd.HeightField(depth_scale * diagonal, scale * size / count)
+        cell = wd.HeightField(straight, size / count)
+        exact = window_power(field, coherence, vectors, WAVELENGTHS_UM, to_lights=lights)
+        # A source of the spread s blurs the scattering vectors of a dot with the pitch scale p by p s.
+        mapped = (vectors @ back.T) * [scale, scale, depth_scale]
+        result = window_power(cell, scaled, mapped, WAVELENGTHS_UM, to_lights=lights @ back.T)
+        difference = np.abs(result - exact).max() / np.abs(exact).max()
+        print(
+            f"{kind}, turn 53.13°, depth scale {depth_scale:g}, pitch scale {scale:g}: {difference:.1e} of the largest"
+        )
+
+
+def made(cell: wd.HeightField, shape: tuple[int, int], rng: np.random.Generator, *, pitch: bool) -> wd.GratingMap:
+    """Return a map with random dots, of which many diffract light into the view."""
+    turn = rng.uniform(85.0, 95.0, shape)
+    scale = rng.uniform(0.7, 1.4, shape) if pitch else 1.0
+    return wd.GratingMap(cell, turn_deg=turn, depth_scale=rng.uniform(0.2, 1.0, shape), pitch_scale=scale)
+
+
+def pictures(rng: np.random.Generator) -> None:
+    """Print errors of refined pictures."""
+    fingers = wd.gratings.fingers(size_um=6.4, pitch_um=0.1)
+    for name, cell, coherence in (
+        ("sine, source of 1°", SINE, wd.Coherence("source", angular_diameter_deg=1.0)),
+        ("fingers, source of 2°", fingers, wd.Coherence("source", angular_diameter_deg=2.0)),
+        ("fingers, averaged", fingers, wd.Coherence(sigma_um=5.0)),
+    ):
+        for shape in ((3, 4), (12, 16), (48, 64)):
+            grating_map = made(cell, shape, rng, pitch=coherence.kind == "source")
+            options: dict[str, Any] = {"coherence": coherence, "strict": False}
+            card = wd.meshes.card()
+            exact = wd.shade(card, grating_map, LIGHT, VIEW, tolerance=1e-3, samples_per_pixel=4096, **options).xyz
+            for tolerance in (0.1, 0.03):
+                image = wd.shade(card, grating_map, LIGHT, VIEW, tolerance=tolerance, **options)
+                inside = image.illuminated & (image.coverage > 0.999)
+                own, true = image.xyz[inside].astype(float), exact[inside].astype(float)
+                size = np.linalg.norm(true, axis=1)
+                floor = 1e-3 * np.percentile(true[:, 1], 99.0)
+                error = np.linalg.norm(own - true, axis=1) / np.maximum(size, floor)
+                bright = true[:, 1] >= floor
+                estimated = image.error[inside]
+                print(
+                    f"{name}, {shape[0]} × {shape[1]} dots, tolerance {tolerance:g}: P99 {np.percentile(error, 99):.1e}"
+                    f", bright {np.percentile(error[bright], 99):.1e}, P99 est {np.percentile(estimated, 99):.1e}, "
+                    f"bounded {np.mean(error <= estimated):.2f}",
+                    flush=True,
+                )
+
+
+def times(rng: np.random.Generator) -> None:
+    """Print the ratio of warm frame times with and without a map."""
+    view = wd.View((0.0, 0.0, 4.0), (0.0, 0.0, 0.0), fov_y_deg=12.0, width=320, height=240)
+    fingers = wd.gratings.fingers(size_um=6.4, pitch_um=0.1)
+    shape = (24, 32)
+    for name, cell, coherence, pitch in (
+        ("turn and depth, sine, source of 0.53°", SINE, wd.Coherence("source"), False),
+        ("pitch 0.7 to 1.4, sine, source of 0.53°", SINE, wd.Coherence("source"), True),
+        ("turn and depth, fingers, averaged, σ = 5 µm", fingers, wd.Coherence(sigma_um=5.0), False),
+    ):
+        surfaces = {"plain": cell, "map": made(cell, shape, rng, pitch=pitch)}
+        # The grating without a map varies along y, as most dots of the map do.
+        tangents = {"plain": (0.0, 1.0, 0.0), "map": None}
+        for refine in (False, True):
+            options: dict[str, Any] = {
+                "coherence": coherence, "tolerance": 0.1, "strict": False, "threads": 1, "refine": refine,
+            }  # fmt: skip
+            renderers = {
+                key: wd.Renderer(wd.meshes.card(), surface, LIGHT, view, tangents=tangents[key], **options)
+                for key, surface in surfaces.items()
+            }
+            spent: dict[str, list[float]] = {key: [] for key in renderers}
+            for turn in range(7):
+                light = wd.DirectionalLight((0.01 * turn, 0.5, 1.0))
+                for key, renderer in renderers.items():
+                    start = time.process_time()
+                    renderer.draw(light)
+                    spent[key].append(time.process_time() - start)
+            plain, with_map = (float(np.median(spent[key][1:])) for key in ("plain", "map"))
+            print(
+                f"{name}, {'refined' if refine else 'not refined'}: {plain:.3f} s without, {with_map:.3f} s with a map,"
+                f" ratio {with_map / plain:.2f}",
+                flush=True,
+            )
+
+
+def card() -> None:
+    """Print how well each eye sees its picture."""
+    rows, columns, width = 192, 256, 60.0
+    y, x = np.meshgrid(np.linspace(-1.0, 1.0, rows), np.linspace(-1.0, 1.0, columns), indexing="ij")
+    first = 0.1 + 0.4 * (1.0 + np.sin(7.0 * np.pi * y) * np.sign(x + 1e-9))
+    second = 0.1 + 0.35 * (1.0 + np.sign(np.sin(4.0 * np.pi * (x + 1.0) + 1e-9)))
+    eyes = [(0.0, -55.7, 396.1), (166.5, -29.4, 362.5)]
+    to_light = (0.0, 0.5736, 0.8192)
+    foil = wd.hidden_pictures(first, second, eyes, to_light, cell=wd.gratings.sinusoidal(1.3, 0.2), width=width)
+    print(foil)
+    row, column = np.indices((rows, columns))
+    is_first = (row + column) % 2 == 0
+    side = width / columns
+    middle = np.stack([(column + 0.5 - columns / 2) * side, (rows / 2 - row - 0.5) * side, 0.0 * row], axis=-1)
+    for index, eye in enumerate(eyes):
+        view = wd.View(eye, (0.0, 0.0, 0.0), fov_y_deg=8.4, width=1280, height=960)
+        image = wd.shade(
+            wd.meshes.card(width, width * rows / columns), foil, wd.DirectionalLight(to_light), view, footprint=False,
+            refine=False, tolerance=0.02, ior=np.inf,
+        )  # fmt: skip
+        frame = view.frame()
+        towards = middle - frame.origin
+        depth = -(towards @ frame.back)
+        at_x = ((towards @ frame.right) / depth / frame.half_width + 1.0) / 2.0 * view.width
+        at_y = (1.0 - (towards @ frame.up) / depth / frame.half_height) / 2.0 * view.height
+        seen = image.xyz[at_y.astype(int), at_x.astype(int), 1]
+        own = is_first if index == 0 else ~is_first
+        picture, other = (first, second) if index == 0 else (second, first)
+        print(
+            f"eye {index + 1}: own {np.corrcoef(seen[own], picture[own])[0, 1]:.4f}, other "
+            f"{np.corrcoef(seen[own], other[own])[0, 1]:.4f}, mean of the other dots "
+            f"{seen[~own].mean() / seen[own].mean():.1e} of the mean of its own"
+        )
+
+
+def main() -> None:
+    """Run the parts that the flags select."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name in ("transforms", "pictures", "times", "card"):
+        parser.add_argument(f"--{name}", action="store_true")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    rng = np.random.default_rng(options.seed)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", wd.WarpdiffWarning)
+        if options.transforms:
+            transforms(rng)
+        if options.pictures:
+            pictures(rng)
+        if options.times:
+            times(rng)
+        if options.card:
+            card()
+
+
+if __name__ == "__main__":
+    main()
