@@ -33,7 +33,7 @@ CLIENTS = 50
 # Longest time between a request and its finished picture [s]. Eight clients share one drawing thread.
 _MOST_WAIT_S = 60.0
 # Values of the page's controls in each scene. The pictures are small, so that clients get many of them.
-_SMALL = {"height": "240", "tolerance": 0.1}
+_SMALL = {"height": 240, "tolerance": 0.1}
 SCENES: tuple[dict[str, Any], ...] = (
     _SMALL, _SMALL | {"pigment": 0.4}, _SMALL | {"surface": "sinusoidal", "azimuth_deg": 30.0},
 )  # fmt: skip

@@ -13,7 +13,7 @@ from warpdiff.apps.viewer.controls import checked, controls
 @pytest.mark.parametrize("scene", range(len(viewer_load.SCENES)))
 def test_requests_have_values_that_the_viewer_accepts(scene):
     values = json.loads(viewer_load.message(1, scene))["values"]
-    assert checked(controls(), values)["height"] == "240"
+    assert checked(controls(), values)["height"] == 240
 
 
 def test_pictures_that_differ_from_the_first_one_are_counted():
