@@ -4,8 +4,10 @@ The tests run few mutations of ``bench/dev/fuzz.py``, a soak test many.
 """
 
 import inspect
+import io
 import os
 import random
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -80,12 +82,23 @@ def test_every_registered_and_public_reader_has_a_corpus():
     assert {".gltf", ".glb", *mesh_files._BY_TRIMESH} - suffixes == {".3mf", ".dae"}
 
 
+def _with_member(data, name, old, new):
+    """Return an archive with a replacement of bytes in one of its members, and with correct checksums."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as source, zipfile.ZipFile(stream, "w") as target:
+        for member in source.namelist():
+            content = source.read(member)
+            target.writestr(member, content.replace(old, new) if member == name else content)
+    return stream.getvalue()
+
+
 @pytest.mark.parametrize(
     ("target", "name", "damage"),
     [("measured", "orders.csv", lambda data: data.replace(b"500", b"nan")),
      ("camera", "path.csv", lambda data: data.replace(b"1,0,3", b"1e308,0,3").replace(b"0,0,3", b"-1e308,0,3")),
      ("plan", "plan.json", lambda data: data.replace(b'"kind": "averaged"', b'"kind": "x"')),
      ("lobes", "lobes.npz", lambda data: data[:-14] + bytes(6 * [255]) + data[-8:]),
+     ("npz", "filled.npz", lambda data: _with_member(data, "history.npy", b"<U57", b"<U  ")),
      ("environment", "sky.exr", lambda data: data.replace(b"chlist", b"\x83L\x9fist"))],
 )  # fmt: skip
 def test_errors_that_fuzzing_once_found_without_a_name_have_it(target, name, damage, tmp_path):

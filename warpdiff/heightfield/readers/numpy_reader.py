@@ -90,5 +90,8 @@ def _shape_of_array(stream: IO[bytes]) -> tuple[int, ...]:
     if version not in headers:
         return ()
     shape, _, dtype = headers[version](stream)
+    if dtype.itemsize == 0:
+        # Any number of texts without characters fits into a file, but not into a list.
+        raise ValueError(f"its elements have the type {dtype}, which has no bytes")
     begin = stream.tell()
     return shape if math.prod(shape) * dtype.itemsize <= stream.seek(0, os.SEEK_END) - begin else ()
