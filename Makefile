@@ -13,6 +13,7 @@ BROWSER_STAMP := $(VENV)/.stamp-browser
 DASK_STAMP := $(VENV)/.stamp-dask
 MITSUBA_STAMP := $(VENV)/.stamp-mitsuba
 SCANS_STAMP := $(VENV)/.stamp-scans
+RELEASE_STAMP := $(VENV)/.stamp-release
 DOCS_STAMP := $(VENV)/.stamp-docs
 MINUTES ?= 60
 # Workers share the cores: threads of linear algebra would wait for those of other workers, busily.
@@ -21,12 +22,12 @@ PYTEST_WORKERS := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxpr
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-browser test-dask test-mitsuba test-scans soak fuzz test-lowest lint bench docs clean
+.PHONY: help demo test test-slow test-browser test-dask test-mitsuba test-scans soak fuzz test-lowest test-newest test-prerelease release-check lint bench docs clean
 # A stamp must not outlive an installation that failed.
 .DELETE_ON_ERROR:
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s  %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s  %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 demo: $(DEMO_STAMP) ## render the example pictures into demo/
 	$(BIN)/warpdiff demo --output demo
@@ -57,11 +58,16 @@ fuzz: $(TEST_STAMP) ## read damaged files for an hour; MINUTES=5 for less
 	$(BIN)/python -m bench.dev.fuzz --minutes $(MINUTES)
 
 test-lowest: ## run the tests with the lowest versions that are allowed, in an environment of their own
-	rm -rf $(VENV)-lowest
-	$(PYTHON) -m venv $(VENV)-lowest
-	$(VENV)-lowest/bin/python -m pip install uv
-	$(VENV)-lowest/bin/uv pip install --python $(VENV)-lowest/bin/python --resolution lowest-direct -e '.[test]'
-	$(VENV)-lowest/bin/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+	$(call test_in,lowest,--resolution lowest-direct)
+
+test-newest: ## run the tests with the newest versions that are allowed, in an environment of their own
+	$(call test_in,newest,--resolution highest)
+
+test-prerelease: ## run the tests with pre-releases of the dependencies, in an environment of their own
+	$(call test_in,prerelease,--resolution highest --prerelease allow)
+
+release-check: $(TEST_STAMP) $(LINT_STAMP) $(RELEASE_STAMP) ## run all checks before a release; STEPS="build wheel" for some
+	$(BIN)/python -m bench.dev.release_check $(if $(STEPS),--steps $(STEPS))
 
 lint: $(LINT_STAMP) ## check style, types and the layers of imports
 	$(BIN)/python -m ruff check
@@ -80,8 +86,16 @@ docs: $(DOCS_STAMP) ## build the documentation site into docs/_build/html
 	@echo "the site is docs/_build/html/index.html"
 
 clean: ## remove the environment, caches, builds and the demonstration's pictures
-	rm -rf $(VENV) $(VENV)-lowest build dist demo bench_results docs/_build docs/gallery docs/reference docs/tutorials/*.npy docs/tutorials/*.png docs/tutorials/*.exr docs/tutorials/*.glb docs/tutorials/*.html docs/tutorials/results.json *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(VENV)-lowest $(VENV)-newest $(VENV)-prerelease fuzz_failures build dist demo bench_results docs/_build docs/gallery docs/reference docs/tutorials/*.npy docs/tutorials/*.png docs/tutorials/*.exr docs/tutorials/*.glb docs/tutorials/*.html docs/tutorials/results.json *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find warpdiff kernels tests bench -name __pycache__ -type d -prune -exec rm -rf {} +
+
+define test_in
+rm -rf $(VENV)-$(1)
+$(PYTHON) -m venv $(VENV)-$(1)
+$(VENV)-$(1)/bin/python -m pip install uv
+$(VENV)-$(1)/bin/uv pip install --python $(VENV)-$(1)/bin/python $(2) -e '.[test]'
+$(VENV)-$(1)/bin/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+endef
 
 # An environment made by hand is kept; only its version is checked.
 $(BIN)/python:
@@ -134,6 +148,10 @@ $(MITSUBA_STAMP): pyproject.toml | $(BIN)/python
 
 $(SCANS_STAMP): pyproject.toml | $(BIN)/python
 	$(call install,.[test$(COMMA)scans])
+	@touch $@ $(TEST_STAMP)
+
+$(RELEASE_STAMP): pyproject.toml | $(BIN)/python
+	$(call install,.[test$(COMMA)release])
 	@touch $@ $(TEST_STAMP)
 
 $(LINT_STAMP): pyproject.toml | $(BIN)/python

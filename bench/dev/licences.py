@@ -18,15 +18,17 @@ if TYPE_CHECKING:
 # older metadata state them, in lower case.
 ACCEPTED = {
     "0bsd", "apache-2.0", "bsd-2-clause", "bsd-3-clause", "cc0-1.0", "isc", "mit", "mit-cmu", "mpl-2.0", "ncsa",
-    "psf-2.0", "python-2.0", "unlicense", "zlib", "hpnd", "bsl-1.0", "blueoak-1.0.0",
+    "boost software license 1.0 (bsl-1.0)", "psf-2.0", "python-2.0", "unlicense", "zlib", "hpnd", "bsl-1.0",
+    "blueoak-1.0.0",
     "apache", "apache 2", "apache 2.0", "apache license 2.0", "apache license, version 2.0", "apache software license",
     "bsd", "bsd license", "bsd 3-clause", "new bsd", "modified bsd", "isc license", "isc license (iscl)", "mit license",
     "mozilla public license 2.0 (mpl 2.0)", "python software foundation license", "the unlicense (unlicense)",
     "historical permission notice and disclaimer (hpnd)", "cc0 1.0 universal (cc0 1.0) public domain dedication",
 }  # fmt: skip
+# Licences of packages whose metadata state none, read from their licence files.
+BY_FILE = {"meent": "MIT"}
 # Additions to a licence that only permit more.
 _EXCEPTIONS = re.compile(r" with [\w.-]+", re.IGNORECASE)
-_NAME = re.compile(r"[A-Za-z0-9][\w.-]*")
 
 
 def licence_of(package: metadata.Distribution) -> str:
@@ -39,7 +41,7 @@ def licence_of(package: metadata.Distribution) -> str:
     names = [name for name in classifiers if name != "OSI Approved"]
     if names:
         return " AND ".join(names)
-    text = str(head.get("License") or "").strip()
+    text = str(head.get("License") or "").strip() or BY_FILE.get(str(head["Name"]).lower(), "")
     return text if len(text) < 60 else text.splitlines()[0].strip()
 
 
