@@ -78,6 +78,7 @@ def test_a_measured_field_gives_its_periods_and_a_cell_its_size():
     cell = wd.order_angles(wd.gratings.bumps(), (0, 0, 1), 550.0, most_order=1)
     assert sorted(set(cell["period_um"])) == [1.0, 2.0]
     assert set(cell["standard_error_deg"]) == {0.0}
+    assert cell["order"].tolist() == [-1, 0, 1, -1, 0, 1]
     expected = np.degrees(np.arcsin(0.55 * np.abs(cell["order"]) / cell["period_um"]))
     np.testing.assert_allclose(cell["view_theta_deg"], expected, atol=1e-9)
     along_x = (cell["order"] != 0) & (cell["period_um"] == wd.gratings.bumps().size_um[1])
