@@ -255,6 +255,7 @@ class Measured:
             Measured(orders, 7 values)
         """
         # All options are checked, also those that this kind of data does not use.
+        check_reflection(ior, material)
         validation.instance(coherence, Coherence, "coherence", optional=True)
         validation.flag(masking, "masking")
         colorimetry.check_illuminant(illuminant)
