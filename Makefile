@@ -66,8 +66,8 @@ test-newest: ## run the tests with the newest versions that are allowed, in an e
 test-prerelease: ## run the tests with pre-releases of the dependencies, in an environment of their own
 	$(call test_in,prerelease,--resolution highest --prerelease allow)
 
-release-check: $(TEST_STAMP) $(LINT_STAMP) $(RELEASE_STAMP) ## run all checks before a release; STEPS="build wheel" for some
-	$(BIN)/python -m bench.dev.release_check $(if $(STEPS),--steps $(STEPS))
+release-check: $(RELEASE_STAMP) $(LINT_STAMP) ## run all checks before a release; STEPS="build wheel" for some
+	$(BIN)/python -m bench.dev.release_check $(if $(STEPS),--steps $(STEPS)) $(if $(KEEP),--keep $(KEEP))
 
 lint: $(LINT_STAMP) ## check style, types and the layers of imports
 	$(BIN)/python -m ruff check
@@ -94,7 +94,7 @@ rm -rf $(VENV)-$(1)
 $(PYTHON) -m venv $(VENV)-$(1)
 $(VENV)-$(1)/bin/python -m pip install uv
 $(VENV)-$(1)/bin/uv pip install --python $(VENV)-$(1)/bin/python $(2) -e '.[test]'
-$(VENV)-$(1)/bin/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+$(subst $(BIN)/,$(VENV)-$(1)/bin/,$(PYTEST_WORKERS))
 endef
 
 # An environment made by hand is kept; only its version is checked.

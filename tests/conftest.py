@@ -28,8 +28,8 @@ def _data_file(name: str) -> Path:
 
 
 def public_members(kind: type) -> dict[str, object]:
-    """Return the public members of a class by name. `HeightField` inherits some from classes of its package."""
-    owners = [owner for owner in kind.__mro__ if owner is kind or owner.__module__.startswith("warpdiff.heightfield.")]
+    """Return the public members of a class by name, including those of its base classes in this package."""
+    owners = [owner for owner in kind.__mro__ if owner is kind or owner.__module__.startswith("warpdiff.")]
     names = {name: value for owner in reversed(owners) for name, value in vars(owner).items()}
     return {name: value for name, value in names.items() if not name.startswith("_")}
 

@@ -111,7 +111,7 @@ CALLED_BY_PICTURES = {"lobes", "parts", "table_coherence"}
 # objects of these classes.
 OWNERS = {
     "Environment": lambda: wd.Environment(np.ones((2, 4, 3)), directions=16),
-    "Material": lambda: wd.Material.metal("Au"), "Spectrum": lambda: wd.Spectrum.blackbody(3000.0),
+    "Material": lambda: wd.Material.metal("Au"),
     "HeightField": lambda: WAVY, "Image": picture, "Plan": plan, "Renderer": renderer, "View": lambda: VIEW,
     "BakedLobes": lobes, "Comparison": lambda: wd.compare(np.ones((2, 3, 3)), np.ones((2, 3, 3)), tolerance=0.1),
     "OrderEfficiencies": efficiencies, "Periods": lambda: wd.Periods([PERIOD]),
@@ -128,7 +128,7 @@ FUZZED_OWNERS = {"HeightField": "heightfield", "View": "view"}
 # Legal values for arguments that are not fuzzed in a call. ``LEGAL_OF`` overrides them for single functions.
 LEGAL = {
     "cell": HEIGHTFIELD, "row": 0, "column": 0,
-    "heightfield": HEIGHTFIELD, "mesh": MESH, "light": LIGHT, "lights": LIGHT, "view": VIEW, "to_light": UP,
+    "heightfield": HEIGHTFIELD, "mesh": MESH, "lights": LIGHT, "view": VIEW, "to_light": UP,
     "to_view": UP, "wavelengths_nm": [500.0], "coherence": SHORT, "eye": (0.0, 0.0, 5.0), "target": (0.0, 0.0, 0.0),
     "extent_y": 1.0, "period_um": 1.0, "depth_um": 0.1, "path": Path("a.npy"), "heights_um": [[0.0, 0.1], [0.1, 0.0]],
     "pitch_um": 0.1, "size": 4, "tolerance": 0.1, "scale_rows": 5, "ventrals": 8, "segments": 3, "rings": 1,

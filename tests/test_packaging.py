@@ -18,6 +18,7 @@ import pytest
 from conftest import public_members
 
 import warpdiff as wd
+from bench.dev.release_check import MOST_WHEEL_BYTES
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ("warpdiff", "kernels", "tests", "bench")
@@ -57,8 +58,9 @@ runpy.run_module("warpdiff", run_name="__main__", alter_sys=True)
 """
 
 
-# Largest size of the wheel [bytes], a target of the project: the package is code, not data.
-MOST_WHEEL_BYTES = 2 << 20
+def package_of(requirement: str) -> str:
+    """Return the name of the package of a requirement."""
+    return re.split(r"[<>=~! \[]", requirement)[0]
 
 
 def run(command: list[str | Path], cwd: Path) -> str:
@@ -143,7 +145,7 @@ def check_bill(bill: dict, wheel: Path) -> None:
     """Check that a bill of materials lists each dependency and each bundled data file, with its checksum."""
     assert (bill["bomFormat"], bill["metadata"]["component"]["version"]) == ("CycloneDX", PROJECT["version"])
     libraries = {entry["name"] for entry in bill["components"] if entry["type"] == "library"}
-    assert libraries == {re.split(r"[<>=~! \[]", requirement)[0] for requirement in PROJECT["dependencies"]}
+    assert libraries == {package_of(requirement) for requirement in PROJECT["dependencies"]}
     archive = zipfile.ZipFile(wheel)
     data = {name for name in archive.namelist() if name.startswith("warpdiff/") and name.endswith((".npy", ".json"))}
     bundled = {entry["bom-ref"]: entry for entry in bill["components"] if entry["type"] == "data"}
@@ -211,11 +213,11 @@ def test_declared_dependencies_equal_the_imported_packages():
         *(imported(path) for folder in ("warpdiff", "kernels") for path in (ROOT / folder).rglob("*.py"))
     )
     used = {names.get(name, name) for name in used - sys.stdlib_module_names - {"warpdiff"}}
-    declared = {re.split(r"[<>=~! \[]", requirement)[0] for requirement in PROJECT["dependencies"]}
+    declared = {package_of(requirement) for requirement in PROJECT["dependencies"]}
     # Packages that only single commands require are optional dependencies.
     extras = PROJECT["optional-dependencies"]
     commands = ("view", "data", "dask", "mitsuba", "plot", "scans", "gltf", "lithography", "jax", "torch", "rigorous")
-    optional = {re.split(r"[<>=~! \[]", each)[0] for name in commands for each in extras[name]}
+    optional = {package_of(each) for name in commands for each in extras[name]}
     assert declared == used - optional
     assert optional <= used
 

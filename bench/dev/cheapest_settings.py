@@ -92,6 +92,11 @@ class Call:
         self._scale = np.where(self._above, np.maximum(np.linalg.norm(exact, axis=1), floor), floor)
         self._arrays: dict[int, Any] = {}
 
+    def cost_per_wavelength(self, plan: wd.Plan) -> float:
+        """Return the predicted cost of one wavelength per direction [multiply-adds]."""
+        many = dataclasses.replace(plan, wavelengths=1000, adaptive=False)
+        return cost_model.sampling_multiply_adds(self.case.heightfield, many, self.order_rate, self.w) / 1000.0
+
     def load(self, repeats: int) -> list[Any]:
         """Return the device arrays of the directions, repeated ``repeats`` times."""
         import warp as wp
@@ -219,10 +224,6 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
     )  # fmt: skip
     results: list[Setting] = []
 
-    def per_wavelength(plan: wd.Plan) -> float:
-        many = dataclasses.replace(plan, wavelengths=1000, adaptive=False)
-        return cost_model.sampling_multiply_adds(case.heightfield, many, call.order_rate, call.w) / 1000.0
-
     def is_promising(plan: wd.Plan) -> bool:
         """Return whether a plan may be among the cheapest plans.
 
@@ -232,8 +233,8 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
         if not results:
             return True
         best = min(setting.cost for setting in results)
-        fewest = min(setting.cost / per_wavelength(setting.plan) for setting in results)
-        return per_wavelength(plan) * fewest <= HOPELESS * best
+        fewest = min(setting.cost / call.cost_per_wavelength(setting.plan) for setting in results)
+        return call.cost_per_wavelength(plan) * fewest <= HOPELESS * best
 
     for method in METHODS:
         if method in POWER_METHODS and not case.coherence.adds_powers:
@@ -265,7 +266,9 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
                 if index is not None:
                     plan = bandwidths.plan(kernel, index)
                     if call.error(plan) <= tolerance * 1.001:
-                        results.append(Setting(per_wavelength(kernel) * float(bandwidths.counts[index]), plan))
+                        results.append(
+                            Setting(call.cost_per_wavelength(kernel) * float(bandwidths.counts[index]), plan)
+                        )
     return results
 
 

@@ -51,8 +51,7 @@ def two_geometries() -> trimesh.Scene:
     """
     scene = trimesh.Scene()
     body = tube()
-    # Without a base colour, trimesh would write a texture for this material. The file would then have two textures, but
-    # the package reads at most one texture per file.
+    # Without a base colour, trimesh would write a texture for this material.
     body.visual.material = trimesh.visual.material.PBRMaterial(baseColorFactor=(200, 120, 40, 255))
     scene.add_geometry(body, node_name="tube", geom_name="tube")
     at = trimesh.transformations.translation_matrix((0.0, 0.0, 0.9)) @ np.diag([0.5, 0.5, 0.5, 1.0])

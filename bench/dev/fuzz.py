@@ -134,7 +134,7 @@ def fuzz(target: Target, folder: Path, *, executions: int, seconds: float, seed:
     valid = {path.name: path.read_bytes() for path in sorted(target.folder.iterdir())}
     for name, content in valid.items():
         (folder / name).write_bytes(content)
-    names = [*valid, *(Path(name).stem for name in valid)]
+    names = list(valid)
     rng, coverage, failures = random.Random(seed), Coverage(target.sources), []  # noqa: S311 (not for secrets)
     inputs = list(valid.items())
     for name in valid:

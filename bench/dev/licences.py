@@ -48,16 +48,16 @@ def licence_of(package: metadata.Distribution) -> str:
 def is_accepted(licence: str) -> bool:
     """Whether a licence expression can be met with accepted licences only: one side of OR, and each side of AND."""
     plain = _EXCEPTIONS.sub("", licence.strip().lower())
+    # Innermost groups with an operator are evaluated first. Names of licences contain groups without one.
+    while plain not in ACCEPTED and (group := re.search(r"\(([^()]*\s(?:and|or)\s[^()]*)\)", plain)):
+        plain = plain.replace(group[0], "mit" if is_accepted(group[1]) else "refused")
     if plain in ACCEPTED:
         return True
-    bare = plain.strip("()")
-    if bare.count("(") != bare.count(")"):
-        bare = plain
     for word, test in ((r"\s+or\s+", any), (r"\s+and\s+", all)):
-        parts = re.split(word, bare)
+        parts = re.split(word, plain)
         if len(parts) > 1:
             return test(is_accepted(part) for part in parts)
-    return bare in ACCEPTED
+    return plain.strip("()") in ACCEPTED
 
 
 def required(name: str, extras: Iterable[str] = ()) -> Iterator[str]:

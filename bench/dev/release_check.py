@@ -12,6 +12,7 @@ because a version of Python is absent, is reported as not tried. The exit code i
 from __future__ import annotations
 
 import argparse
+import atexit
 import functools
 import hashlib
 import json
@@ -74,6 +75,7 @@ def built() -> Path:
     The second copy has other permissions and times, and is in a folder of another name.
     """
     folder = Path(tempfile.mkdtemp(prefix="warpdiff-release-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
     tracked = run("git", "ls-files", "-z").split("\0")[:-1]
     date = run("git", "log", "-1", "--format=%ct").strip()
     hashes = []
@@ -121,7 +123,11 @@ def check_build() -> str:
         raise FailedError(f"the wheel has files that are not shipped: {', '.join(foreign[:5])}")
     if bill["metadata"]["component"]["version"] != PROJECT["version"]:
         raise FailedError("the bill of materials has another version")
-    lines = (f"Version: {PROJECT['version']}", f"License-Expression: {PROJECT['license']}", "Requires-Python: >=3.11")
+    lines = (
+        f"Version: {PROJECT['version']}",
+        f"License-Expression: {PROJECT['license']}",
+        f"Requires-Python: {PROJECT['requires-python']}",
+    )
     for line in lines:
         if line not in metadata:
             raise FailedError(f"the metadata lack {line!r}")
@@ -167,6 +173,7 @@ def check_wheel() -> str:
         "import warpdiff as wd; "
         "assert wd.reflectance(wd.gratings.fingers(size_um=6.4), [0, 0, 1], [0, 0, 1]).shape == (3,)"
     )
+    wheel()  # A build that fails is no fault of a version of Python.
     tried, failed = [], []
     for version, path in pythons().items():
         with tempfile.TemporaryDirectory() as folder:
@@ -288,10 +295,8 @@ def main() -> int:
     skipped = [f"{name}: {details}" for name, (verdict, details) in verdicts.items() if verdict == "not tried"]
     skipped += [f"{name}: not selected" for name in STEPS if name not in verdicts]
     print("\nNot tried:\n" + "\n".join(f"- {line}" for line in (*skipped, *NEVER)))
-    if built.cache_info().currsize:
-        if options.keep is not None:
-            shutil.copytree(built(), options.keep, dirs_exist_ok=True)
-        shutil.rmtree(built().parent, ignore_errors=True)
+    if built.cache_info().currsize and options.keep is not None:
+        shutil.copytree(built(), options.keep, dirs_exist_ok=True)
     return int(any(verdict == "FAILED" for verdict, _ in verdicts.values()))
 
 

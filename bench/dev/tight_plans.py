@@ -22,7 +22,6 @@ Times are processor times divided by the number of threads, as medians of rounds
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import math
 import time
 import warnings
@@ -103,14 +102,7 @@ def compare(case: Configuration, *, rounds: int, threads: int | None) -> tuple[s
     costs = [
         cost_model.sampling_multiply_adds(case.heightfield, plan, call.order_rate, call.w) for plan in (automatic, best)
     ]
-    bare = [
-        cost_model.sampling_multiply_adds(
-            case.heightfield, dataclasses.replace(plan, wavelengths=1000, adaptive=False), call.order_rate, call.w
-        )
-        / 1000.0
-        for plan in (automatic, best)
-    ]
-    kernel = bare[0] / bare[1]
+    kernel = call.cost_per_wavelength(automatic) / call.cost_per_wavelength(best)
     result = Result(
         times[0] / min(times), automatic.error / max(error, 1e-9), automatic.error / max(error_fresh, 1e-9),
         costs[0] / costs[1] / kernel, kernel,

@@ -58,7 +58,11 @@ def test_licences_are_accepted_by_their_expression():
         "Apache-2.0 WITH LLVM-exception",
     ):  # fmt: skip
         assert licences.is_accepted(text), text
-    for text in ("", "GPL-3.0-only", "MIT AND GPL-3.0", "Proprietary", "LGPL-3.0 OR AGPL-3.0"):
+    for text in (
+        "", "GPL-3.0-only", "MIT AND GPL-3.0", "Proprietary", "LGPL-3.0 OR AGPL-3.0",
+        "GPL-3.0-only AND (Zlib OR MIT)", "GPL-2.0-only AND (MIT OR Apache-2.0)",
+        "(MIT OR GPL-3.0) AND (GPL-2.0 OR AGPL-3.0)",
+    ):  # fmt: skip
         assert not licences.is_accepted(text), text
 
 

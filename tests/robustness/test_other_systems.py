@@ -155,8 +155,9 @@ def texts_without_encoding(text):
 
 
 # Objects whose method ``open`` reads no text: image and archive libraries, and modules of the operating system.
-FOREIGN_READERS = ("os", "archive", "image", "output", "oiio.ImageInput", "Image", "PIL.Image", "webbrowser", "wave")
-# Calls for which the encoding does not matter: ASCII files of Linux, and streams without a text layer of their own.
+FOREIGN_READERS = ("os", "archive", "output", "oiio.ImageInput", "Image", "PIL.Image")
+# Files whose calls need no encoding: readers of Linux files in ASCII, and of standard streams that are replaced by the
+# null device.
 ASCII_FILES = {"memory.py", "process.py"}
 
 

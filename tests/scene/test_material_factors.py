@@ -89,6 +89,15 @@ def mtl(folder, lines):
     return folder / "a.obj"
 
 
+def check(read, expected):
+    """Assert that factors are (metallic, roughness, emission), or that there are none."""
+    if expected is None:
+        assert read is None
+        return
+    assert (read.metallic[0], read.roughness[0]) == expected[:2]
+    np.testing.assert_allclose(read.emission[0], expected[2])
+
+
 @pytest.mark.parametrize(
     ("lines", "expected"),
     [
@@ -103,11 +112,7 @@ def test_keys_of_mtl_files(tmp_path, lines, expected):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         read = factors(mtl(tmp_path, lines))
-    if expected is None:
-        assert read is None
-        return
-    assert (read.metallic[0], read.roughness[0]) == expected[:2]
-    np.testing.assert_allclose(read.emission[0], expected[2])
+    check(read, expected)
 
 
 @pytest.mark.parametrize(
@@ -137,11 +142,7 @@ def test_keys_of_mtl_files_that_are_not_finite_are_refused(tmp_path, lines, mess
 def test_keys_of_mtl_files_without_their_effect_are_named(tmp_path, lines, message, expected):
     with pytest.warns(WarpdiffWarning, match=message):
         read = factors(mtl(tmp_path, lines))
-    if expected is None:
-        assert read is None
-        return
-    assert (read.metallic[0], read.roughness[0]) == expected[:2]
-    np.testing.assert_allclose(read.emission[0], expected[2])
+    check(read, expected)
 
 
 def test_colours_of_mtl_files_are_from_0_to_1(tmp_path):

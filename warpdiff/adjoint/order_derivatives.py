@@ -27,7 +27,7 @@ from warpdiff.core.threads import single_threaded_blas
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.diffraction import energy_normalisation
-from warpdiff.evaluate.orders import propagating
+from warpdiff.evaluate.orders import energy_or_default, propagating
 from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import check_covers, check_reflection
@@ -262,9 +262,7 @@ def order_efficiencies(
         "order_efficiencies", wrt,
         available("order_efficiencies", ior=ior, material=material, is_outline=relief.is_outline),
     )  # fmt: skip
-    if energy is None:
-        energy = "normalised" if (normal == 1.0 if material is None else material.is_opaque) else "stam"
-    normalised = energy in ("normalised", "normalized")
+    normalised = energy_or_default(energy, normal, material) in ("normalised", "normalized")
     call = _OrderCall(relief, lights, wavelengths, normalised=normalised, ior=index_of(ior), material=material)
     if set(names) & set(_MOVING):
         call.warn_of_kinks()

@@ -209,8 +209,7 @@ def order_efficiencies(
     normal, material = check_reflection(ior, material)
     if material is not None:
         check_covers(material, float(wavelengths.min()), float(wavelengths.max()))
-    if energy is None:
-        energy = "normalised" if (normal == 1.0 if material is None else material.is_opaque) else "stam"
+    energy = energy_or_default(energy, normal, material)
     orders, to_view = propagating(heightfield, lights, wavelengths)
     lives = ~np.isnan(to_view[..., 0])
     _warn_of_aliasing(heightfield, orders)
@@ -269,6 +268,16 @@ class Periodic(Protocol):
     def height_range_um(self) -> float:
         """Difference of the largest and the smallest height [µm]."""
         ...
+
+
+def energy_or_default(energy: Energy | None, normal: float, material: Material | None) -> Energy:
+    """Return the energy of orders; None is replaced by ``"normalised"`` for an opaque surface, else by ``"stam"``.
+
+    A surface is opaque if its material is, or, without a material, if ``normal``, R(0) of Schlick's formula, is 1.
+    """
+    if energy is not None:
+        return energy
+    return "normalised" if (normal == 1.0 if material is None else material.is_opaque) else "stam"
 
 
 def propagating(

@@ -10,6 +10,7 @@ import numpy as np
 
 from warpdiff.core import validation
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref, renaming
+from warpdiff.evaluate.orders import energy_or_default
 from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.coherence import Coherence
@@ -217,9 +218,7 @@ class Target:
         normal, material = check_reflection(optics.ior, optics.material)
         if material is not None:
             check_covers(material, wavelength, wavelength)
-        if energy is None:
-            energy = "normalised" if (normal == 1.0 if material is None else material.is_opaque) else "stam"
-        energy = validation.choice(energy, "energy", get_args(Energy))
+        energy = validation.choice(energy_or_default(energy, normal, material), "energy", get_args(Energy))
         light = _direction(to_light, "to_light")
         return cls(
             kind, light, values, light, pairs.astype(np.int64), wavelength, Optics(optics.ior, material, energy=energy)

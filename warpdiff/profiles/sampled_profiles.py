@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -54,11 +55,13 @@ class _SampledProfile(Profile):
         self.check(x)
         return {"heights_um": self._heights(self.check(dx))}
 
+    @abstractmethod
     def _heights(self, x: Array) -> Array:
-        raise NotImplementedError
+        """Return the heights [µm], shape (ny, nx), for parameters, shape (p,)."""
 
+    @abstractmethod
     def _transposed(self, heights: Array) -> Array:
-        raise NotImplementedError
+        """Return the adjoints of the parameters, shape (p,), from the adjoints of the heights, shape (ny, nx)."""
 
 
 class Samples(_SampledProfile):

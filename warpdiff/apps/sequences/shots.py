@@ -284,4 +284,6 @@ def _between(rows: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     if len(rows) == 1:
         return np.repeat(rows, count, axis=0)
     places = np.linspace(0.0, len(rows) - 1.0, count)
-    return np.asarray(PchipInterpolator(np.arange(len(rows)), rows, axis=0)(places), dtype=np.float64)
+    # Results of numbers that are too large are not finite; cameras refuse them.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.asarray(PchipInterpolator(np.arange(len(rows)), rows, axis=0)(places), dtype=np.float64)
