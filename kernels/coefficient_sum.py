@@ -19,12 +19,16 @@ import warp as wp
 
 from warpdiff.kernels import compile_options
 from warpdiff.kernels.indices import cyclic
+from warpdiff.kernels.structs import Footprint
 
 OPTIONS = compile_options.options()
 FORMS = ("averaged", "centred", "source", "replicas")
 # Number of Fourier coefficients along an axis from which the amplitude at a frequency is interpolated. The value is
 # limited by computing time, which is proportional to the square of this number.
 TAPS = 8
+# A footprint widens the Gaussian of a source to at most this multiple of its area. Choice: it limits computing time,
+# which is proportional to the area. Pixels with wider footprints are reported as inaccurate, or are refined.
+MOST_WIDENED = 2.0
 # The interference factor of N periods, [sin(πNt) / (N sin(πt))]², is 0/0 at its maximum, t = 0. Here t is the distance
 # from the nearest Fourier coefficient of the patch, in spacings of the coefficients. If |N t| is below this number, a
 # parabola replaces the factor. The number was derived from the error of the parabola, which is of fourth order in N t.
@@ -89,6 +93,8 @@ class Window:
     # exp(−2 across) and exp(−2 along). They are used only if the window has the same weights at all wavelengths.
     shrink_y: wp.float32
     shrink_x: wp.float32
+    # Factor that makes a sum over a source and a footprint the mean over the footprint; 1 without a footprint.
+    share: wp.float32
 
 
 @wp.func
@@ -155,29 +161,47 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         patch_y: wp.float64  # length of the patch along y [µm]
         patch_x: wp.float64
         has_pitch_scales: wp.bool  # for a source: whether directions to the light have pitch scales as their lengths
+        spread: wp.float32  # for a source: standard deviation of (u, v) at normal incidence
 
     @wp.func
-    def window_for(table: Table, to_light: wp.vec3f) -> Window:
+    def window_for(table: Table, to_light: wp.vec3f, footprint: Footprint) -> Window:
         """Return the Gaussian weights of Fourier coefficients for one direction to the light.
 
-        Under a source, the width of the Gaussian depends on the wavelength; the result is for λ = 1 µm.
+        Under a source, the width of the Gaussian depends on the wavelength; the result is for λ = 1 µm. A footprint
+        widens the Gaussian of a source. Other kinds of coherence ignore footprints.
         """
         window = Window()
+        window.share = 1.0
         if wp.static(form == "source"):
-            # For a source: let t be the tangential part of the direction to the light, at the angle θ from the normal,
-            # and s the spread of the source. The inverse covariance of (u, v) is Σ⁻¹ = (1 + t tᵀ/cos²θ)/s². The matrix
-            # is stored as its Cholesky factors, whose computation subtracts no nearly equal numbers.
-            tangent = 1.0 / to_light[2]
-            t_x = to_light[0] * tangent
-            t_y = to_light[1] * tangent
-            stretch = 1.0 + t_x * t_x
-            window.along = table.along * stretch
-            window.across = table.across * (tangent * tangent / stretch)
-            window.slant = t_x * t_y / stretch * wp.sqrt(table.across / table.along)
+            # The covariance of (u, v) over a source of the spread s is s² (p² − t tᵀ). Here, t is the tangential part
+            # of the vector to the light, and p is its length: 1, or the pitch scale of a dot. The vectors f and g are
+            # the changes of (u, v) over the footprint, divided by s. They add f fᵀ + g gᵀ to the covariance in units
+            # of s², whose elements are xx, xy and yy. No difference of nearly equal numbers is computed.
+            p2 = wp.float32(1.0)
             if table.has_pitch_scales:
-                # The covariance of a dot with the pitch scale p is p² Σ. The division by ``to_light[2]``, which is
-                # p cos θ, has divided ``across`` by p² already.
-                window.along = window.along / wp.length_sq(to_light)
+                p2 = wp.length_sq(to_light)
+            z2 = to_light[2] * to_light[2]
+            f = wp.vec2f(footprint[0], footprint[1]) / table.spread
+            g = wp.vec2f(footprint[2], footprint[3]) / table.spread
+            along_f = to_light[0] * f[0] + to_light[1] * f[1]
+            along_g = to_light[0] * g[0] + to_light[1] * g[1]
+            area2 = f[0] * g[1] - f[1] * g[0]
+            area2 = area2 * area2
+            of_source = p2 * z2
+            of_both = z2 * (wp.length_sq(f) + wp.length_sq(g)) + along_f * along_f + along_g * along_g
+            # ``k`` reduces the squared lengths of f and g, so that the determinant is at most MOST_WIDENED² times that
+            # of the source.
+            most = of_source * wp.static(MOST_WIDENED * MOST_WIDENED - 1.0)
+            k = wp.float32(1.0)
+            if of_both + area2 > most:
+                k = 2.0 * most / (of_both + wp.sqrt(of_both * of_both + 4.0 * area2 * most))
+            determinant = of_source + k * (of_both + k * area2)
+            yy = z2 + to_light[0] * to_light[0] + k * (f[1] * f[1] + g[1] * g[1])
+            xy = k * (f[0] * f[1] + g[0] * g[1]) - to_light[0] * to_light[1]
+            window.along = table.along * (yy / determinant)
+            window.across = table.across / yy
+            window.slant = -xy / yy * wp.sqrt(table.across / table.along)
+            window.share = wp.sqrt(of_source / determinant)
         else:
             window.along = table.along
             window.across = table.across
@@ -228,6 +252,11 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
         first_y = wp.int32(wp.ceil(fy - radius_y))
         last_y = wp.int32(wp.floor(fy + radius_y))
+        if wp.static(form == "source"):
+            # A footprint may extend beyond the table. A table with all coefficients of the grid is periodic instead.
+            if table.origin_y > 0:
+                first_y = wp.max(first_y, -table.origin_y - iy)
+                last_y = wp.min(last_y, table.origin_y - iy)
         total = wp.float32(0.0)
         if first_y > last_y:
             return total
@@ -272,6 +301,9 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
                 centre = fx - window.slant * (wp.float32(j) - fy)
                 first_x = wp.int32(wp.ceil(centre - radius_x))
                 last_x = wp.int32(wp.floor(centre + radius_x))
+                if table.origin_x > 0:
+                    first_x = wp.max(first_x, -table.origin_x - ix)
+                    last_x = wp.min(last_x, table.origin_x - ix)
                 dx = wp.float32(first_x) - centre
                 g = gy * wp.exp(-along * dx * dx)
                 start_step_x = wp.exp(-along * (2.0 * dx + 1.0))
@@ -304,7 +336,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
             total = total_re * total_re + total_im * total_im
         # The power ⟨|P|²⟩ is at most 1. If a plan is used at a κ = w/λ far beyond the range of its series, the series
         # may overflow to infinity or NaN. wp.min then returns 1.
-        return wp.min(total, wp.float32(1.0))
+        return window.share * wp.min(total, wp.float32(1.0))
 
     @wp.func
     def patch_power(table: Table, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
@@ -373,10 +405,13 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
     @wp.kernel(module="unique", module_options=OPTIONS)
     def integrate(
         table: Table, scattering_vectors: wp.array(dtype=wp.vec3d), to_lights: wp.array(dtype=wp.vec3f),
-        gains: wp.array(dtype=wp.float32), quadrature: Quadrature, first: wp.int32,
-        xyz_out: wp.array(dtype=wp.vec3f),
+        gains: wp.array(dtype=wp.float32), footprints: wp.array(dtype=Footprint), quadrature: Quadrature,
+        first: wp.int32, xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the XYZ of each direction, times its geometry factor (gain), to ``xyz_out``."""
+        """Add the XYZ of each direction, times its geometry factor (gain), to ``xyz_out``.
+
+        Under a source, the XYZ is the mean over a footprint. An empty array ``footprints`` selects single directions.
+        """
         i = first + wp.tid()
         gain = gains[i]
         if gain > 0.0:
@@ -419,7 +454,10 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
                     factor = factor * reflectance_of(quadrature, scattering_vector, quadrature.wavenumbers[k])
                     colour += wp.vec3d(quadrature.weights[k] * (wp.max(power, 0.0) * factor))
             else:
-                window = window_for(table, to_lights[i])
+                footprint = Footprint()
+                if footprints.shape[0] > 0:
+                    footprint = footprints[i]
+                window = window_for(table, to_lights[i], footprint)
                 for k in range(start, end):
                     power = gaussian_sum(table, window, scattering_vector, quadrature.wavenumbers[k])
                     power = power * reflectance_of(quadrature, scattering_vector, quadrature.wavenumbers[k])
@@ -437,7 +475,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         gain = gains[i]
         window = Window()
         if gain > 0.0:
-            window = window_for(table, to_lights[i])
+            window = window_for(table, to_lights[i], Footprint())
         for k in range(wavenumbers.shape[0]):
             reflectance = wp.float32(0.0)
             if gain > 0.0:

@@ -19,6 +19,7 @@ from warpdiff.device.devices import resolve_device, resolve_threads
 from warpdiff.device.kernel_calls import launch
 from warpdiff.diffraction.coefficient_basis import METHODS, POWER_METHODS
 from warpdiff.diffraction.phase_series import EXPANSIONS, MAX_TERMS
+from warpdiff.kernels.structs import Footprint
 from warpdiff.optics import reflectance_factors
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 from warpdiff.optics.materials import IlluminatedMaterial
@@ -106,6 +107,7 @@ class Call:
                 wp.array(np.tile(self.scattering_vectors, (repeats, 1)), dtype=wp.vec3d, device=self.device),
                 wp.array(np.tile(self.lights, (repeats, 1)).astype(np.float32), dtype=wp.vec3f, device=self.device),
                 wp.array(np.tile(self.gains, repeats).astype(np.float32), dtype=wp.float32, device=self.device),
+                wp.empty(0, dtype=Footprint, device=self.device),
                 wp.zeros(len(self.gains) * repeats, dtype=wp.vec3f, device=self.device),
             ]
         return self._arrays[repeats]

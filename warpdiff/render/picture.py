@@ -261,10 +261,7 @@ class Picture:
         # The callables of previews are called by the host between launches. A recorded graph is launched without the
         # host, so it has no previews.
         previews = previews if isinstance(self.rays, RasterizedRays) else ()
-        # Look-ups by sampled wavelengths ignore footprints. Cells near the mirror direction of a map under a source are
-        # therefore points, even if the rest of the map has a table.
-        means = lookups.uses_footprints and not (self.context.dots is not None and lookups.needs_sampling)
-        least_level = pixel_filter.level_of(self._least_samples, means=means)
+        least_level = pixel_filter.level_of(self._least_samples, means=lookups.uses_footprints)
         if len(self._passes) > 1:
             # Each light is refined to its final tolerance before the next light begins. A preview requires all lights,
             # so that they are all rendered at the tolerance of the preview first.

@@ -291,6 +291,8 @@ def table_for(
     table.exponent = -math.log(plan.least_weight)
     falloff = falloff_um2(coherence)
     table.across, table.along = (falloff / length**2 for length in grid.lengths_um)
+    if coherence.kind == "source":
+        table.spread = coherence.spread
     return Table(kernels.integrate, kernels.sample, table, coefficients)
 
 

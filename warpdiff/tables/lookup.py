@@ -76,9 +76,9 @@ class ColourLookup:
         self._quadratures: dict[IlluminatedMaterial, Any] = {}
         self.derived: LruCache[Any] = LruCache(most=_MOST_DERIVED)
         self._table: coefficient_table.Table | None = None
+        self._no_footprints = wp.empty(0, dtype=Footprint, device=device)
         if plan.rings_per_octave:
             self._taps = footprint_taps(device.alias, source_type(plan.coherence).tap_rule)
-            self._no_footprints = wp.empty(0, dtype=Footprint, device=device)
 
     def accumulate(
         self, scattering_vectors: wp.array, to_lights: wp.array, gains: wp.array, illuminated: IlluminatedMaterial,
@@ -132,18 +132,18 @@ class ColourLookup:
         """
         directions = [scattering_vectors, to_lights]
         if not self.plan.rings_per_octave:
-            return [self._sample([*directions, gains], illuminated, xyz)]
+            return [self._sample([*directions, gains, self._no_footprints], illuminated, xyz)]
         if unserved_gain is None:
             unserved_gain = wp.empty(len(gains) * self.needs_sampling, dtype=wp.float32, device=self.device)
-        calls = [self._look_up([*directions, gains], illuminated, xyz, footprints, unserved_gain)]
+        spreads = self._no_footprints if footprints is None else footprints
+        calls = [self._look_up([*directions, gains, spreads], illuminated, xyz, unserved_gain)]
         if self.needs_sampling:
-            calls.append(self._sample([*directions, unserved_gain], illuminated, xyz))
+            calls.append(self._sample([*directions, unserved_gain, spreads], illuminated, xyz))
         return calls
 
     def _look_up(
-        self, directions: list[wp.array], illuminated: IlluminatedMaterial, xyz: wp.array, footprints: wp.array | None,
-        unserved_gain: wp.array,
-    ) -> KernelCall:  # fmt: skip
+        self, directions: list[wp.array], illuminated: IlluminatedMaterial, xyz: wp.array, unserved_gain: wp.array
+    ) -> KernelCall:
         """Return the kernel call that looks up colours in the table and adds them to ``xyz``."""
         if illuminated not in self._colours:
             table = colour_table.table_for(
@@ -152,9 +152,8 @@ class ColourLookup:
             table = table if self._zeroth_order else table.without_zeroth_order()
             self._colours[illuminated] = table.with_pitch_scales() if self._pitch_scales else table
         table = self._colours[illuminated]
-        spreads = self._no_footprints if footprints is None else footprints
         batch = colour_lookup.BATCH if self.device.is_cpu else 1
-        inputs = [table.struct, *directions, spreads, self._taps, batch]
+        inputs = [table.struct, *directions, self._taps, batch]
         return KernelCall(table.kernels.integrate, inputs, [unserved_gain, xyz], block=batch)
 
     def _sample(self, directions: list[wp.array], illuminated: IlluminatedMaterial, xyz: wp.array) -> KernelCall:
