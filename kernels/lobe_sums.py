@@ -17,6 +17,9 @@ OPTIONS = compile_options.options("lobe_sums.h", max_unroll=1)
 # Number of values per pair that ``differentiate_lobes`` writes: derivatives with respect to q_x, q_y, M_xx, M_xy, M_yy,
 # x, L_x and L_y, the sums of r and of s times each term, and the sum itself. The header ``lobe_sums.h`` writes as many.
 DERIVATIVES = 11
+# Largest number of terms of a series, which callers must check. The number is limited by the stack, which has the
+# polynomials of a pair and their derivatives: 8 bytes × 2 × 1024 = 16 kB.
+MOST_TERMS = 1024
 
 
 @wp.struct
@@ -50,12 +53,12 @@ class LobePairs:
     reach_x: wp.int32
 
 
-@wp.func_native("return warpdiff::sum_lobe(table, pairs, pair);")
+@wp.func_native(f"return warpdiff::sum_lobe<{MOST_TERMS}>(table, pairs, pair);")
 def sum_lobe(table: LobeTable, pairs: LobePairs, pair: wp.int32) -> wp.float64:
     """Return the sum of the weighted Fourier coefficients of a pair."""
 
 
-@wp.func_native("warpdiff::differentiate_lobe(table, pairs, pair, derivatives_out);")
+@wp.func_native(f"warpdiff::differentiate_lobe<{MOST_TERMS}>(table, pairs, pair, derivatives_out);")
 def differentiate_lobe(
     table: LobeTable, pairs: LobePairs, pair: wp.int32, derivatives_out: wp.array2d(dtype=wp.float64)
 ):

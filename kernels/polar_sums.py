@@ -21,8 +21,8 @@ BLOCK_RINGS = 16
 # Number of consecutive rings that one thread of the transposed sum over rings processes. Each ring is processed by a
 # single thread.
 TOGETHER = 4
-# Largest number of terms of a series on a polar grid. The number is limited by the stack, which has the polynomials of
-# six rings.
+# Largest number of terms of a series on a polar grid, which callers must check. The number is limited by the stack,
+# which has the polynomials of six rings: 8 bytes × 6 × 256 = 12 kB.
 MOST_TERMS = 256
 
 
@@ -62,14 +62,14 @@ class PolarPixels:
     places_per_kappa: wp.float64
 
 
-@wp.func_native("warpdiff::sample_azimuth_rings(table, grid, direction, values_out);")
+@wp.func_native(f"warpdiff::sample_azimuth_rings<{BLOCK_RINGS}, {MOST_TERMS}>(table, grid, direction, values_out);")
 def sample_azimuth_rings(
     table: LobeTable, grid: RingBlocks, direction: wp.int32, values_out: wp.array2d(dtype=wp.float64)
 ):
     """Compute the spectrum at the rings of a block along one azimuth."""
 
 
-@wp.func_native("warpdiff::spread_rings(table, grid, values, cell, rows_out);")
+@wp.func_native(f"warpdiff::spread_rings<{BLOCK_RINGS}>(table, grid, values, cell, rows_out);")
 def spread_rings(
     table: LobeTable, grid: RingBlocks, values: wp.array2d(dtype=wp.float64), cell: wp.int32,
     rows_out: wp.array2d(dtype=wp.float64),
@@ -77,7 +77,7 @@ def spread_rings(
     """Add the contributions of all rings to the adjoint of one Fourier coefficient's series."""
 
 
-@wp.func_native("warpdiff::sum_rings(grid, values, pixels, pixel, xyz_out);")
+@wp.func_native(f"warpdiff::sum_rings<{BLOCK_RINGS}, {MOST_TERMS}>(grid, values, pixels, pixel, xyz_out);")
 def sum_rings(
     grid: RingBlocks, values: wp.array2d(dtype=wp.float64), pixels: PolarPixels, pixel: wp.int32,
     xyz_out: wp.array2d(dtype=wp.float64),
@@ -85,7 +85,7 @@ def sum_rings(
     """Compute the colour of one direction as a sum over rings."""
 
 
-@wp.func_native("warpdiff::spread_pixels(grid, pixels, group, values_out);")
+@wp.func_native(f"warpdiff::spread_pixels<{BLOCK_RINGS}, {TOGETHER}, {MOST_TERMS}>(grid, pixels, group, values_out);")
 def spread_pixels(grid: RingBlocks, pixels: PolarPixels, group: wp.int32, values_out: wp.array2d(dtype=wp.float64)):
     """Add the contributions of all directions to the adjoints of a few rings."""
 

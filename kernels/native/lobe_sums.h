@@ -15,8 +15,6 @@ namespace warpdiff {
 // Number of values that `differentiate_lobe` writes per pair: derivatives with respect to q_x, q_y, M_xx, M_xy, M_yy,
 // x, L_x and L_y, the sums of r and of s times the terms, and the sum itself.
 constexpr int LOBE_DERIVATIVES = 11;
-// Largest number of terms of a series. The value is limited by the stack, which has the polynomials of a pair.
-constexpr int MOST_LOBE_TERMS = 1024;
 
 // Compute the first `count` Chebyshev polynomials at x.
 WARPDIFF_INLINE void chebyshev_polynomials(double x, int count, double* values)
@@ -105,13 +103,13 @@ WARPDIFF_INLINE const double* coefficient_row(const Table& table, int row, int c
     return numbers<const double>(table.coefficients) + (long long)place * table.terms;
 }
 
-// Return the sum of the weighted Fourier coefficients of a pair.
-template <class Table, class Pairs>
+// Return the sum of the weighted Fourier coefficients of a pair. A series has at most MOST_TERMS terms.
+template <int MOST_TERMS, class Table, class Pairs>
 WARPDIFF_INLINE double sum_lobe(const Table& table, const Pairs& pairs, int pair)
 {
     Lobe lobe(table, pairs, pair);
     lobe.find_range(table);
-    double polynomials[MOST_LOBE_TERMS], sum = 0.0, dx, dy;
+    double polynomials[MOST_TERMS], sum = 0.0, dx, dy;
     chebyshev_polynomials(numbers<const double>(pairs.places)[pair], table.terms, polynomials);
     for (int row = lobe.first_row; row <= lobe.last_row; ++row) {
         for (int column = lobe.first_column; column <= lobe.last_column; ++column) {
@@ -123,13 +121,13 @@ WARPDIFF_INLINE double sum_lobe(const Table& table, const Pairs& pairs, int pair
 }
 
 // Compute the derivatives of the sum of a pair, in the order of `LOBE_DERIVATIVES`.
-template <class Table, class Pairs, class Values>
+template <int MOST_TERMS, class Table, class Pairs, class Values>
 WARPDIFF_INLINE void differentiate_lobe(const Table& table, const Pairs& pairs, int pair, Values& derivatives_out)
 {
     Lobe lobe(table, pairs, pair);
     lobe.find_range(table);
     double* const out = numbers<double>(derivatives_out) + (long long)pair * LOBE_DERIVATIVES;
-    double polynomials[MOST_LOBE_TERMS], slopes[MOST_LOBE_TERMS], sums[LOBE_DERIVATIVES] = {}, dx, dy;
+    double polynomials[MOST_TERMS], slopes[MOST_TERMS], sums[LOBE_DERIVATIVES] = {}, dx, dy;
     chebyshev_polynomials(numbers<const double>(pairs.places)[pair], table.terms, polynomials);
     chebyshev_slopes(numbers<const double>(pairs.places)[pair], table.terms, slopes);
     for (int row = lobe.first_row; row <= lobe.last_row; ++row) {

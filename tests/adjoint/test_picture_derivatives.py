@@ -14,16 +14,18 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 import warpdiff as wd
-from warpdiff.adjoint import picture_model
+from warpdiff.adjoint import picture_model, series_length
 from warpdiff.adjoint.coefficient_series import CoefficientSeries, SeriesSize
 from warpdiff.adjoint.colour_splines import curve_weights, ring_count
 from warpdiff.adjoint.gaussian_lobes import Pairs
 from warpdiff.adjoint.lobe_pyramid import LobePyramid
 from warpdiff.adjoint.polar_grid_sums import PolarGridSums, RingGrid, RingSizes, kappa_margin
+from warpdiff.adjoint.series_length import term_count
 from warpdiff.adjoint.sites import Block
 from warpdiff.adjoint.surfaces import Relief
 from warpdiff.adjoint.wavelength_sums import WavelengthSums
 from warpdiff.core import memory
+from warpdiff.kernels import lobe_sums
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.render.picture_samples import LitPixels, samples_of
@@ -281,9 +283,9 @@ def test_finer_grids_are_used_until_the_tolerance_is_met(points):
     used = []
     by_rings = picture_model.PictureModel._by_rings
 
-    def recorded(model, sizes):
+    def recorded(model, sizes, size):
         used.append(sizes.rings_per_octave)
-        return by_rings(model, sizes)
+        return by_rings(model, sizes, size)
 
     with mock.patch.object(picture_model.PictureModel, "_by_rings", recorded):
         wd.adjoint.pixels(points, FIELD, LIGHT, wrt=(), tolerance=0.1)
@@ -303,6 +305,15 @@ def test_deep_surfaces_have_grids(points):
     with mock.patch.object(picture_model, "_SIZES", ()):
         exact = wd.adjoint.pixels(points, deep, LIGHT, wrt=()).value
     assert np.linalg.norm(value - exact) <= 1e-2 * np.linalg.norm(exact)
+
+
+def test_series_with_more_terms_than_kernels_support_use_no_grid(points):
+    """A height range of 20 µm needs more terms than `MOST_TERMS`. Beyond it, kernels would write outside of memory."""
+    deep = wd.HeightField.of_known_scale(10.0 * np.sin(np.arange(64.0) * np.pi / 32.0)[None], FIELD.pitch_um)
+    with mock.patch.object(picture_model, "PolarGridSums", side_effect=AssertionError):
+        value = wd.adjoint.pixels(points, deep, LIGHT, wrt=()).value
+    assert np.isfinite(value).all()
+    assert term_count(series_length._MOST_ARGUMENT, 0.0) <= lobe_sums.MOST_TERMS
 
 
 def test_derivatives_by_the_index_of_refraction(square):

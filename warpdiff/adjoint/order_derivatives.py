@@ -262,7 +262,7 @@ def order_efficiencies(
         "order_efficiencies", wrt,
         available("order_efficiencies", ior=ior, material=material, is_outline=relief.is_outline),
     )  # fmt: skip
-    normalised = energy_or_default(energy, normal, material) in ("normalised", "normalized")
+    normalised = energy_or_default(energy, normal, material) == "normalised"
     call = _OrderCall(relief, lights, wavelengths, normalised=normalised, ior=index_of(ior), material=material)
     if set(names) & set(_MOVING):
         call.warn_of_kinks()

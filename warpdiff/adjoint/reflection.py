@@ -15,7 +15,7 @@ import numpy as np
 
 from warpdiff.adjoint.jets import Jet
 from warpdiff.kernels.thresholds import TINY
-from warpdiff.optics.materials import DEFAULT_IOR
+from warpdiff.optics.materials import DEFAULT_IOR, index_at
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -98,16 +98,17 @@ def fresnel(cosines: NDArray[np.float64], material: Material, wavelengths_nm: ND
         material: Material, with a film or without.
         wavelengths_nm: Wavelengths [nm], in the shape of the cosines.
     """
+    substrate = index_at(material, wavelengths_nm)
     cosine, n, k, thickness, wavelength = Jet.variables(
-        np.minimum(cosines, 1.0), *_index(material, wavelengths_nm), np.full_like(cosines, material.film_nm),
-        wavelengths_nm,
+        np.minimum(cosines, 1.0), substrate.real, substrate.imag,
+        np.full_like(cosines, material.film_nm), wavelengths_nm,
     )  # fmt: skip
     along2 = 1.0 - cosine * cosine
     below = n + 1j * k + _dispersion(material, wavelength)
     media = [Jet(np.ones(cosines.shape), 0.0 * cosine.partials)]
     if material.film is not None:
-        film_n, film_k = _index(material.film, wavelengths_nm)
-        media.append(_dispersion(material.film, wavelength) + (film_n + 1j * film_k))
+        film = _dispersion(material.film, wavelength)
+        media.append(Jet(film.value + index_at(material.film, wavelengths_nm), film.partials))
     media.append(below)
     angles = [cosine, *((1.0 - along2 / (index * index)).power(0.5) for index in media[1:])]
     result = Jet(np.zeros(cosines.shape), 0.0 * cosine.partials)
@@ -124,14 +125,6 @@ def fresnel(cosines: NDArray[np.float64], material: Material, wavelengths_nm: ND
             amplitude = (amplitude + behind) / (1.0 + amplitude * behind)
         result = result + amplitude.abs2() * 0.5
     return result
-
-
-def _index(material: Material, wavelengths_nm: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return n and k of a material without its film, interpolated linearly at wavelengths [nm]."""
-    n, k = (
-        np.interp(wavelengths_nm, np.asarray(material.wavelengths_nm), np.asarray(v)) for v in (material.n, material.k)
-    )
-    return np.asarray(n), np.asarray(k)
 
 
 def _dispersion(material: Material, wavelength: Jet) -> Jet:

@@ -17,8 +17,8 @@ from warpdiff.diffraction.phase_series import bessel_j
 # larger than these terms by a factor of about the number of terms, which is at most a few hundred. With this fraction,
 # derivatives also meet the truncation error.
 _MARGIN = 1e-2
-# Largest argument x of a series. The value is limited by kernels, which have memory for 1024 terms. It corresponds to a
-# height range of about 250 wavelengths.
+# Largest argument x of a series. The value is limited by kernels, which have memory for `lobe_sums.MOST_TERMS` terms:
+# its series has up to 970 terms. It corresponds to a height range of about 250 wavelengths.
 _MOST_ARGUMENT = 800.0
 # Sum of the magnitudes of Bessel functions below which the sum may consist of rounding errors alone.
 _ROUNDING = 4e-15

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from warpdiff.core.text_encodings import decoded
 from warpdiff.core.wording import ArgumentValueError, ref
-from warpdiff.scene.text_encodings import decoded
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from warpdiff.core import forks, memory, validation
-from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, marked, ref, renaming
+from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref, renaming
 from warpdiff.heightfield.edge_checks import check_periodic
 from warpdiff.heightfield.field import HeightField, check_whole
-from warpdiff.heightfield.readers.image_reader import image_samples
+from warpdiff.heightfield.readers.image_reader import grey_levels
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -282,11 +282,4 @@ def _from_image(value: Any, name: str) -> NDArray[np.float64]:
             f"{ref(name)} must state the values of black and white for an image, got {str(value)!r} alone: give "
             "(path, black, white), such as ('pitch.png', 0.8, 1.25)"
         )
-    file = validation.path(value, name)
-    if not file.is_file():
-        raise marked(FileNotFoundError, f"{ref(name)}: there is no file {str(file)!r}")
-    with renaming({"path": name}):
-        samples = image_samples(file)
-    full = float(np.iinfo(samples.dtype).max) if samples.dtype.kind in "iu" else 1.0
-    grey = validation.finite_array(samples, name) / full
-    return np.asarray(ends[0] + (ends[1] - ends[0]) * grey)
+    return np.asarray(ends[0] + (ends[1] - ends[0]) * grey_levels(value, name))

@@ -11,7 +11,7 @@ from warpdiff.core import validation
 from warpdiff.core.wording import ArgumentValueError, ref, renaming
 from warpdiff.heightfield.field import HeightField, check_whole
 from warpdiff.heightfield.grating_map import MOST_PITCH_RATIO, GratingMap
-from warpdiff.heightfield.readers.image_reader import image_samples
+from warpdiff.heightfield.readers.image_reader import grey_levels
 from warpdiff.optics import colorimetry, reflectance_factors
 
 if TYPE_CHECKING:
@@ -57,6 +57,7 @@ def hidden_pictures(
         A map of rows × columns dots.
 
     Raises:
+        FileNotFoundError: A picture is a path without a file.
         ValueError: The pictures differ in shape or exceed 0 to 1, an eye or the light is not above the card, the eyes
             are less than 2° apart, or no pitch aims at an eye, because it is in the mirror direction.
 
@@ -183,11 +184,7 @@ def _is_numeric(value: object) -> bool:
 def _picture(value: Any, name: str) -> NDArray[np.float64]:
     """Return the luminances of a picture, from an array or a grey image."""
     if isinstance(value, (str, os.PathLike)):
-        file = validation.path(value, name)
-        with renaming({"path": name}):
-            samples = image_samples(file)
-        full = float(np.iinfo(samples.dtype).max) if samples.dtype.kind in "iu" else 1.0
-        picture = validation.finite_array(samples, name, ndim=2) / full
+        picture = grey_levels(value, name)
     else:
         picture = validation.finite_array(value, name, ndim=2)
     if min(picture.shape) < 2:

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from warpdiff.core import validation
+from warpdiff.core.text_encodings import decoded
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, marked, ref
 from warpdiff.scene import gltf, mesh_images, obj_text, ply_polygons, trimesh_parts
 from warpdiff.scene.scene_parts import Appearance, ScenePart
-from warpdiff.scene.text_encodings import decoded
 
 if TYPE_CHECKING:
     import os

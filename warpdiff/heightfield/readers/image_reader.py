@@ -6,11 +6,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import openimageio
+from warpdiff.core import openimageio, validation
+from warpdiff.core.wording import marked, ref, renaming
 from warpdiff.heightfield.readers.reader_registry import FileContent, refusal, register_reader, require_memory
 
 if TYPE_CHECKING:
+    import os
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
 # Measured peak memory while an image is read [bytes per sample]. Images that need more than the free memory are
 # refused. If doubled, images are refused that would fit into memory.
@@ -38,6 +42,26 @@ _OTHER_FORMAT = (
 def read_image(file: Path) -> FileContent:
     """Read a grey image without a conversion of its samples."""
     return FileContent(image_samples(file))
+
+
+def grey_levels(value: str | os.PathLike[str], name: str) -> NDArray[np.float64]:
+    """Return the levels of a grey image, 0 to 1 for integers, shape (rows, columns).
+
+    Args:
+        value: Path of the image.
+        name: Argument that has the path, which errors name.
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        ValueError: The file is not a grey image, or has samples that are not finite.
+    """
+    file = validation.path(value, name)
+    if not file.is_file():
+        raise marked(FileNotFoundError, f"{ref(name)}: there is no file {str(file)!r}")
+    with renaming({"path": name}):
+        samples = image_samples(file)
+    full = float(np.iinfo(samples.dtype).max) if samples.dtype.kind in "iu" else 1.0
+    return validation.finite_array(samples, name, ndim=2) / full
 
 
 def image_samples(file: Path) -> np.ndarray:
