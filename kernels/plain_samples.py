@@ -12,7 +12,7 @@ import warp as wp
 
 from warpdiff.kernels import compile_options, thresholds
 from warpdiff.kernels.bvh import FAR
-from warpdiff.kernels.disc_samples import on_disc
+from warpdiff.kernels.disc_samples import disc_edge, light_axis, on_disc, towards_on_disc
 from warpdiff.kernels.light_samples import Lights, covariance_of
 from warpdiff.kernels.plain_reflection import (
     Gloss,
@@ -25,8 +25,8 @@ from warpdiff.kernels.plain_reflection import (
     stretched,
 )
 from warpdiff.kernels.primary_hits import scramble
+from warpdiff.kernels.sample_frames import filtered_frame, frame_at, in_frame, in_world
 from warpdiff.kernels.sample_sequence import filter_point, light_point, sample_index
-from warpdiff.kernels.shading_frames import LEAST_COSINE
 from warpdiff.kernels.sky_samples import (
     Sky,
     SkyDistribution,
@@ -51,68 +51,6 @@ DISC_SHARE, REACH = wp.constant(wp.float32(0.5)), wp.constant(wp.float32(8.0))
 # Smallest cosine of the view direction by which the expected brightness under many lights is divided. Other values
 # would change the noise, not the mean.
 LEAST_VIEW = wp.constant(wp.float32(0.1))
-
-
-@wp.struct
-class Frame:
-    """Shading frame at the hit of a ray (tangent, bitangent and normal), and the view direction in this frame."""
-
-    tangent: wp.vec3f
-    bitangent: wp.vec3f
-    normal: wp.vec3f
-    view: wp.vec3f
-
-
-@wp.func
-def frame_at(pixels: Pixels, ray: wp.int32) -> Frame:
-    """Return the shading frame at the hit of a ray."""
-    result = Frame()
-    result.tangent = pixels.tangent[ray]
-    result.bitangent = pixels.bitangent[ray]
-    result.normal = pixels.normal[ray]
-    result.view = wp.normalize(in_frame(result, pixels.to_view[ray]))
-    return result
-
-
-@wp.func
-def filtered_frame(pixels: Pixels, ray: wp.int32, footprint: Footprint, random: wp.vec2f) -> Frame:
-    """Return the shading frame at a random point of a ray's filter, drawn by the method of Box and Muller.
-
-    The normal is rotated. (u, v) of light from the mirror direction then changes as the footprint states, as in
-    ``sky_samples.sample_sky``.
-    """
-    size = wp.sqrt(-2.0 * wp.log(1.0 - random[0]))
-    angle = wp.static(2.0 * math.pi) * random[1]
-    right = size * wp.cos(angle)
-    down = size * wp.sin(angle)
-    tangent = pixels.tangent[ray]
-    bitangent = pixels.bitangent[ray]
-    view = pixels.to_view[ray]
-    per_move = 0.5 / wp.max(wp.dot(pixels.normal[ray], view), LEAST_COSINE)
-    normal = pixels.normal[ray] + per_move * (right * footprint[0] + down * footprint[2]) * tangent
-    normal += per_move * (right * footprint[1] + down * footprint[3]) * bitangent
-    result = Frame()
-    result.normal = wp.normalize(normal)
-    result.tangent = wp.normalize(tangent - wp.dot(tangent, result.normal) * result.normal)
-    result.bitangent = wp.cross(result.normal, result.tangent)
-    if wp.dot(result.bitangent, bitangent) < 0.0:
-        result.bitangent = -result.bitangent
-    local = in_frame(result, view)
-    local[2] = wp.max(local[2], LEAST_COSINE)
-    result.view = wp.normalize(local)
-    return result
-
-
-@wp.func
-def in_frame(frame: Frame, along: wp.vec3f) -> wp.vec3f:
-    """Convert a direction from the world frame to a shading frame."""
-    return wp.vec3f(wp.dot(frame.tangent, along), wp.dot(frame.bitangent, along), wp.dot(frame.normal, along))
-
-
-@wp.func
-def in_world(frame: Frame, direction: wp.vec3f) -> wp.vec3f:
-    """Convert a direction from a shading frame to the world frame."""
-    return wp.normalize(direction[0] * frame.tangent + direction[1] * frame.bitangent + direction[2] * frame.normal)
 
 
 @wp.func
@@ -264,12 +202,11 @@ def draw_plain_disc(
     A fraction of the directions is drawn from microfacets if their lobe is narrower than the disc. The arguments are
     those of ``disc_samples.draw_disc``, whose directions this kernel replaces.
     """
-    place = lights.places[light_index]
-    axis = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))
+    axis = light_axis(lights, light_index)
     tangent = wp.normalize(lights.deviations[light_index, 0])
     bitangent = wp.normalize(lights.deviations[light_index, 1])
     radius = 2.0 * wp.length(lights.deviations[light_index, 0])
-    edge = 2.0 * wp.sin(0.5 * radius * wp.sqrt(wp.max(1.0 - 4.0 * extent * extent, 0.0)))
+    edge = disc_edge(radius, extent)
     of_disc = 1.0 / (wp.static(math.pi) * wp.max(edge * edge, 1.0e-12))
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
@@ -295,11 +232,8 @@ def draw_plain_disc(
             light = draw_facet(gloss, wp.vec2f(point[0] / share, point[1]))
             towards = in_world(frame, light)
         else:
-            on = edge * on_disc(wp.vec2f((point[0] - share) / (1.0 - share), point[1]))
-            square = wp.length_sq(on)
-            towards = (1.0 - 0.5 * square) * axis
-            towards += wp.sqrt(1.0 - 0.25 * square) * (on[0] * tangent + on[1] * bitangent)
-            towards = wp.normalize(towards)
+            place = edge * on_disc(wp.vec2f((point[0] - share) / (1.0 - share), point[1]))
+            towards = towards_on_disc(axis, tangent, bitangent, place)
             light = in_frame(frame, towards)
         weight = wp.float32(0.0)
         if light[2] > HORIZON and wp.length(towards - axis) <= edge:
@@ -341,8 +275,7 @@ def choice_point(gloss: Gloss, pixels: Pixels, ray: wp.int32) -> ChoicePoint:
 @wp.func
 def expected_brightness(lights: Lights, index: wp.int32, at: ChoicePoint) -> wp.float32:
     """Return the light that a hit is expected to reflect from one of many directional lights; 0 below the horizon."""
-    place = lights.places[index]
-    towards = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))
+    towards = light_axis(lights, index)
     cosine = wp.dot(towards, at.normal)
     if cosine < HORIZON:
         return 0.0
@@ -387,9 +320,7 @@ def choose_plain_lights(
             if brightness > 0.0 and rest >= 0.0:
                 # Rounding errors may make the sum of all probabilities too small. The last light above the horizon is
                 # then chosen.
-                place = lights.places[index]
+                towards = light_axis(lights, index)
                 weight = wp.float32(lights.strengths[index] / lights.strengths[0]) * total / brightness
-                towards_out[i] = wp.vec4f(
-                    wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]), weight
-                )  # fmt: skip
+                towards_out[i] = wp.vec4f(towards[0], towards[1], towards[2], weight)
                 rest -= brightness

@@ -15,8 +15,8 @@ import warp as wp
 from warpdiff.kernels import compile_options, thresholds
 from warpdiff.kernels.bvh import FAR
 from warpdiff.kernels.light_samples import Reflection, energy_factor, finish_of, transmittance
+from warpdiff.kernels.sample_frames import filtered_frame
 from warpdiff.kernels.sample_sequence import filter_point, light_point, sample_index
-from warpdiff.kernels.shading_frames import LEAST_COSINE
 from warpdiff.kernels.structs import Footprint, Pixels, SurfaceArrays, Textures, Transparency
 from warpdiff.kernels.transparency import is_occluded
 
@@ -268,40 +268,23 @@ def sample_sky(
             continue
         index = sample_index(tiles, width, across, i, sample, samples)
         point = light_point(index)
-        within = filter_point(index)
-        # Draw a point of the pixel filter (Box and Muller). Then rotate the normal until (u, v) has changed as much as
-        # between the centre of the footprint and this point. If the normal rotates by an angle, (u, v) of light from
-        # the mirror direction changes by 2 cos θ times the angle.
-        size = wp.sqrt(-2.0 * wp.log(1.0 - within[0]))
-        angle = wp.static(2.0 * math.pi) * within[1]
-        right = size * wp.cos(angle)
-        down = size * wp.sin(angle)
-        footprint = footprints[i]
-        towards = pixels.to_view[i]
-        normal = pixels.normal[i]
-        per_move = 0.5 / wp.max(wp.dot(normal, towards), LEAST_COSINE)
-        normal += per_move * (right * footprint[0] + down * footprint[2]) * pixels.tangent[i]
-        normal += per_move * (right * footprint[1] + down * footprint[3]) * pixels.bitangent[i]
-        normal = wp.normalize(normal)
-        tangent = wp.normalize(pixels.tangent[i] - wp.dot(pixels.tangent[i], normal) * normal)
-        bitangent = wp.cross(normal, tangent)
-        if wp.dot(bitangent, pixels.bitangent[i]) < 0.0:
-            bitangent = -bitangent
-        cosine = wp.max(wp.dot(normal, towards), LEAST_COSINE)
-        view = wp.normalize(wp.vec3f(wp.dot(tangent, towards), wp.dot(bitangent, towards), cosine))
+        frame = filtered_frame(pixels, i, footprints[i], filter_point(index))
+        view = frame.view
         uv = wp.vec2f()
         light = wp.vec3f()
         along = wp.vec3f()
+        # The two conversions between the frames are written out. With functions of ``sample_frames``, the compiler
+        # would contract other products, and pictures would differ by rounding errors from those of earlier versions.
         if point[0] < table.sky_share:
             along = draw_direction(table, sky, wp.vec2f(point[0] / table.sky_share, point[1]))
-            light = wp.vec3f(wp.dot(tangent, along), wp.dot(bitangent, along), wp.dot(normal, along))
+            light = wp.vec3f(wp.dot(frame.tangent, along), wp.dot(frame.bitangent, along), wp.dot(frame.normal, along))
             uv = wp.vec2f(-light[0] - view[0], -light[1] - view[1])
         else:
             uv = draw_uv(table, wp.vec2f((point[0] - table.sky_share) / (1.0 - table.sky_share), point[1]))
             x = -uv[0] - view[0]
             y = -uv[1] - view[1]
             light = wp.vec3f(x, y, wp.sqrt(wp.max(1.0 - x * x - y * y, 0.0)))
-            along = wp.normalize(x * tangent + y * bitangent + light[2] * normal)
+            along = wp.normalize(x * frame.tangent + y * frame.bitangent + light[2] * frame.normal)
         scattering_vectors_out[i] = wp.vec3d(wp.float64(uv[0]), wp.float64(uv[1]), -wp.float64(light[2] + view[2]))
         to_lights_out[i] = light
         if light[2] * light[2] < LEAST_LIGHT2 or light[2] < 0.0:

@@ -34,7 +34,16 @@ SM = 90
 SMS = (80, 90)
 ARCHITECTURES = [slow(80), SM]
 # Modules of the package ``kernels`` without a kernel. Their functions are compiled with the kernels that call them.
-FUNCTIONS_ONLY = {"atomics", "compile_options", "footprints", "indices", "sample_sequence", "shading_frames", "structs"}
+FUNCTIONS_ONLY = {
+    "atomics",
+    "compile_options",
+    "footprints",
+    "indices",
+    "sample_frames",
+    "sample_sequence",
+    "shading_frames",
+    "structs",
+}
 # Modules of the package ``kernels`` that contain only constants, for code that does not import Warp.
 WITHOUT_WARP = {"refinement_levels", "thresholds", "quadratic_spline"}
 KERNELS = {

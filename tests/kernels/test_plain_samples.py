@@ -8,7 +8,7 @@ import warp as wp
 from conftest import hemisphere, launch
 
 import warpdiff as wd
-from warpdiff.kernels import compile_options, plain_samples
+from warpdiff.kernels import compile_options, plain_samples, sample_frames
 from warpdiff.kernels.light_samples import Lights
 from warpdiff.kernels.plain_reflection import Gloss, PlainMaterials
 from warpdiff.kernels.structs import Footprint, Pixels
@@ -29,7 +29,7 @@ def call_functions(
     views: wp.array(dtype=wp.vec3f), shares: wp.array(dtype=wp.float32),
 ):  # fmt: skip
     i = wp.tid()
-    frame = plain_samples.filtered_frame(pixels, i, footprints[i], random[i])
+    frame = sample_frames.filtered_frame(pixels, i, footprints[i], random[i])
     tangents[i] = frame.tangent
     bitangents[i] = frame.bitangent
     normals[i] = frame.normal

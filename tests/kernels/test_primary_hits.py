@@ -38,7 +38,7 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
     sampling.offsets = wp.empty(count if samples > 1 else 0, dtype=wp.vec2d, device="cpu")
     find = (bvh.trace_bvh, count, [axes, scene.with_hierarchy(), sampling])
     if covers:
-        neighbour_extent = primary_hits.MOST_OFFSET if samples > 1 else 0.0
+        neighbour_extent = refinement_levels.FILTER_CUT if samples > 1 else 0.0
         find = (primary_hits.rasterize, scene.face_count, [axes, scene.bare, sampling, Cells(), neighbour_extent])
     launches = [
         (primary_hits.place_samples, len(sampling.offsets), [sample, samples, seed], [sampling.offsets]),

@@ -16,7 +16,7 @@ from conftest import slow, write_image
 
 import warpdiff as wd
 from bench.truth.sky_sums import SkySums
-from warpdiff.lights import sky_distribution
+from warpdiff.lights import sky_distribution, sky_grid
 from warpdiff.lights.sky_grid import extract_suns
 from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import colour_science
@@ -291,6 +291,33 @@ def test_no_sun_is_extracted_from_a_uniform_sky():
     grid, suns = extract_suns(sky)
     assert len(suns) == 1
     assert grid.max() == pytest.approx(1.19, rel=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(256, 4096), (2048, 300), (512, 100), (100, 1024), (600, 1200), (100, 150)])
+def test_a_sky_of_any_proportions_keeps_the_power_of_a_bright_pixel(shape, monkeypatch):
+    monkeypatch.setattr(sky_grid, "_MOST_SUNS", 0)
+    height, width = shape
+    solid = 2.0 * math.pi / width * np.diff(-np.cos(np.arange(height + 1) / height * math.pi))
+    on_grid = np.diff(-np.cos(np.arange(513) / 512 * math.pi))[:, None, None] * 2.0 * math.pi / 1024
+    # Interpolation conserves the power approximately: the sum of its weights depends on the position of the pixel
+    # between the cells of the grid, by up to 1.2 % here.
+    row = height // 2 + height // 9
+    for column in (0, *range(width // 4, width // 4 + 5), width - 1):
+        sky = np.zeros((*shape, 3), dtype=np.float32)
+        sky[row, column] = (1e4, 2e4, 3e4)
+        grid, suns = extract_suns(sky)
+        assert not suns
+        assert grid.shape == (512, 1024, 3)
+        np.testing.assert_allclose((grid * on_grid).sum(axis=(0, 1)), solid[row] * sky[row, column], rtol=2e-2)
+
+
+@pytest.mark.parametrize(("shape", "count"), [((64, 128), 1), ((512, 128), 1), ((512, 100), 0), ((50, 1024), 0)])
+def test_the_longer_side_of_a_pixel_determines_the_extent_of_a_sun(shape, count):
+    # With 64 rows or 128 columns, a pixel has a side of 2.8°; with 50 rows or 100 columns, a side of 3.6°. The largest
+    # sun has a radius of 4.5°, which is 1.5 times the side of a pixel of 3.0°.
+    sky = np.full((*shape, 3), 0.5, dtype=np.float32)
+    sky[shape[0] // 2, shape[1] // 2] = 1e5
+    assert len(extract_suns(sky)[1]) == count
 
 
 def test_a_second_picture_under_the_same_sky_uploads_nothing_and_reuses_the_recording(square, monkeypatch):

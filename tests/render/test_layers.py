@@ -12,6 +12,7 @@ from trimesh.visual import TextureVisuals
 
 import warpdiff as wd
 from warpdiff.core.wording import WarpdiffWarning
+from warpdiff.render.picture_inputs import PictureInputs
 from warpdiff.request.layer_formats import LAYERS
 
 NAMES = ("normal", "depth", "geometry")
@@ -276,6 +277,21 @@ def test_a_picture_without_layers_does_no_work_for_them(monkeypatch):
     image = shade(box(), layers=())
     assert not image.layers
     assert not image.names
+
+
+def test_the_light_of_single_lights_requires_no_second_picture(monkeypatch):
+    made = []
+    make = PictureInputs.picture
+
+    def counted(self, *args):
+        made.append(args)
+        return make(self, *args)
+
+    monkeypatch.setattr(PictureInputs, "picture", counted)
+    assert list(shade(box(), layers=("light",)).layers) == ["light.0"]
+    assert len(made) == 1
+    assert list(shade(box(), layers=("light", "normal")).layers) == ["light.0", "normal"]
+    assert len(made) == 3
 
 
 def test_the_documentation_lists_all_layers():

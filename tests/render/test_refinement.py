@@ -200,7 +200,9 @@ def test_pixels_that_do_not_converge_cause_a_warning(fingers, table):
     """
     far = wd.View((12.0, 48.0, 93.0), (0.0, 0.0, 0.0), fov_y_deg=1.5, width=48, height=36)
     mesh, fine = lumpy(5), dataclasses.replace(table, tolerance=1e-3)
-    with pytest.warns(wd.WarpdiffWarning, match=r"of the illuminated pixels are expected to exceed .* see image.error"):
+    with pytest.warns(
+        wd.WarpdiffWarning, match=r"of the illuminated interior pixels are expected to exceed .* see image.error"
+    ):
         image = wd.shade(mesh, fingers, LIGHT, far, plan=fine)
     assert image.report.unconverged_share > 0.01
     assert "does not meet its tolerance of 0.001 everywhere" in str(image.report).splitlines()[0]

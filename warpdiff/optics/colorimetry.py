@@ -88,6 +88,11 @@ def check_illuminant(illuminant: object, name: str = "illuminant") -> Illuminant
     return checked
 
 
+def is_known_illuminant(name: str) -> bool:
+    """Return whether a text is the name of an illuminant or light source, such as ``"D65"`` or ``"FL3.1"``."""
+    return name in PRECOMPUTED or _distribution(name) is not None
+
+
 def _distribution(illuminant: str) -> Any:
     """Return the spectrum of an illuminant or light source in colour-science by its name; None if there is none."""
     for distributions in (colour_science().SDS_ILLUMINANTS, colour_science().SDS_LIGHT_SOURCES):

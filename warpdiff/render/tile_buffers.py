@@ -49,9 +49,9 @@ class TileBuffers:
         gbuffer: Hits of the rays.
         samples: Samples of one lobe at the hits; the samples of the next lobe overwrite them.
         colours: Colours of the rays, added over the lobes of a light.
-        unserved_gain: Geometry factors of directions that a table does not contain. tiles: For each level, an array of
-        the pixels whose cells are in the buffers. Only the array of the level that is
-            shaded at the moment is used.
+        unserved_gain: Geometry factors of directions that a table does not contain.
+        tiles: For each level, an array of the pixels whose cells are in the buffers. Only the array of the level that
+            is shaded at the moment is used.
     """
 
     gbuffer: GBuffer
