@@ -46,7 +46,7 @@ def body():
 @pytest.fixture(scope="module")
 def view():
     """Return a view of a part of the back, whose pixels have small footprints."""
-    return wd.View((0.0, 2.0, 0.6), (0.0, 0.3, 0.0), up=(0.0, 0.0, -1.0), fov_y_deg=10.0, width=18, height=11)
+    return wd.View((0.0, 2.0, 0.6), (0.0, 0.3, 0.0), up=(0.0, 0.0, -1.0), fov_y_deg=10.0, width=13, height=8)
 
 
 def renderer_of(body, view, light=LIGHT, surface=FIELD, **options):

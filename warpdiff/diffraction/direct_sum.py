@@ -36,6 +36,7 @@ _WIDTHS = 8.0
 _BYTES_PER_NUMBER = 64.0
 
 
+@single_threaded_blas()
 def window_power(
     heightfield: HeightField, coherence: Coherence, scattering_vectors: NDArray[np.float64],
     wavelengths_um: NDArray[np.float64], *, to_lights: NDArray[np.float64] | None = None,
@@ -73,7 +74,6 @@ def window_power(
     return result
 
 
-@single_threaded_blas()
 def _coefficient_sum(
     heightfield: HeightField, coherence: Coherence, field: NDArray[np.complex128], q: NDArray[np.float64],
     wavelength: float, to_light: NDArray[np.float64] | None,
@@ -155,7 +155,6 @@ def _check_orders(heightfield: HeightField, cutoff: float) -> None:
     )
 
 
-@single_threaded_blas()
 def _periods_power(
     heightfield: HeightField, coherence: Coherence, field: NDArray[np.complex128], q: NDArray[np.float64]
 ) -> float:

@@ -270,14 +270,16 @@ def _interpolation_weights(
     stencil = min(_STENCIL, nodes.size)
     tau, targets = 1.0 / nodes, 1.0 / np.clip(points, nodes[0], nodes[-1])
     first = np.clip(np.searchsorted(nodes, points) - stencil // 2, 0, nodes.size - stencil)
-    weights = np.zeros((nodes.size, 3))
+    weights = np.zeros((3, nodes.size))
+    near = tau[first[:, None] + np.arange(stencil)].T
     for k in range(stencil):
         share = np.ones_like(points)
         for j in range(stencil):
             if j != k:
-                share *= (targets - tau[first + j]) / (tau[first + k] - tau[first + j])
-        np.add.at(weights, first + k, share[:, None] * masses)
-    return weights
+                share *= (targets - near[j]) / (near[k] - near[j])
+        for channel in range(3):
+            weights[channel] += np.bincount(first + k, share * masses[:, channel], nodes.size)
+    return np.ascontiguousarray(weights.T)
 
 
 def _without_negative(weights: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -290,8 +292,13 @@ def _without_negative(weights: NDArray[np.float64]) -> NDArray[np.float64]:
         negative = np.minimum(weights, 0.0)
         if np.all(negative.sum(axis=0) >= -_NEGLIGIBLE * weights.sum(axis=0)):
             break
-        halves = np.pad(0.5 * negative, ((1, 1), (0, 0)), "edge")
-        weights = weights - negative + halves[:-2] + halves[2:]
+        halves = 0.5 * negative
+        weights = weights - negative
+        weights[1:] += halves[:-1]
+        weights[:-1] += halves[1:]
+        # The first and the last weight have only one neighbour, and keep the other half.
+        weights[0] += halves[0]
+        weights[-1] += halves[-1]
     return np.maximum(weights, 0.0)
 
 
