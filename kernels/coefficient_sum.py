@@ -45,13 +45,13 @@ class Quadrature:
 
     wavenumbers: wp.array(dtype=wp.float64)  # 1/λ of the wavelengths of all sets [1/µm], one set after the other
     weights: wp.array(dtype=wp.vec3f)
-    # Reflectance R of a material. The first index is for cos θd from 0 to 1, where θd is half of the angle between
-    # light and viewer. The second index is for the wavelength, in steps of 1 nm from ``least_nm`` on.
+    # Reflectance R of a material. The first index is for cos θd from 0 to 1, where θd is half of the angle between the
+    # directions to light and viewer. The second index is for the wavelength, in steps of 1 nm from ``least_nm`` on.
     reflectances: wp.array2d(dtype=wp.float32)
     least_nm: wp.float64  # first wavelength of ``reflectances`` [nm]
     firsts: wp.array(dtype=wp.int32)  # index of the first wavelength of each set, and of the end of the last set
-    # For a patch that is repeated: number of wavelengths of the interference factor per wavelength at which the power
-    # of one patch is computed.
+    # For a repeated patch: number of wavelengths at which the interference factor is computed, per wavelength at which
+    # the power of one patch is computed.
     subdivisions: wp.int32
     per_u: wp.float32
     per_v: wp.float32
@@ -79,9 +79,10 @@ def reflectance_of(quadrature: Quadrature, scattering_vector: wp.vec3d, wavenumb
 
 @wp.struct
 class Window:
-    """Gaussian weights exp(−across dy² − along (dx + slant dy)²) of the Fourier coefficients around q.
+    """Gaussian weights exp(−across dy² − along (dx + slant dy)²) of the Fourier coefficients around a frequency q.
 
-    q = (u, v)/λ is the frequency of one direction. The distances (dx, dy) from q are in spacings of coefficients.
+    q = (u, v)/λ is the frequency of one direction. The distances (dx, dy) of a coefficient from q are in spacings of
+    coefficients.
     """
 
     across: wp.float32
@@ -90,7 +91,8 @@ class Window:
     # Distances from q along y and x within which coefficients are summed [spacings of coefficients].
     radius_y: wp.float32
     radius_x: wp.float32
-    # exp(−2 across) and exp(−2 along). They are used only if the window has the same weights at all wavelengths.
+    # The numbers exp(−2 across) and exp(−2 along). They are used only if the window has the same weights at all
+    # wavelengths.
     shrink_y: wp.float32
     shrink_x: wp.float32
     # Factor that makes a sum over a source and a footprint the mean over the footprint; 1 without a footprint.
@@ -121,7 +123,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
     """Return the struct ``Table`` and the kernels for coefficient tables whose rows have ``lanes`` terms.
 
     Args:
-        lanes: Number of terms in a row of the table.
+        lanes: Number of terms (weights of basis functions) in a row of the table.
         form: Kind of the coherence, one of ``FORMS``.
         powers: Whether the scalar product of a row and the basis functions is the power of a coefficient. Otherwise a
             coefficient has two rows, for the real and the imaginary part of its amplitude.
@@ -152,23 +154,24 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         across: wp.float32
         along: wp.float32
         # Polynomials of the weights by which coefficients are interpolated, for a patch that is repeated. `taps_y` has
-        # one row per neighbour and one column per power; `taps_x` has one vector per power and one element per
-        # neighbour.
+        # one row per neighbouring coefficient and one column per power of the polynomials' argument; `taps_x` has one
+        # vector per power and one element per neighbouring coefficient.
         taps_y: wp.array2d(dtype=wp.float32)
         taps_x: wp.array(dtype=taps_t)
         periods_y: wp.float64
         periods_x: wp.float64
         patch_y: wp.float64  # length of the patch along y [µm]
         patch_x: wp.float64
-        has_pitch_scales: wp.bool  # for a source: whether directions to the light have pitch scales as their lengths
+        has_pitch_scales: wp.bool  # for a source: whether the length of a direction to the light is a pitch scale
         spread: wp.float32  # for a source: standard deviation of (u, v) at normal incidence
 
     @wp.func
     def window_for(table: Table, to_light: wp.vec3f, footprint: Footprint) -> Window:
         """Return the Gaussian weights of Fourier coefficients for one direction to the light.
 
-        Under a source, the width of the Gaussian depends on the wavelength; the result is for λ = 1 µm. A footprint
-        widens the Gaussian of a source. Other kinds of coherence ignore footprints.
+        For a light source of finite size (coherence of kind "source"), the width of the Gaussian depends on the
+        wavelength; the result is for λ = 1 µm. A footprint widens this Gaussian. Other kinds of coherence ignore
+        footprints.
         """
         window = Window()
         window.share = 1.0
@@ -296,8 +299,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         for j in range(first_y, last_y + 1):
             g = gy
             if wp.static(form == "source"):
-                # The Fourier coefficients that contribute under a light source lie within a slanted ellipse. Each row
-                # of coefficients therefore begins at another column.
+                # The Fourier coefficients that contribute for a light source of finite size lie within a slanted
+                # ellipse. Each row of coefficients therefore begins at another column.
                 centre = fx - window.slant * (wp.float32(j) - fy)
                 first_x = wp.int32(wp.ceil(centre - radius_x))
                 last_x = wp.int32(wp.floor(centre + radius_x))
@@ -423,8 +426,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
             # would exceed the smallest tolerances.
             colour = wp.vec3d()
             if wp.static(form == "replicas"):
-                # The interference factor of the periods changes fast with the wavelength but requires little time. It
-                # is computed at all wavelengths. The power of the patch changes slowly: it is computed at every
+                # The interference factor of the periods changes fast with the wavelength but requires little time. This
+                # factor is computed at all wavelengths. The power of the patch changes slowly: it is computed at every
                 # wavelength whose index is a multiple of ``divisions``, and interpolated by cubic polynomials.
                 divisions = quadrature.subdivisions
                 intervals = (end - start - 1) // divisions

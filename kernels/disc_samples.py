@@ -17,10 +17,10 @@ from warpdiff.kernels.structs import Pixels
 
 wp.set_module_options(compile_options.options())
 
-# If the mirror direction is near the disc of the light, the share ``MIRROR_SHARE`` of the samples is drawn around the
-# mirror direction, because surfaces are brightest there. ``REACH`` is the largest distance from the disc that counts as
-# near [standard deviations of the zeroth order]. Both values were chosen freely: other values change the noise, not the
-# mean.
+# If the mirror direction is near the disc of the light, the fraction ``MIRROR_SHARE`` of the samples is drawn around
+# the mirror direction, because surfaces are brightest there. ``REACH`` is the largest distance from the disc that
+# counts as near [standard deviations of the zeroth order]. Both values were chosen freely: other values change the
+# noise, not the mean.
 MIRROR_SHARE, REACH = wp.constant(wp.float32(0.3)), wp.constant(wp.float32(4.0))
 
 
@@ -84,7 +84,7 @@ def draw_disc(
         light_index: Index of the disc light.
         extent: Standard deviation of the Gaussian of a sample, in radii of the disc, at most 0.5. Directions are drawn
             on a smaller disc; the Gaussian adds the variance that the smaller disc lacks.
-        lobe: Standard deviation of the zeroth order in (u, v).
+        lobe: Standard deviation of the peak (lobe) of the zeroth order in (u, v).
         pixels: Hits of the rays.
         tiles: Pixels whose subpixel cells have the rays; if empty, each pixel of the picture has one ray.
         width: Number of pixels per row.

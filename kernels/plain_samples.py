@@ -1,9 +1,9 @@
 """Samples of lights for plain surfaces with a roughness: of skies, of disc lights, and of many directional lights.
 
 Normals of microfacets are drawn from the distribution of visible normals (Heitz 2018), by spherical caps (Dupuy and
-Benyoub 2023). Directions may be drawn in several ways. The weight of a direction is one over the sum of the densities
-of all these ways (balance heuristic, Veach 1997). Random numbers are those of ``sample_sequence``. α is the parameter
-of the GGX distribution of microfacets, and (u, v, w) the scattering vector.
+Benyoub 2023). Directions may be drawn from several distributions. The weight of a direction is one over the sum of the
+densities of all these distributions (balance heuristic, Veach 1997). Random numbers are those of ``sample_sequence``. α
+is the parameter of the GGX distribution of microfacets, and (u, v, w) the scattering vector.
 """
 
 import math
@@ -41,11 +41,12 @@ from warpdiff.kernels.transparency import is_occluded
 wp.set_module_options(compile_options.options("transparency.h"))
 
 HORIZON = wp.constant(wp.float32(thresholds.HORIZON))
-# Fractions of the samples that are drawn in a certain way; other values would change the noise, not the mean.
-# `LEAST_OF_FACETS` is the smallest fraction drawn from microfacets, among the samples drawn by the surface. `SKY_SHARE`
-# is the fraction drawn by the brightness of the sky for a diffuse or rough surface, and `SKY_SHARE_OF_MIRROR` that for
-# a mirror. `DISC_SHARE` is the fraction of the samples of a disc light drawn from microfacets, if their lobe is
-# narrower than the disc and near the disc. `REACH` is the largest distance from the disc that counts as near [α].
+# Fractions of the samples that are drawn from a certain distribution; other values would change the noise, not the
+# mean. `LEAST_OF_FACETS` is the smallest fraction drawn from microfacets, among the samples drawn by the surface.
+# `SKY_SHARE` is the fraction drawn by the brightness of the sky for a diffuse or rough surface, and
+# `SKY_SHARE_OF_MIRROR` that for a mirror. `DISC_SHARE` is the fraction of the samples of a disc light drawn from
+# microfacets, if the reflection lobe of the microfacets is narrower than the disc and near the disc. `REACH` is the
+# largest distance from the disc that counts as near [α].
 LEAST_OF_FACETS, SKY_SHARE, SKY_SHARE_OF_MIRROR = (wp.constant(wp.float32(share)) for share in (0.2, 0.5, 0.1))
 DISC_SHARE, REACH = wp.constant(wp.float32(0.5)), wp.constant(wp.float32(8.0))
 # Smallest cosine of the view direction by which the expected brightness under many lights is divided. Other values
@@ -145,8 +146,8 @@ def sample_plain_sky(
             continue
         index = sample_index(tiles, width, across, i, sample, samples)
         frame = filtered_frame(pixels, i, footprints[i], filter_point(index))
-        # The roughness varies within the footprint. One of two roughnesses is drawn, which have the same mean and
-        # variance.
+        # The roughness varies within the footprint. One of two roughnesses is drawn, whose mean and variance are those
+        # of the roughness in the footprint.
         deviations = wp.float32(0.0)
         if has_spread(pixels, i):
             deviations = wp.where((scramble(index) & wp.uint32(1)) != wp.uint32(0), 1.0, -1.0)
@@ -199,8 +200,8 @@ def draw_plain_disc(
 ):  # fmt: skip
     """Draw a direction to a disc light for each ray on a plain surface with a roughness.
 
-    A fraction of the directions is drawn from microfacets if their lobe is narrower than the disc. The arguments are
-    those of ``disc_samples.draw_disc``, whose directions this kernel replaces.
+    A fraction of the directions is drawn from microfacets if their reflection lobe is narrower than the disc. The
+    arguments are those of ``disc_samples.draw_disc``, whose directions this kernel replaces.
     """
     axis = light_axis(lights, light_index)
     tangent = wp.normalize(lights.deviations[light_index, 0])
@@ -216,7 +217,8 @@ def draw_plain_disc(
         gloss = gloss_at(materials, pixels, i, frame.view, 0.0)
         if gloss.alpha2 == 0.0:
             continue
-        # A sample counts as a small Gaussian source, which widens the lobe, as in ``light_samples.add_light_extent``.
+        # A sample counts as a small Gaussian source, which widens the reflection lobe of the microfacets, as in
+        # ``light_samples.add_light_extent``.
         own = extent * extent * radius * radius
         gloss = blurred(gloss, wp.vec3f(own, 0.0, own), 2.0 * gloss.view[2])
         reach = 2.0 * wp.sqrt(gloss.spread)

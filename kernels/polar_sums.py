@@ -5,8 +5,9 @@ samples. The value at a ring is the integral of the spectrum under a quadratic B
 of Chebyshev polynomials in κ = w/λ, for the wavelength λ and the scattering vector (u, v, w). The adjoint of a quantity
 is the derivative of a scalar loss with respect to this quantity.
 
-One thread computes one azimuth, one Fourier coefficient, one direction or a few rings. No two threads write to the same
-element, so that results do not depend on the number of threads.
+One thread computes one azimuth, one Fourier coefficient, one direction or a few rings. A block of rings is a group of
+consecutive rings. A cell is the place of one coefficient in the block (rectangle) of Fourier coefficients. No two
+threads write to the same element, so that results do not depend on the number of threads.
 """
 
 import warp as wp
@@ -15,14 +16,14 @@ from warpdiff.kernels import compile_options
 from warpdiff.kernels.lobe_sums import LobeTable
 
 OPTIONS = compile_options.options("polar_sums.h", max_unroll=1)
-# Number of rings of a block, whose rings have equally many azimuth samples. If doubled, inner rings of a block have up
-# to twice as many samples as they require.
+# Number of rings of a block. All rings of a block have the same number of azimuth samples. If the number of rings is
+# doubled, inner rings of a block have up to twice as many samples as they require.
 BLOCK_RINGS = 16
 # Number of consecutive rings that one thread of the transposed sum over rings processes. Each ring is processed by a
 # single thread.
 TOGETHER = 4
-# Largest number of terms of a series on a polar grid, which callers must check. The number is limited by the stack,
-# which has the polynomials of six rings: 8 bytes × 6 × 256 = 12 kB.
+# Largest number of terms of a Chebyshev series on a polar grid, which callers must check. The number is limited by the
+# stack, on which a thread stores the polynomials of six rings: 8 bytes × 6 × 256 = 12 kB.
 MOST_TERMS = 256
 
 
@@ -49,7 +50,7 @@ class RingBlocks:
 class PolarPixels:
     """Directions whose colours are sums over rings, sorted by their positions in ``places``."""
 
-    places: wp.array(dtype=wp.float64)  # position of the longest visible wavelength of each direction, in rings
+    places: wp.array(dtype=wp.float64)  # ring index (a fraction) of the longest visible wavelength, for each direction
     turns: wp.array(dtype=wp.float64)  # azimuth of (u, v) of each direction [turns], 0 to 1
     slopes: wp.array(dtype=wp.float64)  # |w|/|(u, v)| of each direction: the ratio of κ to the frequency t
     gains: wp.array(dtype=wp.float64)
@@ -120,5 +121,5 @@ def sum_rings_of_pixels(
 def spread_pixels_to_rings(
     grid: RingBlocks, pixels: PolarPixels, first: wp.int32, values_out: wp.array2d(dtype=wp.float64)
 ):
-    """Add the adjoints of the colours of directions to those of the rings that they sum, a few rings per thread."""
+    """Add the adjoints of directions' colours to the adjoints of the rings in these colours, a few rings per thread."""
     spread_pixels(grid, pixels, first + wp.tid(), values_out)

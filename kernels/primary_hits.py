@@ -17,8 +17,8 @@ CUT_EXPONENT = wp.constant(wp.float64(-0.5 * (FILTER_CUT / FILTER_SIGMA) ** 2))
 UNSEEN = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 
 # Constants of two algorithms. The first two are the multipliers of the hash function "lowbias32" (Wellons 2018). The
-# third, 2^32 divided by the golden ratio, makes a second seed for it. The last two are the increments of the R2
-# sequence (Roberts 2018) along x and y, times 2^32.
+# third, 2^32 divided by the golden ratio, makes a second seed for this hash function. The last two are the increments
+# of the R2 sequence (Roberts 2018) along x and y, times 2^32.
 HASH_1 = wp.constant(wp.uint32(0x7FEB352D))
 HASH_2 = wp.constant(wp.uint32(0x846CA68B))
 GOLDEN = wp.constant(wp.uint32(0x9E3779B9))
@@ -67,7 +67,7 @@ def pixel_offset(sample: wp.int32, samples: wp.int32, seed: wp.int32, pixel: wp.
     return result
 
 
-# Number of cells of a pixel at the finest level. The value was derived from the number of that level.
+# Number of cells of a pixel at the finest level. The value was derived from the index of that level.
 _MOST_CELLS = max(refinement_levels.rays_at(level) for level in refinement_levels.LEVELS)
 
 

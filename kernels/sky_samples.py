@@ -1,8 +1,9 @@
 """Sky samples: random directions, some drawn where the surface scatters much light, others where the sky is bright.
 
-The first kind of sample draws (u, v) from a table of the surface's colours. The second kind draws a direction from
-blocks of the sky, with a probability proportional to their brightness. The weight of a sample is one over the sum of
-its densities in the two kinds (balance heuristic, Veach 1997).
+The first kind of sample draws (u, v) from a table of the surface's colours over rings (circles of constant |(u, v)|)
+and azimuth samples on the rings. The second kind draws a direction from blocks of the sky, with a probability
+proportional to their brightness. The weight of a sample is one over the sum of its densities in the two kinds (balance
+heuristic, Veach 1997).
 
 (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
 light and to the viewer. θi is the angle of ωi from the normal.
@@ -68,7 +69,7 @@ def find_step(cdf: wp.array(dtype=wp.float32), begin: wp.int32, end: wp.int32, v
 
 @wp.func
 def within_step(cdf: wp.array(dtype=wp.float32), begin: wp.int32, index: wp.int32, value: wp.float32) -> wp.float32:
-    """Return the position of ``value`` between the cumulative probabilities before and at an index, 0 to 1."""
+    """Return the position of ``value`` between the cumulative probabilities at ``index`` − 1 and ``index``, 0 to 1."""
     before = wp.float32(0.0)
     if index > begin:
         before = cdf[index - 1]

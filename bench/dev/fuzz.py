@@ -5,10 +5,11 @@
     python -m bench.dev.fuzz --minutes 10                        # all readers, ten minutes in total
     python -m bench.dev.fuzz --targets gltf x3p --executions 1000000
 
-Each reader starts from the valid files in ``tests/corpus``. A mutated file that reaches a new pair of consecutive
-source lines joins the files that are mutated. A reader must return a valid result or refuse the file with an error that
-names it. These are failures: an exception of another type, a crash, more than 20 s for a file, allocation beyond 4 GB,
-network access, a subprocess, and a file opened outside of the folder. Files that fail are stored in ``fuzz_failures/``.
+Each reader starts from the valid files in ``tests/corpus``. A mutated file that executes a new pair of consecutive
+source lines is added to the files that are mutated. A reader must return a valid result or refuse the file with an
+error that names it. These are failures: an exception of another type, a crash, more than 20 s for a file, allocation
+beyond 4 GB, network access, a subprocess, and a file opened outside of the folder. Files that fail are stored in
+``fuzz_failures/``.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ WORKER = ("-m", "bench.dev.fuzz")
 MOST_BYTES, MOST_S = 4 << 30, 20
 # Share of the executions whose coverage is recorded. Python traces lines about five times slower than it runs them.
 _TRACED = 0.2
-# Largest number of files that a reader's mutations start from, besides the valid ones.
+# Largest number of mutated files that are mutated again, for one reader.
 _MOST_INPUTS = 2000
 # Number of failures of one reader after which it is no longer executed.
 _MOST_FAILURES = 10
@@ -95,7 +96,7 @@ class Coverage:
 
 
 def watch(folder: Path, failures: list[str]) -> None:
-    """Record network access, subprocesses, and files opened outside of the folder, of Python's and of ``/proc``."""
+    """Record network access, subprocesses, and opened files outside of the folder, Python's folders and ``/proc``."""
     allowed = [folder, *(Path(name).resolve() for name in {sys.prefix, sys.base_prefix, *sys.path}), Path("/proc")]
     allowed += [ROOT / "warpdiff", ROOT / "kernels", Path("/sys/fs/cgroup")]
 
@@ -216,7 +217,7 @@ def run(targets: list[str], *, executions: int, seconds: float, seed: int) -> li
             )
             results += [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
             if done.returncode:
-                # The last file of the interrupted reader is in the folder, next to its unchanged valid files.
+                # The folder contains the last file of the interrupted reader, and the valid files, which are unchanged.
                 reason = "hangs" if done.returncode == -signal.SIGALRM else f"exit code {done.returncode}"
                 name = targets[len(results)] if len(results) < len(targets) else targets[-1]
                 kept = FAILURES / f"{name}-interrupted"

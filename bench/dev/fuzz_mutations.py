@@ -25,7 +25,8 @@ NUMBERS = (
 )  # fmt: skip
 _NUMBER = re.compile(rb"[-+.\deE]+")
 _JSON_CHUNK = 0x4E4F534A
-# Largest size of a mutated file [bytes]. Larger files are read more slowly, and their mutations find no other faults.
+# Largest size of a mutated file [bytes]. Larger files are read more slowly, and mutations of larger files find no other
+# faults.
 _MOST_BYTES = 1 << 16
 
 

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 CORPUS = Path(__file__).resolve().parents[2] / "tests" / "corpus"
-# Mesh files that refer to other files, by the suffix of the other file: a damaged one is read through its mesh.
+# Mesh files that refer to another file, by the suffix of the other file. If the other file is damaged, it is read
+# through the mesh file.
 _BESIDE = {".mtl": ("mesh.obj",), ".png": ("mesh.obj", "buffer.gltf"), ".bin": ("buffer.gltf",)}
 
 
@@ -52,7 +53,7 @@ class Target:
 
 
 class InvalidResultError(Exception):
-    """Error for a result that no valid or damaged file may have."""
+    """Error for a result that a reader must not return, neither for a valid nor for a damaged file."""
 
 
 def _check(is_valid: object, what: str) -> None:
@@ -101,14 +102,14 @@ class _Studio:
     """Stand-in for the rendering thread of the viewer, which draws nothing."""
 
     def session(self, send: Any) -> Any:
-        """Return the function that sends messages as the session."""
+        """Return the function that sends messages, as a stand-in for the session."""
         return send
 
     def acknowledge(self, session: Any) -> None:
         """Accept that a page has shown a picture."""
 
     def request(self, _: Any, request: Any) -> None:
-        """Check that the values of a checked request can be made into library calls."""
+        """Check that a library call can be made from the values of a checked request."""
         json.dumps(request.values, allow_nan=False)
 
     def saved(self, _: Any, suffix: str) -> bytes:

@@ -28,7 +28,8 @@ WARPDIFF_INLINE void chebyshev_polynomials(double x, int count, double* values)
     }
 }
 
-// Compute the derivatives k U_{k−1} of the first `count` Chebyshev polynomials at x. U are those of the second kind.
+// Compute the derivatives k U_{k−1} of the first `count` Chebyshev polynomials at x. U are the Chebyshev polynomials of
+// the second kind.
 WARPDIFF_INLINE void chebyshev_slopes(double x, int count, double* values)
 {
     double now = 0.0, after = 1.0;
@@ -40,7 +41,8 @@ WARPDIFF_INLINE void chebyshev_slopes(double x, int count, double* values)
     }
 }
 
-// Gaussian weights of one pair, and the rows and columns of the block in which they are not negligible.
+// Gaussian weights (a lobe) of one pair, and the rows and columns of the block of Fourier coefficients in which these
+// weights are not negligible.
 struct Lobe {
     double qx, qy, xx, xy, yy, step_x, step_y, exponent;
     int first_row, last_row, first_column, last_column;
@@ -68,8 +70,8 @@ struct Lobe {
     }
 
     // Round a position up or down to a coefficient, and return its index in the block, from 0 to `count` − 1. If the
-    // lower end of a range is beyond the block, it becomes `count`. If the upper end is before the block, it becomes
-    // −1. The range is then empty.
+    // lower end of a range of indices is beyond the block, the result is `count`. If the upper end of the range is
+    // before the block, the result is −1. The range is then empty.
     static WARPDIFF_INLINE int within(double position, int first, int count, int up)
     {
         const double index = (up ? wp::ceil(position) : wp::floor(position)) - (double)first;
@@ -167,8 +169,9 @@ WARPDIFF_INLINE void write_polynomials(const Table& table, const Pairs& pairs, i
 
 // Add the contributions of all pairs near a coefficient to the adjoint of its series: the transpose of `sum_lobe`.
 //
-// Pairs are sorted by the cell of the block that contains their centre, and `begins` has the first pair of each cell.
-// Cells that are at most `reach_y` and `reach_x` away are searched.
+// The frequencies of the block of Fourier coefficients are divided into cells, one per coefficient. Pairs are sorted by
+// the cell that contains their centre q, and `begins` has the first pair of each cell. Cells that are at most `reach_y`
+// and `reach_x` away are searched.
 template <class Table, class Pairs, class Values>
 WARPDIFF_INLINE void spread_lobes(const Table& table, const Pairs& pairs, int cell, Values& rows_out)
 {

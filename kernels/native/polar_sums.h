@@ -1,9 +1,10 @@
 // Power spectrum on a polar grid of the frequency plane in float64, colours as sums over its rings, and transposes.
 //
-// t is the frequency along a radius. A block of rings has equally many azimuth samples on each ring. The spectrum is
-// also sampled between rings: a sample contributes to three rings, with the weights of a quadratic B-spline in ln t.
-// Along a ring, values are the coefficients of a cubic B-spline over the azimuth. κ is w/λ, for the wavelength λ and
-// the scattering vector (u, v, w). The adjoint of a quantity is the derivative of a scalar loss with respect to it.
+// An azimuth is a line of constant polar angle in the frequency plane, and a ring is a circle in this plane. t is the
+// frequency along an azimuth. A block of rings has equally many azimuth samples on each ring. The spectrum is also
+// sampled between rings: a sample contributes to three rings, with the weights of a quadratic B-spline in ln t. Along a
+// ring, values are the coefficients of a cubic B-spline over the azimuth. κ is w/λ, for the wavelength λ and the
+// scattering vector (u, v, w). The adjoint of a quantity is the derivative of a scalar loss with respect to it.
 
 #pragma once
 
@@ -12,9 +13,9 @@
 namespace warpdiff {
 
 // The kernel module passes these template arguments: BLOCK_RINGS is the number of rings of a block, RINGS_TOGETHER the
-// number of rings per thread of `spread_pixels`, and MOST_TERMS the largest number of terms of a series.
+// number of rings per thread of `spread_pixels`, and MOST_TERMS the largest number of terms of a Chebyshev series.
 constexpr double RADIANS_PER_TURN = 6.283185307179586;
-// Number of columns of the block of coefficients whose weights are computed at once.
+// Number of columns of the block of Fourier coefficients whose Gaussian weights are computed at once.
 constexpr int COLUMNS_TOGETHER = 128;
 
 // Compute the weights with which sample k of a block contributes to its rings `ring` − 1, `ring` and `ring` + 1. The
@@ -34,7 +35,7 @@ struct SampleWeights {
     }
 };
 
-// Return the exponent of the Gaussian weight of the coefficient of an order, as its part along one axis.
+// Return the part along one axis of the exponent in the Gaussian weight of a Fourier coefficient.
 template <class Grid>
 WARPDIFF_INLINE double exponent_along(const Grid& grid, double position, int order, double step)
 {
@@ -170,7 +171,8 @@ WARPDIFF_INLINE void spread_rings(const Table& table, const Grid& grid, const Va
 }
 
 // Position of a direction on one ring: four consecutive azimuth samples around it, and their cubic B-spline weights.
-template <int BLOCK_RINGS> struct AroundRing {
+template <int BLOCK_RINGS>
+struct AroundRing {
     long long start;
     int azimuths, first;
     double weights[4];
@@ -215,7 +217,7 @@ struct ColourRings {
         share = at - (double)entry;
     }
 
-    // Compute the weights in X, Y and Z of ring m among the contributing rings; beyond them, the weights are 0.
+    // Compute the weights in X, Y and Z of ring m among the contributing rings; for other rings, the weights are 0.
     template <class Pixels>
     WARPDIFF_INLINE void weights(const Pixels& pixels, int m, double* xyz) const
     {
@@ -225,7 +227,8 @@ struct ColourRings {
         for (int c = 0; c < 3; ++c) xyz[c] = inside ? (1.0 - share) * low[c] + share * high[c] : 0.0;
     }
 
-    // Return the reflectance at ring m among the contributing rings; beyond them, return that of the nearest one.
+    // Return the reflectance at ring m among the contributing rings; for other rings, return the reflectance at the
+    // nearest contributing ring.
     template <class Pixels>
     WARPDIFF_INLINE double reflectance(const Pixels& pixels, int pixel, int m) const
     {
@@ -306,8 +309,8 @@ WARPDIFF_INLINE void spread_pixels(const Grid& grid, const Pixels& pixels, int g
             double xyz[3];
             rings.weights(pixels, ring - rings.first, xyz);
             weights[k] = gain * (adjoint[0] * xyz[0] + adjoint[1] * xyz[1] + adjoint[2] * xyz[2]);
-            // Beyond the rings of the colour, polynomials are not needed. They are not computed, because they may be
-            // huge.
+            // For rings that do not contribute to the colour, polynomials are not needed. They are not computed,
+            // because they may be huge.
             const bool used = ring >= rings.first - 1 && ring <= rings.first + rings.count;
             if (used) polynomials_at(grid, pixels, rings, pixel, ring - rings.first, terms, polynomials[k]);
         }

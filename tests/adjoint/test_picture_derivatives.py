@@ -45,7 +45,7 @@ def body():
 
 @pytest.fixture(scope="module")
 def view():
-    """Return a view of a part of the back, whose pixels have small footprints."""
+    """Return a view of a part of the body's back, whose pixels have small footprints."""
     return wd.View((0.0, 2.0, 0.6), (0.0, 0.3, 0.0), up=(0.0, 0.0, -1.0), fov_y_deg=10.0, width=13, height=8)
 
 
@@ -101,7 +101,8 @@ def test_values_are_those_of_the_picture(name, renderers):
     value = wd.adjoint.pixels(renderer, FIELD, LIGHT, wrt=(), tolerance=1e-3).value
     shown = image.xyz[image.illuminated]
     if name == "footprints of a source":
-        # Near the mirror direction, tables for sources contain no directions. Unrefined pictures there show points.
+        # Tables for light sources of finite size contain no directions near the mirror direction. Pixels with such
+        # directions show points in unrefined pictures.
         (lit,) = samples_of(renderer, LIGHT).lobes
         is_served = np.hypot(*lit.scattering_vectors[:, :2].T) > inner_radius(SOURCE)
         shown, value = shown[is_served], value[is_served]
@@ -129,7 +130,7 @@ def test_values_and_gradients_are_those_of_reflectances_at_the_pixels(points, rn
 @pytest.mark.parametrize("name", ["points", "footprints"])
 def test_tangents_are_those_of_pictures(name, body, view, rng):
     """Derivatives must equal central differences of the library's pictures, which share no code with them."""
-    # The basis of the default method is fitted to each surface, so that differences by small steps have large errors.
+    # The default method fits basis functions to each surface, so that differences by small steps have large errors.
     options = OPTIONS[name] | {"method": "power" if name == "footprints" else "jacobi-anger"}
     renderer = renderer_of(body, view, **options)
     change = rng.normal(size=FIELD.shape)
@@ -186,7 +187,8 @@ def test_tangents_are_the_transposes_of_adjoints(name, renderers, rng):
 def test_sums_over_rings_and_their_transpose(shape, rng):
     """Sums over rings and their transpose must equal explicit sums of random coefficients.
 
-    Directions are random, with an excluded cell of the block and without.
+    A ring is a circle of the polar grid of frequencies. Directions are random. The test is made with and without an
+    excluded Fourier coefficient.
     """
     relief = Relief.of(noise(shape))
     vectors = np.column_stack([rng.normal(0.0, 0.4, (300, 2)), -rng.uniform(0.5, 1.9, 300)])
@@ -214,7 +216,9 @@ def test_sums_over_rings_and_their_transpose(shape, rng):
 
 @pytest.mark.parametrize("shape", [(60, 70), (1, 90), (80, 1)])
 def test_sums_under_wide_lobes_and_their_transpose(shape, rng):
-    """Sums with joined orders must equal sums of single orders, for lobes of very different sizes and directions."""
+    """Sums with joined orders must equal sums of single orders, for lobes (Gaussian weights) of very different sizes
+    and directions.
+    """
     relief = Relief.of(noise(shape))
     first, counts = ([0 if n == 1 else 3 - n // 2 for n in shape], [1 if n == 1 else n - 7 for n in shape])
     block = Block((first[0], first[1]), (counts[0], counts[1]))
@@ -279,7 +283,9 @@ def spectrum(nm):
 
 
 def test_finer_grids_are_used_until_the_tolerance_is_met(points):
-    """The grid must become finer until the tolerance is met, and sums over wavelengths be used if no grid suffices."""
+    """The polar grid must become finer until the tolerance is met. If no grid suffices, sums over wavelengths must be
+    used.
+    """
     used = []
     by_rings = picture_model.PictureModel._by_rings
 
@@ -298,7 +304,7 @@ def test_finer_grids_are_used_until_the_tolerance_is_met(points):
 
 
 def test_deep_surfaces_have_grids(points):
-    """For heights of several wavelengths, a grid must meet the default tolerance without sums over wavelengths."""
+    """For heights of several wavelengths, a polar grid must meet the default tolerance, without sums over λ."""
     deep = wd.HeightField.of_known_scale(20.0 * FIELD.heights_um[:9, :10], FIELD.pitch_um)
     with mock.patch.object(picture_model.PictureModel, "_by_wavelengths", side_effect=AssertionError):
         value = wd.adjoint.pixels(points, deep, LIGHT, wrt=()).value
@@ -328,7 +334,7 @@ def test_derivatives_by_the_index_of_refraction(square):
 
 
 def test_pictures_of_metals_and_films_have_grids(body, view):
-    """Pictures of metals and films must use grids, with the reflectances at the wavelengths of rings."""
+    """Pictures of metals and thin films must use polar grids, with the reflectances at the wavelengths of the rings."""
     film = wd.Material.metal("Cr").coated(wd.Material.dielectric(1.4), 300.0)
     renderer = renderer_of(body, view, ior=None, material=film, tolerance=0.1)
     with mock.patch.object(picture_model.PictureModel, "_by_wavelengths", side_effect=AssertionError):
@@ -370,7 +376,7 @@ def test_several_lights_pigment_and_materials_by_part(body, view, rng):
     flat = wd.adjoint.pixels(renderer, wd.HeightField(np.zeros((4, 4)), 0.1), lights, wrt=()).value
     assert np.quantile(flat[:, 1], 0.1) > 0.0
     check_transposes(result, rng, "heights_um")
-    # The colours under each light alone are added at the pixels of the whole picture.
+    # The colours under each single light are added at the pixels of the picture under all lights.
     total = np.zeros((*image.illuminated.shape, 3))
     plain = renderer_of(body, view, lights)
     for light in lights:

@@ -141,7 +141,8 @@ def test_spectral_kernels_compile_and_stay_in_registers(name, lanes, form, power
     ptx = compile_to_ptx(getattr(coefficient_sum.kernels(lanes, form, powers), name).module, tmp_path)
     assert entry_points(ptx) == {name}
     # An array indexed by a variable would need local memory, which slows a kernel. PTX declares it as a ``depot``. Only
-    # kernels of replicas have one: 28 bytes in CUDA's sine for large arguments, which these kernels never compute.
+    # kernels for replicated patches have such an array: 28 bytes in CUDA's sine for large arguments, which these
+    # kernels never compute.
     depots = re.findall(r"__local_depot\d+\[(\d+)\]", ptx)
     assert depots == (["28"] if form == "replicas" else [])
 
@@ -149,7 +150,7 @@ def test_spectral_kernels_compile_and_stay_in_registers(name, lanes, form, power
 @pytest.mark.parametrize("arch", ARCHITECTURES)
 @pytest.mark.parametrize(
     ("name", "source"),
-    # The kernels ``blur`` and ``interpolate`` are equal for windows and sources.
+    # The kernels ``blur`` and ``interpolate`` are the same for coherence windows and for light sources.
     [("integrate", False), *(slow(name, False) for name in ("blur", "interpolate")),
      *((name, True) for name in sorted(KERNELS["colour_lookup"]))],
 )  # fmt: skip

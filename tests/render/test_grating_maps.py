@@ -73,7 +73,9 @@ def test_footprints_are_turned_and_scaled() -> None:
 def test_refinement_finds_the_edges_of_dots(
     cell: wd.HeightField, coherence: wd.Coherence, shape: tuple[int, int]
 ) -> None:
-    """A refined picture must equal a picture with 1,024 cells per pixel within its tolerance, also at edges of dots."""
+    """A refined picture must equal a picture with 1,024 subpixel cells per pixel within its tolerance, also at edges of
+    dots.
+    """
     grating_map = _map(cell, shape, pitch=coherence.kind == "source")
     options: dict[str, Any] = {"coherence": coherence, "strict": False}
     image = wd.shade(card(), grating_map, LIGHT, VIEW, tolerance=0.05, **options)
@@ -90,7 +92,8 @@ def test_default_coherence_of_maps_is_a_source() -> None:
     image = wd.shade(card(), grating_map, LIGHT, VIEW, **options)
     assert isinstance(image.plan, wd.Plan)
     assert image.plan.coherence == wd.Coherence("source")
-    # With several surfaces, the default coherence of a map must not change that of other surfaces and of the unit.
+    # With several surfaces, the default coherence of a map must not change the coherence of other surfaces and of the
+    # unit of the colours.
     scene, _, _ = parts_of(wd.GratingMap(SINE, turn_deg=[[0.0, 0.0]]), wd.Coherence())
     surfaces = {"dot 0 0": grating_map, "dot 0 1": SINE}
     image = wd.shade(scene, surfaces, LIGHT, VIEW, **options)

@@ -63,7 +63,7 @@ class _OrderCall:
         self, relief: Relief, lights: NDArray[np.float64], wavelengths: NDArray[np.float64], *, normalised: bool,
         ior: float, material: Material | None,
     ) -> None:  # fmt: skip
-        """Find the orders that propagate, and compute their Fourier coefficients."""
+        """Find the diffraction orders that propagate, and compute their Fourier coefficients."""
         orders, views = propagating(relief.lattice, lights, wavelengths)
         self._lives = ~np.isnan(views[..., 0])
         self._relief, self._lights, self._wavelengths = relief, lights, wavelengths

@@ -1,9 +1,10 @@
 """Colours of the samples of a picture as a function of the heights, with adjoint and tangent.
 
 The colours are linear in the powers of the Fourier coefficients. If pixels show points under a coherence window, the
-colours are sums over the rings of a polar grid, and the zeroth order is a sum over wavelengths. In all other cases the
-colours are sums over wavelengths. For a test of the grid, some samples are computed in both ways: bright samples and
-random samples. The grid becomes finer until both results agree to the tolerance.
+colours are sums over the rings of a polar grid of the power spectrum (circles of constant frequency |(u, v)|/λ), and
+the zeroth order is a sum over wavelengths. In all other cases the colours are sums over wavelengths. For a test of the
+grid, some samples are computed in both ways: bright samples and random samples. The grid becomes finer until both
+results agree to the tolerance.
 
 A group has the samples with one illuminant and material. κ = w/λ, where w is the normal component of the scattering
 vector and λ the wavelength. The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
@@ -36,8 +37,8 @@ if TYPE_CHECKING:
 
 # Sizes of polar grids, from coarse to fine. The first grid whose error is within the tolerance is used.
 _SIZES = (RingSizes(24, 1.3), RingSizes(32, 1.6), RingSizes(48, 2.0), RingSizes(96, 2.6))
-# The error of a grid is measured on `_CHECKED` bright and as many random samples of each group. At least the fraction
-# `_SHARE` of them must be within the tolerance.
+# The error of a grid is measured on `_CHECKED` bright samples and the same number of random samples of each group. For
+# at least the fraction `_SHARE` of these samples, the error must be within the tolerance.
 _CHECKED, _SHARE = 64, 0.95
 # Relative size of the truncated terms of series and sums, divided by the tolerance.
 _TRUNCATION_SHARE = 1e-2
@@ -169,7 +170,7 @@ class PictureModel:
         self._coefficients = self._series.powers()
 
     def _near_mirror(self, group: LitPixels, falloff: float) -> NDArray[np.int64]:
-        """Return the samples at which the zeroth order is not negligible."""
+        """Return the indices of the samples at which the zeroth order is not negligible."""
         u, v, _ = group.scattering_vectors.T
         return np.flatnonzero(falloff * (u * u + v * v) * LOW**2 < self._exponent)
 

@@ -90,8 +90,8 @@ def schlick(cosines: NDArray[np.float64], ior: float, *, relative: bool) -> Jet:
 def fresnel(cosines: NDArray[np.float64], material: Material, wavelengths_nm: NDArray[np.float64]) -> Jet:
     """Return the unpolarised reflectance of a material as a jet of the variables ``MATERIAL_VARIABLES``.
 
-    n and k are those of the material below a film. They change linearly between the wavelengths of the material's
-    table.
+    n and k are those of the material below the film, if there is a film. They change linearly between the wavelengths
+    of the material's table.
 
     Args:
         cosines: cos θd, shape (...).
@@ -135,7 +135,7 @@ def _dispersion(material: Material, wavelength: Jet) -> Jet:
         slope = np.zeros(wavelength.value.shape, dtype=np.complex128)
     else:
         # At the last entry of a table, the derivative is that towards shorter wavelengths, because n + ik is not known
-        # at longer ones.
+        # at longer wavelengths.
         place = np.clip(np.searchsorted(table, wavelength.value, side="right") - 1, 0, len(table) - 2)
         inside = (wavelength.value >= table[0]) & (wavelength.value <= table[-1])
         slope = np.where(inside, (np.diff(index) / np.diff(table))[place], 0.0)

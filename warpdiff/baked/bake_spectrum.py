@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Number of equally spaced |κ| = |w|/λ at which the functions of κ and the power of the zeroth order are tabulated.
+# Number of equally spaced |κ| = |w|/λ at which the table's functions of κ and the power of the zeroth order are
+# tabulated.
 _ENTRIES = 512
 
 

@@ -26,7 +26,7 @@ ROWS = 512
 _SUN_REACH, _SUN_PIXELS, _FARTHEST_SUN_REACH = math.radians(2.5), 1.5, math.radians(4.5)
 # Conditions for a sun. `_AROUND_SUN` is the largest brightness of its surroundings relative to the sun, `_SUN_SHARE`
 # the smallest fraction of the sky's light that it must have, and `_MOST_SUNS` the largest number of suns. Other values
-# would change only the noise: bright spots that are no suns remain in the sky and cause more noise.
+# would change only the noise: a bright spot that does not count as a sun remains in the sky and causes more noise.
 _AROUND_SUN, _SUN_SHARE, _MOST_SUNS = 0.1, 0.005, 4
 
 

@@ -33,8 +33,7 @@ LAMBDA_MIN_NM = 380
 LAMBDA_MAX_NM = 780
 VISIBLE_NM = np.arange(LAMBDA_MIN_NM, LAMBDA_MAX_NM + 1, dtype=np.float64)
 VISIBLE_NM.setflags(write=False)
-# The reflectance ρ is interpolated by a quintic polynomial, which passes through this number of wavelengths. For a
-# colour error of 1e-4, cubic polynomials would require up to twice as many wavelengths.
+# Shortest and longest wavelength [nm] of calls, plans and tables of materials; `check_wavelengths` refuses others.
 SHORTEST_NM, LONGEST_NM = 100.0, 10_000.0
 
 PRECOMPUTED = {"D65": Path(__file__).with_name("d65.npy")}
@@ -103,7 +102,7 @@ def _distribution(illuminant: str) -> Any:
 
 @functools.cache
 def _tabulated_nm(illuminant: str) -> tuple[float, float] | None:
-    """Return the first and last wavelength of an illuminant [nm] by its name; None if the name is not known.
+    """Return the first and last tabulated wavelength of an illuminant [nm] by its name; None if the name is unknown.
 
     The result is cached, because the look-up in colour-science requires half a millisecond.
     """

@@ -1,8 +1,8 @@
 """Materials: reflectance of smooth surfaces by complex indices of refraction, with or without a thin film.
 
-The reflectance of a flat boundary follows from Fresnel's equations, that of a thin film from Airy's sum (Born and Wolf,
-Principles of Optics, sections 1.5, 1.6 and 14.4). Indices are n + ik, with k > 0 for absorption. Light arrives through
-air.
+The reflectance of a flat boundary is computed by Fresnel's equations, and the reflectance of a thin film by Airy's sum
+(Born and Wolf, Principles of Optics, sections 1.5, 1.6 and 14.4). Indices are n + ik, with k > 0 for absorption. Light
+arrives through air.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Material:
     film: Material | None = None
     film_nm: float = 0.0
     _key: tuple[object, ...] = field(init=False, repr=False)
-    # Whether the reflectance depends on the angle of incidence; ``fixed_reflectance`` has materials without.
+    # Whether the reflectance depends on the angle of incidence; it does not for the materials of ``fixed_reflectance``.
     has_angles: ClassVar[bool] = True
 
     def __post_init__(self) -> None:

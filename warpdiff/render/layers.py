@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from warpdiff.scene.camera_rays import CameraRays
     from warpdiff.scene.mesh_import import Surface
 
-# Name of the layer with the light of single lights. It comes from the picture itself, and not from central rays.
+# Name of the layer with the light of single light sources. Its values are those of the picture itself, and not of the
+# rays through pixel centres.
 LIGHT = "light"
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def settings_of_map(grating_map: GratingMap, settings: PictureSettings) -> PictureSettings:
-    """Check the options of a surface with a map, and return them with the coherence of the map.
+    """Check the options of a surface with a grating map, and return them with the coherence of the map.
 
     If neither a coherence nor a plan is given, the coherence is ``Coherence("source")``.
 

@@ -90,8 +90,8 @@ class SurfaceInputs:
         )
         parts = parts_of(lights, evaluation, refine=settings.refine, means=footprint)
         plan = None if evaluation.plan is None else replace(evaluation.plan, footprint=footprint)
-        # The planner tries tables for the spectra of lobes. If only a sky illuminates, tables for one of its three
-        # primary spectra suffice, because all three are smooth.
+        # The planner tries tables for the spectra (illuminants) of lobes. If a sky is the only light, tables for one of
+        # the sky's three primary spectra suffice, because all three are smooth.
         spectra = [name for part in parts if part.has_lobes for name in part.spectra] or parts[0].spectra[:1]
         materials = [material_of_dots(material, grating_map) for material in evaluation.materials.values()]
         illuminated = IlluminatedMaterial.of(spectra, materials)

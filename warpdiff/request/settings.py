@@ -61,7 +61,7 @@ _Tangents = TypeVar("_Tangents")
 
 
 def check_tangents(tangents: _Tangents) -> _Tangents:
-    """Return ``tangents`` unchanged; raise an error for a text that is no rule."""
+    """Return ``tangents`` unchanged; raise an error for a text that names no rule."""
     if isinstance(tangents, str):
         validation.choice(tangents, "tangents", TANGENT_RULES)
     return tangents
