@@ -101,34 +101,6 @@ def pytest_unconfigure():
     gc.unfreeze()
 
 
-# Files with few tests that take at least 6 s of processor time. Workers of parallel runs start with them. Without this
-# list, they start with the files that have most tests: a long file with few tests starts last, and the other workers
-# wait for its end.
-LONG_FILES = (
-    "tests/test_packaging.py", "tests/robustness/test_other_systems.py", "tests/apps/viewer/test_session.py",
-    "tests/robustness/test_forks.py", "tests/lights/test_many_lights.py", "tests/robustness/test_memory.py",
-    "tests/apps/test_demo.py", "tests/properties/test_random_calls.py",
-)  # fmt: skip
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config, log):
-    """Return the distribution of whole files among workers (``--dist loadfile``), which starts with ``LONG_FILES``."""
-    if config.getvalue("dist") != "loadfile":
-        return None
-    from xdist.scheduler import LoadFileScheduling
-
-    class LongFilesFirst(LoadFileScheduling):
-        def _assign_work_unit(self, node):
-            for name in LONG_FILES:
-                if name in self.workqueue:
-                    self.workqueue.move_to_end(name, last=False)
-                    break
-            super()._assign_work_unit(node)
-
-    return LongFilesFirst(config, log)
-
-
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items):
     """Store the argument of each mark ``permanent(row)``. The report of a soak test has one line of counts per row."""
