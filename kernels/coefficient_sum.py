@@ -28,7 +28,7 @@ FORMS = ("averaged", "centred", "source", "replicas")
 TAPS = 8
 # A footprint widens the Gaussian of a source to at most this multiple of its area. Choice: it limits computing time,
 # which is proportional to the area. Pixels with wider footprints are reported as inaccurate, or are refined.
-MOST_WIDENED = 2.0
+MOST_WIDENED = 16.0
 # The interference factor of N periods, [sin(πNt) / (N sin(πt))]², is 0/0 at its maximum, t = 0. Here t is the distance
 # from the nearest Fourier coefficient of the patch, in spacings of the coefficients. If |N t| is below this number, a
 # parabola replaces the factor. The number was derived from the error of the parabola, which is of fourth order in N t.
