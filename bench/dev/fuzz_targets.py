@@ -117,6 +117,8 @@ class _Studio:
 
 
 _CONTROLS = controls.controls()
+# A new event loop for each message would need more time than the message.
+_RUNNER = asyncio.Runner()
 
 
 def _message(path: Path) -> None:
@@ -132,7 +134,7 @@ def _message(path: Path) -> None:
         while not page._queue.empty():
             _check(page._queue.get_nowait(), "a message is empty")
 
-    asyncio.run(take())
+    _RUNNER.run(take())
 
 
 _READERS = "heightfield/readers/"
