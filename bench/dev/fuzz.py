@@ -5,16 +5,16 @@
     python -m bench.dev.fuzz --minutes 10                        # all readers, ten minutes in total
     python -m bench.dev.fuzz --targets gltf x3p --executions 1000000
 
-Each reader starts from the valid files in ``tests/corpus``. A mutated file that reaches a new block of source
-code, or reaches it in another order of magnitude of times, joins the files that are mutated. A reader must return a valid result or refuse the file with an error that
-names it. These are failures: an exception of another type, a crash, more than 20 s for a file, allocation beyond 4 GB,
-network access, a subprocess, and a file opened outside of the folder. Files that fail are stored in ``fuzz_failures/``.
+Each reader starts from the valid files in ``tests/corpus``. A mutated file joins the files that are mutated if it
+reaches a new block of source code, or executes a block by another order of magnitude of times. A reader must return a
+valid result or refuse the file with an error that names it. These are failures: an exception of another type, a crash,
+more than 20 s for a file, allocation beyond 4 GB, network access, a subprocess, and a file opened outside of the
+folder. Files that fail are stored in ``fuzz_failures/``.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import functools
 import gc
 import json

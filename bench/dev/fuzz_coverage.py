@@ -28,7 +28,6 @@ _counts = np.frombuffer(_counters, np.uint32)
 # on up to 128 and more.
 _BITS = np.array([0, 1, 2, *(1 << min(n.bit_length(), 8) for n in range(3, 256))], np.uint16)
 _NAME = "fuzz_counters"
-_blocks = 0
 
 
 class Coverage:
@@ -43,11 +42,11 @@ class Coverage:
     @staticmethod
     def reset() -> None:
         """Set all counters to zero."""
-        _counts[:_blocks] = 0
+        _counts[: _Loader.blocks] = 0
 
     def adds(self) -> bool:
         """Add the blocks that were executed since the last reset, and return whether there were new ones."""
-        executed = np.flatnonzero(_counts[:_blocks])
+        executed = np.flatnonzero(_counts[: _Loader.blocks])
         bits = _BITS[np.minimum(_counts[executed], 255)]
         known = self._bits[executed]
         self._bits[executed] = known | bits
@@ -55,7 +54,13 @@ class Coverage:
 
 
 class _Loader(SourceFileLoader):
-    """Loader that compiles a module with counters, and uses no stored bytecode."""
+    """Loader that compiles a module with counters, and uses no stored bytecode.
+
+    Attributes:
+        blocks: Number of blocks in all compiled modules.
+    """
+
+    blocks = 0
 
     def get_code(self, fullname: str) -> CodeType:
         path = self.get_filename(fullname)
@@ -70,16 +75,15 @@ class _Loader(SourceFileLoader):
 
 def _with_counters(block: list[ast.stmt]) -> Iterable[ast.stmt]:
     """Yield the statements of a block, with a counter at its start and after each statement that has blocks."""
-    global _blocks
     is_start = True
     for statement in block:
         is_text = isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
         if is_start and not is_text:
-            counter = ast.parse(f"{_NAME}[{_blocks}] += 1").body[0]
+            counter = ast.parse(f"{_NAME}[{_Loader.blocks}] += 1").body[0]
             for node in ast.walk(counter):
                 ast.copy_location(node, statement)
             yield counter
-            _blocks += 1
+            _Loader.blocks += 1
         yield statement
         is_start = hasattr(statement, "body") or (is_start and is_text)
 

@@ -180,13 +180,24 @@ def _png_damage(content: bytes, rng: random.Random) -> bytes:
     )
 
 
-def _gds_damage(content: bytes, rng: random.Random) -> bytes:
-    """Return a GDS layout of which one to three records are damaged, removed, repeated or moved, with correct sizes."""
+def gds_records(content: bytes) -> list[tuple[bytes, bytes]]:
+    """Return the type and the data of each record of a GDS layout."""
     records, at = [], 0
     while at + 4 <= len(content):
         size = max(int.from_bytes(content[at : at + 2]), 4)
         records.append((content[at + 2 : at + 4], content[at + 4 : at + size]))
         at += size
+    return records
+
+
+def gds_content(records: Sequence[tuple[bytes, bytes]]) -> bytes:
+    """Return the content of a GDS layout of records, with their sizes."""
+    return b"".join(struct.pack(">H", 4 + len(data[:65530])) + kind + data[:65530] for kind, data in records)
+
+
+def _gds_damage(content: bytes, rng: random.Random) -> bytes:
+    """Return a GDS layout of which one to three records are damaged, removed, repeated or moved, with correct sizes."""
+    records = gds_records(content)
     for _ in range(rng.randint(1, 3)):
         index = rng.randrange(len(records))
         kind, data = records[index]
@@ -211,7 +222,7 @@ def _gds_damage(content: bytes, rng: random.Random) -> bytes:
                 records[index] = kind, rng.choice(records)[1]
             case _:
                 records[index] = kind, byte_damage(data, rng)
-    return b"".join(struct.pack(">H", 4 + len(data[:65530])) + kind + data[:65530] for kind, data in records)
+    return gds_content(records)
 
 
 # Damage of files with a known structure, by the bytes at the beginning of these files.
