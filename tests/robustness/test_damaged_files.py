@@ -107,6 +107,8 @@ def _with_member(data, name, old, new):
      ("plan", "plan.json", lambda data: data.replace(b'"kind": "averaged"', b'"kind": "x"')),
      ("lobes", "lobes.npz", lambda data: data[:-14] + bytes(6 * [255]) + data[-8:]),
      ("npz", "filled.npz", lambda data: _with_member(data, "history.npy", b"<U57", b"<U  ")),
+     ("spectra", "spectrum.npz",
+      lambda data: _with_member(data, "powers.npy", b"(16, 16, 8), }         ", b"(16, 16, 2147483648), }")),
      ("environment", "sky.exr", lambda data: data.replace(b"chlist", b"\x83L\x9fist"))],
 )  # fmt: skip
 def test_errors_that_fuzzing_once_found_without_a_name_have_it(target, name, damage, tmp_path):

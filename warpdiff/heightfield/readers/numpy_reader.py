@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
-import os
 import zipfile
 from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff.core import files
 from warpdiff.heightfield.readers.reader_registry import FileContent, refusal, register_reader, require_memory
 
 if TYPE_CHECKING:
@@ -61,7 +60,7 @@ def _read_array(file: Path, opened: Callable[[], AbstractContextManager[IO[bytes
     """
     try:
         with opened() as stream:
-            shape = _shape_of_array(stream)
+            shape = files.shape_of_array(stream)
     except Exception as error:
         raise _unreadable(file, error, writer) from None
     require_memory(file, shape, _BYTES_PER_SAMPLE)
@@ -75,17 +74,3 @@ def _read_array(file: Path, opened: Callable[[], AbstractContextManager[IO[bytes
 def _unreadable(file: Path, error: Exception, writer: str) -> ArgumentValueError:
     """Return the error for a file that NumPy cannot read. NumPy's own exceptions for damaged files have many types."""
     return refusal(file, f"cannot be read as {file.suffix.lower()} ({error}); write it with {writer}")
-
-
-def _shape_of_array(stream: IO[bytes]) -> tuple[int, ...]:
-    """Return the shape in the header of a ``.npy`` file; () if the file is too short or its version is unknown."""
-    headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-    version = np.lib.format.read_magic(stream)
-    if version not in headers:
-        return ()
-    shape, _, dtype = headers[version](stream)
-    if dtype.itemsize == 0:
-        # Any number of texts without characters fits into a file, but not into a list.
-        raise ValueError(f"its elements have the type {dtype}, which has no bytes")
-    begin = stream.tell()
-    return shape if math.prod(shape) * dtype.itemsize <= stream.seek(0, os.SEEK_END) - begin else ()
