@@ -9,6 +9,7 @@ import warpdiff as wd
 from bench.dev.fuzz_mutations import gds_content, gds_records
 from bench.dev.fuzz_targets import CORPUS
 from warpdiff.core import memory
+from warpdiff.heightfield.writers import gds_layout
 from warpdiff.heightfield.writers import gds_records as checked
 
 LAYOUT = gds_records((CORPUS / "gds" / "cells.gds").read_bytes())
@@ -60,6 +61,7 @@ CASES = {
     "array of no rows": (replaced("COLROW", struct.pack(">hh", 2, 0)), "must have columns and rows, got 2 × 0"),
     "array of negative rows": (replaced("COLROW", struct.pack(">hh", 2, -3)), "columns and rows, got 2 × -3"),
     "array of a billion": (replaced("COLROW", struct.pack(">hh", 32767, 32767)), "at most 1000000 copies"),
+    "array of overlapping copies": (replaced("COLROW", struct.pack(">hh", 32639, 3)), "at least one unit apart, got 32639"),
     "element outside of a cell": (without("BGNSTR"), "record STRNAME at byte .* order of the format"),
     "element without an end": (without("ENDEL"), "record BOUNDARY at byte .* order of the format"),
     "cell without a name": (replaced("STRNAME", b""), "STRNAME at byte .* must have a name"),
@@ -104,6 +106,12 @@ def test_layouts_that_exceed_memory_are_refused(monkeypatch):
         wd.measure_layout(CORPUS / "gds" / "cells.gds")
     monkeypatch.setattr(checked, "_BYTES_PER_VERTEX", 0.0)
     with pytest.raises(MemoryError, match=r"'cells\.gds' of \d+ × \d+ coordinates .* take a part of the layout"):
+        wd.measure_layout(CORPUS / "gds" / "cells.gds")
+
+
+def test_polygons_that_cover_too_many_cells_are_refused(monkeypatch):
+    monkeypatch.setattr(gds_layout, "_MOST_CELLS", 5)
+    with pytest.raises(ValueError, match=r"'cells\.gds' must cover at most 5 cells .* take a part of the layout"):
         wd.measure_layout(CORPUS / "gds" / "cells.gds")
 
 

@@ -34,6 +34,9 @@ _TIME = datetime.datetime(2000, 1, 1)
 _DIGITS = 4
 # Memory of the measurement [bytes per cell between the coordinates of all vertices]: two sums of 8 bytes, and marks.
 _BYTES_PER_CELL = 24.0
+# Largest number of these cells that all polygons cover, where cells that overlapping polygons share count for each of
+# them. Polygons with more than four vertices require about 10 s for so many cells. If doubled, twice this time.
+_MOST_CELLS = 10**9
 
 
 def _gdstk() -> Any:
@@ -144,6 +147,12 @@ def measure_layout(path: str | os.PathLike[str]) -> Table:
     )  # fmt: skip
     layers = np.array([polygon.layer for polygon in polygons])
     bounds = [edge.reduceat(lines, begins) for lines in (across, along) for edge in (np.minimum, np.maximum)]
+    cells_filled = int(np.sum((bounds[1] - bounds[0]) * (bounds[3] - bounds[2]), dtype=np.float64))
+    if cells_filled > _MOST_CELLS:
+        raise ArgumentValueError(
+            f"{ref('path')}: the polygons of {file.name!r} must cover at most {_MOST_CELLS:g} cells between the "
+            f"coordinates of all vertices, got {cells_filled:g}: take a part of the layout"
+        )
     rows: list[tuple[float, ...]] = []
     for layer in np.unique(layers).tolist():
         own = np.flatnonzero(layers == layer)
@@ -199,7 +208,9 @@ def _least_run(lines: NDArray[np.bool_], steps: NDArray[np.float64]) -> float:
         steps: Lengths of the cells along a line, shape (n,).
     """
     least = np.inf
-    for line in np.unique(lines, axis=0):
+    # `np.unique` of rows would compare their cells one by one, and require minutes for a long array of copies.
+    for content in dict.fromkeys(line.tobytes() for line in lines):
+        line = np.frombuffer(content, dtype=bool)
         if line.all() or not line.any():
             continue
         # The periodic line is rotated so that it begins directly after a marked cell that an unmarked cell follows.

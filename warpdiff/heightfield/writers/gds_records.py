@@ -210,6 +210,14 @@ def _add(layout: _Layout, cell: _Cell, begin: int, end: int) -> None:
         columns, rows = layout.integers(records["COLROW"]) if title == "AREF" else (1, 1)
         if min(columns, rows) < 1:
             layout.refuse(f"the AREF at byte {layout.begins[begin]} must have columns and rows, got {columns} × {rows}")
+        if title == "AREF":
+            x, y, *corners = struct.unpack(">6i", layout.content(records["XY"]))
+            for count, to_x, to_y in zip((columns, rows), corners[::2], corners[1::2], strict=True):
+                if 1 < count > max(abs(to_x - x), abs(to_y - y)):
+                    layout.refuse(
+                        f"the AREF at byte {layout.begins[begin]} must have copies at least one unit apart, got {count} "
+                        "copies in less"
+                    )
         cell.copies.append((layout.text(records["SNAME"]), columns * rows))
 
 
