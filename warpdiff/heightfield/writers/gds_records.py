@@ -215,8 +215,8 @@ def _add(layout: _Layout, cell: _Cell, begin: int, end: int) -> None:
             for count, to_x, to_y in zip((columns, rows), corners[::2], corners[1::2], strict=True):
                 if 1 < count > max(abs(to_x - x), abs(to_y - y)):
                     layout.refuse(
-                        f"the AREF at byte {layout.begins[begin]} must have copies at least one unit apart, got {count} "
-                        "copies in less"
+                        f"the AREF at byte {layout.begins[begin]} must have copies at least one unit apart, got "
+                        f"{count} copies in less"
                     )
         cell.copies.append((layout.text(records["SNAME"]), columns * rows))
 
