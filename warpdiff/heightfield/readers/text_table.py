@@ -154,10 +154,13 @@ class Form(NamedTuple):
                 if fast and all(map(math.isfinite, fast)):
                     return fast
         cells = self.cells(line)
-        numbers = [self.number(cell) for cell in cells]
-        if None in numbers or not cells or (len(cells) == 1 and self._is_gap(cells[0])):
-            return None
-        return numbers  # type: ignore[return-value]
+        numbers = []
+        for cell in cells:
+            # Most lines that are no row of numbers end here at their first cell.
+            if (number := self.number(cell)) is None:
+                return None
+            numbers.append(number)
+        return None if not cells or (len(cells) == 1 and self._is_gap(cells[0])) else numbers
 
     def _is_gap(self, cell: str) -> bool:
         """Whether the text of a cell does not begin with a number."""

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import files, validation
+from warpdiff.core import files, memory, validation
 from warpdiff.core.table import Table
 from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.heightfield.writers import gds_records
 from warpdiff.heightfield.writers.height_levels import Levels, rectangles_of
 
 if TYPE_CHECKING:
@@ -31,6 +32,11 @@ _TIME = datetime.datetime(2000, 1, 1)
 # Number of decimal places to which positions [µm] are rounded before they are compared. The value follows from the
 # resolution of 1 nm: rounding to 0.1 nm removes errors of the arithmetic and no real difference.
 _DIGITS = 4
+# Memory of the measurement [bytes per cell between the coordinates of all vertices]: two sums of 8 bytes, and marks.
+_BYTES_PER_CELL = 24.0
+# Largest number of these cells that all polygons cover, where cells that overlapping polygons share count for each of
+# them. Polygons with more than four vertices require about 10 s for so many cells. If doubled, twice this time.
+_MOST_CELLS = 10**9
 
 
 def _gdstk() -> Any:
@@ -93,7 +99,8 @@ def measure_layout(path: str | os.PathLike[str]) -> Table:
 
     Raises:
         FileNotFoundError: The file does not exist.
-        ValueError: The file is not a GDS file, has several top cells, no polygons, or a sloped edge.
+        ValueError: The file is not a GDS file or damaged, has several top cells, no polygons, or a sloped edge.
+        MemoryError: The layout does not fit into memory.
         ImportError: gdstk is not installed: ``pip install 'warpdiff[lithography]'``.
 
     Examples:
@@ -106,27 +113,56 @@ def measure_layout(path: str | os.PathLike[str]) -> Table:
     """
     file = validation.path(path, "path")
     gdstk = _gdstk()
-    files.check_file(file)
+    with files.naming_file(file):
+        gds_records.check(file)
     try:
         cells = gdstk.read_gds(str(file), unit=_UNIT).top_level()
     except (OSError, RuntimeError, ValueError) as error:
         raise ArgumentValueError(f"{ref('path')}: {file.name!r} is not a GDS file: {error}") from None
-    if len(cells) != 1 or not (polygons := cells[0].get_polygons()):
+    polygons = [part for cell in cells[:1] for part in cell.get_polygons()]
+    if len(cells) != 1 or not polygons:
         raise ArgumentValueError(
             f"{ref('path')} must have one top cell with polygons, got {len(cells)} cells in {file.name!r}"
         )
-    corners = np.concatenate([polygon.points for polygon in polygons])
+    points = [polygon.points for polygon in polygons]
+    corners = np.round(np.concatenate(points), _DIGITS)
+    if not np.isfinite(corners).all():
+        raise ArgumentValueError(
+            f"{ref('path')} must have finite coordinates: {file.name!r} has others; export it again"
+        )
     # Coordinates of all vertices, increasing: the cells between them are covered as a whole or not at all.
-    xs, ys = (np.unique(np.round(corners[:, axis], _DIGITS)) for axis in (0, 1))
+    (xs, across), (ys, along) = (np.unique(part, return_inverse=True) for part in corners.T)
+    sizes = np.array([len(part) for part in points])
+    ends = np.cumsum(sizes)
+    begins = ends - sizes
+    following = np.arange(1, len(corners) + 1)
+    following[ends - 1] = begins
+    if np.any((across != across[following]) & (along != along[following])):
+        raise ArgumentValueError(
+            f"{ref('path')} must have horizontal and vertical edges only, got a slope in {file.name!r}"
+        )
+    memory.require_memory(
+        _BYTES_PER_CELL * len(xs) * len(ys), f"{ref('path')}: {file.name!r} of {len(xs)} × {len(ys)} coordinates",
+        "take a part of the layout",
+    )  # fmt: skip
+    layers = np.array([polygon.layer for polygon in polygons])
+    bounds = [edge.reduceat(lines, begins) for lines in (across, along) for edge in (np.minimum, np.maximum)]
+    cells_filled = int(np.sum((bounds[1] - bounds[0]) * (bounds[3] - bounds[2]), dtype=np.float64))
+    if cells_filled > _MOST_CELLS:
+        raise ArgumentValueError(
+            f"{ref('path')}: the polygons of {file.name!r} must cover at most {_MOST_CELLS:g} cells between the "
+            f"coordinates of all vertices, got {cells_filled:g}: take a part of the layout"
+        )
     rows: list[tuple[float, ...]] = []
-    for layer in sorted({polygon.layer for polygon in polygons}):
-        own = [polygon for polygon in polygons if polygon.layer == layer]
+    for layer in np.unique(layers).tolist():
+        own = np.flatnonzero(layers == layer)
         mask = np.zeros((len(ys) - 1, len(xs) - 1), dtype=bool)
-        for polygon in own:
-            _fill(mask, polygon.points, xs, ys, file.name)
+        for k, left, right, bottom, top in zip(own.tolist(), *(bound[own].tolist() for bound in bounds), strict=True):
+            part = slice(begins[k], ends[k])
+            _fill(mask[bottom:top, left:right], across[part] - left, along[part] - bottom)
         areas = np.diff(ys)[:, None] * np.diff(xs)
         widths = [_least_run(part, np.diff(edges)) for part, edges in _lines(mask, xs, ys)]
-        most = max(len(polygon.points) for polygon in own)
+        most = int(sizes[own].max())
         rows.append((layer, len(own), most, float(areas[mask].sum()), *widths, _corners(mask)))
     names = (
         "layer", "polygons", "most_vertices", "area_um2", "least_width_x_um", "least_gap_x_um", "least_width_y_um",
@@ -136,25 +172,20 @@ def measure_layout(path: str | os.PathLike[str]) -> Table:
     return Table(columns)
 
 
-def _fill(
-    mask: NDArray[np.bool_], points: NDArray[np.float64], xs: NDArray[np.float64], ys: NDArray[np.float64], name: str
-) -> None:
+def _fill(box: NDArray[np.bool_], columns: NDArray[np.int64], rows: NDArray[np.int64]) -> None:
     """Mark the cells of a grid that a polygon covers, by the even-odd rule.
 
-    ``xs`` and ``ys`` are the coordinates of the lines between cells [µm]. ``name`` is the name of the file.
+    ``box`` is the part of the grid that contains the polygon. ``columns`` and ``rows`` are the lines between its cells
+    on which the vertices of the polygon lie.
     """
-    columns, rows = (np.searchsorted(edges, np.round(points[:, axis], _DIGITS)) for axis, edges in ((0, xs), (1, ys)))
-    after_columns, after_rows = np.roll(columns, -1), np.roll(rows, -1)
-    if np.any((columns != after_columns) & (rows != after_rows)):
-        raise ArgumentValueError(f"{ref('path')} must have horizontal and vertical edges only, got a slope in {name!r}")
-    if len(points) == 4:
-        mask[rows.min() : rows.max(), columns.min() : columns.max()] = True
+    if len(columns) == 4:
+        box[:] = True
         return
-    crossings = np.zeros(mask.shape, dtype=np.int64)
-    for column, row, after in zip(columns, rows, after_rows, strict=True):
-        if row != after and column < mask.shape[1]:
+    crossings = np.zeros(box.shape, dtype=np.int64)
+    for column, row, after in zip(columns, rows, np.roll(rows, -1), strict=True):
+        if row != after and column < box.shape[1]:
             crossings[min(row, after) : max(row, after), column] += 1
-    mask |= np.cumsum(crossings, axis=1) % 2 == 1
+    box |= np.cumsum(crossings, axis=1) % 2 == 1
 
 
 def _lines(
@@ -177,7 +208,9 @@ def _least_run(lines: NDArray[np.bool_], steps: NDArray[np.float64]) -> float:
         steps: Lengths of the cells along a line, shape (n,).
     """
     least = np.inf
-    for line in np.unique(lines, axis=0):
+    # `np.unique` of rows would compare their cells one by one, and require minutes for a long array of copies.
+    for content in dict.fromkeys(line.tobytes() for line in lines):
+        line = np.frombuffer(content, dtype=bool)
         if line.all() or not line.any():
             continue
         # The periodic line is rotated so that it begins directly after a marked cell that an unmarked cell follows.
