@@ -26,11 +26,11 @@ _MOST_TILT = 1.0
 # field counts as an exact plane. An exact plane is no tilt of the sample, but a surface such as one period of a blazed
 # grating.
 _EXACT = 1e6
-# The jump across opposite edges of a field is compared with the largest steps between neighbouring samples. A warning
-# follows only if the ratio of both is above this number, because a smaller jump may be a wall of a grating.
+# Ratio of the jump between opposite edges of a field to the largest steps between neighbouring samples, above which a
+# warning about unequal edges may follow. A smaller jump may be a wall of a grating.
 _MOST_JUMP = 1.5
-# Light from two points of a surface interferes if their distance is short enough. The number is the least fraction of
-# such pairs of points between which an edge of the field lies, from which a warning about unequal edges follows.
+# Least fraction of all pairs of interfering points that have an edge of the repeated field between them, at which a
+# warning about unequal edges follows. Two points of a surface interfere if both are in the coherence window.
 _LEAST_SHARE = 0.1
 _warned: weakref.WeakSet[HeightField] = weakref.WeakSet()
 
@@ -94,7 +94,10 @@ def check_periodic(heightfield: HeightField) -> None:
 
 
 def _jump(heights: NDArray[np.float64], axis: int) -> float:
-    """Return the rms jump across opposite edges, relative to the largest steps within the field; 0 without a jump."""
+    """Return the rms jump of the heights from one edge of the field to the opposite edge, along an axis.
+
+    The jump is relative to the largest steps between neighbouring samples. It is 0 if opposite edges match.
+    """
     if heights.shape[axis] < 3:
         return 0.0
     jump = float(np.sqrt(np.mean((np.take(heights, 0, axis) - np.take(heights, -1, axis)) ** 2)))

@@ -30,7 +30,7 @@ _SAMPLES_PER_PERIOD = 4
 _MOST_ELEMENTS = 2_000_000
 # Smallest amplitude of a significant harmonic of a wave, in standard deviations of the amplitudes that noise causes.
 _OVER_NOISE = 4.0
-# Largest number of Gauss-Newton steps of a fit of a wave.
+# Largest number of Gauss-Newton steps in the least-squares fit of a wave.
 _MOST_STEPS = 12
 # Change of the fitted frequency in one step [cycles over the field] below which a fit ends.
 _CONVERGED = 1e-6
@@ -237,7 +237,10 @@ class HarmonicFit:
         return self._sum(np.asarray(1j * self.orders, dtype=np.complex128))
 
     def _sum(self, factors: NDArray[np.complex128] | NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sum of the harmonics, multiplied by complex ``factors``, at all samples, shape (ny, nx)."""
+        """Return the sum of the fitted harmonics at all samples [µm], shape (ny, nx).
+
+        Each harmonic is first multiplied by its element of ``factors``, a complex number.
+        """
         places, count = self._places(), len(self.orders)
         amplitudes = factors * (self.linear[:count] - 1j * self.linear[count : 2 * count])
         result = np.zeros(self.shape)

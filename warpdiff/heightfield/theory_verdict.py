@@ -280,9 +280,8 @@ def _undersampled_share(heightfield: HeightField, wavelength_um: float) -> float
     """Return the fraction of undersampled steps in the sum of all height differences |Δh| between neighbouring samples.
 
     The larger of the fractions along x and along y counts. A step is undersampled if it and the next step change the
-    phase
-    of the light by more than half a cycle each, both upwards or both downwards. A single large step is not counted,
-    because it is a vertical wall, which two samples represent correctly.
+    phase of the light by more than half a cycle each, both upwards or both downwards. A single large step is not
+    counted, because it is a vertical wall, which two samples represent correctly.
     """
     worst = 0.0
     limit = wavelength_um / 4.0

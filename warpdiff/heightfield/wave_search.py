@@ -30,8 +30,8 @@ _BAND, _LEAST_BAND = 0.35, 3.0
 # in lines at lower and higher frequencies than the mean, within this distance of the mean. If doubled, lines of other
 # waves are discarded.
 _SIDE_LINES = 0.55
-# Radius of the bands around the harmonics of a wave that are excluded from the search for further waves, relative to
-# the frequency of the wave.
+# Bands of frequencies around the harmonics of a wave are excluded from the search for further waves. The number is the
+# radius of such a band, relative to the frequency of the wave.
 _HARMONIC_BAND = 0.5
 # Number of the highest harmonic of a wave whose alias is excluded from the search for further waves. Higher harmonics
 # have little power, and the excluded bands around all aliases would cover the spectrum.

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 # Number of the line, counted from 1, in which a Zygo XYZ file states the size of a pixel.
 _ZYGO_LINES = 8
-# Points x, y, z count as a grid only if more than this fraction of all positions of the grid have a point. The points
-# of a hexagonal arrangement are on one half of the positions of a grid, and must not be taken for a grid.
+# Points x, y, z count as a grid only if more than this fraction of all positions (x, y) of the grid have a point. The
+# points of a hexagonal lattice are on one half of the positions of a rectangular grid, and must not be taken for one.
 _MOST_EMPTY = 0.5
 
 # Even grid of points: for x and then for y, the coordinates of all columns or rows of the grid, and the distance

@@ -158,7 +158,11 @@ class Statement:
         return text_keys.unit_in_key(self.text)
 
     def units(self, lateral: float | None) -> list[float | None]:
-        """Return the unit of each number [µm]: its own, or that of a later number, of the key, or of all positions."""
+        """Return the size of the unit of each number [µm].
+
+        A number without a unit of its own gets the unit of the next number that has one, or else the unit in the key,
+        or else ``lateral``, the unit of all positions along x and y. None if there is no such unit.
+        """
         of_key = self._unit_of_key()[0]
         result: list[float | None] = []
         later = None
