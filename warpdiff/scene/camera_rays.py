@@ -1,4 +1,7 @@
-"""Camera rays: the faces that rays through the pixels of a picture hit, by rasterization or by a hierarchy."""
+"""Camera rays: the faces that rays through the pixels of a picture hit.
+
+The nearest face of a ray is found by rasterization, or by a bounding volume hierarchy of the faces ("hierarchy" below).
+"""
 
 from __future__ import annotations
 
@@ -25,15 +28,16 @@ if TYPE_CHECKING:
 
 # Seed of the random positions of rays within pixels. Any constant makes pictures reproducible.
 _SEED = 0
-# Number of rays, and number of rasterized faces, that a CPU thread processes per slice. The values were fitted so that
-# a slice requires about 1 ms.
+# Number of rays, and number of rasterized faces, that a CPU thread processes at once (a slice). The values were fitted
+# so that a slice requires about 1 ms.
 RAYS_OF_SLICE, _FACES_OF_SLICE = 8192, 2048
-# Occluder grids are made if the mesh has fewer than this number of faces per shadow ray. The value was fitted. The time
-# to add a face to a grid is a fifth of that of a shadow ray through the hierarchy. The time of a shadow ray through the
-# grid is a quarter of it.
+# Occluder grids are made if the mesh has fewer than this number of faces per shadow ray. The value was fitted. Adding a
+# face to a grid takes a fifth of the time of a shadow ray through the hierarchy. A shadow ray through the grid takes a
+# quarter of the time of a shadow ray through the hierarchy.
 _FACES_PER_RAY = 3
 # Approximate size of an occluder grid per face [bytes], and largest size of all grids together [bytes]. The largest
-# size is limited by memory. With 100 lobes, for example, grids are used for meshes of up to 149,000 faces.
+# size is limited by memory. There is one grid per directional light: with 100 lights, for example, grids are used for
+# meshes of up to 149,000 faces.
 _BYTES_PER_FACE, _MOST_BYTES = 72, 1 << 30
 
 
@@ -83,7 +87,7 @@ class CameraRays:
     def trace(self, sample: int, samples: int, deviation: float = 0.0) -> list[KernelCall]:
         """Choose the position of one of ``samples`` rays in each pixel; return the kernel calls that trace it.
 
-        ``deviation`` is the standard deviation of the rays' filter [pixels], as in :meth:`calls`.
+        ``deviation`` is the standard deviation of the pixel filter [pixels], as in :meth:`calls`.
         """
         return self.calls(self._sampling(sample, samples), self.gbuffer, deviation)
 
@@ -95,9 +99,9 @@ class CameraRays:
         """Return the kernel calls that find the hits of rays, and compute shading frames and base colours at the hits.
 
         Args:
-            sampling: Positions of the rays.
-            gbuffer: Arrays of hits.
-            deviation: Standard deviation of the rays' filter [pixels], by which textures are filtered; 0 is no filter.
+            sampling: Positions of the rays within their pixels.
+            gbuffer: Arrays to which the hits are written.
+            deviation: Standard deviation of the pixel filter [pixels], by which textures are filtered; 0 is no filter.
         """
         inputs = [self.camera, self.scene.with_hierarchy(), sampling]
         trace = KernelCall(bvh.trace_bvh, inputs, [gbuffer.pixels.nearest], in_runs=True)
@@ -168,7 +172,7 @@ class RasterizedRays(CameraRays):
         return self._known_face_calls(sampling, gbuffer, deviation)
 
     def rasterize_cells(self, cells: Cells, pixels: int) -> NDArray[np.uint64]:
-        """Return the index of the nearest face for each cell of ``pixels`` pixels, one pixel after the other."""
+        """Return the index of the nearest face at each subpixel cell of ``pixels`` pixels, one pixel after another."""
         nearest = wp.full(pixels * cells.across**2, primary_hits.UNSEEN, dtype=wp.uint64, device=self.options["device"])
         self._rasterize(self._sampling(0, 1), cells, 0.0, nearest)
         return np.asarray(nearest.numpy())

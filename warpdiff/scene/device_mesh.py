@@ -1,4 +1,8 @@
-"""Meshes and cameras on a Warp device, in the structs that kernels read."""
+"""Meshes and cameras on a Warp device, in the structs that kernels read.
+
+Rays find the faces that they hit by a bounding volume hierarchy of the faces ("hierarchy" below). A face is plain if
+its part of the mesh has no height field.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +45,7 @@ class SceneArrays:
         transparency: Transparency as a struct for kernels; empty if all faces are opaque.
         is_textured: Whether any base colour is that of a texture.
         is_opaque: Whether no ray passes through a face.
-        has_maps: Whether textures have metallic, roughness or emission of any plain face.
+        has_maps: Whether any plain face has a texture of metallic, roughness or emission.
         face_count: Number of faces.
         grids: Cache of occluder grids by light direction.
     """
@@ -125,8 +129,8 @@ def camera(view: View, surface: Surface, *, axes: wp.array, margin: int = 0) -> 
 def needs_shadow_rays(surface: Surface, view: View) -> bool:
     """Return whether shadow rays are required.
 
-    They are not required for a convex body that is viewed from outside, because no visible illuminated point is in
-    shadow.
+    They are not required for a convex body that is viewed from outside: each visible point that faces a light is
+    illuminated by it, because no face is between the point and the light.
     """
     if not (surface.is_convex and surface.is_opaque):
         return True

@@ -1,4 +1,8 @@
-"""Direction fields on a mesh without texture coordinates: along or around an axis, or as smooth as possible."""
+"""Direction fields on a mesh without texture coordinates: along or around an axis, or as smooth as possible.
+
+A smooth field is the least eigenvector of the connection Laplacian, a complex matrix with one row per node. A node is a
+position of the mesh with its tangent plane. Vertices at one position share a node unless their normals are opposite.
+"""
 
 from __future__ import annotations
 
@@ -25,26 +29,30 @@ MOST_POSITIONS = 100_000
 # Vertices at one position belong to opposite sides of a thin sheet if the cosine of the angle between their normals is
 # below this number. It is the cosine of 150°, which was chosen because edges of solid bodies have smaller angles.
 _OPPOSITE_COSINE = float(np.cos(np.radians(150.0)))
-# Smallest and largest weight of an edge. Negative weights, which obtuse angles cause, would reward rotations of the
-# field along the edge. Weights of extremely narrow triangles would exceed the accuracy of float64.
+# Smallest and largest weight of an edge in the connection Laplacian. Negative weights, which obtuse angles cause, would
+# reward rotations of the field along the edge. Weights of extremely narrow triangles would exceed the accuracy of
+# float64.
 _LEAST_WEIGHT, _MOST_WEIGHT = 1e-3, 1e3
-# Smallest area of a node, relative to the mean area of nodes. Areas of extremely narrow triangles would underflow.
+# Smallest area of a node (a third of the area of its faces), relative to the mean area of all nodes. Areas of extremely
+# narrow triangles would underflow.
 _LEAST_MASS = 1e-9
-# Shift that is added to the eigenvalues, in units of 1 / area of a connected part. The least eigenvalue of a plane is
-# 0, so that its matrix could not be factorised without a shift. The eigenvalues of round bodies are about 10.
+# Shift that is added to the eigenvalues of the connection Laplacian, in units of 1 / area of a connected part. The
+# least eigenvalue of a plane is 0, so that its matrix could not be factorised without a shift. The eigenvalues of round
+# bodies are about 10.
 _SHIFT = 1e-4
-# Inverse iteration for eigenvectors: number of random columns of the subspace, largest number of iterations, and
-# relative change of the least eigenvalue at which they end. With these values, the energy of the field is within 0.1 %
-# of its minimum.
+# Inverse iteration for the eigenvectors of the connection Laplacian: number of random columns of the subspace, largest
+# number of iterations, and relative change of the least eigenvalue at which the iterations end. With these values, the
+# energy of the field (the integral of its squared derivative) is within 0.1 % of the minimum.
 _RANDOM, _MOST_ITERATIONS, _CONVERGED = 2, 40, 1e-4
 # Eigenvectors count as equally smooth if their eigenvalues exceed the least eigenvalue by at most this fraction. On a
 # sphere, several eigenvalues are equal, but on its triangles they differ by about this fraction.
 _EQUAL_SHARE = 0.02
-# Largest number of positions of a connected part whose matrix is dense, and largest number of elements of a batch of
-# such matrices. Sparse matrices of small parts would require 5 ms each, mainly for function calls. A batch has 4 MB.
+# Largest number of nodes of a connected part of the mesh whose connection Laplacian is a dense matrix, and largest
+# number of elements of a batch of such matrices. Sparse matrices of small parts would require 5 ms each, mainly for
+# function calls. A batch has 4 MB.
 _MOST_DENSE, _MOST_ELEMENTS = 64, 2**18
-# Values of an eigenvector, relative to its largest value, below which the field has no direction, because they are only
-# rounding errors.
+# The field has no direction at a node where the magnitude of the eigenvector, relative to its largest magnitude, is
+# below this number. Such values are only rounding errors.
 _LEAST_SIZE = 1e-13
 
 
@@ -217,9 +225,10 @@ class _Net:
         return result
 
     def candidates(self, nodes: NDArray[np.int64]) -> NDArray[np.complex128]:
-        """Return six unit fields at the nodes of components: along the three axes and around them, shape (…, 6).
+        """Return six candidate fields of unit vectors at the nodes of components, as complex numbers, shape (…, 6).
 
-        For bodies of revolution, plates and other symmetric bodies, one of these fields is the smooth field.
+        The fields are along the three coordinate axes and around them. For bodies of revolution, plates and other
+        symmetric bodies, one of these fields is the smooth field.
         """
         positions, mass, normals = (
             self.positions.take(nodes, axis=1),

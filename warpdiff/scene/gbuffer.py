@@ -49,7 +49,7 @@ class GBuffer:
 
     @property
     def is_coloured(self) -> bool:
-        """Whether the arrays include base colours."""
+        """Whether the arrays include the base colour at each hit."""
         return len(self.pixels.base_colour) > 0
 
     @property

@@ -1,4 +1,8 @@
-"""Factors of the materials of a mesh: metallic, roughness and emission, for surfaces without a height field."""
+"""Factors of the materials of a mesh: metallic, roughness and emission, for surfaces without a height field.
+
+A factor is a constant number or colour, by which the texture of the same quantity is multiplied. A row is the
+appearance of one material on one part of the mesh.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +25,7 @@ if TYPE_CHECKING:
     from warpdiff.scene.scene_parts import Appearance, ScenePart
 
 
-# Factors of materials: name in messages, attribute of ``Appearance``, and largest permitted value.
+# Factors of materials that are checked: name in messages, attribute of ``Appearance``, and largest permitted value.
 _FACTORS = (
     ("base colour", "base_colour", 1.0), ("base colour", "fallback_colour", 1.0), ("metallic", "metallic", 1.0),
     ("roughness", "roughness", 1.0), ("emission", "emission", np.inf), ("alpha cut-off", "alpha_cutoff", np.inf),
@@ -30,7 +34,7 @@ _FACTORS = (
 
 @dataclass(frozen=True, eq=False)
 class MaterialFactors:
-    """Factors of the materials of a mesh. Each of the k rows is the appearance of a material on a part of the mesh.
+    """Factors of the k rows of a mesh.
 
     Attributes:
         metallic: Metallic of the metallic-roughness model, 0 to 1, shape (k,), float32.

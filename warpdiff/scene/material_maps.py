@@ -1,4 +1,7 @@
-"""Textures of metallic, roughness and emission on the plain parts of a scene (parts without a height field)."""
+"""Textures of metallic, roughness and emission on the plain parts of a scene (parts without a height field).
+
+A row is the appearance of one material on one part of the scene, see ``PartAppearance``.
+"""
 
 from __future__ import annotations
 
@@ -20,14 +23,14 @@ if TYPE_CHECKING:
     from warpdiff.scene.textures import Texture, TextureImages
 
 _WHITE = (1.0, 1.0, 1.0, 1.0)
-# Name of the attribute of ``Appearance`` that has a texture, which depends on the use of the texture.
+# Name of the attribute of ``Appearance`` that has the texture: one for metallic and roughness, one for emission.
 _Use = Literal["metallic_roughness_texture", "emission_texture"]
 
 
 def maps_of(
     parts: Sequence[tuple[ScenePart, str]], scene: SceneArrays, is_plain: NDArray[np.bool_], images: TextureImages
 ) -> MaterialMaps | None:
-    """Return the textures of metallic, roughness and emission of the plain parts of a scene; None without any.
+    """Return the textures of metallic, roughness and emission of the plain parts of a scene; None if there are none.
 
     Args:
         parts: Parts of the scene, and their labels for messages.
@@ -58,9 +61,9 @@ def maps_of(
 def _uvs(
     parts: Sequence[tuple[ScenePart, str]], scene: SceneArrays, textures: Sequence[Texture | None], use: _Use
 ) -> NDArray[np.float64]:
-    """Return the texture coordinates at which the textures of all rows are sampled, shape (n, 2).
+    """Return the texture coordinates of all vertices at which the textures for one use are sampled, shape (n, 2).
 
-    Vertices without a texture have NaN.
+    ``textures`` has the texture of each row, or None. Vertices without a texture have NaN.
     """
     result = np.full((len(scene.vertices), 2), np.nan)
     vertex = face = 0
@@ -76,7 +79,7 @@ def _uvs(
 
 @dataclass(frozen=True, eq=False)
 class NotSampled:
-    """Rows of plain materials whose textures of metallic and roughness, or of emission, cannot be sampled.
+    """Rows of plain parts whose textures of metallic and roughness, or of emission, cannot be sampled.
 
     Attributes:
         metallic_roughness: Whether the texture of metallic and roughness cannot be sampled, for each row, shape (k,).

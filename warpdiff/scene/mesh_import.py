@@ -1,6 +1,7 @@
 """Import of triangle meshes: normals, tangents and base colours at the vertices.
 
-Every mesh becomes a :class:`Surface` of float32 arrays. Faces without area and vertices without a face are removed.
+Every mesh becomes a :class:`Surface` of float32 arrays. Faces without area and vertices without a face are removed. A
+part of a mesh, which has one geometry and one material, is plain if it has no height field.
 """
 
 from __future__ import annotations
@@ -99,7 +100,7 @@ class Surface:
             that are blended with their background.
         vertex_alphas: Alpha at the vertices, shape (n,), float32, which is 1 where a texture has the alpha; None if it
             is 1 at all vertices.
-        maps: Textures of metallic, roughness and emission of plain faces; None without any.
+        maps: Textures of metallic, roughness and emission of plain parts; None if there are none.
         is_convex: Whether the mesh bounds a convex body or is in a plane, so that no point on its outside is in shadow.
         centre: Origin of ``vertices``, world frame, shape (3,), float64.
         radius: Unit of ``vertices``, in mesh units.
@@ -136,7 +137,7 @@ class Surface:
 
     @property
     def has_maps(self) -> bool:
-        """Whether textures have metallic, roughness or emission of any plain face."""
+        """Whether any face of a plain part has a texture of metallic, roughness or emission."""
         return self.maps is not None
 
     @property

@@ -55,7 +55,10 @@ def spaced_obj(text: str) -> str:
 
 
 def triangulated_obj(text: str) -> str:
-    """Return the text of an .obj file in which concave polygons are replaced by triangles with the same corner data."""
+    """Return the text of an .obj file in which triangles replace concave polygons.
+
+    The corners of the triangles have the indices of the polygon's corners: vertex, texture coordinates and normal.
+    """
     found_polygons = list(_POLYGON.finditer(text))
     if not found_polygons:
         return text
@@ -79,8 +82,8 @@ def triangulated_obj(text: str) -> str:
 def absolute_obj(text: str) -> str:
     """Return the text of an .obj file with positive indices instead of negative ones.
 
-    A negative index counts back from the last line of this kind before the face. trimesh would count back from the end
-    of the file instead.
+    A negative index counts back from the face: −1 is the last vertex, texture coordinate or normal (line v, vt or vn)
+    before the line of the face. trimesh would count back from the end of the file instead.
     """
     if not _NEGATIVE.search(text):
         return text

@@ -1,4 +1,8 @@
-"""Occluder grids: lists of the faces that may occlude a directional light, by cells of a plane across the light."""
+"""Occluder grids: lists of the faces that may occlude a directional light.
+
+The faces are projected onto a plane perpendicular to the light. The plane is divided into square cells, and each cell
+has the list of the faces that overlap it.
+"""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ REST = "*"
 
 
 class _Part(NamedTuple):
-    """Names of a part of a mesh."""
+    """Names of the geometry and of the material of a part of a mesh."""
 
     geometry: str
     material: str

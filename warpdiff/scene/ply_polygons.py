@@ -2,6 +2,9 @@
 
 trimesh cuts every polygon into a fan from its first corner, which is wrong for concave polygons. It also cannot read
 binary files whose faces have different numbers of corners.
+
+A .ply file consists of elements, such as vertices and faces. An element is a table: it has rows, and its columns are
+called properties. The value of a property is a number or a list of numbers.
 """
 
 from __future__ import annotations
@@ -30,7 +33,7 @@ _INDEX_NAMES = ("vertex_index", "vertex_indices")
 
 @dataclass(frozen=True)
 class _Property:
-    """Property of an element: type of its values, and for a list also the type of the length of the list."""
+    """Property (column) of an element: type of its values, and for a list also the type of the length of the list."""
 
     name: str
     dtype: str
@@ -39,7 +42,7 @@ class _Property:
 
 @dataclass(frozen=True)
 class _Element:
-    """Element of a file: name, number of rows, and properties."""
+    """Element (table) of a .ply file: name, number of rows, and properties."""
 
     name: str
     count: int
@@ -209,7 +212,10 @@ def _concave(rows: list[list[list[Any]]], face: _Element, positions: NDArray[np.
 def _triangles(
     rows: list[list[list[Any]]], face: _Element, positions: NDArray[np.float64], concave: set[int]
 ) -> list[list[list[Any]]]:
-    """Return the rows of the triangles of all polygons; ``concave`` has the numbers of the concave polygons."""
+    """Return the rows of the faces after all polygons are cut into triangles.
+
+    ``concave`` has the numbers of the concave polygons.
+    """
     return [
         triangle
         for number, row in enumerate(rows)
@@ -220,7 +226,7 @@ def _triangles(
 def _triangles_of(
     row: list[list[Any]], face: _Element, positions: NDArray[np.float64], *, is_concave: bool
 ) -> list[list[list[Any]]]:
-    """Return the rows of the triangles of a polygon, with the texture coordinates of their corners."""
+    """Cut a polygon into triangles; return a row per triangle, with the texture coordinates of its corners."""
     index = _index_of(row, face)
     count = len(index)
     if count < 3:

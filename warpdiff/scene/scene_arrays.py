@@ -1,4 +1,7 @@
-"""Arrays of a whole scene in world coordinates, joined from its parts: positions, colours, names."""
+"""Arrays of a whole scene in world coordinates, joined from its parts: positions, colours, names.
+
+A part has the triangles of one geometry with one material. It is plain if it has no height field.
+"""
 
 from __future__ import annotations
 
@@ -296,8 +299,9 @@ def joined(parts: list[SceneArrays]) -> SceneArrays:
 def with_missing_colours(scene: SceneArrays, is_plain: NDArray[np.bool_]) -> SceneArrays:
     """Return a scene with a colour at each vertex, if any vertex has a colour or a texture.
 
-    Parts without a colour then look as they do alone. Plain parts are white. Parts with a height field have the base
-    colour black, which is no pigment.
+    Parts without a colour get the colour that changes nothing: white for plain parts, and black for parts with a height
+    field. The base colour of a part with a height field is that of the pigment under the relief, and a black pigment
+    reflects no light.
 
     Args:
         scene: Joined parts of a scene.

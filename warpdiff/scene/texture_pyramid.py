@@ -35,9 +35,9 @@ def mean_products(one: NDArray[np.float32], two: NDArray[np.float32]) -> NDArray
 
     Both images are interpolated bilinearly, and are repeated beyond their edges.
     """
-    # Bilinear interpolation at the distance x from a texel's centre has the weights 1 − x and x, with 0 < x < 1/2
-    # inside the texel. The numbers are twice the integrals of (1 − x)², x (1 − x) and x² over this range: means over
-    # half a texel.
+    # At the distance x from a texel's centre, with 0 < x < 1/2 inside the texel, linear interpolation has the weight
+    # 1 − x for this texel and the weight x for its neighbour. The numbers are the means of (1 − x)², x (1 − x) and x²
+    # over this half of the texel, which are twice their integrals.
     own, mixed, other = 7.0 / 12.0, 1.0 / 6.0, 1.0 / 12.0
 
     def along_rows(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.float32]:

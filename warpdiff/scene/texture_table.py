@@ -1,4 +1,7 @@
-"""Table of the textures of a scene on a device, with the pyramids of their images."""
+"""Table of the textures of a scene on a device, with the pyramids of their images.
+
+A row is the appearance of one material on one part of the scene.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +24,9 @@ if TYPE_CHECKING:
     from warpdiff.scene.scene_parts import Wrap
     from warpdiff.scene.textures import MaterialMaps, Texture
 
-# Size of a texel [bytes]: four float32. Memory per texel of an image while its reductions are made [bytes]: a third of
-# a texel for all reductions, and half of a texel for the first reduction before it is halved along the second axis.
+# Size of a texel [bytes]: four float32. Memory per texel of an image while the smaller levels of its pyramid are made
+# [bytes]: a third of a texel for all these levels, and half of a texel for the first of them before it is halved along
+# the second axis.
 _BYTES_PER_TEXEL, _BYTES_OF_REDUCTIONS = 16.0, 16.0 / 3.0 + 8.0
 # Codes of the wrap modes of textures, as in kernels/native/textures.h.
 _WRAPS: dict[Wrap, int] = {"repeat": 0, "clamp": 1, "mirror": 2}

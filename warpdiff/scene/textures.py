@@ -1,4 +1,8 @@
-"""Textures of a scene: decoded images, multiplied by constant colours."""
+"""Textures of a scene: decoded images, multiplied by constant colours.
+
+A pyramid is an image with its reductions to half the size. A row is the appearance of one material on one part of the
+scene.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +48,7 @@ class Texture:
 
 @dataclass(frozen=True, eq=False)
 class MaterialMaps:
-    """Textures of metallic, roughness and emission of a mesh, by row of its materials.
+    """Textures of metallic, roughness and emission of a mesh, by row.
 
     Attributes:
         metallic_roughness: Texture with roughness in green and metallic in blue, linear; None where a row has none.

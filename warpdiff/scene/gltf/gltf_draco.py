@@ -25,7 +25,7 @@ _LARGEST = {1: 127.0, 2: 255.0, 3: 32767.0, 4: 65535.0}
 def decoded_primitive(
     compressed: Element, attributes: dict[str, int], container: Container, accessors: Accessors
 ) -> tuple[NDArray[np.int64], dict[str, NDArray[np.float64]]]:
-    """Decode a primitive: return the vertex indices of the corners of triangles, and the decoded attributes by name.
+    """Decode a primitive of a mesh; return the vertex indices of its triangles' corners, and its attributes by name.
 
     Args:
         compressed: Object of the extension.

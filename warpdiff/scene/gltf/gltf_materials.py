@@ -50,7 +50,7 @@ class Materials:
 
     Attributes:
         names: Names of the materials, which all differ.
-        not_read: Texts that name parts of materials that are not read.
+        not_read: Texts that name the textures of the file that are not read.
         ignored: Reasons why images are ignored, by the names of their files.
     """
 

@@ -33,7 +33,7 @@ class Meshes:
 
     Attributes:
         names: Names of the meshes, which all differ.
-        not_read: Texts that name parts of meshes that are not read.
+        not_read: Texts that name features of meshes that are not read, such as points and lines.
     """
 
     def __init__(self, container: Container, accessors: Accessors, materials: Materials) -> None:

@@ -1,4 +1,7 @@
-"""Reading of glTF 2.0 files into parts of a scene, with one warning per file about parts that are not read."""
+"""Reading of glTF 2.0 files into parts of a scene, each with the triangles of one mesh and one material.
+
+One warning per file names the features of the file that are not read, such as skins and morph targets.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,7 @@ _ACCEPTED = {
 
 
 def load(file: Path) -> list[ScenePart]:
-    """Return the parts of a file's scene.
+    """Return the parts of a file's scene: triangles with their attributes, transform and material.
 
     Raises:
         MemoryError: The triangles do not fit into memory.
@@ -72,7 +75,7 @@ def _check_version(root: Element) -> None:
 
 
 def _warn_of_parts_not_read(file: Path, names: list[str]) -> None:
-    """Warn once of all parts of a file that are not read."""
+    """Warn once of all features of a file that are not read; ``names`` names these features."""
     if names:
         listing = listed(names, "; ", "; and {} more")
         warn(f"{ref('mesh')}: {str(file)!r} has parts that are not read: {listing}")
