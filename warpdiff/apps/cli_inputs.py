@@ -46,7 +46,8 @@ _LIGHTS = {name.removesuffix("Light").lower(): name for name in dir(wd) if name.
 # this sky, in the world frame. The direction points up, to the right and towards the default camera.
 _CLEAR_SKY, _SUN_DIRECTION = "clear-sky", (0.6, 1.0, 0.4)
 METAL_SYMBOLS = get_args(Metal)
-# Values of dots that ``--map`` sets.
+# Quantities of the dots of a grating map that the flag ``--map`` sets: rotation of the grating in each dot, factor of
+# its heights, and factor of its lengths.
 _MAPPED = ("turn_deg", "depth_scale", "pitch_scale")
 # Value of ``--surface`` for a surface without a height field.
 _PLAIN = "plain"
@@ -115,7 +116,8 @@ def surfaces_of(
     """Return the height field of the whole mesh; with ``--surface``, return a dictionary of height fields by part.
 
     The dictionary has an entry for all parts that ``--surface`` does not name. The value None is a surface without a
-    height field. With ``--map``, the height field of ``--heightfield`` is the cell of a grating map.
+    height field. With ``--map``, the height field of ``--heightfield`` is the grating (cell) that a grating map repeats
+    in all of its dots.
     """
     maps = getattr(options, "map", None)
     heightfield = map_of(height_field_of(options), maps)
@@ -145,7 +147,10 @@ def surfaces_of(
 
 
 def map_of(cell: wd.HeightField, texts: list[str] | None) -> wd.HeightField | wd.GratingMap:
-    """Return the grating map of ``--map`` flags with a height field as its cell; without flags, the height field."""
+    """Return the grating map of ``--map`` flags; without such flags, the height field ``cell`` unchanged.
+
+    The map repeats the grating ``cell`` in each dot, with another direction, depth or pitch.
+    """
     if not texts:
         return cell
     values: dict[str, Any] = {}
@@ -164,7 +169,10 @@ def map_of(cell: wd.HeightField, texts: list[str] | None) -> wd.HeightField | wd
 
 
 def _dot_value(text: str, value: str) -> Any:
-    """Return a number, the path of an image, or a tuple of a path and the values of black and white."""
+    """Return the values of the dots of a grating map: a number, or the path of an image with a pixel per dot.
+
+    The path may be in a tuple with the values for which black and white in the image stand.
+    """
     number = _value(value)
     if not isinstance(number, str):
         return number

@@ -1,4 +1,4 @@
-"""BSDF plug-in ``warpdiff`` for Mitsuba 3: path tracing with baked lobes.
+"""BSDF plug-in ``warpdiff`` for Mitsuba 3: path tracing with baked lobes, the tables that ``warpdiff.bake`` makes.
 
 In Mitsuba's spectral variants, each wavelength λ of a ray looks up the power spectrum (``BakedSpectrum``) at q = (u,
 v)/λ and κ = w/λ. In RGB variants a ray looks up colours (``BakedLobes``) at (u, v) and w. (u, v, w) is the scattering
@@ -8,11 +8,11 @@ vector. Both look-ups give the absolute BRDF f of ``warpdiff.brdf``:
 
 The unit vectors ωi and ωo point away from the surface along the incoming and the outgoing path, at the angles θi and θo
 from the normal. R is Schlick's power reflectance, θd half of the angle between ωi and ωo, M the masking factor, and D
-the density of the reflected power over (u, v), which integrates to 1. ⟨|P|²⟩ is the
-normalised diffracted power, as in ``warpdiff.brdf``. For a coherence window of standard deviation σ, D is
-4πσ²/λ² ⟨|P|²⟩. For a source with the angular spread s, D is ⟨|P|²⟩ / 2πs². Scalar
-diffraction does not conserve energy, so the reflected power may exceed the incident power. The reflected power divided
-by the incident power is the sum of the efficiencies of ``warpdiff.order_efficiencies``.
+the density of the reflected power over (u, v), which integrates to 1. ⟨|P|²⟩ is the normalised diffracted power, as in
+``warpdiff.brdf``. For a coherence window of standard deviation σ, D is 4πσ²/λ² ⟨|P|²⟩. For a source with the angular
+spread s, D is ⟨|P|²⟩ / 2πs². Scalar diffraction does not conserve energy, so the reflected power may exceed the
+incident power. The reflected power divided by the incident power is the sum of the efficiencies of
+``warpdiff.order_efficiencies``.
 
 Outgoing directions are drawn in two steps. First q is drawn, either from the table's cells in proportion to their power
 or from the Gaussian lobe of the zeroth order, the reflection of the mean plane. Second, ωo follows from ωi + ωo = −λ q
@@ -38,7 +38,7 @@ Variant: TypeAlias = Any
 
 NAME = "warpdiff"
 # An outgoing direction is drawn either from the lobe of the zeroth order or from the table of the other orders. `_EVEN`
-# is the part of the table's probability that is spread evenly over the disc of (u, v), so that no lobe is missed. The
+# is the part of the table's probability that is spread evenly over the disc of (u, v), so that no order is missed. The
 # probability of drawing from the lobe of the zeroth order is from `_LEAST_MIRROR` to `_MOST_MIRROR`. These numbers
 # change only the noise.
 _EVEN, _LEAST_MIRROR, _MOST_MIRROR = 0.05, 0.05, 0.9
@@ -92,7 +92,7 @@ def register_mitsuba_bsdf(name: str = NAME) -> None:
 
 
 class _Table:
-    """Table of the BSDF's lobes, in arrays of Mitsuba's current variant.
+    """Table of a baked spectrum or of baked lobes, in arrays of Mitsuba's current variant.
 
     The grid's coordinates are q = (u, v)/λ for a spectrum and (u, v) for colours. The argument of the functions is
     κ = w/λ for a spectrum and w for colours.

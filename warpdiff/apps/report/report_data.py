@@ -85,7 +85,7 @@ class Request:
         sigmas_um: Standard deviations of the coherence windows for which colours are computed [µm].
         illuminant: Illuminant of the colours.
         measured: Measured curve; None if there is no measurement.
-        settings: Other keyword options of the call, by name.
+        settings: Other keyword arguments of `warpdiff.report`, by name.
     """
 
     heightfield: HeightField
@@ -104,8 +104,8 @@ class ReportData:
 
     Attributes:
         request: Checked arguments of the report.
-        part: Field from which periods are computed; missing samples are not interpolated. A field with too many samples
-            is cropped to its middle.
+        part: Height field from which periods are computed; missing samples are not interpolated. A field with too many
+            samples is cropped to its middle.
         to_light: Unit vector to the light, shape (3,).
         azimuth_deg: Azimuth of the plane of the view angles [degrees], above −90 and at most 90.
         periods: Periodic waves in ``part``, strongest first.

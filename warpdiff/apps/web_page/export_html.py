@@ -1,5 +1,7 @@
 """Function ``export_html``, which writes a web page that needs no server. The page shows a mesh with baked colours.
 
+Baked lobes are the table of colours over all directions that ``warpdiff.bake`` makes of a height field.
+
 The scattering vector (u, v, w) is −ωi − ωr for the unit vectors ωi to the light and ωr to the viewer, in the local
 frame.
 """
@@ -46,12 +48,12 @@ if TYPE_CHECKING:
 # Smallest distance of a point light from the centre of the mesh, in radii of the mesh. The shadow map of a light covers
 # only the half-space in front of the light, so that the light must be outside of the mesh.
 _NEAREST = 1.1
-# Texels per side of the Cartesian grid over (u, v) to which the page resamples the lobes, and number of frames that it
-# averages while nothing moves. Both are limited: twice the texels per side require four times the graphics memory, and
-# twice the frames require twice the time.
+# Texels per side of the Cartesian grid over (u, v) to which the page resamples the baked lobes, and number of frames
+# that the page averages while nothing moves. Both are limited: twice the texels per side require four times the
+# graphics memory, and twice the frames require twice the time.
 _SIZE, _FRAMES = 1024, 1024
 # Number of wavelengths over which a page sums the zeroth order. The number is limited because a page allows 64 texture
-# fetches per fragment, of which the look-up of the lobes needs most.
+# fetches per fragment, of which the look-up in the baked lobes needs most.
 _WAVELENGTHS = 10
 # Number of values of |w| at which the page has the power of the zeroth order; it interpolates linearly between them.
 _ENTRIES_OF_W = 512
@@ -278,10 +280,12 @@ def _defined_normals(surface: Surface) -> Any:
 
 
 def _add_lobes(arrays: Arrays, lobes: BakedLobes) -> dict[str, Any]:
-    """Store the lobes in the page's arrays: coefficients, functions of w in groups of four, power of the zeroth order.
+    """Store the baked lobes in the arrays of the page: coefficients, functions of w, and power of the zeroth order.
+
+    The functions of w are stored in groups of four, one group per texel.
 
     Returns:
-        The entries of the page's header that describe the lobes.
+        The entries of the page's header that describe the baked lobes.
     """
     arrays.add("exponents", "bytes", np.ascontiguousarray(lobes.exponents.T).tobytes())
     arrays.add(
