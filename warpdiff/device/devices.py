@@ -92,7 +92,7 @@ def resolve_threads(threads: int | None) -> int:
 
 
 def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> list[Future[None]]:
-    """Start to compile or load kernels for the CPU on other threads, and return the futures of this work.
+    """Start to compile or load kernels for the CPU on other threads; return a future for each kernel.
 
     At most `_LOADERS` threads compile, because the first compilation on each thread reads Warp's headers, which takes
     seconds.

@@ -1,6 +1,7 @@
-"""Pipelines of kernel calls: several kernels in sequence over the same elements.
+"""Pipelines of kernel calls: several kernels in sequence over the same elements, such as the rays of a picture.
 
-A GPU launches each kernel over all elements. On the CPU, threads process slices of the elements.
+A GPU launches each kernel over all elements. On the CPU, threads process slices, which are ranges of the elements. A
+kernel processes one element per index of its launch, or a block of elements.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ class KernelCall:
             processes in a loop. On the CPU, one run is a slice. The kernel's arguments, up to a kilobyte, are then read
             once per slice instead of once per index.
         block: Number of elements that the kernel processes per index, for example all subpixel cells of a pixel.
+            ``first`` and ``run`` count blocks.
         free: Launches that Warp has recorded on the CPU for repeated use, and that no thread is using now.
     """
 
@@ -154,8 +156,8 @@ def launch_pipeline(
         at_once = max(min(_MOST_AT_ONCE // size, slices // (_TURNS_PER_THREAD * threads)), 1)
         take = Pipeline(steps).slices(indices, size, at_once)
         # Each call of ``take`` processes the next ``at_once`` slices, or fewer at the end. The operating system may
-        # pause a thread just before it calls ``take``. Its slices would then wait for it. There is therefore one
-        # additional call for each other thread. If a thread is paused, an additional call on another thread processes
+        # pause a thread just before this thread calls ``take``. The last slices would then wait until the thread
+        # continues. There is therefore one additional call of ``take`` for each other thread, and such a call processes
         # these slices.
         times = -(-slices // at_once) + (threads - 1 if at_once > 1 else 0)
         parallel_for(lambda _: take(), range(times), threads=threads, progress=progress)
