@@ -95,7 +95,7 @@ def _lines(text: str, separator: str) -> list[tuple[int, list[str]]]:
 
 
 def _columns(heading: list[str], known: tuple[str, ...]) -> list[_Column]:
-    """Return the columns whose headings are known names."""
+    """Return the columns of a table whose headings are among the names ``known``."""
     columns = []
     units = [(name, next((end for end in _UNITS if end and name.endswith(f"_{end}")), "")) for name in known]
     for place, cell in enumerate(heading):
@@ -115,7 +115,7 @@ def _columns(heading: list[str], known: tuple[str, ...]) -> list[_Column]:
 
 
 def _number(cells: list[str], column: _Column, line: int, separator: str) -> float:
-    """Return the number of a column in a row."""
+    """Return the number in the cell of a column, converted to the unit of the column's name."""
     cell = cells[column.place] if column.place < len(cells) else ""
     place = f"{ref('path')}: column {column.name!r} in line {line}"
     if not cell:

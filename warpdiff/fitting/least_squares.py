@@ -38,8 +38,8 @@ _SAME = 0.5
 # Relative changes of parameters and of χ² at which the minimiser ends, and its largest number of steps. The number of
 # steps was chosen because a start near a minimum needs fewer than 30 steps.
 _CHANGE, _MOST_STEPS = 1e-9, 60
-# Gradient of χ² that counts as 0, relative to χ² of the start and for parameters in units of their ranges. The value is
-# limited by rounding errors of float64.
+# Gradient of χ² that counts as 0, so that the minimiser ends. It is relative to the χ² at the start, and each parameter
+# is in units of its range. The value is limited by rounding errors of float64.
 _ROUNDING = 2.3e-16
 # Largest number of starts. The value is limited by the computing time, which is proportional to it.
 _MOST_STARTS = 1000
@@ -58,8 +58,8 @@ _SIGNIFICANT = 4.0
 # χ² per degree of freedom above which a report states that the model does not explain the data. The value was chosen
 # because noise alone exceeds it once in a thousand fits, for ten degrees of freedom.
 _BAD_CHI2 = 3.0
-# Distance of a parameter from a bound, relative to the range of the parameter, within which it counts as being at this
-# bound. The range is the difference of both bounds.
+# Least distance of a start from a bound of a parameter, relative to the range of the parameter (the difference of both
+# bounds). A best value within ten times this distance counts as being at the bound.
 _AT_BOUND = 1e-6
 
 
@@ -191,7 +191,7 @@ class _Problem:
         self.evaluations = 0
 
     def forget(self) -> None:
-        """Delete the stored results. The next call then computes them again and issues its warnings."""
+        """Delete the stored results, so that the next evaluation computes them again and issues its warnings."""
         self._last = None
 
     def residuals(self, x: Array) -> Array:

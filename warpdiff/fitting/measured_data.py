@@ -51,7 +51,7 @@ _LARGEST_EFFICIENCY = 1.5
 
 
 class _Grid(NamedTuple):
-    """Different rows of an array, and for each row of the array the index of the equal row among them."""
+    """Array without repeated rows, and for each row of the original array the index of the equal row in it."""
 
     rows: Array
     which: NDArray[np.int64]
@@ -224,10 +224,9 @@ class Measured:
 
         The columns determine the kind of the data. They are the columns of the tables that
         :class:`warpdiff.OrderEfficiencies` and :class:`warpdiff.ReflectanceSpectra` save; other columns are ignored.
-        Separators are commas, semicolons or tabs. With semicolons and tabs, numbers may have decimal commas. Names may
-        have
-        units in brackets, such as ``wavelength [µm]`` or ``efficiency (%)``, and cells may have percent signs. Empty
-        lines and comments (#) are skipped.
+        Separators are commas, semicolons or tabs. With semicolons and tabs, numbers may have decimal commas. Names of
+        columns may have units in brackets, such as ``wavelength [µm]`` or ``efficiency (%)``, and cells may have
+        percent signs. Empty lines and comments (#) are skipped.
 
         - orders: ``light_theta_deg``, ``light_phi_deg``, ``wavelength_nm``, ``m_y``, ``m_x``, ``efficiency``
         - spectra: ``light_theta_deg``, ``light_phi_deg``, ``view_theta_deg``, ``view_phi_deg``, ``wavelength_nm``,
@@ -324,7 +323,10 @@ def _below_horizon(name: str, heights: Array) -> Exception:
 
 
 def _grid(rows: Array, count: int, name: str) -> _Grid:
-    """Return the different rows of an array. The array has one row per measured value, or one row for all values."""
+    """Return an array without repeated rows, and the index of the row of each measured value.
+
+    ``rows`` has one row per measured value, or one row for all values.
+    """
     if len(rows) not in (1, count):
         raise ArgumentValueError(f"{ref(name)} must have one row, or one per value, {count}, got {len(rows)}")
     distinct, index = np.unique(np.broadcast_to(rows, (count, rows.shape[1])), axis=0, return_inverse=True)
@@ -344,9 +346,12 @@ def _pairs(to_light: ArrayLike, to_view: ArrayLike, count: int) -> _Grid:
 
 
 def _picked(result: Linearised, places: tuple[NDArray[np.int64], ...], exists: NDArray[np.bool_]) -> Linearised:
-    """Return selected elements of a linearised value as a vector; elements that do not exist are 0.
+    """Return selected elements of an array of values and of its derivatives, one element per measured value.
 
-    ``places`` are the indices of the elements, and ``exists`` states which of them exist.
+    Args:
+        result: Array of values with its derivatives, as functions of ``warpdiff.adjoint`` return it.
+        places: Indices of the elements.
+        exists: Whether each element exists. An element that does not exist, such as an evanescent order, is 0.
     """
     value, vjp, jvp = result
 
