@@ -28,10 +28,11 @@ _MEAN_ERROR_PER_PLAN_ERROR = 0.32
 # factor was fitted as the module's docstring describes.
 _BOUND_OF_BOTH = 1.1
 
-# `_FILTER_OF_TEXTURES` is the relative error of the filter of textures. `_MOST_OF_TOLERANCE` is its largest share of
-# the tolerance. The error does not depend on the tolerance: pictures at tolerances of 0.1 and 0.03 have the same
-# errors, because nearly all pixels of far textures have cells of the same level. The error was fitted to bound 90 % of
-# the errors of pixels with far textures (docs/decisions/textures.md).
+# `_FILTER_OF_TEXTURES` is the relative error that the filtering of textures causes in a pixel. `_MOST_OF_TOLERANCE` is
+# the largest fraction of the tolerance that counts as this error. The error does not depend on the tolerance: pictures
+# at tolerances of 0.1 and 0.03 have the same errors, because nearly all of their pixels with distant textures have
+# equally many subpixel cells. The error was fitted to bound 90 % of the errors of pixels with distant textures
+# (docs/decisions/textures.md).
 _FILTER_OF_TEXTURES, _MOST_OF_TOLERANCE = 0.01, 0.33
 
 # Model of the probability that the true error of a pixel exceeds the tolerance. `_ODDS_AT_TOLERANCE` are the odds if
@@ -50,7 +51,7 @@ class ErrorParts:
             directions, which are not averages over a pixel.
         cells: Error ‖ΔXYZ‖ that remains after the subdivision into subpixel cells, shape (n,). None without
             subdivision.
-        textures: Relative error of the filter of textures; 0 without textures.
+        textures: Relative error that the filtering of textures causes; 0 without textures.
     """
 
     xyz: NDArray[np.float32]
@@ -77,7 +78,7 @@ def combined_errors(parts: ErrorParts, plan_error: float) -> NDArray[np.float64]
 
 
 def texture_error(tolerance: float) -> float:
-    """Return the relative error that the filter of textures causes in a picture with the given tolerance."""
+    """Return the relative error that the filtering of textures causes in a picture with the given tolerance."""
     return min(_FILTER_OF_TEXTURES, _MOST_OF_TOLERANCE * tolerance)
 
 

@@ -163,7 +163,7 @@ class Image:
             background: Background, mixed in the display's linear light: an encoded colour (R, G, B) with components
                 from 0 to 1, a picture of the same size, or linear sRGB of shape (height, width, 3), as from
                 :meth:`warpdiff.Environment.background`. None leaves the background transparent.
-            exact: Whether ACES is computed for each colour. False interpolates in a table of ACES colours, which is
+            exact: Whether ACES is computed for each pixel. False interpolates in a table of ACES colours, which is
                 several times as fast; the result differs by 0.1 ΔE2000 in the median and by 0.6 ΔE2000 at the 99th
                 percentile.
 
@@ -203,7 +203,7 @@ class Image:
         Args:
             shown: Options of the display.
             source: Picture whose automatic exposure is used, or None.
-            scales: Whether exposure is automatic if the options do not state it; otherwise the factor is then 1.
+            scales: Whether the exposure is automatic if the options state none. If False, the factor is 1 in this case.
         """
         validation.instance(source, Image, "exposure_from", optional=True)
         if shown.exposure is not None and source is not None:

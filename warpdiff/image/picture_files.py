@@ -1,4 +1,7 @@
-"""Files of pictures: EXR and PNG files are written in parts; each file is read again and compared with the data."""
+"""Files of pictures: writing and reading of EXR and PNG files. Each written file is read again and compared.
+
+A part of a file is an image with named channels. An EXR file may have several parts, and a PNG file has one.
+"""
 
 from __future__ import annotations
 
