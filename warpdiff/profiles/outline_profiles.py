@@ -1,4 +1,7 @@
-"""Profiles that are outlines: polygons and trapezoids, whose duty cycles and walls are exact and differentiable."""
+"""Profiles that are outlines: polygons and trapezoids, whose duty cycles and walls are exact and differentiable.
+
+The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,8 @@ _DEPTH_RANGE = 3.0
 # Largest distance by which a vertex may be beyond its neighbour or the end of the period, because of rounding errors
 # [periods].
 _ROUNDING = 1e-9
-# Smallest upper bound of the width of a wall [periods]. It is above 0, so that a fit can make vertical walls sloped.
+# Least value of the upper bound of the width of a wall [periods]. It is above 0, so that a fit that starts from
+# vertical walls can make them sloped.
 _WIDEST_WALL = 0.05
 
 
@@ -79,7 +83,7 @@ class _OutlineProfile(Profile):
         return self.surface(x).height_field()
 
     def pullback(self, x: ArrayLike, adjoints: Mapping[str, Array]) -> Array:
-        """Return the adjoints of the parameters, shape (p,), from the adjoints of the vertices and of the period."""
+        """Return the adjoints of the parameters ``x``, shape (p,), from the adjoints of the vertices and the period."""
         self.check(x)
         return np.append(np.tensordot(self._modes, adjoints["vertices"], axes=2), adjoints["period_um"])
 

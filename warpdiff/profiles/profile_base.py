@@ -26,7 +26,7 @@ HEIGHT_MARGIN_UM = 10.0
 
 
 class Profile(ABC):
-    """Surface with p parameters: start values, bounds, and the chain rule between surface and parameters.
+    """Surface with p parameters: start values, bounds, and the derivatives of the surface by its parameters.
 
     Attributes:
         names: Names of the parameters, with units, shape (p,).

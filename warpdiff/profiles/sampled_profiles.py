@@ -1,4 +1,7 @@
-"""Profiles that are height fields. Their parameters are all samples, square pixels, or a few modes of a scan."""
+"""Profiles that are height fields. Their parameters are all samples, square pixels, or scale, tilt and bow of a scan.
+
+The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
+"""
 
 from __future__ import annotations
 
