@@ -1,11 +1,12 @@
 """Coupled-wave solutions of one-dimensional reliefs by meent, which is checked on a flat surface before use.
 
-The relief is cut into layers that are constant along z. Coupled-wave analysis (Moharam and Gaylord 1995) with the
-inverse rule for p polarisation (Granet and Guizal 1996; Lalanne and Morris 1996; Li 1996) expands the fields in the
-layers by Fourier harmonics.
+The relief is cut into layers that are constant along z. Coupled-wave analysis (Moharam and Gaylord 1995) expands the
+electric and magnetic fields in each layer as Fourier series along x with the orders (harmonics) −N to N. For p
+polarisation it uses the inverse rule (Granet and Guizal 1996; Lalanne and Morris 1996; Li 1996).
 
-Two properties of meent 0.13 matter here. Its layers have the index n − ik. For p polarisation its complex substrate
-index gives wrong efficiencies, so that an absorbing substrate is a layer from which no light returns.
+The substrate is the material below the layers. Two properties of meent 0.13 matter here. It expects indices of
+refraction n − ik. For p polarisation, a substrate with a complex index gives wrong efficiencies. An absorbing substrate
+is therefore replaced by a layer so thick that no light returns from its lower end.
 """
 
 from __future__ import annotations
@@ -24,18 +25,21 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Power that returns from the lower end of the layer that replaces an absorbing substrate. Limit: rounding errors.
+# Power that returns from the lower end of the layer that replaces an absorbing substrate, relative to the power that
+# enters the layer. The value was chosen so that this power is about as small as rounding errors.
 _RETURNED = 1e-13
-# Imaginary part of the index below which a substrate counts as transparent. Limit: the thickness of its layer, 1 cm.
+# Imaginary part k of the index of refraction up to which a substrate counts as transparent. The value is limited by the
+# thickness of the layer that replaces an absorbing substrate: for smaller k, the layer would be thicker than 1 cm.
 _TRANSPARENT = 1e-4
-# Largest difference of the reflectance of a flat surface from Fresnel's. Limit: rounding errors, with a margin.
+# Largest accepted difference between the solver's reflectance of a flat surface and that of Fresnel's equations. The
+# value is far above rounding errors.
 _FLAT_ERROR = 1e-6
-# Thickness of the flat layer by which the solver is checked [µm], and its number of harmonics.
+# The solver is checked with a flat layer: thickness of this layer [µm], and largest order N of the Fourier series.
 _FLAT_UM, _FLAT_HARMONICS = 0.1, 2
 
 
 class Solution(NamedTuple):
-    """Efficiencies of the orders −N to N, shape (2N + 1,)."""
+    """Efficiencies of the reflected and of the transmitted orders −N to N, shape (2N + 1,) each."""
 
     reflected: Array
     transmitted: Array
@@ -51,17 +55,23 @@ def load_meent() -> Any:
 
 
 def layers_of(heights_um: Array, most: int) -> tuple[list[NDArray[np.bool_]], list[float]]:
-    """Return the material in each layer from the top, shape (n,), and the thicknesses [µm].
+    """Cut a relief into layers, from the top layer to the lowest one.
 
     Args:
-        heights_um: Heights of one period [µm], shape (n,); each sample is constant until the next one.
-        most: Largest number of layers. More different heights are replaced by a staircase of this many equal steps.
+        heights_um: Heights of one period [µm], shape (n,). The height is constant from each sample to the next one.
+        most: Largest number of layers. A relief with more different heights is replaced by a staircase of this number
+            of equal steps.
+
+    Returns:
+        For each layer, the mask of the samples that the material fills, shape (n,); and the thickness of each layer
+        [µm].
     """
     levels = np.unique(heights_um)
     if len(levels) > most + 1:
         levels = np.linspace(levels[0], levels[-1], most + 1)
     middles = (levels[1:] + levels[:-1]) / 2.0
-    # Samples within rounding errors of the middle of a step belong to the step.
+    # The material fills a sample of a layer if the height of the sample is above the middle of the layer. Rounding
+    # errors of the heights therefore have no effect.
     tops = [heights_um > middle for middle in middles[::-1]]
     return tops, np.diff(levels)[::-1].tolist()
 
@@ -70,22 +80,23 @@ def solve(
     layers: list[NDArray[np.bool_]], thicknesses_um: list[float], period_um: float, *, wavelength_um: float,
     angle_rad: float, index: complex, polarisation: int, harmonics: int,
 ) -> Solution:  # fmt: skip
-    """Solve one grating for one polarisation.
+    """Return the efficiencies of all orders of one grating for one wavelength and one polarisation.
 
     Args:
-        layers: Material in each layer from the top, shape (n,).
+        layers: Masks of the samples that the material fills, one mask of shape (n,) per layer, the top layer first.
         thicknesses_um: Thicknesses of the layers [µm].
         period_um: Period along x [µm].
         wavelength_um: Wavelength [µm].
-        angle_rad: Angle of incidence [rad]; the direction to the light is (sin, 0, cos).
+        angle_rad: Angle of incidence θ [rad]; the direction to the light is (sin θ, 0, cos θ).
         index: Index n + ik of the material, which also fills the space below the layers.
         polarisation: 0 for s, the electric field along the grooves, and 1 for p.
-        harmonics: Largest order N of the expansion.
+        harmonics: Largest order N of the Fourier series of the fields.
     """
     meent = load_meent()
     below, bottom = [], index.real
     if index.imag > _TRANSPARENT:
-        # The light crosses the layer twice, and its power falls as exp(−4πkz/λ).
+        # The light crosses the layer twice, and its power decreases with the path z as exp(−4πkz/λ). The thickness is
+        # such that the power `_RETURNED` remains.
         below = [-math.log(_RETURNED) * wavelength_um / (8.0 * math.pi * index.imag)]
         bottom = 1.0
     count = len(layers[0]) if layers else 2

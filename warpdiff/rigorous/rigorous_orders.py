@@ -1,4 +1,7 @@
-"""``rigorous_order_efficiencies``: orders of one-dimensional gratings by Maxwell's equations."""
+"""``rigorous_order_efficiencies``: efficiencies of the orders of one-dimensional gratings by Maxwell's equations.
+
+Coupled-wave analysis expands the electric and magnetic fields as Fourier series with the orders (harmonics) −N to N.
+"""
 
 from __future__ import annotations
 
@@ -30,13 +33,15 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Largest change of an order, as a share of the incident power, at which harmonics are no longer doubled; for periods
-# above 20 wavelengths, whose orders are many and weak, the second number. Choice: the accuracy of published tables.
+# The number N of harmonics is doubled until the efficiency of no order changes by more than `_CHANGE`, a fraction of
+# the incident power. For periods above `_LONG_PERIOD` wavelengths, which have many weak orders, the limit is
+# `_CHANGE_OF_LONG_PERIODS`. Both limits were chosen as the accuracy of published tables of efficiencies.
 _CHANGE, _CHANGE_OF_LONG_PERIODS, _LONG_PERIOD = 5e-3, 1e-2, 20.0
-# Number of harmonics at first: a multiple of the last order that propagates, and a number beyond it. Choice: with
-# fewer, the first doubling always changes the orders too much.
+# The first number N of harmonics is `_FIRST` times the highest order that propagates, plus `_BEYOND`. Both were chosen
+# because with fewer harmonics, the first doubling always changes the efficiencies too much.
 _FIRST, _BEYOND = 1.25, 6
-# Largest component of the direction to the light along the grooves that counts as 0. Limit: rounding errors.
+# Largest component of the unit vector to the light along the grooves that counts as 0. The value is limited by rounding
+# errors.
 ACROSS = 1e-9
 
 
@@ -47,16 +52,16 @@ class RigorousEfficiencies:
     Attributes:
         wavelengths_nm: Wavelengths [nm], shape (m,).
         to_light: Unit vector to the light, shape (3,).
-        orders: Pairs (0, m_x) of the orders that propagate at a wavelength at least, sorted, shape (n, 2).
+        orders: Pairs (0, m_x) of the orders that propagate at one wavelength at least, sorted, shape (n, 2).
         to_view: Unit vectors of the orders, shape (m, n, 3); NaN where an order is evanescent.
         efficiencies: Reflected power relative to the incident power, for unpolarised light, the mean of both
             polarisations, shape (m, n).
-        efficiencies_s: The same for an electric field along the grooves, shape (m, n).
-        efficiencies_p: The same for a magnetic field along the grooves, shape (m, n).
-        harmonics: Largest order of the expansion of the fields, shape (m,).
-        changes: Largest change of an order in the last doubling of the harmonics, shape (m,); infinite where
-            ``max_harmonics`` permits no doubling.
-        converged: Whether this change is at most 5e-3, or 1e-2 for periods above 20 wavelengths, shape (m,).
+        efficiencies_s: Efficiencies for s polarisation, with the electric field along the grooves, shape (m, n).
+        efficiencies_p: Efficiencies for p polarisation, with the magnetic field along the grooves, shape (m, n).
+        harmonics: Largest order N of the Fourier series of the fields, at each wavelength, shape (m,).
+        changes: Largest change of an efficiency in the last doubling of ``harmonics``, relative to the incident power,
+            shape (m,); infinite where ``max_harmonics`` permits no doubling.
+        converged: Whether ``changes`` is at most 5e-3, or 1e-2 for periods above 20 wavelengths, shape (m,).
 
     Examples:
         >>> import warpdiff as wd
@@ -89,7 +94,7 @@ class RigorousEfficiencies:
         return np.asarray(self.efficiencies[:, np.all(self.orders == pair, axis=1)].sum(axis=-1))
 
     def table(self) -> Table:
-        """Return a table with a row per wavelength and order that propagates: angles, efficiencies, convergence.
+        """Return a table of angles, efficiencies and convergence, with a row for each propagating order and wavelength.
 
         Examples:
             >>> grating = wd.gratings.lamellar(1.0, 0.05, samples=16)
@@ -118,25 +123,27 @@ def rigorous_order_efficiencies(
     ior: Annotated[float, Interval(gt=1.0, le=math.inf)] | None = None, material: Material | None = None,
     layers: int = 24, max_harmonics: int = 256, progress: Progress = None,
 ) -> RigorousEfficiencies:  # fmt: skip
-    """Return the reflected orders of a one-dimensional grating by coupled-wave analysis, both polarisations.
+    """Return the efficiencies of the reflected orders of a one-dimensional grating by coupled-wave analysis.
 
-    The package meent solves Maxwell's equations (extra ``rigorous``). Before use it must reproduce the reflectance of a
-    flat surface. The number of harmonics is doubled until no order changes by more than 5e-3 of the incident power, or
-    1e-2 for periods above 20 wavelengths. A result that has not converged is returned with a warning.
+    The package meent solves Maxwell's equations for both polarisations (extra ``rigorous``). Before each use it must
+    reproduce the reflectance of a flat surface. The fields are Fourier series with 2N + 1 harmonics. N is doubled until
+    no efficiency changes by more than 5e-3 of the incident power, or 1e-2 for periods above 20 wavelengths. A result
+    that has not converged is returned with a warning.
 
-    The time is proportional to the number of layers and to the cube of the harmonics: a second for a period of three
-    wavelengths, a minute for fifty.
+    The time is proportional to the number of layers and to the cube of N: a second for a period of three wavelengths,
+    and a minute for a period of fifty wavelengths.
 
     Args:
-        heightfield: One period with a single row, constant along y. Samples are constant until the next one, so that
-            walls are vertical.
+        heightfield: One period with a single row of samples, constant along y. The height is constant from each sample
+            to the next one, so that walls are vertical.
         to_light: Direction to the light, perpendicular to the grooves (y = 0), above the horizon, shape (3,).
         wavelengths_nm: Wavelengths [nm], shape (m,) or one number.
         ior: Index of refraction of a transparent material; None is 1.5 unless a material is given.
         material: Material of the surface instead of ``ior``, without a film.
-        layers: Largest number of layers, 1 to 1000, by default 24. A relief with more levels becomes a staircase.
-        max_harmonics: Largest order of the expansion of the fields, 8 to 2000, by default 256.
-        progress: Function that is called with the finished share, 0 to 1; True shows a progress bar.
+        layers: Largest number of layers into which the relief is cut, 1 to 1000, by default 24. A relief with more
+            different heights becomes a staircase.
+        max_harmonics: Largest N, the order of the Fourier series of the fields, 8 to 2000, by default 256.
+        progress: Function that is called with the finished fraction, 0 to 1; True shows a progress bar.
 
     Returns:
         Efficiencies for both polarisations and their mean, with the convergence at each wavelength.
@@ -247,7 +254,20 @@ def _converged(
     grating: tuple[list[NDArray[np.bool_]], list[float], float], wavelength_um: float, angle_rad: float, index: complex,
     orders: NDArray[np.int64], limit: int,
 ) -> tuple[Array, Array, int, float, bool]:  # fmt: skip
-    """Return the efficiencies for s and p, shape (n,), the harmonics, their last change, and whether it is small."""
+    """Double the number of harmonics until the efficiencies of a grating converge.
+
+    Args:
+        grating: Layers, their thicknesses [µm] and the period [µm], as for `coupled_waves.solve`.
+        wavelength_um: Wavelength [µm].
+        angle_rad: Angle of incidence [rad].
+        index: Complex index of refraction of the material.
+        orders: Orders m_x that propagate, shape (n,).
+        limit: Largest number N of harmonics.
+
+    Returns:
+        Efficiencies for s and for p polarisation, shape (n,) each, the last N, the largest change of an efficiency in
+        the last doubling, and whether this change is within the limit.
+    """
     masks, thicknesses, period = grating
     most = _CHANGE_OF_LONG_PERIODS if period > _LONG_PERIOD * wavelength_um else _CHANGE
     harmonics = min(max(int(_FIRST * np.abs(orders).max()) + _BEYOND, 8), limit)
