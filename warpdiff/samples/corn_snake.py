@@ -133,8 +133,8 @@ def snake(
         tangent: Direction of t, ``"around"`` (default) or ``"along"`` the body.
         scale_rows: Number of rows of scales across the back, odd and at least 5, default 27 as on a corn snake.
         ventrals: Number of scutes of the belly from neck to tail, and of scales in a row, at least 8, default 130.
-        segments: Number of parts of an edge of a scale, at least 2, default 4. A scale has 2 · segments² faces, and its
-            free edge has 4 · segments.
+        segments: Number of pieces into which an edge of a scale is divided, at least 2, default 4. A scale has
+            2 · segments² faces, and the wall under its free edge has 4 · segments faces.
         seed: Seed of the pattern, at least 0, default 0.
 
     Returns:
@@ -297,9 +297,9 @@ def _integral(s: Floats, values: Floats) -> Floats:
 
 
 def _hermite(s: Floats, stations: Floats, values: Floats) -> Floats:
-    """Interpolate rows given at ``stations`` along an axis, at positions ``s``, by cubic Hermite polynomials.
+    """Interpolate the rows of ``values`` from the positions ``stations`` to ``s`` by cubic Hermite polynomials.
 
-    The slope at a station is computed from the rows at the stations before and after it.
+    The slope at a station is computed from the rows of the stations before and after it.
     """
     slopes = np.gradient(values, stations, axis=0)
     i = np.clip(np.searchsorted(stations, s) - 1, 0, len(stations) - 2)
@@ -449,7 +449,7 @@ def _scutes(skin: _Skin, n: int) -> list[_Patch]:
 
 
 def _ring(skin: _Skin, n: int) -> Floats:
-    """Return the positions x of the vertices on a ring around the body, as at the neck, where the scales begin."""
+    """Return the positions x of the vertices on a ring (cross section of the body), as at the neck."""
     left, right = _belly_columns(skin, n)
     back = np.arange(skin.breadth * n // 2 + 1) * (2.0 / n)
     return np.concatenate([left[:-1], back, right[1:]])
