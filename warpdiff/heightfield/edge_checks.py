@@ -103,8 +103,9 @@ def _jump(heights: NDArray[np.float64], axis: int) -> float:
     jump = float(np.sqrt(np.mean((np.take(heights, 0, axis) - np.take(heights, -1, axis)) ** 2)))
     if jump <= 1e-9 * float(np.max(np.abs(heights))):
         return 0.0
-    # The largest step of each line of samples along the axis is computed, and the median over all lines is used. The
-    # median includes walls of a grating, which are in most lines, and excludes dust grains, which are in few lines.
+    # The largest step between neighbouring samples is computed in each row (or column) along the axis, and the median
+    # of these steps is used. The median includes walls of a grating, which are in most rows. It excludes dust grains,
+    # which are in few rows.
     largest = float(np.median(np.max(np.abs(np.diff(heights, axis=axis)), axis=axis)))
     return jump / largest if largest > 0.0 else 0.0
 

@@ -268,7 +268,12 @@ def _orders_and_blocks(
 
 
 def _fade(cycles: NDArray[np.float64], block: int) -> NDArray[np.float64]:
-    """Return the factors by which averaging over blocks weakens waves of the frequencies ``cycles`` [per sample]."""
+    """Return the factor by which averaging over blocks of samples weakens a wave, for each frequency.
+
+    Args:
+        cycles: Frequencies of waves [cycles per sample].
+        block: Number of samples of a block along one axis.
+    """
     turn = np.sin(np.pi * cycles)
     tiny = np.abs(turn) < 1e-9
     return np.where(tiny, 1.0, np.sin(np.pi * cycles * block) / (block * np.where(tiny, 1.0, turn)))

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 
 # Size of an atom [µm]. A smaller pitch or height range is probably not in µm but in another unit.
 _ATOM_UM = 1e-4
-# Height range [µm] and mean slope. If a field is below both numbers, its unit is doubtful. A warning follows only if
-# the field becomes usual in another unit, because flat and smooth surfaces of such a range exist.
+# Height range [µm] and mean slope. If the height range and the mean slope of a field are both smaller, its unit is
+# doubtful. A warning follows only if the field becomes usual in another unit, because such flat and smooth surfaces
+# exist.
 _SUSPICIOUS_RANGE_UM, _SUSPICIOUS_SLOPE = 5e-4, 1e-3
 # Largest usual pitch [µm]. Samples at this pitch resolve the diffraction of green light up to an angle of 8°.
 _MOST_PITCH_UM = 2.0
@@ -51,9 +52,9 @@ _CODES = (
     -99.0, -999.0, -9999.0, -99999.0, -999999.0, 999.0, 9999.0, 99999.0, 999999.0, -32767.0, -32768.0, 32767.0, 32768.0,
     65535.0, -2147483648.0, 2147483647.0, 1e10, -1e10, 1e20, 1e30,
 )  # fmt: skip
-# A height far from all others may be a code for missing data. Distances are relative to the range of the other heights.
-# A height in the list of codes above counts as a code from the distance `_FAR` on. A height that is not in the list
-# counts as a code from the distance `_FARTHER` on, if at least `_REPEATED` samples are equal to it.
+# A height far from all other heights may be a code for missing data. Its distance from them is relative to their range.
+# A height in the list `_CODES` counts as a code from the distance `_FAR` on. A height that is not in the list counts as
+# a code from the distance `_FARTHER` on, if at least `_REPEATED` samples are equal to it.
 _FAR, _FARTHER, _REPEATED = 3.0, 20.0, 3
 # Magnitude [µm] that no height has, whatever its unit. Larger numbers are codes for missing data, such as 1e20 and the
 # largest float32.

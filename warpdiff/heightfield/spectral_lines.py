@@ -210,7 +210,8 @@ class WindowedSpectrum:
         )
         result = np.maximum(result, by_sector[sector, ring])
         for axis in (0, 1):
-            # An axis with two samples has no frequency above zero.
+            # The frequencies −1, 0 and 1 along this axis have separate estimates. If the field has two samples along
+            # the axis, the frequency 1 does not exist.
             for place in range(self.centre[axis] - 1, min(self.centre[axis] + 2, self.power.shape[axis])):
                 line = (slice(None),) * axis + (place,)
                 along = _ring_background(self.power[line], ring[line], count, reach=_RINGS)

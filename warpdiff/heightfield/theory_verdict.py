@@ -44,7 +44,7 @@ _T = TypeVar("_T")
 Reason = Literal["steep", "deep", "narrow", "energy", "undersampled"]
 Grade = Literal["reliable", "qualitative", "invalid"]
 
-# Wavelength of a verdict on scalar diffraction, if a call has no wavelengths of its own [nm]: green, the middle of the
+# Wavelength of a verdict on scalar diffraction, if the caller states no wavelengths [nm]: green, the middle of the
 # visible range.
 WAVELENGTH_NM = 550.0
 # Estimated error of order efficiencies from which the verdict on scalar diffraction is "qualitative" instead of
@@ -65,7 +65,7 @@ _PER_UNDERSAMPLED = 2.0
 # two wavelengths. The value was fitted to the same rigorous solutions as the factors above.
 _NARROW = 0.5
 # Largest number of wavelengths for which the estimated errors of a height field are cached. The value is limited by
-# memory; a call for a spectrum uses three wavelengths.
+# memory. The evaluation of a spectrum requires a verdict at three of its wavelengths.
 _MOST_CACHED = 16
 # Largest number of samples from which a verdict on scalar diffraction is computed: for a single row or column of
 # samples, and along each axis of other height fields. The values are limited by time, so that a verdict takes at most
@@ -157,7 +157,7 @@ _REASONS: dict[Reason, str] = {
 
 
 def theory_wavelength_nm(shortest_nm: float, longest_nm: float) -> float:
-    """Return the wavelength of the verdict on a call [nm]: 550 nm, or the nearest one in the call's range."""
+    """Return the wavelength of the verdict on an evaluation [nm]: 550 nm, or the nearest one within its wavelengths."""
     return min(max(WAVELENGTH_NM, shortest_nm), longest_nm)
 
 
@@ -171,8 +171,8 @@ def verdict_on(
         heightfield: Height field; missing samples count as the mean height.
         wavelength_nm: Wavelength of the verdict [nm].
         conserves: Whether efficiencies are normalised, and the surface transmits no light.
-        energy_sum: Sum of Stam's efficiencies over the orders of a call, relative to the reflectance of a flat surface;
-            None uses the sums of a mirror and of glass for light from 0°, 30° and 60°.
+        energy_sum: Sum of Stam's efficiencies over all orders that were evaluated, relative to the reflectance of a
+            flat surface; None uses the sums of a mirror and of glass for light from 0°, 30° and 60°.
     """
     estimates = _cached(_errors, heightfield, wavelength_nm, errors_of)
     errors = dict(estimates)

@@ -73,8 +73,8 @@ _MOST_STEPS, _LARGEST_STEP, _CONVERGED = 12, 0.3, 1e-3
 _COHERENT_ORDINATES, _WAVERING_ORDINATES = 24, (5.0, 3.2)
 _COHERENT_AT, _WAVERING_AT = (0.43, 0.32), (0.4, 0.7)
 # The spectrum of the phase error of a wave is modelled as white noise plus a random walk. The tuple contains the ratios
-# that are tried: power of the walk to power of the noise, at one cycle over the field. The weight of a ratio is the
-# likelihood of the measured spectrum at this ratio (`_low_power`).
+# that are tried: power of the random walk to power of the white noise, at one cycle over the field. The weight of a
+# ratio is the likelihood of the measured spectrum at this ratio (`_low_power`).
 _WALKS = (0.0, *(10.0 ** np.arange(-0.5, 5.1, 0.5)).tolist())
 
 

@@ -174,7 +174,7 @@ def states_unit_xy(words: str) -> bool:
 
 
 def states_factor(words: str) -> bool:
-    """Whether a key states a factor by which the numbers are multiplied to give heights."""
+    """Whether a key states a factor by which the numbers of the file are multiplied to give heights."""
     return words in _FACTORS or _FACTOR_OF_HEIGHTS.search(words) is not None
 
 

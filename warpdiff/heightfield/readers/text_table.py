@@ -156,7 +156,7 @@ class Form(NamedTuple):
         cells = self.cells(line)
         numbers = []
         for cell in cells:
-            # Most lines that are no row of numbers end here at their first cell.
+            # In most lines that are no row of numbers, the first cell is no number, so that the loop ends early.
             if (number := self.number(cell)) is None:
                 return None
             numbers.append(number)
@@ -234,7 +234,7 @@ def _best_form(forms: Sequence[Form], sample: Sequence[str], *, has_quotes: bool
     """Try several forms of numbers on lines of a text, and return the form that reads the most numbers.
 
     A form has the separator of cells and the decimal and thousands signs. Only numbers in rows of equal length count.
-    The result is the number of these numbers, and the form.
+    The result is how many such numbers the best form reads, and this form.
     """
     best, chosen = 0, None
     for form in forms:
