@@ -53,7 +53,7 @@ class CameraRays:
         height: Number of rows, including the margin.
         size: Number of pixels, including the margin.
         options: Keyword arguments of kernel launches: the device and the number of threads.
-        gbuffer: Hits of one ray per pixel, which the calls of :meth:`trace` compute.
+        gbuffer: Hits of one ray per pixel, which the kernel calls that :meth:`trace` returns compute.
         may_be_occluded: Whether the mesh may occlude a light from some point that is visible in the view.
     """
 

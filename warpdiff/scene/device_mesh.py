@@ -41,7 +41,7 @@ class SceneArrays:
     Attributes:
         bare: The mesh as a struct for kernels. It has a hierarchy of faces only after the first call of
             :meth:`with_hierarchy`.
-        textures: Textures as a struct for kernels; empty without any.
+        textures: Textures as a struct for kernels; empty if there are no textures.
         transparency: Transparency as a struct for kernels; empty if all faces are opaque.
         is_textured: Whether any base colour is that of a texture.
         is_opaque: Whether no ray passes through a face.

@@ -253,7 +253,7 @@ def _smoothest(net: _Net, nodes: NDArray[np.int64]) -> NDArray[np.complex128]:
     the squared norm of the largest projection.
 
     Args:
-        net: Net of the mesh.
+        net: Nodes of the mesh, with their connection Laplacian.
         nodes: Nodes of the components, shape (components, size).
     """
     mass, size = net.mass[nodes], nodes.shape[1]

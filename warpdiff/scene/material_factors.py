@@ -132,7 +132,7 @@ def warn_of_hidden_emission(factors: MaterialFactors, rows: NDArray[np.int32], n
 def _metallic_roughness(material: Appearance, *, by_mean: bool) -> tuple[float, float]:
     """Return metallic and roughness of a material; the roughness is −1 if it is matte.
 
-    ``by_mean`` states whether both numbers are multiplied by the mean of their texture.
+    ``by_mean`` states whether both factors are multiplied by the mean of their texture, which cannot be sampled.
     """
     if material.roughness is None:
         return 0.0, -1.0

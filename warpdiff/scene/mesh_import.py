@@ -279,7 +279,10 @@ class _FaceRoles:
 def _build(
     part: SceneArrays, tangents: TangentRule | NDArray[np.float64] | None, roles: _FaceRoles, *, in_memory: bool
 ) -> Surface:
-    """Return the surface of a part: remove faces without area, compute normals and tangents, and convert to float32."""
+    """Return the surface of a scene, whose parts have been joined to ``part``.
+
+    Faces without area are removed, normals and tangents are computed, and arrays are converted to float32.
+    """
     index, faces = compacted(part.faces.T, len(part.vertices))
     world = part.vertices.T.take(index, axis=1)
     centre, radius = _sphere(world)

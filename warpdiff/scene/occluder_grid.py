@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 # overlaps. `_MOST_LISTED` is the mean length of the lists that contain a face. Meshes with very uneven faces exceed
 # these limits, and a hierarchy is then faster.
 _MOST_CELLS, _MOST_LISTED = 16, 48
-# Number of faces per slice of a launch. Other values would change only the time.
+# Number of faces that a CPU thread processes at once (a slice). Other values would change only the time.
 _SLICE = 4096
 
 

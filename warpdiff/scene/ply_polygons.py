@@ -203,7 +203,7 @@ def _index_of(row: list[list[Any]], face: _Element) -> list[Any]:
 
 
 def _concave(rows: list[list[list[Any]]], face: _Element, positions: NDArray[np.float64]) -> set[int]:
-    """Return the numbers of the concave faces."""
+    """Return the indices of the rows of faces that are concave polygons."""
     indices = (_index_of(row, face) for row in rows)
     corners = {number: np.array(index) for number, index in enumerate(indices) if len(index) > 3}
     return set(polygons.concave(corners, positions))
@@ -256,7 +256,7 @@ def _flattened(row: list[list[Any]], face: _Element) -> Iterator[Any]:
 
 
 def _packed(row: list[list[Any]], face: _Element, order: str) -> bytes:
-    """Return the bytes of a face."""
+    """Return the row of a face as bytes of a binary file."""
     code = order
     for values, entry in zip(row, face.properties, strict=True):
         if entry.length_dtype is not None:

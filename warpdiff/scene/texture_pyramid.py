@@ -56,7 +56,11 @@ def mean_products(one: NDArray[np.float32], two: NDArray[np.float32]) -> NDArray
 
 
 def _reduced(texels: NDArray[np.float32], size: int, axis: int) -> NDArray[np.float32]:
-    """Return means over ``size`` equal parts of an axis. A texel that is partly in a part counts by its overlap."""
+    """Reduce an image to ``size`` texels along an axis.
+
+    The axis is divided into ``size`` equal parts, and each new texel is the mean over one part. A texel of the image
+    that is only partly in a part has a smaller weight, proportional to the overlap.
+    """
     before = texels.shape[axis]
     if before == size:
         return texels

@@ -58,7 +58,7 @@ def parts_of(mesh: Any) -> list[ScenePart]:
 
 
 def _part(mesh: Any, name: str, appearance: Appearance | None, transform: NDArray[np.float64]) -> ScenePart:
-    """Return the arrays of one mesh."""
+    """Return a mesh of trimesh as a part of a scene, with its arrays, its material and its transform."""
     vertices, faces = np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64)
     uvs = getattr(mesh.visual, "uv", None)
     sets: dict[int, NDArray[np.float64]] = {}

@@ -71,7 +71,7 @@ class Materials:
         return len(self._elements)
 
     def appearance(self, index: int) -> Appearance:
-        """Return the material with an index."""
+        """Return the appearance of the material with the index ``index`` in the file."""
         if index not in self._appearances:
             self._appearances[index] = self._appearance(index)
         return self._appearances[index]
@@ -145,7 +145,7 @@ class Materials:
         return None
 
     def _image(self, index: int) -> Image.Image | None:
-        """Return the image with an index, or None if it cannot be read."""
+        """Return the image with the index ``index`` in the file, or None if it cannot be read."""
         if index not in self._opened:
             image = self._images[index]
             uri = image.text("uri")

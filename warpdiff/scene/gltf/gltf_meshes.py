@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 # Measured peak memory while a mesh without normals is read and prepared [bytes per corner of a triangle]; a mesh with
 # normals requires 160. If doubled, meshes that would fit are refused.
 BYTES_PER_CORNER = 540.0
-# Numbers of the modes of primitives that are read, as in the format.
+# Modes of primitives that are read, by their number in the format: list, strip and fan of triangles.
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _UV_SET = re.compile(r"TEXCOORD_([0-7])")
 

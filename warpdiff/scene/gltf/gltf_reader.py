@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from warpdiff.scene.scene_parts import ScenePart
 
 # Names of extensions that a file may require, apart from those of materials. Some are read. Some do not change
-# triangles, texture coordinates and base colours. For the others, a warning names the parts of the file that use them.
+# triangles, texture coordinates and base colours. For the others, a warning names the objects of the file that use
+# them.
 _ACCEPTED = {
     "EXT_lights_ies", "EXT_lights_image_based", "EXT_mesh_gpu_instancing", "EXT_texture_avif", "EXT_texture_webp",
     "KHR_animation_pointer", "KHR_draco_mesh_compression", "KHR_lights_punctual", "KHR_mesh_quantization",

@@ -36,7 +36,11 @@ def _shown(value: object) -> str:
 
 
 class Element:
-    """JSON object with its path in the file."""
+    """JSON object with its path in the file.
+
+    The methods return the value of the object that has the name ``name``, after a check of its type and range. An error
+    about a value names the path of the value.
+    """
 
     __slots__ = ("place", "values")
 
@@ -76,7 +80,7 @@ class Element:
         ]
 
     def number(self, name: str, default: float, *, least: float = -_MOST_NUMBER, most: float = _MOST_NUMBER) -> float:
-        """Return a finite number from ``least`` to ``most``."""
+        """Return a finite number from ``least`` to ``most``, or ``default`` if the file states none."""
         if name not in self.values:
             return default
         value = self._number(self.values[name], self.where(name))
@@ -94,7 +98,7 @@ class Element:
         return [self._number(value, f"{self.where(name)}[{number}]") for number, value in enumerate(values)]
 
     def text(self, name: str, default: str = "") -> str:
-        """Return a string."""
+        """Return a string, or ``default`` if the file states none."""
         value = self.values.get(name, default)
         if not isinstance(value, str):
             self.refuse(name, f"must be a string, got {_shown(value)}")
@@ -109,22 +113,22 @@ class Element:
         return values
 
     def flag(self, name: str, default: bool) -> bool:
-        """Return a truth value."""
+        """Return a truth value, or ``default`` if the file states none."""
         value = self.values.get(name, default)
         if not isinstance(value, bool):
             self.refuse(name, f"must be true or false, got {_shown(value)}")
         return value
 
     def element(self, name: str) -> Element | None:
-        """Return an object, or None if the file states none."""
+        """Return a JSON object, or None if the file states none."""
         return Element(self.values[name], self.where(name)) if name in self.values else None
 
     def stated_element(self, name: str) -> Element:
-        """Return an object that the file must state."""
+        """Return a JSON object; raise an error if the file states none."""
         return Element(self._stated(name), self.where(name))
 
     def elements(self, name: str) -> list[Element]:
-        """Return a list of objects; an empty one if the file states none."""
+        """Return a list of JSON objects; an empty one if the file states none."""
         return [Element(value, f"{self.where(name)}[{number}]") for number, value in enumerate(self._list(name))]
 
     def extension(self, name: str) -> Element | None:
