@@ -95,7 +95,7 @@ def _called(text: str, function: Callable[..., Any], parameters: str, defaults: 
 
 
 def _value(text: str) -> Any:
-    """Return the number in a text, a tuple of the numbers joined by ``x``, or otherwise the text."""
+    """Return the value in a text: a number, a tuple for numbers that ``x`` joins (``2x3``), or else the text itself."""
     if re.fullmatch(r"[-+\d.e]+(x[-+\d.e]+)+", text):
         return tuple(map(_value, text.split("x")))
     for kind in (int, float):

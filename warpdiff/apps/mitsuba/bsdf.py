@@ -94,8 +94,9 @@ def register_mitsuba_bsdf(name: str = NAME) -> None:
 class _Table:
     """Table of a baked spectrum or of baked lobes, in arrays of Mitsuba's current variant.
 
-    The grid's coordinates are q = (u, v)/λ for a spectrum and (u, v) for colours. The argument of the functions is
-    κ = w/λ for a spectrum and w for colours.
+    The grid's coordinates are q = (u, v)/λ for a spectrum and (u, v) for colours. The power (or colour) at a point of
+    the grid is a sum of functions, each of which is multiplied by a coefficient of this point. The argument of the
+    functions is κ = w/λ for a spectrum and w for colours.
 
     Attributes:
         largest: Largest coordinate of the grid along each axis.

@@ -212,7 +212,7 @@ def camera_path(
         try:
             rows = _between(rows, count)
         except ValueError:
-            # SciPy refuses slopes between rows that exceed the largest number.
+            # SciPy raises an error if the slope between two rows exceeds the largest number of float64.
             raise ArgumentValueError(
                 f"{ref('path')}: numbers of {str(path)!r} are too large for positions of a camera"
             ) from None
@@ -284,6 +284,7 @@ def _between(rows: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     if len(rows) == 1:
         return np.repeat(rows, count, axis=0)
     places = np.linspace(0.0, len(rows) - 1.0, count)
-    # Results of numbers that are too large are not finite; cameras refuse them.
+    # If numbers in the rows are too large, interpolated numbers are not finite. The class ``View`` raises an error for
+    # them.
     with np.errstate(over="ignore", invalid="ignore"):
         return np.asarray(PchipInterpolator(np.arange(len(rows)), rows, axis=0)(places), dtype=np.float64)
