@@ -148,7 +148,7 @@ def exposure_factor(shown: DisplaySettings, luminances: ArrayLike) -> float:
 def to_srgb(xyz: ArrayLike, display: Display = "aces", **settings: Unpack[ColourKeywords]) -> NDArray[np.float64]:
     """Transform linear CIE XYZ to display colours, sRGB with its transfer function.
 
-    Automatic exposure depends on all colours of the call. Pass ``exposure=`` to compare colours of several calls.
+    Automatic exposure depends on all colours in ``xyz``. Pass ``exposure=`` to compare the results of several calls.
 
     Args:
         xyz: Linear CIE XYZ, shape (..., 3), for example from :func:`warpdiff.reflectance`.
