@@ -233,7 +233,7 @@ def _draw_lines(
     strongest = np.argsort(-efficiencies.max(axis=0), kind="stable")[:count]
     order = np.argsort(positions)
     values = 100.0 * np.where(np.isnan(components), np.nan, efficiencies)
-    # The legend lists the orders by their numbers, not by their efficiencies.
+    # In the legend, the orders are sorted by their numbers, not by their efficiencies.
     for index, column in enumerate(sorted(strongest.tolist())):
         marker = "o" if len(order) < 3 else None
         ax.plot(
