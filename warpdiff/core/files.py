@@ -202,7 +202,8 @@ def shape_of_array(stream: IO[bytes]) -> tuple[int, ...]:
         raise ValueError(f"version {version} of NumPy's format is unknown")
     shape, _, dtype = headers[version](stream)
     if dtype.itemsize == 0:
-        # Any number of texts without characters fits into a file, but not into a list.
+        # Elements without bytes, such as empty texts, need no space in the file. The header could therefore state more
+        # of them than fit into memory.
         raise ValueError(f"its elements have the type {dtype}, which has no bytes")
     begin = stream.tell()
     missing = math.prod(shape) * dtype.itemsize - (stream.seek(0, os.SEEK_END) - begin)
