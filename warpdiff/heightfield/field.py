@@ -360,6 +360,6 @@ class HeightField(CleaningMethods):
 
 
 def check_whole(heightfield: HeightField) -> None:
-    """Raise an error if an argument of a call is not a height field, or has missing samples."""
+    """Raise an error if an argument is not a height field, or if it is a height field with missing samples."""
     validation.instance(heightfield, HeightField, "heightfield")
     check_no_gaps(heightfield, "heightfield")

@@ -166,10 +166,10 @@ class HeightSamples:
 
 
 def check_no_gaps(samples: HeightSamples, name: str) -> None:
-    """Raise an error if samples are missing in an argument of a call.
+    """Raise an error if a height field that a caller passes as an argument has missing samples.
 
     Args:
-        samples: The value of the argument.
+        samples: The height field.
         name: Name of the argument, for the message.
     """
     if count := samples._missing_count:

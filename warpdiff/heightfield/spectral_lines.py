@@ -41,7 +41,7 @@ _MOST_CANDIDATES = 40
 _MAIN_LOBE = 1.8
 # The background of a spectral line is estimated from two strips of the spectrum, at lower and at higher frequencies of
 # the same direction. `_STRIP` is the half width of each strip, relative to the frequency of the line. `_MOST_ALONG` is
-# the largest number of positions along a strip.
+# the largest number of positions along a strip at which the spectrum is read.
 _STRIP, _MOST_ALONG = 0.15, 40
 # The background of a spectral line is estimated at higher frequencies up to a multiple of the frequency of the line.
 # The multiple is 1.8 for fields with several samples along both axes. It is 2.4 for single rows or columns of samples,

@@ -91,7 +91,7 @@ def of_points(file: Path, block: Block, form: Form, facts: Facts, zygo: float | 
     elif unit_x is not None and unit_y is not None:
         pitch = unit_y * dy, unit_x * dx
     elif facts.has_scale and dx == dy == 1.0:
-        # Positions with a step of 1 and no unit are indices of the samples. The size then comes from the header.
+        # Positions with a step of 1 and no unit are indices of the samples. The pitch then comes from the header.
         pitch, why_no_pitch = text_facts.pitch_of(facts, *heights.shape[::-1])
     else:
         own = dy, dx

@@ -29,7 +29,8 @@ _SAMPLE_LINES, _SAMPLE_CHARACTERS = 400, 200_000
 # Number of bytes at the beginning of a file that are read to find out whether the file is text.
 _HEAD_BYTES = 4096
 _GZIP = b"\x1f\x8b"
-# Characters of texts that are not printable. The C1 controls replace letters of encodings that are read as Latin-1.
+# Characters that a text may contain although they are not printable. If a text in another encoding is read as Latin-1,
+# some of its letters become C1 control characters (0x80 to 0x9F).
 _CONTROLS = frozenset("\t\r\n\f\ufeff\x1a") | {chr(code) for code in range(0x80, 0xA0)}
 # Words that programs of instruments write for a missing sample.
 _GAPS = frozenset({
