@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from warpdiff.scene.mesh_import import Surface
 
 
-# Fraction of the width or height of the image that a framed mesh fills, whichever is the narrower. The value was chosen
-# so that a margin of 4 % remains on each side.
+# A framed mesh fills this fraction of the width of the image or of its height, whichever limits the size of the mesh.
+# The value was chosen so that a margin of 4 % remains on each side.
 _FILLED = 0.92
 # Smallest distance of the eye from a framed mesh, in radii of the mesh. Without this limit, a mesh that looks like a
 # point, such as a line along the viewing direction, would have the distance 0.

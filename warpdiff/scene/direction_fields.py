@@ -45,7 +45,7 @@ _SHIFT = 1e-4
 # energy of the field (the integral of its squared derivative) is within 0.1 % of the minimum.
 _RANDOM, _MOST_ITERATIONS, _CONVERGED = 2, 40, 1e-4
 # Eigenvectors count as equally smooth if their eigenvalues exceed the least eigenvalue by at most this fraction. On a
-# sphere, several eigenvalues are equal, but on its triangles they differ by about this fraction.
+# sphere, several eigenvalues are equal, but on a mesh that approximates the sphere they differ by about this fraction.
 _EQUAL_SHARE = 0.02
 # Largest number of nodes of a connected part of the mesh whose connection Laplacian is a dense matrix, and largest
 # number of elements of a batch of such matrices. Sparse matrices of small parts would require 5 ms each, mainly for

@@ -45,14 +45,16 @@ class Accessors:
 
         Args:
             index: Index of the accessor.
-            bytes_each: Memory that each element requires later [bytes], for files without data that confirm the number.
+            bytes_each: Memory that each element requires later [bytes]. It is used only if the accessor has no data in
+                the file that confirm the number.
         """
         accessor = self._elements[index]
         count = accessor.integer("count", least=1)
         if "bufferView" in accessor:
             self._rows(accessor, count, _dtype(accessor), _WIDTHS.get(accessor.text("type"), 1))
         elif (needed := bytes_each * count) > memory.available():
-            # The file has no data of this size. The number is therefore probably damaged, and the file is not large.
+            # The accessor has no data in the file that would confirm the number of elements. The error therefore does
+            # not say that the mesh is large, but that the number must be smaller: it is probably damaged.
             accessor.refuse("count", f"must fit into memory, got {count}, which require {needed / 1e9:.2g} GB")
         return count
 

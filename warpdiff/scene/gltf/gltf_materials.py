@@ -110,7 +110,7 @@ class Materials:
     def _base(
         self, owner: Element, factor: str, texture: str
     ) -> tuple[tuple[float, float, float, float] | None, TextureMap | None]:
-        """Return base colour and texture. The colour is None if none is stated, or if no texture can be read."""
+        """Return base colour and texture. The colour is None if the file states none and no texture can be read."""
         image = self._texture(owner, texture)
         if factor not in owner and (image is None or image.image is None):
             return None, image
