@@ -497,7 +497,7 @@ def _head(skin: _Skin, n: int) -> _Patch:
 
 
 def _head_marks(f: Floats, across: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return distances on the head: from borders of shields and mouth [body radii], and from eyes [eye radii].
+    """Return distances from borders of shields [body radii], from the eye [eye radii] and the mouth [body radii].
 
     Args:
         f: Position from the snout to the neck, 0 to 1.
