@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import pickle
 from typing import Any
 
@@ -84,6 +85,18 @@ def test_refinement_finds_the_edges_of_dots(
     assert np.percentile(errors, 97.0) < 0.05
     inside = image.illuminated & (image.coverage > 0.999)
     assert np.mean(errors <= image.error[inside] + 1e-3) > 0.9
+
+
+def test_bright_dots_beside_dark_ones_are_found() -> None:
+    """The filter of a pixel extends beyond the next pixel, so that bright dots there contribute to dark pixels."""
+    rng = np.random.default_rng(2)
+    turns, depths = rng.uniform(0.0, 360.0, (6, 8)), rng.choice([0.0, 1.0], (6, 8), p=[0.7, 0.3])
+    grating_map = wd.GratingMap(FINGERS, turn_deg=turns, depth_scale=depths)
+    options: dict[str, Any] = {"coherence": wd.Coherence(sigma_um=5.0), "strict": False}
+    view = dataclasses.replace(VIEW, width=40, height=30)
+    image = wd.shade(card(), grating_map, LIGHT, view, tolerance=0.05, **options)
+    exact = wd.shade(card(), grating_map, LIGHT, view, tolerance=1e-2, samples_per_pixel=256, **options)
+    assert np.percentile(error_of(image, exact.xyz), 97.0) < 0.05
 
 
 def test_default_coherence_of_maps_is_a_source() -> None:
