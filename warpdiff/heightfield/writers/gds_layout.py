@@ -6,20 +6,26 @@ The package gdstk (extra ``lithography``) writes and reads the files.
 from __future__ import annotations
 
 import datetime
+import warnings
+from collections import defaultdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpdiff.core import files, validation
+from warpdiff.core import files, memory, validation
 from warpdiff.core.table import Table
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.heightfield.writers.height_levels import Levels, rectangles_of
+from warpdiff.heightfield.writers.layout_widths import Steps, measured, steps_of_polygon, steps_of_rectangles
 
 if TYPE_CHECKING:
     import os
     from pathlib import Path
+    from types import ModuleType
 
     from numpy.typing import NDArray
+
+    Points = NDArray[np.int64]
 
 # Unit of the coordinates in a file [m], and their resolution [m]. Micrometres and nanometres were chosen because
 # programs for lithography expect these units.
@@ -28,12 +34,17 @@ _UNIT, _PRECISION = 1e-6, 1e-9
 _MOST_COORDINATE = 2**31 - 1
 # Time in the header of each file. A constant was chosen so that equal height fields give identical files.
 _TIME = datetime.datetime(2000, 1, 1)
-# Number of decimal places to which positions [µm] are rounded before they are compared. The value follows from the
-# resolution of 1 nm: rounding to 0.1 nm removes errors of the arithmetic and no real difference.
-_DIGITS = 4
+# Number of steps per µm to which positions are rounded before they are compared. The value follows from the resolution
+# of 1 nm: rounding to 0.1 nm removes errors of the arithmetic and no real difference.
+_PER_UM = 10_000
+# Largest coordinate of a file that is measured [µm]. The value is limited by the integers of the measurement.
+_MOST_UM = 1e14
+# Measured peak memory while a layout is measured [bytes per polygon]. If doubled, layouts that fit into memory are
+# refused.
+_BYTES_PER_POLYGON = 2000.0
 
 
-def _gdstk() -> Any:
+def _gdstk() -> ModuleType:
     """Return the package gdstk, or raise an error that states how to install it."""
     try:
         import gdstk
@@ -79,120 +90,122 @@ def measure_layout(path: str | os.PathLike[str]) -> Table:
     """Measure the smallest width and the smallest gap of the polygons in each layer of a GDS layout.
 
     The layout may come from :meth:`warpdiff.HeightField.save` or from another program. The widths are those of the
-    union of all polygons of a layer, measured along x and y in the file itself. The layout is repeated periodically, so
-    that a feature at an edge continues at the opposite edge. Corners that touch have no width along x and y; the table
-    counts them.
+    union of all polygons with the same layer and datatype, measured along x and y in the file itself. The layout is
+    repeated periodically, so that a feature at an edge continues at the opposite edge. The period is the bounding box
+    of all polygons of the file: empty space around them is not part of a gap. Corners that touch have no width along x
+    and y; the table counts them.
 
     Args:
         path: GDS file with one top cell, whose polygons have horizontal and vertical edges only.
 
     Returns:
-        A row per layer, with its number, the number of polygons, the largest number of vertices of a polygon, the
-        covered area [µm²], the least width of a feature and of a gap along x and y [µm], and the number of corners at
-        which two features touch. Widths of layers that cover a whole line are NaN.
+        A row per layer and datatype, with both numbers, the number of polygons, the largest number of vertices of a
+        polygon, the covered area [µm²], the least width of a feature and of a gap along x and y [µm], and the number of
+        corners at which two features touch. Widths of layers that cover a whole line are NaN.
 
     Raises:
         FileNotFoundError: The file does not exist.
-        ValueError: The file is not a GDS file, has several top cells, no polygons, or a sloped edge.
+        ValueError: The file is not a GDS file, has several top cells, no polygons, a sloped edge, or a reference to a
+            cell that it does not contain.
+        MemoryError: The polygons of the layout, with all repetitions of its cells, do not fit into memory.
         ImportError: gdstk is not installed: ``pip install 'warpdiff[lithography]'``.
 
     Examples:
         >>> import warpdiff as wd
         >>> path = wd.gratings.lamellar(2.0, 0.1, samples=8).save("grating.gds")  # doctest: +SKIP
         >>> print(wd.measure_layout(path))  # doctest: +SKIP
-        layer  polygons  most_vertices  area_um2  least_width_x_um  least_gap_x_um  ...
-            0         1              4      0.25                 1               1  ...
-            1         1              4      0.25                 1               1  ...
+        layer  datatype  polygons  most_vertices  area_um2  least_width_x_um  ...
+            0         0         1              4      0.25                 1  ...
+            1         0         1              4      0.25                 1  ...
     """
     file = validation.path(path, "path")
     gdstk = _gdstk()
     files.check_file(file)
     try:
-        cells = gdstk.read_gds(str(file), unit=_UNIT).top_level()
+        # gdstk warns of references to missing cells, which are an error here.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)
+            cells = gdstk.read_gds(str(file), unit=_UNIT).top_level()
     except (OSError, RuntimeError, ValueError) as error:
         raise ArgumentValueError(f"{ref('path')}: {file.name!r} is not a GDS file: {error}") from None
-    if len(cells) != 1 or not (polygons := cells[0].get_polygons()):
+    count = _polygon_count(cells[0], file.name, {}) if len(cells) == 1 else 0
+    memory.require_memory(
+        _BYTES_PER_POLYGON * count, f"{file.name!r} with {count} polygons", "measure one of its cells in a file alone"
+    )
+    if not count or not (polygons := cells[0].get_polygons()):
         raise ArgumentValueError(
             f"{ref('path')} must have one top cell with polygons, got {len(cells)} cells in {file.name!r}"
         )
-    corners = np.concatenate([polygon.points for polygon in polygons])
-    # Coordinates of all vertices, increasing: the cells between them are covered as a whole or not at all.
-    xs, ys = (np.unique(np.round(corners[:, axis], _DIGITS)) for axis in (0, 1))
+    points = [polygon.points for polygon in polygons]
+    lengths = np.array([len(part) for part in points])
+    places_um = np.concatenate(points)
+    if not (np.abs(places_um) <= _MOST_UM).all():
+        raise ArgumentValueError(
+            f"{ref('path')} must have coordinates within ±{_MOST_UM:g} µm: {file.name!r} has others; export it again"
+        )
+    corners = np.rint(_PER_UM * places_um).astype(np.int64)
+    corners -= corners.min(axis=0)
+    _check_slopes(corners, lengths, file.name)
+    width, height = corners.max(axis=0).tolist()
+    parts = np.split(corners, np.cumsum(lengths)[:-1])
+    by_layer: dict[tuple[int, int], list[Points]] = defaultdict(list)
+    for polygon, part in zip(polygons, parts, strict=True):
+        by_layer[polygon.layer, polygon.datatype].append(part)
     rows: list[tuple[float, ...]] = []
-    for layer in sorted({polygon.layer for polygon in polygons}):
-        own = [polygon for polygon in polygons if polygon.layer == layer]
-        mask = np.zeros((len(ys) - 1, len(xs) - 1), dtype=bool)
-        for polygon in own:
-            _fill(mask, polygon.points, xs, ys, file.name)
-        areas = np.diff(ys)[:, None] * np.diff(xs)
-        widths = [_least_run(part, np.diff(edges)) for part, edges in _lines(mask, xs, ys)]
-        most = max(len(polygon.points) for polygon in own)
-        rows.append((layer, len(own), most, float(areas[mask].sum()), *widths, _corners(mask)))
+    for layer, own in sorted(by_layer.items()):
+        area, *widths, corner_count = measured(_steps(own), (width, height))
+        lengths_um = [np.nan if length is None else length / _PER_UM for length in widths]
+        rows.append((*layer, len(own), max(map(len, own)), area / _PER_UM**2, *lengths_um, corner_count))
     names = (
-        "layer", "polygons", "most_vertices", "area_um2", "least_width_x_um", "least_gap_x_um", "least_width_y_um",
-        "least_gap_y_um", "touching_corners",
+        "layer", "datatype", "polygons", "most_vertices", "area_um2", "least_width_x_um", "least_gap_x_um",
+        "least_width_y_um", "least_gap_y_um", "touching_corners",
     )  # fmt: skip
     columns = dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True))
     return Table(columns)
 
 
-def _fill(
-    mask: NDArray[np.bool_], points: NDArray[np.float64], xs: NDArray[np.float64], ys: NDArray[np.float64], name: str
-) -> None:
-    """Mark the cells of a grid that a polygon covers, by the even-odd rule.
+def _polygon_count(cell: Any, name: str, counts: dict[str, int | None]) -> int:
+    """Return the number of polygons and paths of a cell of gdstk, with those of its references.
 
-    ``xs`` and ``ys`` are the coordinates of the lines between cells [µm]. ``name`` is the name of the file.
+    ``name`` is the name of the file, and ``counts`` has the numbers of known cells, or None for a cell that is being
+    counted.
     """
-    columns, rows = (np.searchsorted(edges, np.round(points[:, axis], _DIGITS)) for axis, edges in ((0, xs), (1, ys)))
-    after_columns, after_rows = np.roll(columns, -1), np.roll(rows, -1)
-    if np.any((columns != after_columns) & (rows != after_rows)):
+    if isinstance(cell, str):
+        raise ArgumentValueError(
+            f"{ref('path')}: {name!r} has a reference to the cell {cell!r}, which it does not contain: export the "
+            "layout with all of its cells"
+        )
+    if cell.name in counts:
+        if (known := counts[cell.name]) is None:
+            raise ArgumentValueError(f"{ref('path')}: {name!r} has a cell that contains itself, {cell.name!r}")
+        return known
+    counts[cell.name] = None
+    total = len(cell.polygons) + len(cell.paths)
+    for reference in cell.references:
+        total += max(reference.repetition.size, 1) * _polygon_count(reference.cell, name, counts)
+    counts[cell.name] = total
+    return total
+
+
+def _check_slopes(corners: Points, lengths: NDArray[np.int64], name: str) -> None:
+    """Raise an error if an edge of a polygon is neither horizontal nor vertical.
+
+    ``corners`` are the vertices of all polygons, ``lengths`` the numbers of vertices, and ``name`` is that of the file.
+    """
+    ends = np.cumsum(lengths)
+    after = np.arange(1, len(corners) + 1)
+    after[ends - 1] = ends - lengths
+    if np.any(np.all(corners != corners[after], axis=1)):
         raise ArgumentValueError(f"{ref('path')} must have horizontal and vertical edges only, got a slope in {name!r}")
-    if len(points) == 4:
-        mask[rows.min() : rows.max(), columns.min() : columns.max()] = True
-        return
-    crossings = np.zeros(mask.shape, dtype=np.int64)
-    for column, row, after in zip(columns, rows, after_rows, strict=True):
-        if row != after and column < mask.shape[1]:
-            crossings[min(row, after) : max(row, after), column] += 1
-    mask |= np.cumsum(crossings, axis=1) % 2 == 1
 
 
-def _lines(
-    mask: NDArray[np.bool_], xs: NDArray[np.float64], ys: NDArray[np.float64]
-) -> list[tuple[NDArray[np.bool_], NDArray[np.float64]]]:
-    """Return the four cases of widths to measure: features along x, gaps along x, features along y, gaps along y.
-
-    Each case is an array whose rows are lines of marked cells, and the coordinates of the edges of these cells.
-    """
-    return [(mask, xs), (~mask, xs), (mask.T, ys), (~mask.T, ys)]
-
-
-def _least_run(lines: NDArray[np.bool_], steps: NDArray[np.float64]) -> float:
-    """Return the shortest length of consecutive marked cells within periodic lines.
-
-    The result is NaN if every line has only marked or only unmarked cells.
-
-    Args:
-        lines: Marked cells, shape (number of lines, n).
-        steps: Lengths of the cells along a line, shape (n,).
-    """
-    least = np.inf
-    for line in np.unique(lines, axis=0):
-        if line.all() or not line.any():
-            continue
-        # The periodic line is rotated so that it begins directly after a marked cell that an unmarked cell follows.
-        # Marked cells at the end of the line then do not continue at its beginning.
-        shift = int(np.flatnonzero(line & ~np.roll(line, -1))[0]) + 1
-        rolled, lengths = np.roll(line, -shift), np.roll(steps, -shift)
-        starts = np.flatnonzero(np.diff(np.concatenate([[False], rolled])))
-        least = min(least, float(np.add.reduceat(lengths, starts)[::2].min()))
-    return float(least) if np.isfinite(least) else float("nan")
-
-
-def _corners(mask: NDArray[np.bool_]) -> int:
-    """Return the number of corners at which two features touch, in a periodic layout."""
-    if 1 in mask.shape:
-        return 0
-    right, up = np.roll(mask, -1, axis=1), np.roll(mask, -1, axis=0)
-    diagonal = np.roll(right, -1, axis=0)
-    return int(np.sum((mask & diagonal & ~right & ~up) | (~mask & ~diagonal & right & up)))
+def _steps(polygons: list[Points]) -> Steps:
+    """Return the steps of polygons with horizontal and vertical edges."""
+    fours = [points for points in polygons if len(points) == 4]
+    boxes = np.array(fours, dtype=np.int64).reshape(-1, 4, 2)
+    low, high = boxes.min(axis=1), boxes.max(axis=1)
+    steps = steps_of_rectangles(low[:, 0], low[:, 1], high[:, 0], high[:, 1])
+    others = [step for points in polygons if len(points) != 4 for step in steps_of_polygon(*points.T.tolist())]
+    if not others:
+        return steps
+    return Steps(*(np.concatenate(pair) for pair in zip(steps, np.array(others).T, strict=True)))
