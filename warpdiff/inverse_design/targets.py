@@ -166,6 +166,9 @@ class Target:
             raise ArgumentTypeError(
                 f"{ref('efficiencies')} must be a dictionary by order (m_y, m_x), got {type(efficiencies).__name__}"
             )
+        for order, value in efficiencies.items():
+            if isinstance(value, (bool, np.bool_)):
+                raise ArgumentTypeError(f"{ref('efficiencies')} must be numbers, got {value!r} for the order {order!r}")
         values = validation.finite_array(list(efficiencies.values()), "efficiencies")
         target = cls._of_orders(
             "orders", efficiencies, values, to_light, wavelength_nm, Optics(ior, material), energy, "efficiencies"

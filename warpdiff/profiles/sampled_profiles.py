@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.core import validation
+from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.heightfield.field import HeightField, check_whole
 from warpdiff.profiles.profile_base import Profile
 
@@ -101,6 +102,9 @@ class Pixels(_SampledProfile):
         samples: Number of samples along each side of a pixel, at least 1, by default 4; a single row has one sample
             along y.
 
+    Raises:
+        ValueError: The pixels are not a matrix with at least one pixel, or a number is out of its range.
+
     Attributes:
         pixel_um: Size of a pixel [µm].
         pixels: Numbers of pixels (ny, nx).
@@ -115,6 +119,8 @@ class Pixels(_SampledProfile):
 
     def __init__(self, pixel_um: float, levels: ArrayLike, samples: int = 4) -> None:
         heights = validation.finite_array(levels, "levels", ndim=2, most=validation.MOST)
+        if not heights.size:
+            raise ArgumentValueError(f"{ref('levels')} must have at least one pixel, got shape {heights.shape}")
         self.samples, self.pixels = validation.count(samples, "samples"), heights.shape
         self.pixel_um = validation.positive(pixel_um, "pixel_um")
         self._along_y = self.samples if heights.shape[0] > 1 else 1

@@ -22,7 +22,7 @@ from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.planner.refusals import warn_outside
 from warpdiff.planner.strategy import directions_of, plan_for
 from warpdiff.render.light_parts import parts_of
-from warpdiff.render.map_inputs import check_texture_coordinates, settings_of_map
+from warpdiff.render.map_inputs import check_texture_coordinates, naming_depth_scale, settings_of_map
 from warpdiff.render.picture import Picture
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.plan import AUTOMATIC, Plan, has_table
@@ -266,7 +266,8 @@ class PictureInputs:
                 lookups.append(None)
                 continue
             direction_range, sample, count = directions_of(own.evaluation) if measured is None else next(measured)
-            plans.append(own.planned(direction_range, sample, count))
+            with naming_depth_scale(own.grating_map):
+                plans.append(own.planned(direction_range, sample, count))
             lookups.append(own.lookup(plans[-1], direction_range))
         return plans, Lookups(lookups)
 

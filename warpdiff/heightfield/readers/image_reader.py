@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -25,9 +25,30 @@ _SUFFIXES = (
     ".png", ".tif", ".tiff", ".exr", ".bmp", ".tga", ".pgm", ".pfm", ".pnm", ".jpg", ".jpeg", ".jp2", ".webp", ".hdr",
     ".dpx", ".fits", ".gif", ".psd",
 )  # fmt: skip
-_OTHER_FORMAT = (
+
+
+class ImageRemedies(NamedTuple):
+    """Texts of errors about a file, which depend on the use of the samples.
+
+    Attributes:
+        other_format: Message about a file of another format.
+        unreadable: Remedy for a file that cannot be read.
+        channels: Remedy for several channels.
+        images: Remedy for several images.
+    """
+
+    other_format: str
+    unreadable: str
+    channels: str
+    images: str
+
+
+_OF_HEIGHTS = ImageRemedies(
     "has a format that is not read; export it as .x3p, as text, or as a grey image of 16 bit or of floats, or see the "
-    "table of formats in the documentation"
+    "table of formats in the documentation",
+    "give a grey image, .npy, .npz, .x3p or a text",
+    "save its heights as one grey channel, 8-bit, 16-bit or float",
+    "save the one with the heights alone",
 )
 
 
@@ -40,7 +61,7 @@ def read_image(file: Path) -> FileContent:
     return FileContent(image_samples(file))
 
 
-def image_samples(file: Path) -> np.ndarray:
+def image_samples(file: Path, remedies: ImageRemedies = _OF_HEIGHTS) -> np.ndarray:
     """Return the samples of a grey image as the file has them, shape (rows, columns)."""
     with openimageio.in_use() as oiio:
         # Files in the format PFM store the bottom row first. This attribute makes OpenImageIO return the top row first;
@@ -51,33 +72,28 @@ def image_samples(file: Path) -> np.ndarray:
         if image is None:
             # The error message is read even if it is not used, because OpenImageIO prints unread messages when the
             # process ends.
-            reason = _unknown(openimageio.error_text(oiio))
-            raise refusal(file, reason if file.suffix.lower() in _SUFFIXES else _OTHER_FORMAT)
+            reason = f"cannot be read as an image ({openimageio.error_text(oiio)}); {remedies.unreadable}"
+            raise refusal(file, reason if file.suffix.lower() in _SUFFIXES else remedies.other_format)
         try:
-            return _samples_of(image, file)
+            return _samples_of(image, file, remedies)
         finally:
             image.close()
 
 
-def _unknown(reason: str) -> str:
-    """Return the error message for a file that OpenImageIO cannot open, which includes OpenImageIO's own message."""
-    return f"cannot be read as an image ({reason}); give a grey image, .npy, .npz, .x3p or a text"
-
-
-def _samples_of(image: Any, file: Path) -> np.ndarray:
+def _samples_of(image: Any, file: Path, remedies: ImageRemedies) -> np.ndarray:
     """Return the samples of an open image file; raise an error if the file has several images or several channels."""
     spec = image.spec()
     channels = spec.nchannels
     if channels != 1:
         kind = "a grey image with alpha" if channels == 2 else f"a colour image ({channels} channels)"
-        raise refusal(file, f"is {kind}; save its heights as one grey channel, 8-bit, 16-bit or float")
+        raise refusal(file, f"is {kind}; {remedies.channels}")
     require_memory(file, (spec.height, spec.width), _BYTES_PER_SAMPLE)
     # The type "unknown" means the type of the samples in the file, so that OpenImageIO does not convert them.
     samples = image.read_image("unknown")
     if samples is None or image.has_error:
         raise refusal(file, f"is damaged ({openimageio.error_text(image)}); export the image again")
     if image.seek_subimage(1, 0):
-        raise refusal(file, "contains several images; save the one with the heights alone")
+        raise refusal(file, f"contains several images; {remedies.images}")
     return _upright(np.asarray(samples)[..., 0], spec.getattribute("Orientation"))
 
 

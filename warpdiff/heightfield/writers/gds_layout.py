@@ -50,7 +50,8 @@ def _gdstk() -> ModuleType:
         import gdstk
     except ImportError:
         raise ImportError("GDS files require the package gdstk: pip install 'warpdiff[lithography]'") from None
-    return gdstk
+    module: ModuleType = gdstk
+    return module
 
 
 def write_gds(target: Path, levels: Levels, pitch_um: tuple[float, float]) -> None:
