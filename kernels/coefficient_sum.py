@@ -19,12 +19,16 @@ import warp as wp
 
 from warpdiff.kernels import compile_options
 from warpdiff.kernels.indices import cyclic
+from warpdiff.kernels.structs import Footprint
 
 OPTIONS = compile_options.options()
 FORMS = ("averaged", "centred", "source", "replicas")
 # Number of Fourier coefficients along an axis from which the amplitude at a frequency is interpolated. The value is
 # limited by computing time, which is proportional to the square of this number.
 TAPS = 8
+# A footprint widens the Gaussian of a source to at most this multiple of its area. Choice: it limits computing time,
+# which is proportional to the area. Pixels with wider footprints are reported as inaccurate, or are refined.
+MOST_WIDENED = 16.0
 # The interference factor of N periods, [sin(πNt) / (N sin(πt))]², is 0/0 at its maximum, t = 0. Here t is the distance
 # from the nearest Fourier coefficient of the patch, in spacings of the coefficients. If |N t| is below this number, a
 # parabola replaces the factor. The number was derived from the error of the parabola, which is of fourth order in N t.
@@ -41,13 +45,13 @@ class Quadrature:
 
     wavenumbers: wp.array(dtype=wp.float64)  # 1/λ of the wavelengths of all sets [1/µm], one set after the other
     weights: wp.array(dtype=wp.vec3f)
-    # Reflectance R of a material. The first index is for cos θd from 0 to 1, where θd is half of the angle between
-    # light and viewer. The second index is for the wavelength, in steps of 1 nm from ``least_nm`` on.
+    # Reflectance R of a material. The first index is for cos θd from 0 to 1, where θd is half of the angle between the
+    # directions to light and viewer. The second index is for the wavelength, in steps of 1 nm from ``least_nm`` on.
     reflectances: wp.array2d(dtype=wp.float32)
     least_nm: wp.float64  # first wavelength of ``reflectances`` [nm]
     firsts: wp.array(dtype=wp.int32)  # index of the first wavelength of each set, and of the end of the last set
-    # For a patch that is repeated: number of wavelengths of the interference factor per wavelength at which the power
-    # of one patch is computed.
+    # For a repeated patch: number of wavelengths at which the interference factor is computed, per wavelength at which
+    # the power of one patch is computed.
     subdivisions: wp.int32
     per_u: wp.float32
     per_v: wp.float32
@@ -75,9 +79,10 @@ def reflectance_of(quadrature: Quadrature, scattering_vector: wp.vec3d, wavenumb
 
 @wp.struct
 class Window:
-    """Gaussian weights exp(−across dy² − along (dx + slant dy)²) of the Fourier coefficients around q.
+    """Gaussian weights exp(−across dy² − along (dx + slant dy)²) of the Fourier coefficients around a frequency q.
 
-    q = (u, v)/λ is the frequency of one direction. The distances (dx, dy) from q are in spacings of coefficients.
+    q = (u, v)/λ is the frequency of one direction. The distances (dx, dy) of a coefficient from q are in spacings of
+    coefficients.
     """
 
     across: wp.float32
@@ -86,9 +91,12 @@ class Window:
     # Distances from q along y and x within which coefficients are summed [spacings of coefficients].
     radius_y: wp.float32
     radius_x: wp.float32
-    # exp(−2 across) and exp(−2 along). They are used only if the window has the same weights at all wavelengths.
+    # The numbers exp(−2 across) and exp(−2 along). They are used only if the window has the same weights at all
+    # wavelengths.
     shrink_y: wp.float32
     shrink_x: wp.float32
+    # Factor that makes a sum over a source and a footprint the mean over the footprint; 1 without a footprint.
+    share: wp.float32
 
 
 @wp.func
@@ -115,7 +123,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
     """Return the struct ``Table`` and the kernels for coefficient tables whose rows have ``lanes`` terms.
 
     Args:
-        lanes: Number of terms in a row of the table.
+        lanes: Number of terms (weights of basis functions) in a row of the table.
         form: Kind of the coherence, one of ``FORMS``.
         powers: Whether the scalar product of a row and the basis functions is the power of a coefficient. Otherwise a
             coefficient has two rows, for the real and the imaginary part of its amplitude.
@@ -146,38 +154,57 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         across: wp.float32
         along: wp.float32
         # Polynomials of the weights by which coefficients are interpolated, for a patch that is repeated. `taps_y` has
-        # one row per neighbour and one column per power; `taps_x` has one vector per power and one element per
-        # neighbour.
+        # one row per neighbouring coefficient and one column per power of the polynomials' argument; `taps_x` has one
+        # vector per power and one element per neighbouring coefficient.
         taps_y: wp.array2d(dtype=wp.float32)
         taps_x: wp.array(dtype=taps_t)
         periods_y: wp.float64
         periods_x: wp.float64
         patch_y: wp.float64  # length of the patch along y [µm]
         patch_x: wp.float64
-        has_pitch_scales: wp.bool  # for a source: whether directions to the light have pitch scales as their lengths
+        has_pitch_scales: wp.bool  # for a source: whether the length of a direction to the light is a pitch scale
+        spread: wp.float32  # for a source: standard deviation of (u, v) at normal incidence
 
     @wp.func
-    def window_for(table: Table, to_light: wp.vec3f) -> Window:
+    def window_for(table: Table, to_light: wp.vec3f, footprint: Footprint) -> Window:
         """Return the Gaussian weights of Fourier coefficients for one direction to the light.
 
-        Under a source, the width of the Gaussian depends on the wavelength; the result is for λ = 1 µm.
+        For a light source of finite size (coherence of kind "source"), the width of the Gaussian depends on the
+        wavelength; the result is for λ = 1 µm. A footprint widens this Gaussian. Other kinds of coherence ignore
+        footprints.
         """
         window = Window()
+        window.share = 1.0
         if wp.static(form == "source"):
-            # For a source: let t be the tangential part of the direction to the light, at the angle θ from the normal,
-            # and s the spread of the source. The inverse covariance of (u, v) is Σ⁻¹ = (1 + t tᵀ/cos²θ)/s². The matrix
-            # is stored as its Cholesky factors, whose computation subtracts no nearly equal numbers.
-            tangent = 1.0 / to_light[2]
-            t_x = to_light[0] * tangent
-            t_y = to_light[1] * tangent
-            stretch = 1.0 + t_x * t_x
-            window.along = table.along * stretch
-            window.across = table.across * (tangent * tangent / stretch)
-            window.slant = t_x * t_y / stretch * wp.sqrt(table.across / table.along)
+            # The covariance of (u, v) over a source of the spread s is s² (p² − t tᵀ). Here, t is the tangential part
+            # of the vector to the light, and p is its length: 1, or the pitch scale of a dot. The vectors f and g are
+            # the changes of (u, v) over the footprint, divided by s. They add f fᵀ + g gᵀ to the covariance in units
+            # of s², whose elements are xx, xy and yy. No difference of nearly equal numbers is computed.
+            p2 = wp.float32(1.0)
             if table.has_pitch_scales:
-                # The covariance of a dot with the pitch scale p is p² Σ. The division by ``to_light[2]``, which is
-                # p cos θ, has divided ``across`` by p² already.
-                window.along = window.along / wp.length_sq(to_light)
+                p2 = wp.length_sq(to_light)
+            z2 = to_light[2] * to_light[2]
+            f = wp.vec2f(footprint[0], footprint[1]) / table.spread
+            g = wp.vec2f(footprint[2], footprint[3]) / table.spread
+            along_f = to_light[0] * f[0] + to_light[1] * f[1]
+            along_g = to_light[0] * g[0] + to_light[1] * g[1]
+            area2 = f[0] * g[1] - f[1] * g[0]
+            area2 = area2 * area2
+            of_source = p2 * z2
+            of_both = z2 * (wp.length_sq(f) + wp.length_sq(g)) + along_f * along_f + along_g * along_g
+            # ``k`` reduces the squared lengths of f and g, so that the determinant is at most MOST_WIDENED² times that
+            # of the source.
+            most = of_source * wp.static(MOST_WIDENED * MOST_WIDENED - 1.0)
+            k = wp.float32(1.0)
+            if of_both + area2 > most:
+                k = 2.0 * most / (of_both + wp.sqrt(of_both * of_both + 4.0 * area2 * most))
+            determinant = of_source + k * (of_both + k * area2)
+            yy = z2 + to_light[0] * to_light[0] + k * (f[1] * f[1] + g[1] * g[1])
+            xy = k * (f[0] * f[1] + g[0] * g[1]) - to_light[0] * to_light[1]
+            window.along = table.along * (yy / determinant)
+            window.across = table.across / yy
+            window.slant = -xy / yy * wp.sqrt(table.across / table.along)
+            window.share = wp.sqrt(of_source / determinant)
         else:
             window.along = table.along
             window.across = table.across
@@ -228,6 +255,11 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
 
         first_y = wp.int32(wp.ceil(fy - radius_y))
         last_y = wp.int32(wp.floor(fy + radius_y))
+        if wp.static(form == "source"):
+            # A footprint may extend beyond the table. A table with all coefficients of the grid is periodic instead.
+            if table.origin_y > 0:
+                first_y = wp.max(first_y, -table.origin_y - iy)
+                last_y = wp.min(last_y, table.origin_y - iy)
         total = wp.float32(0.0)
         if first_y > last_y:
             return total
@@ -267,11 +299,14 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         for j in range(first_y, last_y + 1):
             g = gy
             if wp.static(form == "source"):
-                # The Fourier coefficients that contribute under a light source lie within a slanted ellipse. Each row
-                # of coefficients therefore begins at another column.
+                # The Fourier coefficients that contribute for a light source of finite size lie within a slanted
+                # ellipse. Each row of coefficients therefore begins at another column.
                 centre = fx - window.slant * (wp.float32(j) - fy)
                 first_x = wp.int32(wp.ceil(centre - radius_x))
                 last_x = wp.int32(wp.floor(centre + radius_x))
+                if table.origin_x > 0:
+                    first_x = wp.max(first_x, -table.origin_x - ix)
+                    last_x = wp.min(last_x, table.origin_x - ix)
                 dx = wp.float32(first_x) - centre
                 g = gy * wp.exp(-along * dx * dx)
                 start_step_x = wp.exp(-along * (2.0 * dx + 1.0))
@@ -304,7 +339,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
             total = total_re * total_re + total_im * total_im
         # The power ⟨|P|²⟩ is at most 1. If a plan is used at a κ = w/λ far beyond the range of its series, the series
         # may overflow to infinity or NaN. wp.min then returns 1.
-        return wp.min(total, wp.float32(1.0))
+        return window.share * wp.min(total, wp.float32(1.0))
 
     @wp.func
     def patch_power(table: Table, scattering_vector: wp.vec3d, wavenumber: wp.float64) -> wp.float32:
@@ -373,10 +408,13 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
     @wp.kernel(module="unique", module_options=OPTIONS)
     def integrate(
         table: Table, scattering_vectors: wp.array(dtype=wp.vec3d), to_lights: wp.array(dtype=wp.vec3f),
-        gains: wp.array(dtype=wp.float32), quadrature: Quadrature, first: wp.int32,
-        xyz_out: wp.array(dtype=wp.vec3f),
+        gains: wp.array(dtype=wp.float32), footprints: wp.array(dtype=Footprint), quadrature: Quadrature,
+        first: wp.int32, xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the XYZ of each direction, times its geometry factor (gain), to ``xyz_out``."""
+        """Add the XYZ of each direction, times its geometry factor (gain), to ``xyz_out``.
+
+        Under a source, the XYZ is the mean over a footprint. An empty array ``footprints`` selects single directions.
+        """
         i = first + wp.tid()
         gain = gains[i]
         if gain > 0.0:
@@ -388,8 +426,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
             # would exceed the smallest tolerances.
             colour = wp.vec3d()
             if wp.static(form == "replicas"):
-                # The interference factor of the periods changes fast with the wavelength but requires little time. It
-                # is computed at all wavelengths. The power of the patch changes slowly: it is computed at every
+                # The interference factor of the periods changes fast with the wavelength but requires little time. This
+                # factor is computed at all wavelengths. The power of the patch changes slowly: it is computed at every
                 # wavelength whose index is a multiple of ``divisions``, and interpolated by cubic polynomials.
                 divisions = quadrature.subdivisions
                 intervals = (end - start - 1) // divisions
@@ -419,7 +457,10 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
                     factor = factor * reflectance_of(quadrature, scattering_vector, quadrature.wavenumbers[k])
                     colour += wp.vec3d(quadrature.weights[k] * (wp.max(power, 0.0) * factor))
             else:
-                window = window_for(table, to_lights[i])
+                footprint = Footprint()
+                if footprints.shape[0] > 0:
+                    footprint = footprints[i]
+                window = window_for(table, to_lights[i], footprint)
                 for k in range(start, end):
                     power = gaussian_sum(table, window, scattering_vector, quadrature.wavenumbers[k])
                     power = power * reflectance_of(quadrature, scattering_vector, quadrature.wavenumbers[k])
@@ -437,7 +478,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         gain = gains[i]
         window = Window()
         if gain > 0.0:
-            window = window_for(table, to_lights[i])
+            window = window_for(table, to_lights[i], Footprint())
         for k in range(wavenumbers.shape[0]):
             reflectance = wp.float32(0.0)
             if gain > 0.0:

@@ -1,18 +1,18 @@
 """Colour look-up: kernels of a table that contains the integral over λ for every (u, v) and function of w.
 
-(u, v, w) is the scattering vector. As λ decreases from red to blue, (u, v)/λ moves along an azimuth of the frequency
-plane, over one octave. The power spectrum is sampled on azimuths, at rings whose radii have equal ratios. The value of
-a ring is the integral of the spectrum under a quadratic B-spline in ln t, where t = |(u, v)|/λ. A colour is a weighted
-sum over the rings of one octave, for any number of orders along the azimuth. The weights are the coefficients of
-splines that are fitted to the colour curves: the products of illuminant, colour-matching function and reflectance. The
-weights are the same at every radius at which a colour is computed. The weights depend on w through a few functions, so
-that the sum is computed in advance for each function. A look-up interpolates between rings and azimuths, and multiplies
-by the values of the functions at w.
+(u, v, w) is the scattering vector. As λ decreases from red to blue, (u, v)/λ moves outwards along an azimuth (a line of
+constant polar angle) of the frequency plane, over one octave. The power spectrum is sampled on azimuths, at rings
+(circles) whose radii have equal ratios. The value of a ring is the integral of the spectrum under a quadratic B-spline
+in ln t, where t = |(u, v)|/λ. A colour is a weighted sum over the rings of one octave, for any number of orders along
+the azimuth. The weights are the coefficients of splines that are fitted to the colour curves: the products of
+illuminant, colour-matching function and reflectance. The weights are the same at every radius at which a colour is
+computed. The weights depend on w through a few functions, so that the sum is computed in advance for each function. A
+look-up interpolates between rings and azimuths, and multiplies by the values of the functions at w.
 
-A pixel covers a range of (u, v). As powers add, the mean colour of the pixel follows from a blurred spectrum. The blur
-in angle and in ratio of radii is the same at all wavelengths. Mip levels of the table are blurred in angle, and have
-fewer azimuths. A look-up blurs in ratio by adding more rings. The spectral lines of an endless surface under a light
-source are blurred by the source in the same way.
+A pixel covers a range of (u, v). As powers add, the mean colour of the pixel can be computed from a blurred spectrum.
+The blur over the polar angle and over the logarithm of the radius is the same at all wavelengths. Mip levels of the
+table are blurred over the angle, and have fewer azimuths. A look-up blurs over the radius by adding more rings. The
+spectral lines of an endless surface under a light source are blurred by the source in the same way.
 
 κ is w/λ. θd is half of the angle between the directions to the light and to the viewer, so that cos θd = |(u, v, w)|/2.
 s is the standard deviation of the directions to a light source.
@@ -31,9 +31,9 @@ from warpdiff.kernels.structs import Footprint
 # Compile options of this module. Loops are not unrolled, because unrolling makes compilation slower.
 OPTIONS = compile_options.options(max_unroll=1)
 _LOOKUP_OPTIONS = compile_options.options("point_lookup.h", "footprint_lookup.h", max_unroll=1)
-# Half of the largest number of azimuths, or rings, that a look-up adds with tabulated weights. Azimuths are periodic.
-# As many azimuths as this number are therefore repeated before the first azimuth of a ring, and after the last one. The
-# value is limited by memory: twice as many double the size of the tables of weights.
+# Half of the largest number of azimuths, or rings, whose rows a look-up adds with tabulated weights. Azimuths are
+# periodic. This number of azimuths is therefore repeated before the first azimuth of a ring, and after the last one.
+# The value is limited by memory: if it is doubled, the tables of weights become twice as large.
 HALF_TAPS = 7
 # Largest number of directions that a CPU thread looks up in one call. The value is limited by the stack, which has
 # arrays of this size.
@@ -48,8 +48,8 @@ FILTER_REACH = 6
 _FILTER = wp.types.vector(length=FILTER_REACH + 1, dtype=wp.float32)(
     *quadratic_spline.prefilter(FILTER_REACH)[FILTER_REACH:]
 )
-# Number of azimuths whose rows the kernel `blur` adds in one pass over the rings. The value is limited by the size of
-# the kernel's local vectors.
+# Number of azimuths whose rows the kernel `blur` adds in one pass over the rings of one octave. The value is limited by
+# the size of the kernel's local vectors.
 _TAPS = 8
 _FILTER_OPTIONS = compile_options.options(max_unroll=2 * FILTER_REACH + 1)
 # Largest number of parts into which the footprint of a pixel is divided if the polar angle of (u, v) changes within the
@@ -64,12 +64,12 @@ DEVIATIONS = 3.0
 class FootprintTaps:
     """Tables of weights by which a look-up adds azimuths, or rings, around a position.
 
-    Each weight is the value of the spline between azimuths, blurred by a Gaussian. Weights are tabulated by the
-    variance of this Gaussian.
+    Each weight is the value of the spline that interpolates between azimuths (or rings), blurred by a Gaussian. Weights
+    are tabulated by the variance of this Gaussian.
     """
 
-    # Weights by variance of the Gaussian, by fraction of the position between two azimuths or rings, and by neighbour;
-    # shape (variances, fractions, 2 HALF_TAPS).
+    # Weights by the variance of the Gaussian, by the position between two azimuths or rings (a fraction), and by the
+    # azimuth or ring that is added; shape (variances, fractions, 2 HALF_TAPS).
     weights: wp.array3d(dtype=wp.float32)
     lengths: wp.array(dtype=wp.int32)  # number of weights that differ from 0, for each variance
     # Number of tabulated variances per unit of variance. The unit is the squared spacing of the azimuths, or of the
@@ -140,18 +140,19 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         decimation_scale: wp.float32  # large values prevent look-ups from skipping rings, see ``colour_table``
         ring_of_one: wp.float32  # fractional index of the ring at which |(u, v)| would be 1
         least_uv: wp.float32  # the spectrum is constant below this |(u, v)|
-        lobe_uv: wp.float32  # standard deviation in (u, v) of the lobe of one coefficient, at a middle wavelength
+        lobe_uv: wp.float32  # standard deviation in (u, v) of a diffraction order's peak, at a middle wavelength
         # Power of the zeroth order by |κ| = |w|/λ. The rows of the table do not contain this order.
         zeroth_order: wp.array(dtype=wp.float32)
         least_kappa: wp.float32  # |κ| of the first entry of ``zeroth_order``
         per_kappa: wp.float32  # number of entries of ``zeroth_order`` per unit of |κ|
-        lobe2: wp.float32  # variance of the zeroth order's lobe in frequency [1/µm²]; 0 for a source
+        lobe2: wp.float32  # variance of the zeroth order's peak over frequency [1/µm²]; 0 for a source
         wavenumbers: wp.array(dtype=wp.float32)  # 1/λ for the zeroth order's integral over λ [1/µm]
         weights: wp.array(dtype=wp.vec3f)  # colour weights at ``wavenumbers``
         reflectances: wp.array2d(
             dtype=wp.float32
         )  # R of a material at ``wavenumbers``, by cos θd from 0 to 1; R is 1 if the array is empty
-        # For a source, by octave: variance of the angular blur that spectral lines already have in the table [rad²].
+        # For a source, by octave: variance of the blur over the angle that spectral lines already have in the table
+        # [rad²].
         line_blurs2: wp.array(dtype=wp.float32)
         spread2: wp.float32  # for a source: variance s² of (u, v) perpendicular to the direction of the light
         inner_radius2: wp.float32  # for a source: the table gives no colours for smaller |(u, v)|²
@@ -264,8 +265,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Add the XYZ of ``run`` directions per thread, times ``gains``, to ``xyz_out``; ``footprints`` may be empty.
 
-        Under a light source, directions that the table cannot serve are skipped. The gains of these directions are
-        written to ``unserved_gain``, which is 0 for all other directions.
+        For a light source of finite size, directions that the table excludes are skipped. The gains of these directions
+        are written to ``unserved_gain``, which is 0 for all other directions.
         """
         begin = (first + wp.tid()) * run
         end = wp.min(begin + run, gains.shape[0])

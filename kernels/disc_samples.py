@@ -17,10 +17,10 @@ from warpdiff.kernels.structs import Pixels
 
 wp.set_module_options(compile_options.options())
 
-# If the mirror direction is near the disc of the light, the share ``MIRROR_SHARE`` of the samples is drawn around the
-# mirror direction, because surfaces are brightest there. ``REACH`` is the largest distance from the disc that counts as
-# near [standard deviations of the zeroth order]. Both values were chosen freely: other values change the noise, not the
-# mean.
+# If the mirror direction is near the disc of the light, the fraction ``MIRROR_SHARE`` of the samples is drawn around
+# the mirror direction, because surfaces are brightest there. ``REACH`` is the largest distance from the disc that
+# counts as near [standard deviations of the zeroth order]. Both values were chosen freely: other values change the
+# noise, not the mean.
 MIRROR_SHARE, REACH = wp.constant(wp.float32(0.3)), wp.constant(wp.float32(4.0))
 
 
@@ -39,6 +39,37 @@ def on_disc(point: wp.vec2f) -> wp.vec2f:
     return wp.vec2f(radius * wp.cos(angle), radius * wp.sin(angle))
 
 
+@wp.func
+def light_axis(lights: Lights, index: wp.int32) -> wp.vec3f:
+    """Return the direction to a distant light."""
+    place = lights.places[index]
+    return wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))
+
+
+@wp.func
+def disc_edge(radius: wp.float32, extent: wp.float32) -> wp.float32:
+    """Return the radius of the disc on which directions are drawn, in the plane of :func:`towards_on_disc`.
+
+    Args:
+        radius: Radius of the light [rad].
+        extent: Standard deviation of the Gaussian of a sample, in radii of the light, at most 0.5.
+    """
+    return 2.0 * wp.sin(0.5 * radius * wp.sqrt(wp.max(1.0 - 4.0 * extent * extent, 0.0)))
+
+
+@wp.func
+def towards_on_disc(axis: wp.vec3f, tangent: wp.vec3f, bitangent: wp.vec3f, place: wp.vec2f) -> wp.vec3f:
+    """Return the direction at a position in a plane around the axis of a disc light.
+
+    Directions at the angle θ from the axis are at the distance √(2 (1 − cos θ)) from the origin of the plane. The map
+    preserves areas.
+    """
+    square = wp.length_sq(place)
+    towards = (1.0 - 0.5 * square) * axis
+    towards += wp.sqrt(1.0 - 0.25 * square) * (place[0] * tangent + place[1] * bitangent)
+    return wp.normalize(towards)
+
+
 @wp.kernel
 def draw_disc(
     lights: Lights, light_index: wp.int32, extent: wp.float32, lobe: wp.float32, pixels: Pixels,
@@ -53,7 +84,7 @@ def draw_disc(
         light_index: Index of the disc light.
         extent: Standard deviation of the Gaussian of a sample, in radii of the disc, at most 0.5. Directions are drawn
             on a smaller disc; the Gaussian adds the variance that the smaller disc lacks.
-        lobe: Standard deviation of the zeroth order in (u, v).
+        lobe: Standard deviation of the peak (lobe) of the zeroth order in (u, v).
         pixels: Hits of the rays.
         tiles: Pixels whose subpixel cells have the rays; if empty, each pixel of the picture has one ray.
         width: Number of pixels per row.
@@ -65,15 +96,12 @@ def draw_disc(
         towards_out: Unit vectors towards the light, world frame, and weights with a mean of 1. The weight is 0 for
             directions beyond the disc.
     """
-    place = lights.places[light_index]
-    axis = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))
+    axis = light_axis(lights, light_index)
     tangent = wp.normalize(lights.deviations[light_index, 0])
     bitangent = wp.normalize(lights.deviations[light_index, 1])
     radius = 2.0 * wp.length(lights.deviations[light_index, 0])
     spread = wp.sqrt(lobe * lobe + extent * extent * radius * radius)
-    # Directions at the angle θ from the disc's axis are mapped to a plane, at the distance √(2 (1 − cos θ)) from the
-    # origin of the plane. The map preserves areas.
-    edge = 2.0 * wp.sin(0.5 * radius * wp.sqrt(wp.max(1.0 - 4.0 * extent * extent, 0.0)))
+    edge = disc_edge(radius, extent)
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         if pixels.hit[i] == 0:
@@ -94,12 +122,8 @@ def draw_disc(
             up = wp.sqrt(wp.max(1.0 - wp.length_sq(across_normal), 0.0))
             towards = wp.normalize(across_normal + up * normal)
         else:
-            place_on_disc = edge * on_disc(wp.vec2f((point[0] - share) / (1.0 - share), point[1]))
-            square = wp.length_sq(place_on_disc)
-            towards = (1.0 - 0.5 * square) * axis
-            aside = wp.sqrt(1.0 - 0.25 * square)
-            towards += aside * (place_on_disc[0] * tangent + place_on_disc[1] * bitangent)
-            towards = wp.normalize(towards)
+            place = edge * on_disc(wp.vec2f((point[0] - share) / (1.0 - share), point[1]))
+            towards = towards_on_disc(axis, tangent, bitangent, place)
         weight = wp.float32(1.0)
         if share > 0.0:
             away = towards - mirrored

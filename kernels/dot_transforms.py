@@ -1,7 +1,7 @@
 """Dots of grating maps: scattering vectors, directions to the light and footprints in the frame of each dot's cell.
 
-A dot whose cell is turned by φ, with heights times d and lengths times p, has the power spectrum of the cell at
-(p R(−φ) (u, v), d w). Gains are those of the true directions and do not change.
+A dot whose cell is turned by φ, with heights times d and lengths times p, has the power spectrum of the cell at (p
+R(−φ) (u, v), d w). Gains (geometry factors) are computed from the directions at the surface before this transformation.
 """
 
 import warp as wp
@@ -13,8 +13,9 @@ from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
 wp.set_module_options(compile_options.options("dot_transforms.h"))
 
-# Change of the signal of refinement from one dot to the next, in units of (u, v). Choice: any change far above the
-# largest |(u, v)|, which is 2, makes refinement compare the colours of two neighbouring dots in full.
+# Change of the signal from one dot to the next, in units of (u, v); refinement estimates errors from changes of the
+# signal between pixels. The value was chosen far above the largest |(u, v)|, which is 2. With any such value, the
+# estimated error between two neighbouring dots is the full difference of their colours.
 SIGNAL_OF_DOT = wp.constant(wp.float64(64.0))
 # Share of the pixel filter that lies beyond the neighbouring pixels on one side. Derived from the filter: a Gaussian
 # with a standard deviation of 0.5 pixel that is truncated at 1.5 pixels, beyond a distance of 1 pixel.
@@ -67,7 +68,7 @@ def transform_samples(
     """Transform the samples of hits on a surface with a grating map. Samples elsewhere become 0.
 
     Args:
-        transforms: Transform of each dot: p cos φ, p sin φ, d, and the length of its directions to the light.
+        transforms: Transform of each dot: p cos φ, p sin φ, d, and the length that is given to directions to the light.
         dots: Index of the dot of each ray; −1 without a hit.
         faces: Face that each ray hits.
         surfaces: Surface of each face; empty if all faces have the same surface.
@@ -135,8 +136,8 @@ def signals_of_dots(
 ):  # fmt: skip
     """Copy scattering vectors, moved on a grating map by an amount that differs between neighbouring dots.
 
-    Refinement compares the results of neighbouring pixels. A large difference means that their colours need not change
-    evenly from one pixel to the next. The arguments are those of :func:`transform_samples`. If ``begins`` is false,
+    Refinement compares the written vectors of neighbouring pixels. A large difference indicates that colours may change
+    unevenly from one pixel to the next. The arguments are those of :func:`transform_samples`. If ``begins`` is false,
     only the results of hits on the surface with the map are written.
     """
     thread, _ = wp.tid()
@@ -160,9 +161,9 @@ def mark_edges_of_dots(
 ):  # fmt: skip
     """Mark pixels to subdivide because of dots that ``pixel_contrast.estimate_errors`` does not find.
 
-    That kernel compares the colours of a pixel and of the eight pixels around it. The filter of a pixel extends half a
-    pixel further, which matters if a bright dot is there. If dots are smaller than pixels, some are between the rays of
-    neighbouring pixels. All pixels are subdivided there.
+    ``estimate_errors`` compares the colours of a pixel and of the eight pixels around it. The filter of a pixel extends
+    half a pixel further, so that a bright dot there contributes to the pixel. If dots are smaller than pixels, some
+    dots are between the rays of neighbouring pixels. All pixels with such small dots are subdivided.
 
     Args:
         signals: Results of :func:`signals_of_dots`.
@@ -173,7 +174,7 @@ def mark_edges_of_dots(
         bound: Relative error above which pixels are subdivided.
         first: Index of the first pixel of the first thread.
         run: Number of pixels per thread.
-        errors_out: Estimated errors, which become at least the error by the dots two pixels away.
+        errors_out: Estimated errors. They are increased to at least the error that dots two pixels away may cause.
         marks_out: ``ACTIVE`` is written for pixels to subdivide.
     """
     thread, _ = wp.tid()

@@ -40,8 +40,8 @@ def choose_lights(
         table: Distribution over (u, v) of the light that the surface scatters.
         reflection: Parameters of the reflectance. Only its list with the surface of each face is used here.
         surface: Surface for whose faces lights are chosen; the results of other rays are unchanged.
-        diffuse: Brightness times the cosine of the light, which is added to the brightness of the table in all
-            directions.
+        diffuse: Brightness for light along the normal, which is multiplied by the cosine of the light's angle and added
+            to the brightness from the table.
         pixels: Hits of the rays.
         footprints: Footprints in (u, v) of the rays' pixels or cells, for light from the mirror direction.
         tiles: Pixels whose subpixel cells have the rays; if empty, each pixel of the picture has one ray.

@@ -52,8 +52,8 @@ class Reflection:
     )  # by finish: whether gains are divided by the light's cosine, for coherence of kind "source"
     masking: wp.bool
     transmittances: wp.array2d(dtype=wp.vec3f)  # 1 − R in linear RGB, by finish and cosine of the angle from the normal
-    # Factors a of the energy normalisation by surface, tabulated by the angle from the normal and the azimuth. If the
-    # array is empty, the energy of Stam's model is not normalised.
+    # Factors a of the energy normalisation for each surface, tabulated by the angle from the normal and the azimuth. If
+    # the array is empty, the energy of Stam's model is not normalised.
     energy: wp.array3d(dtype=wp.float32)
 
 
@@ -89,7 +89,7 @@ def finish_of(reflection: Reflection, face: wp.int32) -> wp.int32:
 
 @wp.func
 def transmittance(reflection: Reflection, finish: wp.int32, cosine: wp.float32) -> wp.vec3f:
-    """Return the transmittance of a finish to the pigment below, in linear RGB, by the angle's cosine."""
+    """Return the transmittance of a finish to the pigment below it, in linear RGB, for the cosine of an angle."""
     last = reflection.transmittances.shape[1] - 1
     place = wp.clamp(cosine, 0.0, 1.0) * wp.float32(last)
     entry = wp.min(wp.int32(place), last - 1)
@@ -152,8 +152,8 @@ def energy_factor(reflection: Reflection, surface: wp.int32, direction: wp.vec3f
     if rows == 0:
         return 1.0
     # The rows of the table of factors are equally spaced in √(1 − cos θ), nearly equally in θ. Its columns are equally
-    # spaced in y/(|x| + |y|) within each quadrant. Rows and columns of a direction follow without trigonometric
-    # functions.
+    # spaced in y/(|x| + |y|) within each quadrant. The row and the column of a direction are thus computed without
+    # trigonometric functions.
     from_normal = wp.clamp((1.0 - direction[2]) * wp.static(1.0 / (1.0 - thresholds.LOWEST)), 0.0, 1.0)
     place = wp.sqrt(from_normal) * wp.float32(rows - 1)
     share = direction[1] / wp.max(wp.abs(direction[0]) + wp.abs(direction[1]), thresholds.TINY)
@@ -246,7 +246,7 @@ def covariance_of(footprint: Footprint) -> wp.vec3f:
 
 @wp.func
 def footprint_from(covariance: wp.vec3f) -> Footprint:
-    """Return a footprint with a covariance matrix, whose entries are uu, uv and vv.
+    """Return a footprint that has the covariance matrix with the entries uu, uv and vv.
 
     A footprint is stored as two changes of (u, v), along rows and columns. A Cholesky factor of the covariance yields
     these two.

@@ -5,8 +5,8 @@ distance of its frequency from q = (u, v)/λ, and M a 2 × 2 matrix. A coefficie
 in x, which is κ = w/λ scaled to the range from −1 to 1. (u, v, w) is the scattering vector, and L_x and L_y are the
 lengths of the patch. The adjoint of a quantity is the derivative of a scalar loss with respect to it.
 
-One thread computes one pair, or one coefficient of the transposed sums. No two threads write to the same element, so
-that results do not depend on the number of threads.
+One thread computes one pair, or one coefficient of the transposed sums. A cell is the place of one coefficient in the
+block of coefficients. No two threads write to the same element, so that results do not depend on the number of threads.
 """
 
 import warp as wp
@@ -15,8 +15,12 @@ from warpdiff.kernels import compile_options
 
 OPTIONS = compile_options.options("lobe_sums.h", max_unroll=1)
 # Number of values per pair that ``differentiate_lobes`` writes: derivatives with respect to q_x, q_y, M_xx, M_xy, M_yy,
-# x, L_x and L_y, the sums of r and of s times each term, and the sum itself. The header ``lobe_sums.h`` writes as many.
+# x, L_x and L_y, the sums of r and of s times each term, and the sum itself. The header ``lobe_sums.h`` writes the same
+# number of values.
 DERIVATIVES = 11
+# Largest number of terms of a series, which callers must check. The number is limited by the stack, which has the
+# polynomials of a pair and their derivatives: 8 bytes × 2 × 1024 = 16 kB.
+MOST_TERMS = 1024
 
 
 @wp.struct
@@ -46,16 +50,16 @@ class LobePairs:
     polynomials: wp.array(dtype=wp.float64)  # values of the Chebyshev polynomials at x, ``terms`` numbers per pair
     adjoints: wp.array(dtype=wp.float64)  # adjoint of the sum of each pair
     begins: wp.array(dtype=wp.int32)  # index of the first pair of each cell, and the number of pairs; sorted by cell
-    reach_y: wp.int32  # largest distance in rows of a coefficient from a pair's cell; ``reach_x``: in columns
+    reach_y: wp.int32  # largest distance of coefficients from a pair's cell, in rows; ``reach_x``: in columns
     reach_x: wp.int32
 
 
-@wp.func_native("return warpdiff::sum_lobe(table, pairs, pair);")
+@wp.func_native(f"return warpdiff::sum_lobe<{MOST_TERMS}>(table, pairs, pair);")
 def sum_lobe(table: LobeTable, pairs: LobePairs, pair: wp.int32) -> wp.float64:
     """Return the sum of the weighted Fourier coefficients of a pair."""
 
 
-@wp.func_native("warpdiff::differentiate_lobe(table, pairs, pair, derivatives_out);")
+@wp.func_native(f"warpdiff::differentiate_lobe<{MOST_TERMS}>(table, pairs, pair, derivatives_out);")
 def differentiate_lobe(
     table: LobeTable, pairs: LobePairs, pair: wp.int32, derivatives_out: wp.array2d(dtype=wp.float64)
 ):

@@ -14,9 +14,11 @@ CONTRAST_BASE = wp.constant(wp.float32(refinement_levels.CONTRAST_BASE))
 CONTRAST_PER_UNEVENNESS = wp.constant(wp.float32(refinement_levels.CONTRAST_PER_UNEVENNESS))
 CONTRAST_PER_CHANGE = wp.constant(wp.float32(refinement_levels.CONTRAST_PER_CHANGE))
 CONTRAST_OF_TEXTURE = wp.constant(wp.float32(refinement_levels.CONTRAST_OF_TEXTURE))
-# Least roughness by which differences of roughness are divided. Choice: smoother surfaces look alike in a picture.
+# Least roughness by which differences of roughness are divided. The value was chosen because surfaces with smaller
+# roughnesses look alike in a picture.
 LEAST_ROUGHNESS = wp.constant(wp.float32(0.05))
-# Largest relative change of colour by textures. Limit: its square times that of a colour is finite in float32.
+# Largest relative change of colour that textures cause. The value is limited by float32: its square times the square of
+# a colour must be finite.
 MOST_CHANGE = wp.constant(wp.float32(1.0e6))
 TINY = wp.constant(wp.float32(1.0e-30))
 ASLANT = wp.constant(wp.float32(refinement_levels.FILTER_SHARES[0] / refinement_levels.FILTER_SHARES[1]))
@@ -39,7 +41,7 @@ def contrast_weight(scattering_vectors: wp.array(dtype=wp.vec3d), pixel: wp.int3
     along = wp.max(wp.length_sq(left), wp.length_sq(right)) + TINY
     down = wp.max(wp.length_sq(above), wp.length_sq(below)) + TINY
     # Unevenness is the second difference of (u, v) along rows, columns and diagonals, relative to the larger of the two
-    # first differences.
+    # first differences of (u, v).
     aslant2 = wp.max(
         wp.max(
             wp.length_sq(signal_difference(scattering_vectors, pixel, pixel - width - 1) - left - above),

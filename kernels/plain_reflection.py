@@ -199,8 +199,8 @@ def add_plain_reflection(
         light = to_lights[i]
         scattering_vector = scattering_vectors[i]
         view = -wp.vec3f(scattering_vector) - light
-        # The roughness varies within the footprint. Two roughnesses with the same mean and variance represent its
-        # distribution.
+        # The roughness varies within the footprint. Two roughnesses, whose mean and variance are those of the roughness
+        # in the footprint, represent it.
         spreads = has_spread(pixels, i)
         gloss = gloss_at(materials, pixels, i, view, wp.where(spreads, -1.0, 0.0))
         if gloss.alpha2 == 0.0:

@@ -1,9 +1,9 @@
 """Samples of lights for plain surfaces with a roughness: of skies, of disc lights, and of many directional lights.
 
 Normals of microfacets are drawn from the distribution of visible normals (Heitz 2018), by spherical caps (Dupuy and
-Benyoub 2023). Directions may be drawn in several ways. The weight of a direction is one over the sum of the densities
-of all these ways (balance heuristic, Veach 1997). Random numbers are those of ``sample_sequence``. α is the parameter
-of the GGX distribution of microfacets, and (u, v, w) the scattering vector.
+Benyoub 2023). Directions may be drawn from several distributions. The weight of a direction is one over the sum of the
+densities of all these distributions (balance heuristic, Veach 1997). Random numbers are those of ``sample_sequence``. α
+is the parameter of the GGX distribution of microfacets, and (u, v, w) the scattering vector.
 """
 
 import math
@@ -12,7 +12,7 @@ import warp as wp
 
 from warpdiff.kernels import compile_options, thresholds
 from warpdiff.kernels.bvh import FAR
-from warpdiff.kernels.disc_samples import on_disc
+from warpdiff.kernels.disc_samples import disc_edge, light_axis, on_disc, towards_on_disc
 from warpdiff.kernels.light_samples import Lights, covariance_of
 from warpdiff.kernels.plain_reflection import (
     Gloss,
@@ -25,8 +25,8 @@ from warpdiff.kernels.plain_reflection import (
     stretched,
 )
 from warpdiff.kernels.primary_hits import scramble
+from warpdiff.kernels.sample_frames import filtered_frame, frame_at, in_frame, in_world
 from warpdiff.kernels.sample_sequence import filter_point, light_point, sample_index
-from warpdiff.kernels.shading_frames import LEAST_COSINE
 from warpdiff.kernels.sky_samples import (
     Sky,
     SkyDistribution,
@@ -41,78 +41,17 @@ from warpdiff.kernels.transparency import is_occluded
 wp.set_module_options(compile_options.options("transparency.h"))
 
 HORIZON = wp.constant(wp.float32(thresholds.HORIZON))
-# Fractions of the samples that are drawn in a certain way; other values would change the noise, not the mean.
-# `LEAST_OF_FACETS` is the smallest fraction drawn from microfacets, among the samples drawn by the surface. `SKY_SHARE`
-# is the fraction drawn by the brightness of the sky for a diffuse or rough surface, and `SKY_SHARE_OF_MIRROR` that for
-# a mirror. `DISC_SHARE` is the fraction of the samples of a disc light drawn from microfacets, if their lobe is
-# narrower than the disc and near the disc. `REACH` is the largest distance from the disc that counts as near [α].
+# Fractions of the samples that are drawn from a certain distribution; other values would change the noise, not the
+# mean. `LEAST_OF_FACETS` is the smallest fraction drawn from microfacets, among the samples drawn by the surface.
+# `SKY_SHARE` is the fraction drawn by the brightness of the sky for a diffuse or rough surface, and
+# `SKY_SHARE_OF_MIRROR` that for a mirror. `DISC_SHARE` is the fraction of the samples of a disc light drawn from
+# microfacets, if the reflection lobe of the microfacets is narrower than the disc and near the disc. `REACH` is the
+# largest distance from the disc that counts as near [α].
 LEAST_OF_FACETS, SKY_SHARE, SKY_SHARE_OF_MIRROR = (wp.constant(wp.float32(share)) for share in (0.2, 0.5, 0.1))
 DISC_SHARE, REACH = wp.constant(wp.float32(0.5)), wp.constant(wp.float32(8.0))
 # Smallest cosine of the view direction by which the expected brightness under many lights is divided. Other values
 # would change the noise, not the mean.
 LEAST_VIEW = wp.constant(wp.float32(0.1))
-
-
-@wp.struct
-class Frame:
-    """Shading frame at the hit of a ray (tangent, bitangent and normal), and the view direction in this frame."""
-
-    tangent: wp.vec3f
-    bitangent: wp.vec3f
-    normal: wp.vec3f
-    view: wp.vec3f
-
-
-@wp.func
-def frame_at(pixels: Pixels, ray: wp.int32) -> Frame:
-    """Return the shading frame at the hit of a ray."""
-    result = Frame()
-    result.tangent = pixels.tangent[ray]
-    result.bitangent = pixels.bitangent[ray]
-    result.normal = pixels.normal[ray]
-    result.view = wp.normalize(in_frame(result, pixels.to_view[ray]))
-    return result
-
-
-@wp.func
-def filtered_frame(pixels: Pixels, ray: wp.int32, footprint: Footprint, random: wp.vec2f) -> Frame:
-    """Return the shading frame at a random point of a ray's filter, drawn by the method of Box and Muller.
-
-    The normal is rotated. (u, v) of light from the mirror direction then changes as the footprint states, as in
-    ``sky_samples.sample_sky``.
-    """
-    size = wp.sqrt(-2.0 * wp.log(1.0 - random[0]))
-    angle = wp.static(2.0 * math.pi) * random[1]
-    right = size * wp.cos(angle)
-    down = size * wp.sin(angle)
-    tangent = pixels.tangent[ray]
-    bitangent = pixels.bitangent[ray]
-    view = pixels.to_view[ray]
-    per_move = 0.5 / wp.max(wp.dot(pixels.normal[ray], view), LEAST_COSINE)
-    normal = pixels.normal[ray] + per_move * (right * footprint[0] + down * footprint[2]) * tangent
-    normal += per_move * (right * footprint[1] + down * footprint[3]) * bitangent
-    result = Frame()
-    result.normal = wp.normalize(normal)
-    result.tangent = wp.normalize(tangent - wp.dot(tangent, result.normal) * result.normal)
-    result.bitangent = wp.cross(result.normal, result.tangent)
-    if wp.dot(result.bitangent, bitangent) < 0.0:
-        result.bitangent = -result.bitangent
-    local = in_frame(result, view)
-    local[2] = wp.max(local[2], LEAST_COSINE)
-    result.view = wp.normalize(local)
-    return result
-
-
-@wp.func
-def in_frame(frame: Frame, along: wp.vec3f) -> wp.vec3f:
-    """Convert a direction from the world frame to a shading frame."""
-    return wp.vec3f(wp.dot(frame.tangent, along), wp.dot(frame.bitangent, along), wp.dot(frame.normal, along))
-
-
-@wp.func
-def in_world(frame: Frame, direction: wp.vec3f) -> wp.vec3f:
-    """Convert a direction from a shading frame to the world frame."""
-    return wp.normalize(direction[0] * frame.tangent + direction[1] * frame.bitangent + direction[2] * frame.normal)
 
 
 @wp.func
@@ -207,8 +146,8 @@ def sample_plain_sky(
             continue
         index = sample_index(tiles, width, across, i, sample, samples)
         frame = filtered_frame(pixels, i, footprints[i], filter_point(index))
-        # The roughness varies within the footprint. One of two roughnesses is drawn, which have the same mean and
-        # variance.
+        # The roughness varies within the footprint. One of two roughnesses is drawn, whose mean and variance are those
+        # of the roughness in the footprint.
         deviations = wp.float32(0.0)
         if has_spread(pixels, i):
             deviations = wp.where((scramble(index) & wp.uint32(1)) != wp.uint32(0), 1.0, -1.0)
@@ -261,15 +200,14 @@ def draw_plain_disc(
 ):  # fmt: skip
     """Draw a direction to a disc light for each ray on a plain surface with a roughness.
 
-    A fraction of the directions is drawn from microfacets if their lobe is narrower than the disc. The arguments are
-    those of ``disc_samples.draw_disc``, whose directions this kernel replaces.
+    A fraction of the directions is drawn from microfacets if their reflection lobe is narrower than the disc. The
+    arguments are those of ``disc_samples.draw_disc``, whose directions this kernel replaces.
     """
-    place = lights.places[light_index]
-    axis = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))
+    axis = light_axis(lights, light_index)
     tangent = wp.normalize(lights.deviations[light_index, 0])
     bitangent = wp.normalize(lights.deviations[light_index, 1])
     radius = 2.0 * wp.length(lights.deviations[light_index, 0])
-    edge = 2.0 * wp.sin(0.5 * radius * wp.sqrt(wp.max(1.0 - 4.0 * extent * extent, 0.0)))
+    edge = disc_edge(radius, extent)
     of_disc = 1.0 / (wp.static(math.pi) * wp.max(edge * edge, 1.0e-12))
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
@@ -279,7 +217,8 @@ def draw_plain_disc(
         gloss = gloss_at(materials, pixels, i, frame.view, 0.0)
         if gloss.alpha2 == 0.0:
             continue
-        # A sample counts as a small Gaussian source, which widens the lobe, as in ``light_samples.add_light_extent``.
+        # A sample counts as a small Gaussian source, which widens the reflection lobe of the microfacets, as in
+        # ``light_samples.add_light_extent``.
         own = extent * extent * radius * radius
         gloss = blurred(gloss, wp.vec3f(own, 0.0, own), 2.0 * gloss.view[2])
         reach = 2.0 * wp.sqrt(gloss.spread)
@@ -295,11 +234,8 @@ def draw_plain_disc(
             light = draw_facet(gloss, wp.vec2f(point[0] / share, point[1]))
             towards = in_world(frame, light)
         else:
-            on = edge * on_disc(wp.vec2f((point[0] - share) / (1.0 - share), point[1]))
-            square = wp.length_sq(on)
-            towards = (1.0 - 0.5 * square) * axis
-            towards += wp.sqrt(1.0 - 0.25 * square) * (on[0] * tangent + on[1] * bitangent)
-            towards = wp.normalize(towards)
+            place = edge * on_disc(wp.vec2f((point[0] - share) / (1.0 - share), point[1]))
+            towards = towards_on_disc(axis, tangent, bitangent, place)
             light = in_frame(frame, towards)
         weight = wp.float32(0.0)
         if light[2] > HORIZON and wp.length(towards - axis) <= edge:
@@ -341,8 +277,7 @@ def choice_point(gloss: Gloss, pixels: Pixels, ray: wp.int32) -> ChoicePoint:
 @wp.func
 def expected_brightness(lights: Lights, index: wp.int32, at: ChoicePoint) -> wp.float32:
     """Return the light that a hit is expected to reflect from one of many directional lights; 0 below the horizon."""
-    place = lights.places[index]
-    towards = wp.vec3f(wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]))
+    towards = light_axis(lights, index)
     cosine = wp.dot(towards, at.normal)
     if cosine < HORIZON:
         return 0.0
@@ -387,9 +322,7 @@ def choose_plain_lights(
             if brightness > 0.0 and rest >= 0.0:
                 # Rounding errors may make the sum of all probabilities too small. The last light above the horizon is
                 # then chosen.
-                place = lights.places[index]
+                towards = light_axis(lights, index)
                 weight = wp.float32(lights.strengths[index] / lights.strengths[0]) * total / brightness
-                towards_out[i] = wp.vec4f(
-                    wp.float32(place[0]), wp.float32(place[1]), wp.float32(place[2]), weight
-                )  # fmt: skip
+                towards_out[i] = wp.vec4f(towards[0], towards[1], towards[2], weight)
                 rest -= brightness

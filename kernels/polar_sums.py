@@ -5,8 +5,9 @@ samples. The value at a ring is the integral of the spectrum under a quadratic B
 of Chebyshev polynomials in κ = w/λ, for the wavelength λ and the scattering vector (u, v, w). The adjoint of a quantity
 is the derivative of a scalar loss with respect to this quantity.
 
-One thread computes one azimuth, one Fourier coefficient, one direction or a few rings. No two threads write to the same
-element, so that results do not depend on the number of threads.
+One thread computes one azimuth, one Fourier coefficient, one direction or a few rings. A block of rings is a group of
+consecutive rings. A cell is the place of one coefficient in the block (rectangle) of Fourier coefficients. No two
+threads write to the same element, so that results do not depend on the number of threads.
 """
 
 import warp as wp
@@ -15,14 +16,14 @@ from warpdiff.kernels import compile_options
 from warpdiff.kernels.lobe_sums import LobeTable
 
 OPTIONS = compile_options.options("polar_sums.h", max_unroll=1)
-# Number of rings of a block, whose rings have equally many azimuth samples. If doubled, inner rings of a block have up
-# to twice as many samples as they require.
+# Number of rings of a block. All rings of a block have the same number of azimuth samples. If the number of rings is
+# doubled, inner rings of a block have up to twice as many samples as they require.
 BLOCK_RINGS = 16
 # Number of consecutive rings that one thread of the transposed sum over rings processes. Each ring is processed by a
 # single thread.
 TOGETHER = 4
-# Largest number of terms of a series on a polar grid. The number is limited by the stack, which has the polynomials of
-# six rings.
+# Largest number of terms of a Chebyshev series on a polar grid, which callers must check. The number is limited by the
+# stack, on which a thread stores the polynomials of six rings: 8 bytes × 6 × 256 = 12 kB.
 MOST_TERMS = 256
 
 
@@ -49,7 +50,7 @@ class RingBlocks:
 class PolarPixels:
     """Directions whose colours are sums over rings, sorted by their positions in ``places``."""
 
-    places: wp.array(dtype=wp.float64)  # position of the longest visible wavelength of each direction, in rings
+    places: wp.array(dtype=wp.float64)  # ring index (a fraction) of the longest visible wavelength, for each direction
     turns: wp.array(dtype=wp.float64)  # azimuth of (u, v) of each direction [turns], 0 to 1
     slopes: wp.array(dtype=wp.float64)  # |w|/|(u, v)| of each direction: the ratio of κ to the frequency t
     gains: wp.array(dtype=wp.float64)
@@ -62,14 +63,14 @@ class PolarPixels:
     places_per_kappa: wp.float64
 
 
-@wp.func_native("warpdiff::sample_azimuth_rings(table, grid, direction, values_out);")
+@wp.func_native(f"warpdiff::sample_azimuth_rings<{BLOCK_RINGS}, {MOST_TERMS}>(table, grid, direction, values_out);")
 def sample_azimuth_rings(
     table: LobeTable, grid: RingBlocks, direction: wp.int32, values_out: wp.array2d(dtype=wp.float64)
 ):
     """Compute the spectrum at the rings of a block along one azimuth."""
 
 
-@wp.func_native("warpdiff::spread_rings(table, grid, values, cell, rows_out);")
+@wp.func_native(f"warpdiff::spread_rings<{BLOCK_RINGS}>(table, grid, values, cell, rows_out);")
 def spread_rings(
     table: LobeTable, grid: RingBlocks, values: wp.array2d(dtype=wp.float64), cell: wp.int32,
     rows_out: wp.array2d(dtype=wp.float64),
@@ -77,7 +78,7 @@ def spread_rings(
     """Add the contributions of all rings to the adjoint of one Fourier coefficient's series."""
 
 
-@wp.func_native("warpdiff::sum_rings(grid, values, pixels, pixel, xyz_out);")
+@wp.func_native(f"warpdiff::sum_rings<{BLOCK_RINGS}, {MOST_TERMS}>(grid, values, pixels, pixel, xyz_out);")
 def sum_rings(
     grid: RingBlocks, values: wp.array2d(dtype=wp.float64), pixels: PolarPixels, pixel: wp.int32,
     xyz_out: wp.array2d(dtype=wp.float64),
@@ -85,7 +86,7 @@ def sum_rings(
     """Compute the colour of one direction as a sum over rings."""
 
 
-@wp.func_native("warpdiff::spread_pixels(grid, pixels, group, values_out);")
+@wp.func_native(f"warpdiff::spread_pixels<{BLOCK_RINGS}, {TOGETHER}, {MOST_TERMS}>(grid, pixels, group, values_out);")
 def spread_pixels(grid: RingBlocks, pixels: PolarPixels, group: wp.int32, values_out: wp.array2d(dtype=wp.float64)):
     """Add the contributions of all directions to the adjoints of a few rings."""
 
@@ -120,5 +121,5 @@ def sum_rings_of_pixels(
 def spread_pixels_to_rings(
     grid: RingBlocks, pixels: PolarPixels, first: wp.int32, values_out: wp.array2d(dtype=wp.float64)
 ):
-    """Add the adjoints of the colours of directions to those of the rings that they sum, a few rings per thread."""
+    """Add the adjoints of directions' colours to the adjoints of the rings in these colours, a few rings per thread."""
     spread_pixels(grid, pixels, first + wp.tid(), values_out)

@@ -3,20 +3,22 @@
 import warp as wp
 
 from warpdiff.kernels import compile_options, refinement_levels
+from warpdiff.kernels.refinement_levels import FILTER_CUT, FILTER_SIGMA
 from warpdiff.kernels.shading_frames import LEAST_TANGENT, face_the_viewer, perpendicular, shading_frames_run
 from warpdiff.kernels.structs import SPECIAL, Camera, Cells, Pixels, Sampling, SurfaceArrays
 
 wp.set_module_options(compile_options.options("rasterize.h", "primary_hits.h", "shading_frames.h"))
 
-# Largest distance of a ray from its pixel's centre along an axis [pixels]. The value was derived: it is the distance at
-# which the pixel filter is truncated.
-MOST_OFFSET = 1.5
+# Standard deviation σ of the pixel filter [pixels], and exponent −r² / (2 σ²) of the Gaussian at the radius r at which
+# the filter is truncated. Both are derived from constants in ``refinement_levels``.
+SIGMA = wp.constant(wp.float64(FILTER_SIGMA))
+CUT_EXPONENT = wp.constant(wp.float64(-0.5 * (FILTER_CUT / FILTER_SIGMA) ** 2))
 # Value in the array ``nearest`` for a ray that hits no face.
 UNSEEN = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 
 # Constants of two algorithms. The first two are the multipliers of the hash function "lowbias32" (Wellons 2018). The
-# third, 2^32 divided by the golden ratio, makes a second seed for it. The last two are the increments of the R2
-# sequence (Roberts 2018) along x and y, times 2^32.
+# third, 2^32 divided by the golden ratio, makes a second seed for this hash function. The last two are the increments
+# of the R2 sequence (Roberts 2018) along x and y, times 2^32.
 HASH_1 = wp.constant(wp.uint32(0x7FEB352D))
 HASH_2 = wp.constant(wp.uint32(0x846CA68B))
 GOLDEN = wp.constant(wp.uint32(0x9E3779B9))
@@ -45,9 +47,9 @@ def to_unit(bits: wp.uint32) -> wp.float64:
 def pixel_offset(sample: wp.int32, samples: wp.int32, seed: wp.int32, pixel: wp.int32) -> wp.vec2d:
     """Return the position of a ray in a pixel, (right, down) of the centre [pixels].
 
-    Offsets have the distribution of the pixel filter, a Gaussian of 0.5 pixel truncated at 1.5, so that all samples
-    have equal weights. Samples follow the R2 sequence, shifted for each pixel by a hash (Cranley-Patterson rotation).
-    The sequence is computed in 32-bit integers, which are exact at any index.
+    Offsets have the distribution of the pixel filter, a truncated Gaussian, so that all samples have equal weights.
+    Samples follow the R2 sequence, shifted for each pixel by a hash (Cranley-Patterson rotation). The sequence is
+    computed in 32-bit integers, which are exact at any index.
     """
     result = wp.vec2d()
     if samples > 1:
@@ -56,16 +58,16 @@ def pixel_offset(sample: wp.int32, samples: wp.int32, seed: wp.int32, pixel: wp.
         rotation_y = scramble(rotation_x + GOLDEN)
         radial = to_unit(index * R2_X + rotation_x)
         angular = to_unit(index * R2_Y + rotation_y)
-        # A Gaussian with a standard deviation of 0.5 pixel has the share 1 − exp(−1.5² / (2 · 0.5²)) of its weight
-        # within the radius 1.5, at which it is truncated. Only this share of its cumulative distribution is used.
-        inside = wp.float64(1.0) - wp.exp(wp.float64(-4.5))
-        radius = wp.float64(0.5) * wp.sqrt(-wp.float64(2.0) * wp.log(wp.float64(1.0) - radial * inside))
+        # A Gaussian with the standard deviation σ has the share 1 − exp(−r² / (2 σ²)) of its weight within the radius
+        # r, at which it is truncated. Only this share of its cumulative distribution is used.
+        inside = wp.float64(1.0) - wp.exp(CUT_EXPONENT)
+        radius = SIGMA * wp.sqrt(-wp.float64(2.0) * wp.log(wp.float64(1.0) - radial * inside))
         angle = wp.float64(2.0) * wp.float64(wp.pi) * angular
         result = wp.vec2d(radius * wp.cos(angle), radius * wp.sin(angle))
     return result
 
 
-# Number of cells of a pixel at the finest level. The value was derived from the number of that level.
+# Number of cells of a pixel at the finest level. The value was derived from the index of that level.
 _MOST_CELLS = max(refinement_levels.rays_at(level) for level in refinement_levels.LEVELS)
 
 

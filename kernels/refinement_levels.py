@@ -1,5 +1,8 @@
 """Refinement levels: subpixel cells, the pixel filter, and the error model of refinement.
 
+Level n divides a pixel into 2ⁿ × 2ⁿ subpixel cells, each with its own ray. A tile is a pixel that is divided into
+cells.
+
 The module does not import Warp, so that Python code can use these numbers without loading Warp.
 
 (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
@@ -31,18 +34,18 @@ LEAST_LEVEL_OF_POINTS = 2
 # Estimated error of a pixel with one ray, divided by the contrast between the colours of the pixel and its neighbours:
 # CONTRAST_BASE + CONTRAST_PER_UNEVENNESS · unevenness + CONTRAST_PER_CHANGE · change. The unevenness is the relative
 # difference between successive changes of (u, v); the change is the difference of (u, v) from pixel to pixel, relative
-# to |(u, v)|. The numbers were fitted so that the error of 95 of 100 pixels is smaller
-# (docs/decisions/adaptive_sampling.md). Twice as large numbers refine more pixels.
+# to |(u, v)|. The numbers were fitted so that the error of 95 of 100 pixels is smaller than estimated
+# (docs/decisions/adaptive_sampling.md). If the numbers are doubled, more pixels are refined.
 CONTRAST_BASE, CONTRAST_PER_UNEVENNESS, CONTRAST_PER_CHANGE = 0.008, 0.52, 0.55
 # Estimated error of the filter of textures in a pixel with one ray, divided by the contrast that textures cause between
-# the pixel and its neighbours. The value was fitted so that the error of 95 of 100 pixels is smaller
-# (docs/decisions/textures.md). Twice the value refines more pixels.
+# the pixel and its neighbours. The value was fitted so that the error of 95 of 100 pixels is smaller than estimated
+# (docs/decisions/textures.md). If the value is doubled, more pixels are refined.
 CONTRAST_OF_TEXTURE = 0.2
-# A tile is a pixel that is divided into subpixel cells. The level of a tile is selected from the predicted change of
-# its colour if its cells were finer. This change is multiplied by CAUTION, and at edges also by EDGE_FACTOR. A tile is
-# at an edge if it and its neighbours have both illuminated cells and dark or empty cells. Both factors were fitted to
-# the mesh of a snake, and tested on other bodies and surfaces (docs/decisions/adaptive_sampling.md). Twice as large
-# factors require 1.4 times as many cells per axis.
+# The level of a tile is selected from the predicted change of its colour if its cells were smaller. This change is
+# multiplied by CAUTION, and at edges also by EDGE_FACTOR. A tile is at an edge if it and its neighbours have both
+# illuminated cells and dark or empty cells. Both factors were fitted to the mesh of a snake, and tested on other bodies
+# and surfaces (docs/decisions/adaptive_sampling.md). If both factors are doubled, tiles require 1.4 times as many cells
+# per axis.
 CAUTION, EDGE_FACTOR = 2.0, 1.5
 # A refined pixel is a weighted sum over the cells of nine tiles: its own tile and the tiles of its neighbours. The
 # estimated error of the pixel is ERROR_PER_CHANGES times the root sum of squares of the errors of these tiles. The
@@ -50,7 +53,8 @@ CAUTION, EDGE_FACTOR = 2.0, 1.5
 # numbers were fitted so that the error of 95 of 100 pixels is smaller than estimated.
 ERROR_ORDER, ERROR_PER_CHANGES = 1.75, 0.6
 # Estimated error of a mean over random samples, divided by the standard deviation of the mean. The value is limited by
-# computing time: with twice the value, pictures under sampled lights require four times as many samples.
+# computing time: if it is doubled, pictures with lights whose directions are drawn at random require four times as many
+# samples.
 SCATTER_FACTOR = 1.5
 # Safety factor for the random scatter that one tile (a pixel that is divided into cells) contributes to the error of a
 # pixel, when the level of the tile is raised. The factor was derived from an error that is the root sum of squares of

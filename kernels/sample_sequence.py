@@ -1,15 +1,15 @@
 """Sample sequence: random numbers for the samples of a light, stratified over neighbouring cells and pixels.
 
-Samples of neighbouring cells and pixels are consecutive in one (0, 2) sequence along a Morton curve. Errors then look
-like fine grain (Ahmed and Wonka, Screen-space blue-noise diffusion of Monte Carlo sampling error via hierarchical
-ordering of pixels, 2020). The sequence is scrambled by the method of Burley (Practical hash-based Owen scrambling,
-2020).
+Samples of neighbouring cells (subpixels) and pixels are consecutive in one (0, 2) sequence along a Morton curve. Errors
+then look like fine grain (Ahmed and Wonka, Screen-space blue-noise diffusion of Monte Carlo sampling error via
+hierarchical ordering of pixels, 2020). The sequence is scrambled by the method of Burley (Practical hash-based Owen
+scrambling, 2020).
 """
 
 import warp as wp
 
-# Seeds of the hashes that scramble the sequence. ``ORDER_SEED`` and ``ORDER_SEED_OF_FILTER`` are for the order of the
-# samples; the other seeds are for the coordinates of the samples. Seeds whose names contain FILTER are for points of
+# Seeds of the hashes that scramble the sequence. ``ORDER_SEED`` and ``ORDER_SEED_OF_FILTER`` shuffle the order of the
+# samples; the other seeds scramble the coordinates of the samples. Seeds whose names contain FILTER are for points of
 # the pixel filter; the other seeds are for directions to the light.
 ORDER_SEED, ORDER_SEED_OF_FILTER = wp.constant(wp.uint32(0x9E3779B9)), wp.constant(wp.uint32(0x7F4A7C15))
 SEED_X, SEED_Y = wp.constant(wp.uint32(0x85EBCA6B)), wp.constant(wp.uint32(0xC2B2AE35))
@@ -34,7 +34,7 @@ def reverse_bits(value: wp.uint32) -> wp.uint32:
 
 @wp.func
 def owen_scramble(value: wp.uint32, seed: wp.uint32) -> wp.uint32:
-    """Flip each bit by a hash of the bits above it, which is Laine and Karras's hash applied to the reversed bits."""
+    """Flip each bit by a hash of the bits above it, by Laine and Karras's hash of the reversed bits."""
     x = reverse_bits(value)
     x += seed
     x ^= x * MIX_1

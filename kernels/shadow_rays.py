@@ -1,5 +1,7 @@
 """Shadow rays: a grid over the mesh, projected along the light. Each cell of the grid lists the faces in it.
 
+The grid is called an occluder grid. It is a plane grid perpendicular to the direction of a distant light.
+
 Positions perpendicular to the light are rounded to whole multiples of 2^-24 radii. Their differences and products are
 then exact in float64, with any compiler. For two faces that meet at an edge, a point is therefore on the same side of
 the edge in the tests of both faces, and no ray passes between the faces.

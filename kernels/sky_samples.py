@@ -1,8 +1,9 @@
 """Sky samples: random directions, some drawn where the surface scatters much light, others where the sky is bright.
 
-The first kind of sample draws (u, v) from a table of the surface's colours. The second kind draws a direction from
-blocks of the sky, with a probability proportional to their brightness. The weight of a sample is one over the sum of
-its densities in the two kinds (balance heuristic, Veach 1997).
+The first kind of sample draws (u, v) from a table of the surface's colours over rings (circles of constant |(u, v)|)
+and azimuth samples on the rings. The second kind draws a direction from blocks of the sky, with a probability
+proportional to their brightness. The weight of a sample is one over the sum of its densities in the two kinds (balance
+heuristic, Veach 1997).
 
 (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
 light and to the viewer. θi is the angle of ωi from the normal.
@@ -15,8 +16,8 @@ import warp as wp
 from warpdiff.kernels import compile_options, thresholds
 from warpdiff.kernels.bvh import FAR
 from warpdiff.kernels.light_samples import Reflection, energy_factor, finish_of, transmittance
+from warpdiff.kernels.sample_frames import filtered_frame
 from warpdiff.kernels.sample_sequence import filter_point, light_point, sample_index
-from warpdiff.kernels.shading_frames import LEAST_COSINE
 from warpdiff.kernels.structs import Footprint, Pixels, SurfaceArrays, Textures, Transparency
 from warpdiff.kernels.transparency import is_occluded
 
@@ -68,7 +69,7 @@ def find_step(cdf: wp.array(dtype=wp.float32), begin: wp.int32, end: wp.int32, v
 
 @wp.func
 def within_step(cdf: wp.array(dtype=wp.float32), begin: wp.int32, index: wp.int32, value: wp.float32) -> wp.float32:
-    """Return the position of ``value`` between the cumulative probabilities before and at an index, 0 to 1."""
+    """Return the position of ``value`` between the cumulative probabilities at ``index`` − 1 and ``index``, 0 to 1."""
     before = wp.float32(0.0)
     if index > begin:
         before = cdf[index - 1]
@@ -268,40 +269,23 @@ def sample_sky(
             continue
         index = sample_index(tiles, width, across, i, sample, samples)
         point = light_point(index)
-        within = filter_point(index)
-        # Draw a point of the pixel filter (Box and Muller). Then rotate the normal until (u, v) has changed as much as
-        # between the centre of the footprint and this point. If the normal rotates by an angle, (u, v) of light from
-        # the mirror direction changes by 2 cos θ times the angle.
-        size = wp.sqrt(-2.0 * wp.log(1.0 - within[0]))
-        angle = wp.static(2.0 * math.pi) * within[1]
-        right = size * wp.cos(angle)
-        down = size * wp.sin(angle)
-        footprint = footprints[i]
-        towards = pixels.to_view[i]
-        normal = pixels.normal[i]
-        per_move = 0.5 / wp.max(wp.dot(normal, towards), LEAST_COSINE)
-        normal += per_move * (right * footprint[0] + down * footprint[2]) * pixels.tangent[i]
-        normal += per_move * (right * footprint[1] + down * footprint[3]) * pixels.bitangent[i]
-        normal = wp.normalize(normal)
-        tangent = wp.normalize(pixels.tangent[i] - wp.dot(pixels.tangent[i], normal) * normal)
-        bitangent = wp.cross(normal, tangent)
-        if wp.dot(bitangent, pixels.bitangent[i]) < 0.0:
-            bitangent = -bitangent
-        cosine = wp.max(wp.dot(normal, towards), LEAST_COSINE)
-        view = wp.normalize(wp.vec3f(wp.dot(tangent, towards), wp.dot(bitangent, towards), cosine))
+        frame = filtered_frame(pixels, i, footprints[i], filter_point(index))
+        view = frame.view
         uv = wp.vec2f()
         light = wp.vec3f()
         along = wp.vec3f()
+        # The two conversions between the frames are written out. With functions of ``sample_frames``, the compiler
+        # would contract other products, and pictures would differ by rounding errors from those of earlier versions.
         if point[0] < table.sky_share:
             along = draw_direction(table, sky, wp.vec2f(point[0] / table.sky_share, point[1]))
-            light = wp.vec3f(wp.dot(tangent, along), wp.dot(bitangent, along), wp.dot(normal, along))
+            light = wp.vec3f(wp.dot(frame.tangent, along), wp.dot(frame.bitangent, along), wp.dot(frame.normal, along))
             uv = wp.vec2f(-light[0] - view[0], -light[1] - view[1])
         else:
             uv = draw_uv(table, wp.vec2f((point[0] - table.sky_share) / (1.0 - table.sky_share), point[1]))
             x = -uv[0] - view[0]
             y = -uv[1] - view[1]
             light = wp.vec3f(x, y, wp.sqrt(wp.max(1.0 - x * x - y * y, 0.0)))
-            along = wp.normalize(x * tangent + y * bitangent + light[2] * normal)
+            along = wp.normalize(x * frame.tangent + y * frame.bitangent + light[2] * frame.normal)
         scattering_vectors_out[i] = wp.vec3d(wp.float64(uv[0]), wp.float64(uv[1]), -wp.float64(light[2] + view[2]))
         to_lights_out[i] = light
         if light[2] * light[2] < LEAST_LIGHT2 or light[2] < 0.0:

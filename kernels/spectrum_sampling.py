@@ -1,8 +1,9 @@
 """Power spectrum at azimuth samples and rings, and integrals of the spectrum over λ for every function of w.
 
-The radii of rings have equal ratios along an azimuth. w is the normal component of the scattering vector (u, v, w). The
-value of a ring is the integral of the spectrum under a quadratic B-spline in ln t, where t = |(u, v)|/λ. A colour is a
-weighted sum over the rings of one octave, with the same weights at every radius: see ``colour_lookup``.
+An azimuth is a line of constant polar angle in the frequency plane. A ring is a circle in this plane; the radii of
+neighbouring rings have a constant ratio. w is the normal component of the scattering vector (u, v, w). The value of a
+ring is the integral of the spectrum under a quadratic B-spline in ln t, where t = |(u, v)|/λ. A colour is a weighted
+sum over the rings of one octave, with the same weights at every radius: see ``colour_lookup``.
 """
 
 import functools
@@ -23,7 +24,7 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
     """Return the kernel that samples the power spectrum of a height field on azimuths, and the type of sampled rows.
 
     Args:
-        lanes: Number of terms in a row of the table of Fourier coefficients.
+        lanes: Number of terms (weights of basis functions) in a row of the table of Fourier coefficients.
         powers: Whether rows are powers, for averaged windows. A sampled row is then a weighted sum of rows. Otherwise
             rows are amplitudes, for centred windows. A sampled row then has the power of the weighted sum of rows at
             several κ = w/λ.
@@ -58,9 +59,9 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
         """Compute integrals of the power spectrum along azimuths; each integral is weighted by the spline of one ring.
 
         ``log_low`` is the natural logarithm of the first ring's frequency, and ``start`` is the index of the row of
-        azimuth 0. The spectrum is sampled ``divisions`` times per ring, up to the frequency ``highest``, without the
-        coefficient ``excluded``. If rows are amplitudes, ``bases`` has the values of the basis functions at several
-        κ = w/λ.
+        azimuth 0. The spectrum is sampled ``divisions`` times from one ring to the next, up to the frequency
+        ``highest``. The Fourier coefficient with the index ``excluded`` is omitted. If rows are amplitudes, ``bases``
+        has the values of the basis functions at several κ = w/λ.
         """
         azimuth = first + wp.tid()
         angle = wp.float64(2.0 * wp.PI) * wp.float64(azimuth) / wp.float64(azimuths)
@@ -94,12 +95,13 @@ def gatherer(lanes: int) -> types.SimpleNamespace:
             coefficients: Powers of the spectral lines, one row of basis terms per Fourier coefficient. Lines are
                 blurred in angle.
             lines: Indices into ``coefficients``, in the order of the lines' angles.
-            angles: Angles of the lines [rad], from 0 to 2π and a little beyond at both ends.
+            angles: Angles of the lines [rad], from 0 to 2π, with copies of the lines near both ends, whose angles
+                differ by 2π.
             places: Distances of the lines from the centre of the frequency plane, as positions among the rings.
             weights: Factors 1/|q|² of the lines at frequencies q, which convert powers per step of angle and ln |q| to
                 powers per area of the frequency plane.
-            begins: For each azimuth, the first line whose blur reaches it.
-            ends: For each azimuth, one more than the last line whose blur reaches it.
+            begins: For each azimuth, the index of the first line whose blur extends to the azimuth.
+            ends: For each azimuth, the index of the last line whose blur extends to the azimuth, plus one.
             rings: Number of rings of an azimuth.
             blur: Standard deviation of the blur in angle [rad].
             first: Index of the azimuth of the first thread.
@@ -135,8 +137,8 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
     values_t = wp.types.vector(length=lanes, dtype=wp.float32)
     w_basis_t = wp.types.vector(length=w_basis_size, dtype=wp.float32)
     row_t = lookup(w_basis_size).row
-    # Number of azimuths whose colours a thread computes together. The value is limited by the registers, into which the
-    # sums of all these azimuths must fit.
+    # Number of azimuths whose colours a thread computes together. The value is limited by the CPU's registers, into
+    # which the sums of all these azimuths must fit.
     abreast = 4 if w_basis_size <= 8 else 2
 
     @wp.func_native(
@@ -170,9 +172,9 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Compute colours along a few azimuths at a time, at the rings of one octave of |(u, v)|.
 
-        At one |(u, v)|, red light has the lowest frequency |(u, v)|/λ, in the same octave as the ring. Blue light is in
-        the next octave or just beyond it. The next octave has as many azimuths as this octave, or twice as many.
-        ``sequence`` is working memory of ``length`` rows per azimuth.
+        At one |(u, v)|, red light has the lowest frequency |(u, v)|/λ, which is in the octave of the same index. The
+        frequency of blue light is in the next octave, or just beyond it. The next octave has as many azimuths as this
+        octave, or twice as many. ``sequence`` is working memory of ``length`` rows per azimuth.
         """
         at = (first + wp.tid()) * wp.static(abreast) * length
         for k in range(run):
@@ -211,7 +213,7 @@ def adder(w_basis_size: int) -> wp.Kernel:
         values: wp.array(dtype=row_t), factors: wp.array(dtype=wp.float32), begins: wp.bool, first: wp.int32,
         rows_out: wp.array(dtype=row_t),
     ):  # fmt: skip
-        """Multiply rows by factors of rings, and add the products to ``rows_out``; overwrite it if ``begins``."""
+        """Multiply rows by factors of their rings, and add the products to ``rows_out``; overwrite it if ``begins``."""
         rings = factors.shape[0]
         at = (first + wp.tid()) * rings
         for ring in range(rings):

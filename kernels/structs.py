@@ -81,21 +81,21 @@ class Textures:
     table: wp.array2d(dtype=wp.int32)
     rows: wp.array(dtype=wp.int32)  # row of each face in the next array; −1 without a material
     of_base_colour: wp.array(dtype=wp.int32)  # texture of each row's base colour; −1 without one
-    of_metallic_roughness: wp.array(dtype=wp.int32)  # that of its metallic (blue) and roughness (green); or empty
-    of_emission: wp.array(dtype=wp.int32)  # that of its emission; or empty
+    of_metallic_roughness: wp.array(dtype=wp.int32)  # texture of metallic (blue) and roughness (green); or empty
+    of_emission: wp.array(dtype=wp.int32)  # texture of each row's emission; or empty
     metallic_roughness_uvs: wp.array(dtype=wp.vec2f)  # coordinates of these textures at the vertices; or empty
     emission_uvs: wp.array(dtype=wp.vec2f)  # coordinates of the textures of emission; or empty
 
 
 @wp.struct
 class Transparency:
-    """Transparency of a scene: the alpha by which rays pass through faces, apart from the alpha of textures.
+    """Transparency of a scene: alpha, which decides whether rays pass through faces, except the alpha of textures.
 
     The arrays are empty if the scene is opaque.
     """
 
-    # By row of ``Textures.rows``: alpha below which rays pass a face. The number 0 stands for an opaque material. A
-    # negative number stands for a blended material, which more rays pass the smaller its alpha is.
+    # For each row of materials (see ``Textures.rows``): alpha below which rays pass a face. The number 0 stands for an
+    # opaque material. A negative number stands for a blended material, which more rays pass the smaller its alpha is.
     cutoffs: wp.array(dtype=wp.float32)
     vertex_alphas: wp.array(dtype=wp.float32)  # alpha at the vertices; empty if it is 1 everywhere
 
@@ -117,7 +117,7 @@ class Pixels:
     to_view: wp.array(dtype=wp.vec3f)  # unit vector ωr to the viewer
     shadow_origin: wp.array(dtype=wp.vec3f)  # origin of shadow rays
     base_colour: wp.array(dtype=wp.vec3f)  # base colour, linear RGB; empty if there is no pigment
-    # Factors of metallic and roughness by textures, the standard deviation of roughness within the footprint, and the
-    # change of metallic over this deviation; empty without textures.
+    # Factors of metallic and roughness that textures determine, the standard deviation of roughness within the
+    # footprint, and the change of metallic over this deviation; empty without textures.
     metallic_roughness: wp.array(dtype=wp.vec4f)
-    emission: wp.array(dtype=wp.vec3f)  # factors of emission by textures, linear RGB; empty without any
+    emission: wp.array(dtype=wp.vec3f)  # factors of emission that textures determine, linear RGB; or empty

@@ -1,4 +1,8 @@
-"""Adaptive subdivision: kernels that add subpixel cells to pixels, estimate errors, and select levels of tiles."""
+"""Adaptive subdivision: kernels that add subpixel cells to pixels, estimate errors, and select levels of tiles.
+
+A tile is a pixel that is divided into subpixel cells. At level n, a tile has 2ⁿ × 2ⁿ cells. The base level is the level
+of the first cells of a tile.
+"""
 
 import warp as wp
 
@@ -15,8 +19,8 @@ MISSED = wp.constant(wp.uint8(4))
 CAUTION = wp.constant(wp.float32(refinement_levels.CAUTION))
 EDGE_FACTOR = wp.constant(wp.float32(refinement_levels.EDGE_FACTOR))
 # Level from which on a tile (a subdivided pixel) has enough samples to estimate the random scatter of its colour. The
-# few samples of coarser tiles rarely include the brightest directions. Coarser tiles therefore use the mean scatter of
-# nine tiles.
+# few samples of a tile at a lower level rarely include the brightest directions. Such tiles therefore use the mean
+# scatter of nine tiles.
 LEVEL_OF_OWN_SCATTER = wp.constant(wp.int32(3))
 SCATTER_CAUTION = wp.constant(wp.float32(refinement_levels.SCATTER_CAUTION))
 SCATTER_FACTOR = wp.constant(wp.float32(refinement_levels.SCATTER_FACTOR))
@@ -304,7 +308,7 @@ def resolve_pixels(
         run: Number of pixels per thread.
         colours_out: Colours; where the mesh covers a part of the pixel, the rest counts as black.
         errors_out: Estimated errors, ‖ΔXYZ‖.
-        coverage_out: Share of each pixel that the mesh covers. Each light has cells of its own; the share of the finest
+        coverage_out: Share of each pixel that the mesh covers. Each light has separate cells; the share by the smallest
             cells among all lights is stored.
         coverage_levels_out: Sum of the levels of the nine tiles of the light whose cells determined ``coverage_out``. A
             light with a larger sum has finer cells and replaces the share.

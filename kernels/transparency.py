@@ -19,8 +19,8 @@ wp.set_module_options(compile_options.options("transparency.h"))
 # Largest number of transparent faces that a ray passes; the next face counts as opaque. The value is limited by time,
 # which is proportional to the number of faces.
 MOST_LAYERS = wp.constant(64)
-# Distance by which a ray continues behind a face before it is traced further [radii of the mesh]. It is the distance at
-# which shadow rays start from a surface. Faces that are closer together count as one face.
+# Distance by which a ray continues behind a face before it is traced further [radii of the mesh]. It equals the
+# distance from a surface at which shadow rays start. Faces that are closer together count as one face.
 GAP = wp.constant(wp.float32(1.0e-5))
 # Increments of the R3 sequence (Roberts 2018), one for each of the first three blended faces along a ray. With them,
 # the thresholds of different faces are independent of each other, and are evenly distributed over the cells of a pixel.

@@ -4,13 +4,16 @@ Each folder has the files of one reader of ``bench/dev/fuzz_targets.py``. A file
 little time for it. Names that begin with "export" are files that state their own size and unit.
 """
 
+import datetime
 import gzip
 import json
+import math
 import os
 import sys
 import zipfile
 from pathlib import Path
 
+import gdstk
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
 import trimesh
@@ -168,6 +171,23 @@ def tables():
     wd.bake_spectrum(grating, coherence=COHERENCE, size=16, tolerance=0.1).save("spectra/spectrum.npz")
 
 
+def layouts():
+    """Write a layout of a height field, and one with paths, labels, properties and arrays of another cell."""
+    wd.gratings.lamellar(2.0, 0.1, samples=8).save("gds/foil.gds")
+    inner = gdstk.Cell("INNER")
+    inner.add(gdstk.rectangle((0, 0), (1, 2), layer=1), gdstk.FlexPath([(2, 0), (2, 3), (4, 3)], 0.5, layer=2))
+    inner.paths[0].simple_path = True
+    top = gdstk.Cell("TOP")
+    top.add(gdstk.boolean(gdstk.rectangle((0, 0), (3, 3)), gdstk.rectangle((1, 1), (2, 2)), "not", layer=3)[0])
+    top.add(gdstk.Reference(inner, (9, 0), columns=2, rows=3, spacing=(5, 4)))
+    top.add(gdstk.Reference(inner, (0, 30), rotation=math.pi / 2, magnification=2.0, x_reflection=True))
+    top.add(gdstk.Label("text", (1, 1), layer=4))
+    top.polygons[0].set_gds_property(1, "keyhole")
+    library = gdstk.Library("FUZZ")
+    library.add(inner, top)
+    library.write_gds("gds/cells.gds", timestamp=datetime.datetime(2000, 1, 1))
+
+
 def messages():
     """Write messages that the page of the viewer sends."""
     draw = {
@@ -190,7 +210,7 @@ def main():
     for target in TARGETS:
         target.folder.mkdir(parents=True, exist_ok=True)
     os.chdir(CORPUS)
-    for write in (arrays, images, exports, meshes, gltf_scenes, tables, messages):
+    for write in (arrays, images, exports, meshes, gltf_scenes, tables, layouts, messages):
         write()
 
 

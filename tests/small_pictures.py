@@ -47,7 +47,11 @@ def _by_surface(of_fields, of_maps):
 
 
 def draw_roughly(monkeypatch):
-    """Make views small, and computations fast but inaccurate, by large tolerances and a short coherence window."""
+    """Make views small, and computations fast but inaccurate.
+
+    Tolerances are large, coherence windows are short, fits have two starts, and searches of designs end after few
+    iterations.
+    """
     window = wd.Coherence(sigma_um=1.5)
     monkeypatch.setattr(wd, "View", SmallView())
     for name in ("shade", "Renderer"):
@@ -57,6 +61,9 @@ def draw_roughly(monkeypatch):
         of_maps = rough(function, tolerance=0.3, coherence=wd.Coherence("source", angular_diameter_deg=15.0))
         monkeypatch.setattr(wd, name, _by_surface(with_window, of_maps))
     monkeypatch.setattr(wd, "bake", rough(wd.bake, delta_e=20.0, coherence=window))
+    monkeypatch.setattr(wd, "fit", rough(wd.fit, starts=2))
+    for name in ("_MOST_FIRST", "_MOST_ITERATIONS", "_MOST_PENALISED"):
+        monkeypatch.setattr(f"warpdiff.inverse_design.design_search.{name}", 10)
 
 
 def draw_reports_roughly(monkeypatch):

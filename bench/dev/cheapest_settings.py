@@ -19,6 +19,7 @@ from warpdiff.device.devices import resolve_device, resolve_threads
 from warpdiff.device.kernel_calls import launch
 from warpdiff.diffraction.coefficient_basis import METHODS, POWER_METHODS
 from warpdiff.diffraction.phase_series import EXPANSIONS, MAX_TERMS
+from warpdiff.kernels.structs import Footprint
 from warpdiff.optics import reflectance_factors
 from warpdiff.optics.colorimetry import LAMBDA_MAX_NM, LAMBDA_MIN_NM
 from warpdiff.optics.materials import IlluminatedMaterial
@@ -43,17 +44,17 @@ FEWER = (8, 10, 11, 13)
 # the part for the order rate in the sum of the other two parts.
 CONSTANTS = 2.0 ** (-np.arange(25) / 4.0)
 SPLITS = (1.0, 0.95, 0.9, 0.8, 0.7, 0.5, 0.25, 0.0)
-# How many values of a number in a plan are tried, from the smallest value on that meets the tolerance. `MORE_TERMS`
-# applies to the number of terms of the series. `MORE_EXPONENTS` applies to the exponent a of the least weight exp(−a)
-# of neighbouring Fourier coefficients.
+# Number of values that are tried for a number in a plan, from the smallest value on that meets the tolerance.
+# `MORE_TERMS` applies to the number of terms of the series. `MORE_EXPONENTS` applies to the exponent a of the least
+# weight exp(−a) of neighbouring Fourier coefficients.
 MORE_TERMS, MORE_EXPONENTS = 3, 5
 # Step and upper limit of the exponent a in the least weight exp(−a) of neighbouring Fourier coefficients.
 EXPONENT_STEP, MOST_EXPONENT = 0.5, 24.0
 # Methods and settings of plans are tried only if their predicted cost, relative to the lowest predicted cost, is at
 # most this number.
 HOPELESS = 1.6
-# Largest number of directions of one timed call. The value is limited by time: if doubled, the calls take twice as
-# long.
+# Largest number of directions of one timed call. The value is limited by time: if it is doubled, the calls take twice
+# as long.
 MOST_TIMED = 4096
 # Number of variants of a plan that are evaluated at once; the variants differ in the number of wavelengths per
 # direction. The value is limited by memory.
@@ -86,7 +87,7 @@ class Call:
         )
         self.exact = exact
         # The floor f of errors is a share of the luminance of all planned directions. The few directions of this object
-        # do not represent this luminance. This luminance is therefore an argument.
+        # do not represent all planned directions. The luminance is therefore an argument.
         floor = FLOOR * luminance
         self._above = exact[:, 1] >= floor
         self._scale = np.where(self._above, np.maximum(np.linalg.norm(exact, axis=1), floor), floor)
@@ -106,6 +107,7 @@ class Call:
                 wp.array(np.tile(self.scattering_vectors, (repeats, 1)), dtype=wp.vec3d, device=self.device),
                 wp.array(np.tile(self.lights, (repeats, 1)).astype(np.float32), dtype=wp.vec3f, device=self.device),
                 wp.array(np.tile(self.gains, repeats).astype(np.float32), dtype=wp.float32, device=self.device),
+                wp.empty(0, dtype=Footprint, device=self.device),
                 wp.zeros(len(self.gains) * repeats, dtype=wp.vec3f, device=self.device),
             ]
         return self._arrays[repeats]
@@ -167,8 +169,8 @@ class Bandwidths:
         step = np.clip(step, 0, np.floor(-4.0 * np.log2(c) + 1e-9).astype(int))
         tops = np.arange(len(self.sizes))
         which = [np.maximum(top - step, first) for top in tops[first:]]
-        # An assignment states a number of wavelengths for every direction. The numbers in ``FEWER`` are used only for
-        # all directions alike.
+        # An assignment states a number of wavelengths for every direction. If an assignment has one of the numbers in
+        # ``FEWER``, all of its directions have this number.
         which = [np.full((1, len(call.w)), top) for top in tops[:first]] + which
         self.which = np.concatenate(which)
         self.made = [(top, 0) for top in tops[:first]]

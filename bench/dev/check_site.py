@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 WIDTHS = (1280, 400)
 HEIGHT = 900
 SEARCHES = ("coherence", "glTF", "tolerance")
-# Time limit of each step of the check [ms]. The value was chosen for busy machines; if doubled, failures are only
+# Time limit of each step of the check [ms]. The value was chosen for busy machines; if it is doubled, failures are only
 # reported later.
 WAIT_MS = 120_000
 FLAGS = [

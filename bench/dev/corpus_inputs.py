@@ -22,7 +22,7 @@ WAVELENGTHS_NM = np.linspace(400.0, 700.0, 7)
 
 
 def fingers() -> Any:
-    """Return a new height field of fingers as on a snake's skin, for which the package has cached nothing."""
+    """Return a new height field with nano-fingers as on a snake's skin, for which the package has cached nothing."""
     return wd.gratings.fingers(size_um=12.8, pitch_um=0.09, seed=5)
 
 

@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 
     from bench.dev.corpus_values import Case, Values
 
-# Methods that can sum over wavelength samples instead of using a colour table, which has colours by scattering vector.
+# Methods that can sum over wavelength samples instead of using a colour table, which stores colours by scattering
+# vector.
 SAMPLED_METHODS = ("low-rank", "power", "jacobi-anger", "taylor", "taylor-uncentred")
 
 
@@ -47,7 +48,7 @@ def picture(
 
 
 def tube_picture(lights: Any = ABOVE, view: Any = None, **options: Any) -> Case:
-    """Return a test case that renders the tube with the height field of fingers."""
+    """Return a test case that renders the tube with the height field of nano-fingers."""
     return picture(tube, fingers, view or tube_view(), lights, **options)
 
 

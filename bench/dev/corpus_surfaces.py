@@ -65,7 +65,7 @@ def spectra(threads: int) -> Values:
 
 
 def orders(_: int) -> Values:
-    """Compute the order efficiencies of a metal, a coated metal and a mirror grating.
+    """Compute the order efficiencies of gratings of a metal, of a coated metal and of a perfect mirror.
 
     The efficiencies of the mirror are computed with the energy normalisation, and those of the coated metal without it.
     """

@@ -1,21 +1,24 @@
-"""Fuzzing of the readers of files and messages, guided by the coverage of their source lines.
+"""Fuzzing of the readers of files and messages, guided by the coverage of the library's source code.
 
 ::
 
     python -m bench.dev.fuzz --minutes 10                        # all readers, ten minutes in total
     python -m bench.dev.fuzz --targets gltf x3p --executions 1000000
 
-Each reader starts from the valid files in ``tests/corpus``. A mutated file that reaches a new pair of consecutive
-source lines joins the files that are mutated. A reader must return a valid result or refuse the file with an error that
-names it. These are failures: an exception of another type, a crash, more than 20 s for a file, allocation beyond 4 GB,
-network access, a subprocess, and a file opened outside of the folder. Files that fail are stored in ``fuzz_failures/``.
+Each reader starts from the valid files in ``tests/corpus``. A mutated file joins the files that are mutated if it
+reaches a new block of source code, or executes a block by another order of magnitude of times. A reader must return a
+valid result or refuse the file with an error that names it. These are failures: an exception of another type, a crash,
+more than 20 s for a file, allocation beyond 4 GB, network access, a subprocess, and a file opened outside of the
+folder. Files that fail are stored in ``fuzz_failures/``.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
+import functools
+import gc
 import json
+import math
 import os
 import random
 import shutil
@@ -28,11 +31,10 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bench.dev import fuzz_coverage
 from bench.dev.fuzz_mutations import mutated
 
 if TYPE_CHECKING:
-    from types import FrameType
-
     from bench.dev.fuzz_targets import Target
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -42,71 +44,32 @@ WORKER = ("-m", "bench.dev.fuzz")
 # Largest address space of the process that reads [bytes], and longest time for a file [s]. Valid files need a
 # thousandth of both.
 MOST_BYTES, MOST_S = 4 << 30, 20
-# Share of the executions whose coverage is recorded. Python traces lines about five times slower than it runs them.
-_TRACED = 0.2
-# Largest number of files that a reader's mutations start from, besides the valid ones.
-_MOST_INPUTS = 2000
+# Largest number of files from which the mutations of one valid file start.
+_MOST_INPUTS = 500
+# A mutated file is cut to twice the size of the valid file, or to this size if it is larger [bytes]. Without a limit,
+# files grow from mutation to mutation, and readers need longer for them.
+_LEAST_BYTES = 2048
 # Number of failures of one reader after which it is no longer executed.
 _MOST_FAILURES = 10
 
 
-class Coverage:
-    """Pairs of consecutive source lines that were executed in the files of a reader."""
-
-    def __init__(self, sources: tuple[str, ...]) -> None:
-        self._parts = tuple(f"warpdiff/{part}" for part in sources)
-        self._is_own: dict[str, bool] = {}
-        self._pairs: set[tuple[int, int, int]] = set()
-        self._new = 0
-
-    def __len__(self) -> int:
-        return len(self._pairs)
-
-    def _enter(self, frame: FrameType, _event: str, _argument: Any) -> Any:
-        name = frame.f_code.co_filename
-        if name not in self._is_own:
-            path = name.replace("\\", "/")
-            self._is_own[name] = any(part in path for part in self._parts)
-        if not self._is_own[name]:
-            return None
-        code, previous = id(frame.f_code), 0
-
-        def line(frame: FrameType, event: str, _: Any) -> Any:
-            nonlocal previous
-            if event == "line":
-                pair = code, previous, frame.f_lineno
-                previous = frame.f_lineno
-                if pair not in self._pairs:
-                    self._pairs.add(pair)
-                    self._new += 1
-            return line
-
-        return line
-
-    @contextlib.contextmanager
-    def recorded(self) -> Any:
-        """Context that records executed lines. It returns a function for the number of new pairs."""
-        self._new = 0
-        sys.settrace(self._enter)
-        try:
-            yield lambda: self._new
-        finally:
-            sys.settrace(None)
-
-
 def watch(folder: Path, failures: list[str]) -> None:
-    """Record network access, subprocesses, and files opened outside of the folder, of Python's and of ``/proc``."""
+    """Record network access, subprocesses, and opened files outside of the folder, Python's folders and ``/proc``."""
     allowed = [folder, *(Path(name).resolve() for name in {sys.prefix, sys.base_prefix, *sys.path}), Path("/proc")]
     allowed += [ROOT / "warpdiff", ROOT / "kernels", Path("/sys/fs/cgroup")]
 
+    @functools.lru_cache(maxsize=4096)
+    def is_allowed(name: str | bytes) -> bool:
+        path = Path(os.fsdecode(name)).resolve()
+        return any(path.is_relative_to(parent) for parent in allowed)
+
     def hook(event: str, arguments: tuple[Any, ...]) -> None:
+        if event == "open":
+            if isinstance(arguments[0], (str, bytes)) and not is_allowed(arguments[0]):
+                failures.append(f"opens {os.fsdecode(arguments[0])}")
         # The event loop of asyncio has a pair of sockets, which are not connected to a network.
-        if event.startswith(("socket.connect", "socket.getaddrinfo", "urllib.", "subprocess.", "os.system")):
+        elif event.startswith(("socket.connect", "socket.getaddrinfo", "urllib.", "subprocess.", "os.system")):
             failures.append(event)
-        if event == "open" and isinstance(arguments[0], (str, bytes)):
-            path = Path(os.fsdecode(arguments[0])).resolve()
-            if not any(path.is_relative_to(parent) for parent in allowed):
-                failures.append(f"opens {path}")
 
     sys.addaudithook(hook)
 
@@ -135,37 +98,40 @@ def fuzz(target: Target, folder: Path, *, executions: int, seconds: float, seed:
     for name, content in valid.items():
         (folder / name).write_bytes(content)
     names = list(valid)
-    rng, coverage, failures = random.Random(seed), Coverage(target.sources), []  # noqa: S311 (not for secrets)
-    inputs = list(valid.items())
+    rng, coverage, failures = random.Random(seed), fuzz_coverage.Coverage(), []  # noqa: S311 (not for secrets)
+    inputs = {name: [content] for name, content in valid.items()}
     for name in valid:
-        with coverage.recorded():
-            problem(target, folder / name, names)
-    begin, count = time.monotonic(), 0
-    while count < executions and time.monotonic() - begin < seconds and len(failures) < _MOST_FAILURES:
-        name, content = rng.choice(inputs)
-        others = [other for other_name, other in rng.sample(inputs, min(3, len(inputs))) if other_name == name]
-        data, path = mutated(content, others, rng), folder / name
+        coverage.reset()
+        problem(target, folder / name, names)
+        coverage.adds()
+    begin, cpu_begin, alarm, count, name = time.monotonic(), time.process_time(), -math.inf, 0, names[0]
+    while count < executions and (now := time.monotonic()) - begin < seconds and len(failures) < _MOST_FAILURES:
+        if now - alarm > 1.0:
+            # The alarm signal ends this process if the reader hangs. The file then remains in the folder.
+            signal.alarm(MOST_S)
+            alarm = now
+        previous, name = name, rng.choice(names)
+        if previous != name:
+            # Other files may refer to the file that was damaged last.
+            (folder / previous).write_bytes(valid[previous])
+        data, path = mutated(rng.choice(inputs[name]), inputs[name], rng), folder / name
+        data = data[: max(2 * len(valid[name]), _LEAST_BYTES)]
         path.write_bytes(data)
         count += 1
-        # The alarm signal ends this process if the reader hangs. The file then remains in the folder.
-        signal.alarm(MOST_S)
-        if rng.random() < _TRACED:
-            with coverage.recorded() as new_pairs:
-                failure = problem(target, path, names)
-            if new_pairs() and len(inputs) < _MOST_INPUTS:
-                inputs.append((name, data))
-        else:
-            failure = problem(target, path, names)
-        signal.alarm(0)
-        reasons = filter(None, (failure, *outside))
-        failures += [{"file": name, "content": data.hex(), "reason": reason} for reason in reasons]
-        outside.clear()
-        path.write_bytes(valid[name])
+        coverage.reset()
+        failure = problem(target, path, names)
+        if coverage.adds() and len(inputs[name]) < _MOST_INPUTS:
+            inputs[name].append(data)
+        if failure or outside:
+            reasons = filter(None, (failure, *outside))
+            failures += [{"file": name, "content": data.hex(), "reason": reason} for reason in reasons]
+            outside.clear()
+    signal.alarm(0)
     for name in valid:
         (folder / name).unlink()
     return {
-        "executions": count, "failures": failures, "inputs": len(inputs), "pairs": len(coverage),
-        "seconds": round(time.monotonic() - begin, 1),
+        "executions": count, "failures": failures, "inputs": sum(map(len, inputs.values())), "blocks": len(coverage),
+        "seconds": round(time.process_time() - cpu_begin, 1),
     }  # fmt: skip
 
 
@@ -173,6 +139,7 @@ def work(options: argparse.Namespace) -> None:
     """Fuzz the readers in this process, in the current folder, and print one line of JSON for each."""
     import resource
 
+    fuzz_coverage.install()
     from bench.dev.fuzz_targets import BY_NAME
 
     warnings.simplefilter("ignore")
@@ -181,6 +148,9 @@ def work(options: argparse.Namespace) -> None:
     for name in options.targets:
         for path in BY_NAME[name].folder.iterdir():
             problem(BY_NAME[name], path, [])
+    # Objects of the imported modules are no longer searched for unreachable ones.
+    gc.collect()
+    gc.freeze()
     resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
     watch(folder, outside)
     for name in options.targets:
@@ -216,13 +186,13 @@ def run(targets: list[str], *, executions: int, seconds: float, seed: int) -> li
             )
             results += [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
             if done.returncode:
-                # The last file of the interrupted reader is in the folder, next to its unchanged valid files.
+                # The folder contains the last file of the interrupted reader, and the valid files, which are unchanged.
                 reason = "hangs" if done.returncode == -signal.SIGALRM else f"exit code {done.returncode}"
                 name = targets[len(results)] if len(results) < len(targets) else targets[-1]
                 kept = FAILURES / f"{name}-interrupted"
                 shutil.copytree(folder, kept, dirs_exist_ok=True)
                 failure = {"file": str(kept), "content": "", "reason": f"{reason}: {done.stderr[-2000:]}"}
-                results.append({"target": name, "executions": 0, "failures": [failure], "inputs": 0, "pairs": 0})
+                results.append({"target": name, "executions": 0, "failures": [failure], "inputs": 0, "blocks": 0})
     return results
 
 
@@ -258,7 +228,7 @@ def main() -> int:
         parser.error(f"--targets must be among {', '.join(BY_NAME)}, got {', '.join(unknown)}")
     seconds = options.seconds if options.minutes is None else 60.0 * options.minutes / len(names)
     print(f"seed {options.seed}")
-    print("| reader | executions | failures | inputs | line pairs | peak memory [MB] | per second |")
+    print("| reader | executions | failures | inputs | blocks | peak memory [MB] | per second of processor time |")
     print(f"{7 * '| --- '}|")
     is_clean = True
     for name in names:
@@ -266,7 +236,7 @@ def main() -> int:
         store(results)
         for result in results:
             rate = result["executions"] / max(result.get("seconds", 0.0), 1e-3)
-            cells = (result["executions"], len(result["failures"]), result["inputs"], result["pairs"])
+            cells = (result["executions"], len(result["failures"]), result["inputs"], result["blocks"])
             row = " | ".join(f"{cell:,}" for cell in (*cells, result.get("peak_mb", 0), round(rate)))
             print(f"| {name} | {row} |", flush=True)
             is_clean = is_clean and not result["failures"]

@@ -1,15 +1,18 @@
-"""Mutations of files for fuzzing: of bytes, of values in JSON, and of members of zip archives."""
+"""Mutations of files for fuzzing: of bytes, values in JSON, members of archives, and records of other formats."""
 
 from __future__ import annotations
 
 import contextlib
 import copy
+import functools
+import gzip
 import io
 import json
 import re
 import struct
 import warnings
 import zipfile
+import zlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -25,22 +28,23 @@ NUMBERS = (
 )  # fmt: skip
 _NUMBER = re.compile(rb"[-+.\deE]+")
 _JSON_CHUNK = 0x4E4F534A
-# Largest size of a mutated file [bytes]. Larger files are read more slowly, and their mutations find no other faults.
+# Largest size of a mutated file [bytes]. Larger files are read more slowly, and mutations of larger files find no other
+# faults.
 _MOST_BYTES = 1 << 16
 
 
 def mutated(content: bytes, others: Sequence[bytes], rng: random.Random) -> bytes:
     """Return the content of a file with random damage, which may include a part of another file.
 
-    A third of the mutations of JSON, glTF and zip files damage the bytes; the others damage a value or a member.
+    A third of the mutations of files with a known structure damage the bytes. The others damage a value, a member or a
+    record, and keep sizes and checksums correct, so that readers come as far as the damage.
     """
-    structured: Callable[[bytes, random.Random], bytes] | None = None
-    if content[:1] == b"{" or content[:4] == b"glTF":
-        structured = _json_damage
-    elif content[:4] == b"PK\x03\x04":
-        structured = _zip_damage
+    structured = next((damage for start, damage in _STRUCTURES if content.startswith(start)), None)
     if structured is not None and rng.random() < 2.0 / 3.0:
-        with contextlib.suppress(ValueError, zipfile.BadZipFile, struct.error, RecursionError, NotImplementedError):
+        with contextlib.suppress(
+            ValueError, zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSError, RecursionError,
+            NotImplementedError,
+        ):  # fmt: skip
             return structured(content, rng)[:_MOST_BYTES]
     if others and rng.random() < 0.1:
         other = rng.choice(others)
@@ -73,9 +77,8 @@ def byte_damage(content: bytes, rng: random.Random) -> bytes:
                 lines.pop(rng.randrange(len(lines)))
                 result = bytearray(b"\n".join(lines))
             case _:
-                numbers = list(_NUMBER.finditer(bytes(result)))
-                if numbers:
-                    begin, end = rng.choice(numbers).span()
+                if number := _NUMBER.search(result, at):
+                    begin, end = number.span()
                     result[begin:end] = rng.choice(NUMBERS)
     return bytes(result)
 
@@ -113,13 +116,19 @@ def _containers(tree: Any) -> Iterator[Any]:
             yield from _containers(value)
 
 
+@functools.lru_cache(maxsize=64)
+def _members(content: bytes) -> list[tuple[str, bytes]]:
+    """Return names and contents of the members of a zip archive."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        return [(entry.filename, archive.read(entry)[:_MOST_BYTES]) for entry in archive.infolist()]
+
+
 def _zip_damage(content: bytes, rng: random.Random) -> bytes:
     """Return a zip archive of which a member is damaged, removed, renamed or stored twice, with correct checksums."""
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        members = [(entry.filename, archive.read(entry)[:_MOST_BYTES]) for entry in archive.infolist()]
+    members = list(_members(content))
     index = rng.randrange(len(members))
     name, data = members[index]
-    match rng.randrange(6):
+    match rng.randrange(8):
         case 0:
             members.pop(index)
         case 1:
@@ -127,11 +136,98 @@ def _zip_damage(content: bytes, rng: random.Random) -> bytes:
         case 2:
             members.append((name, byte_damage(data, rng)))
         case _:
-            members[index] = (name, byte_damage(data, rng))
+            members[index] = (name, mutated(data, [], rng))
     stream = io.BytesIO()
     # Python warns of two members with the same name, which is intended here.
-    method = rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))
-    with warnings.catch_warnings(action="ignore"), zipfile.ZipFile(stream, "w", method) as archive:
+    method = zipfile.ZIP_STORED if rng.random() < 0.8 else zipfile.ZIP_DEFLATED
+    with warnings.catch_warnings(action="ignore"), zipfile.ZipFile(stream, "w", method, compresslevel=1) as archive:
         for member, value in members:
             archive.writestr(zipfile.ZipInfo(member), value)
     return stream.getvalue()
+
+
+def _npy_damage(content: bytes, rng: random.Random) -> bytes:
+    """Return a file in NumPy's format of version 1 whose header is damaged, and states its own size correctly."""
+    size = int.from_bytes(content[8:10], "little")
+    header = byte_damage(content[10 : 10 + size], rng)[: 2**16 - 1]
+    return content[:8] + struct.pack("<H", len(header)) + header + content[10 + size :]
+
+
+def _gzip_damage(content: bytes, rng: random.Random) -> bytes:
+    """Return a gzip file whose content is damaged, with a correct checksum."""
+    return gzip.compress(byte_damage(gzip.decompress(content), rng), 1, mtime=0)
+
+
+def _png_damage(content: bytes, rng: random.Random) -> bytes:
+    """Return a PNG image of which a chunk is damaged, removed or repeated, with correct sizes and checksums."""
+    chunks, at = [], 8
+    while at < len(content):
+        size = int.from_bytes(content[at : at + 4])
+        chunks.append((content[at + 4 : at + 8], content[at + 8 : at + 8 + size]))
+        at += 12 + size
+    index = rng.randrange(len(chunks))
+    kind, data = chunks[index]
+    match rng.randrange(6):
+        case 0:
+            chunks.pop(index)
+        case 1:
+            chunks.insert(rng.randrange(len(chunks) + 1), (kind, data))
+        case _ if kind == b"IDAT":
+            chunks[index] = kind, zlib.compress(byte_damage(zlib.decompress(data), rng), 1)
+        case _:
+            chunks[index] = kind, byte_damage(data, rng)
+    return content[:8] + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
+    )
+
+
+def gds_records(content: bytes) -> list[tuple[bytes, bytes]]:
+    """Return the type and the data of each record of a GDS layout."""
+    records, at = [], 0
+    while at + 4 <= len(content):
+        size = max(int.from_bytes(content[at : at + 2]), 4)
+        records.append((content[at + 2 : at + 4], content[at + 4 : at + size]))
+        at += size
+    return records
+
+
+def gds_content(records: Sequence[tuple[bytes, bytes]]) -> bytes:
+    """Return the content of a GDS layout of records, with their sizes."""
+    return b"".join(struct.pack(">H", 4 + len(data[:65530])) + kind + data[:65530] for kind, data in records)
+
+
+def _gds_damage(content: bytes, rng: random.Random) -> bytes:
+    """Return a GDS layout of which one to three records are damaged, removed, repeated or moved, with correct sizes."""
+    records = gds_records(content)
+    for _ in range(rng.randint(1, 3)):
+        index = rng.randrange(len(records))
+        kind, data = records[index]
+        match rng.randrange(8):
+            case 0 if len(records) > 1:
+                records.pop(index)
+            case 1:
+                records.insert(rng.randrange(len(records) + 1), (kind, data))
+            case 2:
+                records[index] = rng.choice(records)[0], data
+            case 3:
+                records[index] = bytes([rng.randrange(64), rng.randrange(8)]), data
+            case 4:
+                begin, end = sorted(rng.choices(range(len(records) + 1), k=2))
+                records[begin:begin] = records[begin : min(end, begin + 20)]
+            case 5 if data:
+                place = rng.randrange(len(data))
+                value = rng.choice((0, 1, 2, 4, 0x7FFF, 0x8000, 0xFFFF, 0x7FFFFFFF, 0x80000000))
+                size = 2 if value < 2**16 else 4
+                records[index] = kind, data[: place - place % size] + value.to_bytes(size) + data[place + size :]
+            case 6:
+                records[index] = kind, rng.choice(records)[1]
+            case _:
+                records[index] = kind, byte_damage(data, rng)
+    return gds_content(records)
+
+
+# Damage of files with a known structure, by the bytes at the beginning of these files.
+_STRUCTURES: tuple[tuple[bytes, Callable[[bytes, random.Random], bytes]], ...] = (
+    (b"{", _json_damage), (b"glTF", _json_damage), (b"PK\x03\x04", _zip_damage), (b"\x93NUMPY\x01", _npy_damage),
+    (b"\x1f\x8b", _gzip_damage), (b"\x89PNG", _png_damage), (b"\0\x06\0\x02", _gds_damage),
+)  # fmt: skip

@@ -1,4 +1,4 @@
-"""Readers of files and messages for fuzzing, each with its valid files in ``tests/corpus`` and its own source files."""
+"""Readers of files and messages for fuzzing, each with its valid files in ``tests/corpus``."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import asyncio
 import json
 import re
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 CORPUS = Path(__file__).resolve().parents[2] / "tests" / "corpus"
-# Mesh files that refer to other files, by the suffix of the other file: a damaged one is read through its mesh.
+# Mesh files that refer to another file, by the suffix of the other file. If the other file is damaged, it is read
+# through the mesh file.
 _BESIDE = {".mtl": ("mesh.obj",), ".png": ("mesh.obj", "buffer.gltf"), ".bin": ("buffer.gltf",)}
 
 
@@ -32,7 +34,6 @@ class Target:
     Attributes:
         name: Name of the reader, and of the folder of its valid files.
         read: Function of a path that reads the file and checks the result.
-        sources: Parts of the paths of the source files whose coverage guides the mutations.
         reads: Names of the public functions or methods, or titles of the registered formats, that this reader tests.
         errors: Accepted exceptions. ``MemoryError`` is accepted if its message states the free memory.
         is_named: Whether errors must name the file, or an argument that the damaged file no longer states.
@@ -40,7 +41,6 @@ class Target:
 
     name: str
     read: Callable[[Path], object]
-    sources: tuple[str, ...]
     reads: tuple[str, ...]
     errors: tuple[type[Exception], ...] = (ValueError,)
     is_named: bool = True
@@ -52,7 +52,7 @@ class Target:
 
 
 class InvalidResultError(Exception):
-    """Error for a result that no valid or damaged file may have."""
+    """Error for a result that a reader must not return, neither for a valid nor for a damaged file."""
 
 
 def _check(is_valid: object, what: str) -> None:
@@ -101,14 +101,14 @@ class _Studio:
     """Stand-in for the rendering thread of the viewer, which draws nothing."""
 
     def session(self, send: Any) -> Any:
-        """Return the function that sends messages as the session."""
+        """Return the function that sends messages, as a stand-in for the session."""
         return send
 
     def acknowledge(self, session: Any) -> None:
         """Accept that a page has shown a picture."""
 
     def request(self, _: Any, request: Any) -> None:
-        """Check that the values of a checked request can be made into library calls."""
+        """Check that a library call can be made from the values of a checked request."""
         json.dumps(request.values, allow_nan=False)
 
     def saved(self, _: Any, suffix: str) -> bytes:
@@ -117,6 +117,8 @@ class _Studio:
 
 
 _CONTROLS = controls.controls()
+# A new event loop for each message would need more time than the message.
+_RUNNER = asyncio.Runner()
 
 
 def _message(path: Path) -> None:
@@ -132,28 +134,28 @@ def _message(path: Path) -> None:
         while not page._queue.empty():
             _check(page._queue.get_nowait(), "a message is empty")
 
-    asyncio.run(take())
+    _RUNNER.run(take())
 
 
-_READERS = "heightfield/readers/"
 TARGETS = (
-    Target("gltf", _mesh, ("scene/",), ("warpdiff.shade",)),
-    Target("mesh", _mesh, ("scene/",), ("warpdiff.shade",)),
-    Target("text", _heights, (_READERS,), ("text: matrix, or points x, y, z", "HeightField.load")),
-    Target("x3p", _heights, (_READERS,), ("X3P (ISO 25178-72)",)),
-    Target("npy", _heights, (_READERS,), ("NumPy array",)),
-    Target("npz", _heights, (_READERS,), ("file of `HeightField.save`",)),
-    Target("image", _heights, (_READERS, "core/openimageio"), ("grey image of 8 or 16 bit, or of floats",)),
-    Target("index", wd.Material.from_file, ("optics/",), ("Material.from_file",)),
-    Target("spectrum", wd.Spectrum.from_csv, ("optics/",), ("Spectrum.from_csv",)),
-    Target("measured", wd.Measured.from_csv, ("fitting/",), ("Measured.from_csv",)),
-    Target("curve", read_curve, (_READERS, "apps/report/"), ("report",)),
-    Target("camera", _camera, ("apps/sequences/",), ("camera_path",)),
-    Target("plan", wd.Plan.load, ("request/",), ("Plan.load",)),
-    Target("lobes", wd.BakedLobes.load, ("baked/",), ("BakedLobes.load",)),
-    Target("spectra", wd.BakedSpectrum.load, ("baked/",), ("BakedSpectrum.load",)),
-    Target("picture", wd.Image.load, ("image/", "core/openimageio"), ("Image.load",)),
-    Target("environment", wd.Environment.load, ("lights/environment", "core/openimageio"), ("Environment.load",)),
-    Target("message", _message, ("apps/viewer/", "core/validation"), ("viewer",), (_HostileError,), is_named=False),
+    Target("gltf", _mesh, ("warpdiff.shade",)),
+    Target("mesh", _mesh, ("warpdiff.shade",)),
+    Target("text", _heights, ("text: matrix, or points x, y, z", "HeightField.load")),
+    Target("x3p", _heights, ("X3P (ISO 25178-72)",)),
+    Target("npy", _heights, ("NumPy array",)),
+    Target("npz", _heights, ("file of `HeightField.save`",)),
+    Target("image", _heights, ("grey image of 8 or 16 bit, or of floats",)),
+    Target("index", wd.Material.from_file, ("Material.from_file",)),
+    Target("spectrum", wd.Spectrum.from_csv, ("Spectrum.from_csv",)),
+    Target("measured", wd.Measured.from_csv, ("Measured.from_csv",)),
+    Target("curve", read_curve, ("report",)),
+    Target("camera", _camera, ("camera_path",)),
+    Target("plan", wd.Plan.load, ("Plan.load",)),
+    Target("lobes", wd.BakedLobes.load, ("BakedLobes.load",)),
+    Target("spectra", wd.BakedSpectrum.load, ("BakedSpectrum.load",)),
+    Target("picture", wd.Image.load, ("Image.load",)),
+    Target("environment", wd.Environment.load, ("Environment.load",)),
+    Target("message", _message, ("viewer",), (_HostileError,), is_named=False),
+    *([Target("gds", wd.measure_layout, ("measure_layout",))] if find_spec("gdstk") else ()),
 )  # fmt: skip
 BY_NAME = {target.name: target for target in TARGETS}

@@ -1,4 +1,4 @@
-"""Licences of the installed dependencies, compared with the list of accepted ones: ``python -m bench.dev.licences``.
+"""Licences of the installed dependencies, compared with a list of accepted licences: ``python -m bench.dev.licences``.
 
 The packages are those that warpdiff requires, directly or through others, and those of its extras that are installed.
 """
@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-# Licences under which a dependency may be used by a program of any licence. SPDX identifiers, and the names by which
-# older metadata state them, in lower case.
+# Licences under which a dependency may be used by a program of any licence. The list has SPDX identifiers and the names
+# of these licences in older metadata, in lower case.
 ACCEPTED = {
     "0bsd", "apache-2.0", "bsd-2-clause", "bsd-3-clause", "cc0-1.0", "isc", "mit", "mit-cmu", "mpl-2.0", "ncsa",
     "boost software license 1.0 (bsl-1.0)", "psf-2.0", "python-2.0", "unlicense", "zlib", "hpnd", "bsl-1.0",
@@ -25,7 +25,7 @@ ACCEPTED = {
     "mozilla public license 2.0 (mpl 2.0)", "python software foundation license", "the unlicense (unlicense)",
     "historical permission notice and disclaimer (hpnd)", "cc0 1.0 universal (cc0 1.0) public domain dedication",
 }  # fmt: skip
-# Licences of packages whose metadata state none, read from their licence files.
+# Licences of packages whose metadata state no licence. They were read from the licence files of these packages.
 BY_FILE = {"meent": "MIT"}
 # Additions to a licence that only permit more.
 _EXCEPTIONS = re.compile(r" with [\w.-]+", re.IGNORECASE)
@@ -48,7 +48,8 @@ def licence_of(package: metadata.Distribution) -> str:
 def is_accepted(licence: str) -> bool:
     """Whether a licence expression can be met with accepted licences only: one side of OR, and each side of AND."""
     plain = _EXCEPTIONS.sub("", licence.strip().lower())
-    # Innermost groups with an operator are evaluated first. Names of licences contain groups without one.
+    # Innermost pairs of parentheses with an operator are evaluated first. Parentheses in names of licences contain no
+    # operator.
     while plain not in ACCEPTED and (group := re.search(r"\(([^()]*\s(?:and|or)\s[^()]*)\)", plain)):
         plain = plain.replace(group[0], "mit" if is_accepted(group[1]) else "refused")
     if plain in ACCEPTED:
@@ -91,7 +92,7 @@ def installed(root: str = "warpdiff") -> tuple[dict[str, metadata.Distribution],
 
 
 def main() -> int:
-    """Print a table of the packages and their licences. Return 1 if one is not accepted."""
+    """Print a table of the packages and their licences. Return 1 if a licence is not accepted."""
     argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
     packages, missing = installed()
     refused = []

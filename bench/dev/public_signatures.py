@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[2]
 STORED = Path(__file__).with_name("public_api.txt")
 CHANGELOG = ROOT / "CHANGELOG.md"
-# Default values without a text of their own, such as functions, have an address in their representation.
+# Pattern of the memory address in the text representation of some default values, such as functions.
 _ADDRESS = re.compile(r" at 0x[0-9a-f]+")
 # Methods that are part of the interface although their names begin with an underscore.
 _OPERATORS = ("__call__", "__len__", "__iter__", "__getitem__", "__add__", "__mul__")
@@ -50,7 +50,7 @@ def signatures() -> list[str]:
 
 
 def _of_commands() -> Iterator[str]:
-    """Yield the line of each command and of each of its flags, in which the choices are named, too."""
+    """Yield the line of each command and of each of its flags. The line of a flag also contains its choices."""
     for name in cli._COMMANDS:
         yield f"warpdiff-{name}: command"
         commands = next(each for each in cli._parser([name])._actions if isinstance(each, argparse._SubParsersAction))
@@ -70,7 +70,7 @@ def _of_module(prefix: str, module: ModuleType) -> Iterator[str]:
 
 
 def _of(name: str, value: object) -> Iterator[str]:
-    """Yield the line of a public object and those of its members."""
+    """Yield the line of a public object and the lines of its members."""
     if not inspect.isclass(value):
         yield f"{name}{_signature(value)}" if callable(value) else f"{name} = {_plain(repr(value))}"
         return
@@ -87,7 +87,7 @@ def _of(name: str, value: object) -> Iterator[str]:
             continue
         static = inspect.getattr_static(value, member)
         owner = next((kind for kind in value.__mro__ if member in vars(kind)), value)
-        # Members of Python's own classes, such as those of tuples and exceptions, are not this package's.
+        # Members of Python's own classes, such as those of tuples and exceptions, do not belong to this package.
         if not owner.__module__.startswith("warpdiff") or (member in _OPERATORS and owner is not value):
             continue
         yield from _of_member(f"{name}.{member}", static, getattr(value, member))

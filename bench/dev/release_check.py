@@ -35,7 +35,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 # Largest size of the wheel [bytes], a target of the project.
 MOST_WHEEL_BYTES = 2 << 20
-# Versions of Python that are tried, if the machine has them. The first one is the lowest that is supported.
+# Versions of Python that are tried, if the machine has them. The first version is the lowest that is supported.
 PYTHONS = ("3.11", "3.12", "3.13", "3.14", "3.15")
 # Folders of a checkout that a wheel must not contain.
 _NOT_SHIPPED = ("bench", "tests", "docs", "examples")
@@ -202,7 +202,7 @@ def check_demo() -> str:
 
 
 def check_api() -> str:
-    """Compare the signatures with the stored ones, and with those of the last release tag and the changelog."""
+    """Compare the signatures with the stored signatures, and with those of the last release tag and the changelog."""
     from bench.dev import public_signatures as api
 
     run(sys.executable, "-m", "bench.dev.public_signatures")

@@ -46,15 +46,15 @@ TIMED = 4
 
 
 class Result(NamedTuple):
-    """Automatic plan for given inputs: ratios to the cheapest setting, and of predicted to actual errors.
+    """Comparison of an automatic plan with the cheapest setting, and of predicted with actual errors, as ratios.
 
     Attributes:
         ratio: Time of the automatic plan over the time of the cheapest setting.
         predicted: Error that the plan predicts over the actual error, on directions for which the plan was made.
-        fresh: The ratio ``predicted``, with the actual error on 128 other directions of the call.
+        fresh: Like ``predicted``, with the actual error on 128 other directions of the call.
         samples: Mean number of wavelengths per direction of the plan over the number of the cheapest setting, both
             predicted.
-        kernel: Cost per wavelength and direction of the plan over the cost of the cheapest setting, both predicted.
+        kernel: Cost per wavelength and direction of the plan over that of the cheapest setting, both predicted.
     """
 
     ratio: float

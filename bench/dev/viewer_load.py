@@ -1,11 +1,12 @@
 """Load test of the viewer on this machine: ``python -m bench.dev.viewer_load --minutes 10``.
 
-Fifty clients open the viewer of another process at the same time. Eight are served at most, and the others are refused
-and try again. A part of the served clients read slowly, and others send malformed messages. Regular clients draw
-pictures and compare each finished picture with the one that the same settings gave first. The report has these numbers:
+Fifty clients open the viewer of another process at the same time. The viewer serves at most eight clients; it refuses
+the others, which try again. A part of the served clients read slowly, and others send malformed messages. Regular
+clients draw pictures and compare each finished picture with the first finished picture of the same settings. The report
+has these numbers:
 
 - lost messages: requests of regular clients that the viewer did not answer within a minute,
-- wrong pictures: finished pictures whose bytes differ from the first ones of the same settings,
+- wrong pictures: finished pictures whose bytes differ from the first picture of the same settings,
 - growth: memory of the server at the end minus its memory at half time [MB].
 """
 
@@ -52,7 +53,7 @@ class Report:
         self.problems: list[str] = []
 
     def compare(self, scene: int, picture: bytes) -> None:
-        """Count a finished picture, and compare it with the first one of the same settings."""
+        """Count a finished picture, and compare it with the first picture of the same settings."""
         self.counts["pictures"] += 1
         if self.first.setdefault(scene, picture) != picture:
             self.counts["wrong pictures"] += 1
@@ -68,7 +69,7 @@ def message(generation: int, scene: int) -> str:
 
 
 async def draws(socket: Any, rng: random.Random, report: Report) -> None:
-    """Request some pictures, and wait for each finished one."""
+    """Request some pictures, and wait until each of them is finished."""
     for generation in range(1, rng.randint(2, 4)):
         scene = rng.randrange(len(SCENES))
         await socket.send(message(generation, scene))

@@ -8,9 +8,9 @@ The implementation is fast for these reasons. A coefficient is stored as two vec
 and imaginary parts), padded to whole cache lines, so that sums over terms are SIMD loops of fixed length. The basis
 functions (2πaw/λ)ⁿ/n! at a wavelength, for heights of the scale a, are a row of tabulated factors times powers of w,
 and these powers are computed once per direction. The positions of the square blocks and the first Gaussian weight of
-each block are computed for all wavelengths at once. The other weights of a block follow by recurrence. For a centred
-window, coefficients are weighted and summed before multiplication by the basis. Coefficients are prefetched four
-wavelengths before their use. Without prefetching, half of the time would be spent on waiting for memory.
+each block are computed for all wavelengths at once. The other weights of a block are computed by recurrence. For a
+centred window, coefficients are weighted and summed before multiplication by the basis. Coefficients are prefetched
+four wavelengths before their use. Without prefetching, half of the time would be spent on waiting for memory.
 
 (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
 light and to the viewer.
@@ -207,7 +207,7 @@ def _kernel(lanes: int, neighbour_extent: int, powers: bool) -> Any:  # noqa: PL
                     w_powers[n] = power
                     power *= w
                 # This SIMD loop over wavelengths computes the positions of the neighbouring coefficients, and the
-                # weight of the first coefficient along each axis. The other weights follow from it by recurrence.
+                # weight of the first coefficient along each axis. The other weights are computed from it by recurrence.
                 for k in range(wavelengths):
                     qy = v * wavenumbers[k]
                     qx = u * wavenumbers[k]

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 __all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
 
-# Number of directions that a thread evaluates at once. The value was chosen because larger arrays exceed the
-# caches of the processor, and for smaller ones the overhead of the Python interpreter dominates.
+# Number of directions that a thread evaluates at once. The value was chosen because larger arrays exceed the caches of
+# the processor, and with smaller arrays the overhead of the Python interpreter dominates.
 CHUNK = 512
 
 

@@ -53,8 +53,8 @@ LARGEST_KAPPA = 2.0 / 0.38
 # Positions of the maxima of the red, green and blue parabolas in 2λ − 1 (λ in µm), and inverse of the half-width of all
 # three parabolas. The numbers are from Stam's chapter in GPU Gems.
 PARABOLAS, NARROWNESS = (0.75, 0.5, 0.25), 4.0
-# Number of random directions in which the brightness of the rainbow is determined. The value was chosen; if halved, the
-# mean luminance has more noise.
+# Number of random directions in which the brightness of the rainbow is determined. The value was chosen; if it is
+# halved, the mean luminance has more noise.
 CALIBRATING = 2000
 
 
@@ -117,8 +117,8 @@ def prepare(
 def order_powers(heightfield: wd.HeightField, period_um: float) -> NDArray[np.float64]:
     """Return powers |H_n0|² of the orders n = −7 … 7 at equal steps of κ = w/λ, 0 to −2/0.38 /µm, shape (NODES, 15).
 
-    The frequency of order n is n/d, where d is the distance of the tracks. Orders of the height field of length Lx have
-    multiples of 1/Lx, of which the nearest is used.
+    The frequency of order n is n/d, where d is the distance of the tracks. The frequencies of the height field's orders
+    are multiples of 1/Lx, where Lx is its length. The order with the nearest frequency is used.
     """
     orders = np.rint(np.arange(-ORDERS, ORDERS + 1) * heightfield.size_um[1] / period_um).astype(int)
     result = np.empty((NODES, len(orders)))

@@ -6,7 +6,7 @@
 - ``mitsuba_skies``: environments and disc lights compared with Mitsuba 3
 - ``published``, ``thesis``, ``variants``: comparison with the algorithm of Single (2014); the figures of that
   publication
-- ``theory_verdict``: verdicts on scalar diffraction compared with rigorous solutions
+- ``theory_verdict``: estimated accuracy ("verdict") of scalar diffraction, compared with rigorous solutions
 - ``iso_25178``: roughness parameters compared with the package surfalize, and coverage of the standard errors
 - ``cold_start``: time of a new process to its first picture
 """

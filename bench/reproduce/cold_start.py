@@ -1,8 +1,9 @@
 """Cold start: time from the start of a process to the imported package, and to its first picture.
 
-A process imports the package, makes synthetic fingers of 25.6 µm and a tube, renders and saves a picture of 640 × 480
-pixels, and ends. Processes with an empty kernel cache and with a filled one are timed alternately. Plotting libraries
-are hidden from the process, because colour-science would otherwise import them if they are installed.
+A process imports the package, makes a tube and a synthetic height field with nano-fingers on a patch of 25.6 µm,
+renders and saves a picture of 640 × 480 pixels, and ends. Processes with an empty kernel cache and with a filled one
+are timed alternately. Plotting libraries are hidden from the process, because colour-science would otherwise import
+them if they are installed.
 """
 
 from __future__ import annotations

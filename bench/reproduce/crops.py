@@ -37,25 +37,25 @@ if TYPE_CHECKING:
 
 # Width and height of a crop, and width of the margin around the crop that the pixel filter requires [pixels].
 WIDTH, HEIGHT, MARGIN = 24, 18, 2
-# Size of the whole picture [pixels], of which a crop is a part.
+# Width and height of the whole picture [pixels], of which a crop is a part.
 WHOLE = (640, 480)
 # Number of points along each axis of a pixel in the reference, and in the coarser reference that shows whether the
 # first one has converged.
 POINTS, FEWER = 96, 64
 # Standard deviation σ of the pixel filter, and radius at which the filter is truncated [pixels].
 DEVIATION, CUT = 0.5, 1.5
-# Tolerance of the colours at the points of the reference, relative to the tolerance of the picture.
+# Tolerance of the colours at the points that are averaged for the reference, relative to the tolerance of the picture.
 OF_POINTS = 1.0 / 3.0
 LIGHTS = (wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.7, 0.8, 0.4)))
-# Directions to the eye: one from above and one at a grazing angle. Then the field of view [degrees] and the distance of
-# the eye [radii of the body].
+# Directions to the eye: one from above and one at a grazing angle. `FOV_DEG` is the field of view [degrees], and
+# `RADII` is the distance of the eye [radii of the body].
 EYES = ((0.0, 1.6, 3.1), (2.4, 0.5, 1.9))
 FOV_DEG, RADII = 27.0, 4.6
 # Share of the picture's pixels that are brighter than white after exposure. Pictures are exposed in this way before
 # colour differences ΔE2000 are computed.
 CLIPPED = 1e-3
 # Distances of cameras that render crops (parts of a picture), from the eye to the point in the middle of the crop. The
-# distances are relative to that of the camera that shows the whole body.
+# distances are relative to the distance of the camera that shows the whole body.
 DISTANCES = (1.0, 2.0, 0.25)
 
 
@@ -312,7 +312,7 @@ def main() -> None:
 
 
 def _estimates(errors: Errors) -> str:
-    """Return two cells of the table: share of errors below their estimates, and sum of estimates over sum of errors."""
+    """Return two table entries: share of errors below their estimates, and sum of estimates over sum of errors."""
     actual, estimated = errors.interior, errors.estimated
     bounded = 100.0 * np.mean(actual <= estimated) if len(actual) else math.nan
     return f"{bounded:.0f} % | {estimated.sum() / max(actual.sum(), 1e-30):.1f}"

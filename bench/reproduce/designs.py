@@ -1,4 +1,4 @@
-"""Designs of foils: a colour for each of two angles, beam splitters, and their rigorous judgement.
+"""Designs of foils: a colour for each of two angles, beam splitters, and their errors relative to rigorous solutions.
 
 ::
 
@@ -8,9 +8,10 @@
     python -m bench.reproduce.designs --rigorous-colours     # the two colours on aluminium; minutes per design
 
 Colours are those of light along the normal on a perfect mirror, period 32 µm, pixels of 0.25 µm, σ = 16.25 µm. Designs
-of splitters have normalised efficiencies; those with 7 × 7 orders are judged with eight samples along each side of a
-pixel. The upper bound is that of any phase: the largest ⟨|s|⟩²/⟨|s|²⟩ over the phases of equal orders (Wyrowski 1991,
-Krackhardt et al. 1992). Times are seconds of processor time and of a clock.
+of splitters have normalised efficiencies. The efficiencies of designs with 7 × 7 orders are computed again with eight
+samples along each side of a pixel. The printed upper bound is the efficiency that no phase profile exceeds: the largest
+⟨|s|⟩²/⟨|s|²⟩, where s is the field of equal orders, over the phases of these orders (Wyrowski 1991, Krackhardt et al.
+1992). Times are seconds of processor time and of a clock.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ def colours(seeds: range) -> None:
 
 
 def upper_bound(shape: tuple[int, ...], starts: int = 20, iterations: int = 400) -> float:
-    """Return the largest share of equal orders that any phase reaches, by iteration over the phases of the orders."""
+    """Return the largest efficiency of equal orders that any phase profile reaches, by iteration over order phases."""
     best, rng, size = 0.0, np.random.default_rng(0), 64
     place = np.ix_(*[np.arange(-(n // 2), n - n // 2) % size for n in shape])
     for _ in range(starts):

@@ -39,7 +39,7 @@ POSITION_TOLERANCE, UV_TOLERANCE, VECTOR_TOLERANCE = 1e-3, 2e-3, 4e-3
 
 
 def sums_of(parts: list[ScenePart]) -> dict[str, Any]:
-    """Return sums over the triangles of a scene: the same ones as in the file of the independent reading."""
+    """Return sums over the triangles of a scene: the same sums as in the file of the independent reading."""
     result: dict[str, Any] = {"tri": 0, "area": 0.0, "uvtri": 0, "uvrawtri": 0, "coltri": 0, "mats": Counter()}
     for name, width in (("pos", 3), ("uv", 2), ("uvraw", 2), ("col", 3), ("nrm", 3)):
         result[name] = np.zeros(width)

@@ -13,11 +13,13 @@ processes have little influence. The column "value" is a call without variables.
 pitch, σ and all directions. The column "library" has the time of the function without derivatives for a new surface,
 and in parentheses the time of a second call for the same surface.
 
-Errors are those of random surfaces, directions and optics, compared with complex steps of explicit sums that share no
-code with the library (``tests/complex_step.py``). They are relative to the largest derivative by the same variable.
+``--errors`` prints errors of derivatives for random surfaces, directions and optics. The reference are complex steps of
+explicit sums that share no code with the library (``tests/complex_step.py``). Errors are relative to the largest
+derivative by the same variable.
 
-Fits have the orders −2 to 2 of a trapezoid at three wavelengths and two angles of a perfect mirror, with noise of 1 %
-and 5e-4. The first start is 10 % away in depth and 5 % in duty; a fit that ends at the duty 1 − duty counts as right.
+``--fits`` fits the profile of a trapezoid to efficiencies of the orders −2 to 2 of a perfect mirror, at three
+wavelengths and two angles, with noise of 1 % and 5e-4. The first starting point deviates from the true values by 10 %
+in depth and by 5 % in duty cycle. A fit that ends at 1 minus the true duty cycle counts as correct.
 
 ``--depths`` fits the depths of the perfect mirrors in ``bench/suite/rigorous.json``, at 0°, 30° and 60°.
 """
@@ -43,7 +45,7 @@ from bench.suite.validity import STORED
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-# Parameters of the synthetic grating: depth [µm], duty, wall, period [µm].
+# Parameters of the synthetic grating: depth [µm], duty cycle, width of a wall [periods], period [µm].
 TRUE = np.array([0.14, 0.42, 0.04, 2.0])
 VARIABLES = ("heights_um", "pitch_um", "sigma_um", "to_light", "to_view")
 # Angles of incidence for which rigorous solutions are stored [degrees].

@@ -7,14 +7,16 @@
     python -m bench.reproduce.grating_maps --times
     python -m bench.reproduce.grating_maps --card
 
-``--transforms`` compares direct sums in float64: those of a field that is turned and scaled, and those of the cell at
-transformed scattering vectors. The turned field is a sine on a square patch along a diagonal of its lattice.
+``--transforms`` compares two direct sums in float64: the sum over a field that is turned and scaled, and the sum over
+the cell (the field before this) at transformed scattering vectors. The turned field is a sine on a square patch along a
+diagonal of its lattice.
 
-``--pictures`` compares pictures with ones of 4,096 cells per pixel, which have the same colours and no edges left out.
-Errors are those of illuminated pixels inside of the card. ``P99 est`` is the 99th percentile of ``image.error``.
+``--pictures`` compares pictures with reference pictures that have 4,096 subpixel cells per pixel. The reference has the
+same colours at single points, but misses no edges of dots. Errors are those of illuminated pixels inside of the card.
+``P99 est`` is the 99th percentile of ``image.error``.
 
-``--times`` are processor times of ``Renderer.draw`` with a new light, with and without a map, in turns; the ratio of
-the medians counts. Dots are about ten pixels wide.
+``--times`` measures processor times of ``Renderer.draw`` with a new light, alternately with and without a map; the
+result is the ratio of the medians. Dots are about ten pixels wide.
 
 ``--card`` has 256 × 192 dots. Each dot is one ray through the pixel nearest to its middle. "Own" and "other" are the
 correlations of the luminances of an eye's dots with its own picture and with the picture of the other eye.
@@ -35,7 +37,7 @@ from warpdiff.diffraction.direct_sum import window_power
 VIEW = wd.View((0.0, 0.0, 4.0), (0.0, 0.0, 0.0), fov_y_deg=12.0, width=48, height=36)
 LIGHT = wd.DirectionalLight((0.0, 0.5, 1.0))
 SINE = wd.gratings.sinusoidal(1.2, 0.15)
-# Wavelengths of the direct sums [µm]; any values of the visible range serve.
+# Wavelengths of the direct sums [µm]; any values of the visible range can be used.
 WAVELENGTHS_UM = np.array([0.42, 0.5, 0.58, 0.7])
 
 
@@ -44,7 +46,7 @@ def transforms(rng: np.random.Generator) -> None:
     z, azimuth = rng.uniform(0.5, 1.0, (2, 60)), rng.uniform(0.0, 2.0 * np.pi, (2, 60))
     side = np.sqrt(1.0 - z * z)
     lights, views = np.stack([side * np.cos(azimuth), side * np.sin(azimuth), z], axis=-1)
-    # Half of the views are near an order.
+    # Half of the views are near a diffraction order.
     views[:30] = lights[:30] * [-1.0, -1.0, 1.0] + rng.normal(0.0, 0.2, (30, 3)) * [1.0, 1.0, 0.0]
     views[:, 2] = np.abs(views[:, 2])
     views /= np.linalg.norm(views, axis=1)[:, None]
@@ -62,7 +64,8 @@ def transforms(rng: np.random.Generator) -> None:
         field = wd.HeightField(depth_scale * diagonal, scale * size / count)
         cell = wd.HeightField(straight, size / count)
         exact = window_power(field, coherence, vectors, WAVELENGTHS_UM, to_lights=lights)
-        # A source of the spread s blurs the scattering vectors of a dot with the pitch scale p by p s.
+        # For a light source with the spread s, the scattering vectors of a dot with the pitch scale p are blurred by p
+        # s.
         mapped = (vectors @ back.T) * [scale, scale, depth_scale]
         result = window_power(cell, scaled, mapped, WAVELENGTHS_UM, to_lights=lights @ back.T)
         difference = np.abs(result - exact).max() / np.abs(exact).max()

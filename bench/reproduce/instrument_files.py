@@ -4,10 +4,10 @@
 extra ``scans``. Test files are in the repositories ContactEngineering/SurfaceTopography (test/file_format_examples),
 AFM-SPM/AFMReader (tests/resources), fredericjs/surfalize (tests/test_files), heike/x3ptools and OpenFMC/x3p.
 
-Independent readings: Gwyddion's importers (package gwyddionpy with its extra converter, if it is installed) for binary
-files, a plain reading of the binary member for .x3p, and SurfaceTopography for texts. Shape, size (within 1e-4),
-missing samples and heights (within 1e-3 of the height range, up to a constant) must be equal, without a flip of an
-axis.
+Independent readings are those of Gwyddion's importers (package gwyddionpy with its extra converter, if it is installed)
+for binary files, a plain reading of the binary member for .x3p, and SurfaceTopography for texts. Shape, size (within
+1e-4), missing samples and heights (within 1e-3 of the height range, up to a constant) must be equal, without a flip of
+an axis.
 """
 
 from __future__ import annotations

@@ -84,7 +84,8 @@ def of_surfalize(heightfield: wd.HeightField) -> dict[str, float]:
 
     dy, dx = heightfield.pitch_um
     with warnings.catch_warnings():
-        # surfalize warns if the pixels are not square, and if the texture aspect ratio Str cannot be determined.
+        # The package surfalize warns if the pixels are not square, and if the texture aspect ratio Str cannot be
+        # determined.
         warnings.simplefilter("ignore")
         surface = Surface(heightfield.levelled().heights_um, dx, dy)
         return {name: float(getattr(surface, name)()) for name in NAMES}

@@ -119,7 +119,7 @@ def against_sums(kind: str, seed: int, pixels: int, across: int, tolerances: lis
     The sums have at least 32 times ``across`` rays along each axis of a pixel. The errors of the sums themselves are in
     a separate row. Columns are: percentiles of the errors and of the estimated errors ``image.error``; the time of a
     frame; the number of pixels whose error exceeds the tolerance; and the number of those pixels whose estimated error
-    exceeds it, too.
+    exceeds the tolerance, too.
     """
     rng = np.random.default_rng(seed + (2 if kind == "light" else 1))
     print(COLUMNS.format(kind))

@@ -47,7 +47,7 @@ def cases() -> dict[str, tuple[Any, wd.View, tuple[Any, Any], float]]:
     """Return bodies with a view, the ends of a line light, and the least distance of the line from the body.
 
     Two bodies are used: a square in the xy plane, and a tube. In the case ``sine``, the square has a sine grating with
-    a period of 2 µm as its height field; in the other cases, the height field has fingers.
+    a period of 2 µm as its height field; in the other cases, the height field has nano-fingers (``gratings.fingers``).
     """
     corners = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
     texture = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]])

@@ -3,9 +3,9 @@
 Each row is a scene, a surface and a light, such as ``whole_scan_sun``. The reference is a sum over directions with
 shadows (``bench/truth/sky_sums.py``). A row has: the errors of a picture relative to its tolerance; the processor time
 of this picture relative to that of a picture with one directional light; the number of pixels whose error exceeds the
-tolerance; and the number of those pixels whose estimated error ``image.error`` exceeds it, too. The reference of
-pictures with many lights, such as ``tube_scan_16lights``, is the sum of pictures with one light each, at an eighth of
-the tolerance.
+tolerance; and the number of those pixels whose estimated error ``image.error`` exceeds the tolerance, too. The
+reference of pictures with many lights, such as ``tube_scan_16lights``, is the sum of pictures with one light each, at
+an eighth of the tolerance.
 """
 
 from __future__ import annotations

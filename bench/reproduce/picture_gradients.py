@@ -4,14 +4,15 @@
 
     python -m bench.reproduce.picture_gradients path/to/scan.png
 
-The scan is rendered on a straight tube that fills the picture, under a directional light, as points. "Sampled" is the
-gradient with sums over wavelengths instead of the polar grid. Differences are central: of ``wd.reflectance`` at the
-directions of the pixels with a plan for a tolerance of 1e-3, and of ``wd.shade`` with the plan of the renderer. Their
-direction is smooth noise. The derivative of a loss has the difference itself as the weights of pixels, so that rounding
-errors of the difference do not cancel its value.
+The scan is rendered on a straight tube that fills the picture, under a directional light, with pixels that show points.
+In the output, "sampled" is the gradient with sums over wavelengths instead of the polar grid. The gradients are
+compared with central differences of two functions: ``wd.reflectance`` at the directions of the pixels, with a plan for
+a tolerance of 1e-3, and ``wd.shade`` with the plan of the renderer. The heights are changed by smooth noise. The loss
+is a weighted sum over pixels whose weights are the difference itself, so that the rounding errors of the difference do
+not cancel in the sum.
 
-Costs are seconds of processor time of all threads, the least of three. "Library" is ``wd.shade`` of a new surface with
-the plan given.
+Costs are seconds of processor time of all threads, the least of three measurements. "Library" is the cost of
+``wd.shade`` with an explicit plan, for a surface that the library has not cached.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 LIGHT = wd.DirectionalLight((0.35, 0.9, 0.3))
-# Step of differences. Limits: the basis of the library is fitted to each surface, so that differences by smaller steps
-# have larger errors; larger steps are not linear.
+# Step of the central differences. The value has two limits. The library fits basis functions to each surface, so that
+# differences with smaller steps have larger errors. With larger steps, the function is not linear.
 STEP_UM = 3e-3
 OPTIONS = {"footprint": False, "refine": False, "ior": np.inf}
 
@@ -112,7 +113,8 @@ def wd_gain(lights: np.ndarray, views: np.ndarray) -> np.ndarray:
 def cost(scan: wd.HeightField, size: tuple[int, int]) -> None:
     """Print the cost of value and gradient of a picture relative to the library's value on a new surface."""
     renderer, tube, view = renderer_of(scan, size)
-    # The noise differs from run to run, because the disk cache would serve a known surface.
+    # The noise differs from run to run, because the library would otherwise read the tables of the surface from the
+    # disk cache.
     rng = np.random.default_rng()
     library, values, gradients = [], [], []
     for _ in range(3):

@@ -50,7 +50,7 @@ FINALISTS = 3
 TOLERANCE, TOLERANCES = 1e-2, sorted([1e-2, *(0.5 * 2.0 ** (-k) for k in range(9))], reverse=True)
 # Tolerance of the reference. The tolerance must be small compared with the errors of the compared methods.
 TRUTH = 1e-3
-# Width of the picture [pixels], number of pixels of a timed call, and number of rounds of timed calls.
+# Width of the picture [pixels], number of pixels per timed call, and number of rounds of timed calls.
 WIDTH, TIMED, ROUNDS = 640, 12_000, 9
 
 
@@ -85,11 +85,11 @@ def refined(error_of: Callable[[Setting], float], most: int, target: float) -> t
     """Return settings that reach a target error with the fewest multiply-adds, and the least error that was measured.
 
     A setting has three numbers: terms of the series, neighbouring coefficients and wavelengths. The search assumes that
-    the error decreases if one number grows and the others are constant. The two smallest numbers of terms are tried
-    that reach the target with the most coefficients and wavelengths. For uncentred heights, the number of terms of the
-    publication is tried, too. For each number of terms, all numbers of coefficients that can reach the target are
-    tried, and bisection finds the smallest number of wavelengths. The returned settings include the cheapest setting
-    whose series is that of the publication.
+    the error decreases if one number grows and the others are constant. Among the numbers of terms that reach the
+    target with the most coefficients and wavelengths, the two smallest are tried. For uncentred heights, the number of
+    terms of the publication is tried, too. For each number of terms, all numbers of coefficients that can reach the
+    target are tried, and bisection finds the smallest number of wavelengths. The returned settings include the cheapest
+    setting whose series is that of the publication.
     """
     successes: list[Setting] = []
     found: list[float] = []

@@ -5,11 +5,12 @@
     python -m bench.reproduce.rigorous_tables
 
 Granet and Guizal 1996 (J. Opt. Soc. Am. A 13, 1019, table 1) and Lalanne and Hugonin 2000 (J. Opt. Soc. Am. A 17, 1033,
-tables 1 and 2) have a metal lamellar grating of n = 0.22 + 6.71i: period, wavelength and, in the latter, depth 1 µm,
-fill factor 0.5, 30°. The values are exact ones by modal methods, and those of coupled waves for a number of harmonics.
-Li 1993 (J. Opt. Soc. Am. A 10, 2581, table 3) has a deep dielectric sine: ε = 2.25, period 1.7 wavelengths, depth 100
-periods, 30°, 50 layers; these values are those that GD-Calc (K. C. Johnson, demonstration 1b, 41 harmonics) lists for
-the case of this table.
+tables 1 and 2) tabulate efficiencies of a metal lamellar grating with the index n = 0.22 + 6.71i. Its period and the
+wavelength, and in the second publication also the depth, are 1 µm; the fill factor is 0.5, and the angle of incidence
+30°. The tabulated values are exact values by modal methods, and values by coupled waves for several numbers of
+harmonics. Li 1993 (J. Opt. Soc. Am. A 10, 2581, table 3) tabulates a deep dielectric sine grating: ε = 2.25, a period
+of 1.7 wavelengths, a depth of 100 periods, an angle of incidence of 30°, and 50 layers. For this grating, the values
+that GD-Calc lists (K. C. Johnson, demonstration 1b, 41 harmonics) are used.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ class Published(NamedTuple):
     value: float
 
 
-# Harmonics for exact values. Choice: twice as many change no value by more than 1e-3.
+# Number of harmonics with which exact values are compared. The number was chosen because twice as many harmonics change
+# no value by more than 1e-3.
 FINE = 80
 VALUES = [
     *(Published("Granet and Guizal 1996", P, depth, FINE, False, order, value) for depth, pair in

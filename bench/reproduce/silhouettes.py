@@ -21,10 +21,10 @@ import warpdiff as wd
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Samples of the reference along each side of a pixel.
+# Number of samples of the reference along each side of a pixel.
 SAMPLES = 64
 # Width and height of the pictures [pixels]. The values are limited by the time of the reference: Pillow fills a mask of
-# 300 million samples for them.
+# 300 million samples for this size.
 SIZE = (320, 180)
 # Least and largest coverage with which a pixel counts as being at a silhouette.
 LEAST, MOST = 0.02, 0.98

@@ -1,4 +1,4 @@
-"""Verdicts on scalar diffraction against rigorous solutions: how many gratings of each grade are wrong.
+"""Verdicts on scalar diffraction, compared with rigorous solutions: number of gratings with large errors in each grade.
 
 The grade of a verdict is reliable, qualitative or invalid, by the error that it predicts
 (``warpdiff.heightfield.theory_verdict``).
@@ -37,8 +37,8 @@ from warpdiff.heightfield.theory_verdict import INVALID, QUALITATIVE, verdict_on
 # Error of an order's efficiency above which its grating counts as wrong, as a share of the reflected power.
 WRONG = 0.1
 # Targets for the verdicts. `MOST_WRONG` is the largest share of wrong gratings among the gratings with the grade
-# reliable. `LEAST_RELIABLE` is the least share of the grade reliable among the gratings that are not wrong.
-# `MOST_QUALITATIVE` is the largest share of gratings with the grade qualitative.
+# reliable. `LEAST_RELIABLE` is the least share of gratings with the grade reliable among the gratings that are not
+# wrong. `MOST_QUALITATIVE` is the largest share of gratings with the grade qualitative.
 MOST_WRONG, LEAST_RELIABLE, MOST_QUALITATIVE = 0.02, 0.8, 0.3
 # Gratings are held out, so that no fit uses them, if the index of their period or depth, divided by three, leaves this
 # remainder.

@@ -46,7 +46,7 @@ INCIDENCE_DEG = 75.0
 # Step of the view angles [degrees]. A step changes the measured period by 0.4 nm at a wavelength of 380 nm.
 GRID_DEG = 0.0025
 # Largest ratio of a measured period to the expected period, and of the expected to the measured period. The value is
-# limited by the second order: with a ratio of 2, it would be found as the first order of half the period.
+# limited by the second order: with a ratio of 2, the second order would be found as the first order of half the period.
 SOUGHT = 1.3
 # Period of the blazed grating, and expected period of the scan of a snake's skin [µm].
 BLAZED_UM, SCAN_PERIOD_UM = 2.5, 1.1
@@ -93,14 +93,14 @@ class Setup:
 
     @functools.cached_property
     def natural(self) -> wd.HeightField:
-        """The scan, or its middle part if ``quick`` is True, or synthetic fingers if the file of the scan is absent."""
+        """The scan, or its middle part if ``quick`` is True, or synthetic nano-fingers if the scan is absent."""
         if self.scan is None:
             return wd.gratings.fingers(size_um=32.0, pitch_um=0.08)
         return self.scan.cropped(32.0) if self.quick else self.scan
 
     @property
     def natural_name(self) -> str:
-        """Name in figures of the natural surface: the scan, or the fingers that replace it."""
+        """Name in figures of the natural surface: the scan, or the grating with nano-fingers that replaces it."""
         return "fingers" if self.scan is None else "Elaphe"
 
 
@@ -307,8 +307,8 @@ def scan_windows(setup: Setup) -> Table:
 # Functions that draw reflectance maps.
 
 
-# Exposures of reflectance maps: `LINE` for gratings that reflect all light into few lines or points of the map, `AREA`
-# for other surfaces. The values were chosen; larger values clip more pixels to white.
+# Exposures of reflectance maps: `LINE` is for gratings that reflect all light into few lines or points of the map, and
+# `AREA` is for other surfaces. The values were chosen; larger values clip more pixels to white.
 LINE, AREA = 0.04, 3.0
 
 

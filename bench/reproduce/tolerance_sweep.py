@@ -1,10 +1,10 @@
 """Errors of random calls relative to the float64 reference, on directions that were not used to make their plans.
 
 Calls are grouped in strata: a stratum is a kind of coherence at one tolerance, or a kind of call (a list of few, some
-or many directions; a grid of directions in row order; a reflectance map; a frame). The error of a call is the larger of
-two 99th percentiles of the relative error: over all directions of the call, and over its bright directions, whose
-luminance Y is at least the floor f. A call that raises an exception counts as one that misses its tolerance. Use a seed
-that was not used to develop the code.
+or many directions; a grid of directions in row order; a reflectance map; a frame of a picture). The error of a call is
+the larger of two 99th percentiles of the relative error: over all directions of the call, and over its bright
+directions, whose luminance Y is at least the floor f. A call that raises an exception counts as one that misses its
+tolerance. Use a seed that was not used to develop the code.
 """
 
 from __future__ import annotations

@@ -90,7 +90,7 @@ def periods(
             order = _spread(np.rint(position), -SINC_REACH, SINC_REACH, heightfield.shape[axis])
             weight = np.sinc(order - position[:, None])
         # The amplitude of N repeated patches has the factor sin(πNt) / (N sin(πt)), where t is the distance of a
-        # position among the coefficients from the nearest integer.
+        # frequency from the nearest coefficient, in spacings of the coefficients.
         away = position - np.rint(position)
         return order, weight * (np.sinc(count[axis] * away) / np.sinc(away))[:, None]
 
@@ -133,8 +133,8 @@ def _reflectance(
         basis = SERIES.basis(scale * w[part], rows.shape[2]).astype(np.float32)
         amplitude = np.zeros(len(basis), dtype=np.complex64)
         for j in range(places[0].shape[1]):
-            # In the plane of incidence, the interpolation gives the weight 0 to all rows of coefficients except the
-            # middle row. Rows of weight 0 are skipped.
+            # If the light and the view are in the plane of incidence, the interpolation gives the weight 0 to all rows
+            # of coefficients except the middle row. Rows of weight 0 are skipped.
             for k in range(places[1].shape[1]) if factors[0][:, j].any() else ():
                 coefficients = np.einsum("pt,pt->p", rows[places[0][:, j], places[1][:, k]], basis)
                 amplitude += factors[0][:, j] * factors[1][:, k] * coefficients

@@ -1,9 +1,9 @@
-"""Frames: time against error of three ways to sample a pixel, with one panel per body.
+"""Frames: time and error of three methods to sample a pixel. The chart has one panel (diagram) per body.
 
 A frame has 640 × 480 pixels, and the light and the camera move from frame to frame. Errors are those of interior pixels
 of small parts (crops) of pictures, relative to means over 96 × 96 points per pixel (see ``bench.reproduce.crops``). The
-compared ways are: point samples with 1 to 64 rays per pixel under the pixel filter; footprints ("means"), which average
-colours over the area of a pixel without subdivision; and footprints that are refined by subdivision at several
+compared methods are: point samples with 1 to 64 rays per pixel under the pixel filter; footprints ("means"), which
+average colours over the area of a pixel without subdivision; and footprints that are refined by subdivision at several
 tolerances.
 """
 
@@ -49,7 +49,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def ways(quick: bool) -> dict[str, dict[str, Any]]:
-    """Return the arguments of ``Renderer`` for each compared way to sample a pixel, by name."""
+    """Return the arguments of ``Renderer`` for each compared method to sample a pixel, by name."""
     result: dict[str, dict[str, Any]] = {"means": {"tolerance": 3e-2, "refine": False}}
     for tolerance in (1e-1, 3e-2) if quick else (2e-1, 1e-1, 5e-2, 3e-2, 2e-2):
         result[f"refined to {tolerance:g}"] = {"tolerance": tolerance}
@@ -111,7 +111,7 @@ def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
 
 
 def chart(results: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draw one panel per body. Return the chart's name and a sentence that compares refined frames with points."""
+    """Draw one diagram per body. Return the chart's name and a sentence that compares refined frames with points."""
     plt = figures.pyplot()
     figure, axes = plt.subplots(1, len(results), figsize=(3.4 * len(results) + 0.6, 3.9), sharey=True, squeeze=False)
     kinds = (("points", figures.GREY, "s"), ("refined", figures.BLUE, "o"), ("means", figures.SKY, "^"))

@@ -1,9 +1,9 @@
 """Scaling of time and memory with the numbers of pixels, samples, lights, faces and threads, and with lengths.
 
 The lengths are the size of the patch, the range of the heights and the width of the coherence window. Each point of the
-chart is measured in its own process. The process renders fingers on a tube with one parameter changed. The measured
-quantities are the time of the preparation before the first frame (plan, Fourier coefficients, colour table), the times
-of frames under a moving light, and the increase of the process's peak memory.
+chart is measured in its own process. The process renders a tube whose height field has nano-fingers, with one parameter
+changed. The measured quantities are the time of the preparation before the first frame (plan, Fourier coefficients,
+colour table), the times of frames under a moving light, and the increase of the process's peak memory.
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ def directions(
 
 
 def scenes(data: Path | None) -> list[Scene]:
-    """Return all scenes. Synthetic fingers replace the scan if its file is absent."""
+    """Return all scenes. A synthetic grating with nano-fingers replaces the scan if its file is absent."""
     tube = meshes.tube(segments_along=128, segments_around=64)
     on_tube: dict[str, Any] = {
         "mesh": tube, "light": wd.DirectionalLight((0.1, 0.9, 1.2)), "eye": (0.0, 1.6, 3.1), "target": (0.0, 0.0, 0.0),

@@ -1,5 +1,7 @@
 """Stability chart: errors of methods and of the automatic choice in eight regimes, one panel each.
 
+A regime is a range of one parameter in which some methods fail. A panel is a diagram of the chart.
+
 ``stability_regimes`` computes the errors. This module measures, draws and summarises the panels.
 """
 
@@ -159,7 +161,7 @@ def curve(axis: Any, panel: Panel, errors: np.ndarray, style: dict[str, object],
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Measure the panels.
+    """Measure the errors in all panels (diagrams) of the chart.
 
     A quick run computes only every fifth value on the x axis, without the slow values at the ends.
     """

@@ -1,10 +1,10 @@
 """Eight regimes of the stability chart: errors of methods at the limits of their validity.
 
-A regime is a range of one parameter in which methods fail; the parameter is the x axis of a panel. Errors are 99th
-percentiles over directions of ‖ΔXYZ‖ / max(‖XYZ‖, f), or of |Δρ| / max(ρ, f) in panels of spectra. The floor f is a
-thousandth of the 99th percentile of Y or ρ. For a series expansion in float32, the errors are those of the library's
-kernels; for float64, they are those of the same series in NumPy. Colours and spectra are compared with those of
-``bench.truth.reference``, of the direct sum, or of a closed form.
+A regime is a range of one parameter in which methods fail; the parameter is the x axis of a panel (diagram) of the
+chart. Errors are 99th percentiles over directions of ‖ΔXYZ‖ / max(‖XYZ‖, f), or of |Δρ| / max(ρ, f) in panels of
+spectra. The floor f is a thousandth of the 99th percentile of Y or ρ. For a series expansion in float32, the errors are
+those of the library's kernels; for float64, they are those of the same series in NumPy. Colours and spectra are
+compared with those of ``bench.truth.reference``, of the direct sum, or of a closed form.
 """
 
 from __future__ import annotations
@@ -250,9 +250,10 @@ def grazing(which: slice = ALL) -> Panel:
     wavelengths, weights = methods.fixed_steps(1.0)
     for seed, elevation in enumerate(x):
         points.start()
-        # In directions near the mirror direction, bright colours raise the floor f, a share of the largest luminances
-        # to which errors of dark colours are relative, and hide these errors. Views near the mirror direction and views
-        # in all directions are therefore two calls, and the larger error is drawn.
+        # Errors of dark colours are relative to the floor f, which is a share of the largest luminances of a call.
+        # Directions near the mirror direction have bright colours, which raise the floor and thus hide errors of dark
+        # colours. Views near the mirror direction and views in all directions are therefore evaluated by two separate
+        # calls, and the larger error is drawn.
         for spread in (0.1, None):
             lights, views = methods.at_elevation(48, elevation, spread, seed)
             same = reference.reference_spectral(heightfield, lights, views, wavelengths * 1e-3, window)

@@ -157,7 +157,7 @@ def error(shape: str, index: float | None, period: float, depth: float, angle: f
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Return maps of the error and of the verdict on the heights, and counts of gratings by the verdict."""
+    """Return maps of the error and of the verdict on the heights, and counts of gratings by this verdict."""
     stored, step = json.loads(STORED.read_text()), 2 if setting.quick else 1
     periods, depths = np.array(stored["periods"][::step]), np.array(stored["depths"][::step])
     results: dict[str, Any] = {"periods_in_wavelengths": periods.tolist(), "depths_in_wavelengths": depths.tolist()}

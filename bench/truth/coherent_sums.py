@@ -5,7 +5,8 @@ by FFTs at Chebyshev nodes in κ = w/λ. The nodes are dense enough that interpo
 coefficients within nine standard deviations of the frequency (u, v)/λ are included.
 
 For a replicated patch, the height samples of one patch are summed at Chebyshev nodes in 1/λ, and the sums are
-interpolated between the nodes. The factor by which several periods differ from one has a closed form.
+interpolated between the nodes. The factor by which the power of several periods differs from the power of one period
+has a closed form.
 """
 
 from __future__ import annotations
@@ -23,13 +24,14 @@ WIDTHS = 9.0
 DEPTH = WIDTHS**2 / 2.0
 # Range of wavenumbers 1/λ [1/µm] of all integrals, from 780 nm to 380 nm.
 REDDEST, BLUEST = 1.0 / 0.78, 1.0 / 0.38
-# The initial length of a cell of the quadrature over τ = 1/λ is at most `WIDTHS_PER_CELL` standard deviations in τ of
-# the Gaussian weight of a Fourier coefficient, and at most `PERIODS_PER_CELL` periods of exp(2πiτwh).
+# The quadrature over τ = 1/λ divides the range of τ into cells. The initial length of a cell is at most
+# `WIDTHS_PER_CELL` standard deviations in τ of the Gaussian weight of a Fourier coefficient, and at most
+# `PERIODS_PER_CELL` periods of exp(2πiτwh).
 WIDTHS_PER_CELL = 6.0
 PERIODS_PER_CELL = 1.2
 # Number of wavenumbers τ = 1/λ that are evaluated together. Fourier coefficients near the frequency τ·(u, v) at any of
-# these wavenumbers are evaluated at all of them. The value was chosen: with more wavenumbers, most of these
-# coefficients contribute at only a few.
+# these wavenumbers are evaluated at all of them. The value was chosen because with more wavenumbers, most of these
+# coefficients would contribute at only a few wavenumbers.
 BLOCK = 128
 # For a replicated patch: largest number of wavenumbers that are evaluated at once, and largest number of height samples
 # per partial sum. Both values are limited by memory.
@@ -42,7 +44,7 @@ LEAST = 1e-10
 
 
 class Step(NamedTuple):
-    """The attributes of a coherence that the reference uses.
+    """The attributes of a ``wd.Coherence`` that the reference uses.
 
     A ``wd.Coherence`` has the same attributes and can replace this object.
     """
@@ -249,7 +251,7 @@ class Replicas:
     def resolution(self, scattering_vector, to_light):  # noqa: ARG002
         """Return the largest quadrature cell in τ = 1/λ, and the least luminance for which the integral must converge.
 
-        The cell is small enough to resolve the lobes of the replicated periods.
+        The cell is small enough to resolve the maxima of the interference between the replicated periods.
         """
         turns = 2.0 * abs(scattering_vector[2]) * self.extent[2]
         turns += sum(
@@ -301,9 +303,9 @@ class Replicas:
         turns = scattering_vector @ self.samples
         for part in np.array_split(turns, math.ceil(len(turns) / MOST_SAMPLES)):
             # The position of a Chebyshev node is the middle of its panel plus an offset, so that the exponential at the
-            # node is a product of two factors. The middles are equally spaced, so that the factors of the middles
-            # follow by recurrence. The offsets are symmetric, so that the factors of the second half are complex
-            # conjugates of the first half.
+            # node is a product of two factors. The middles are equally spaced, so that the factors for the middles are
+            # computed by recurrence. The offsets are symmetric, so that the factors for the second half of the offsets
+            # are complex conjugates of those for the first half.
             to_middles, to_next = exp_i(2.0 * math.pi * (low + step / 2.0) * part), exp_i(2.0 * math.pi * step * part)
             middles = np.empty((panels, len(part)), dtype=complex)
             for panel in range(panels):

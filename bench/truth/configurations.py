@@ -20,14 +20,15 @@ import warpdiff as wd
 
 KINDS = ("averaged", "centred", "source", "replicas")
 # Combinations of coherence and tolerance. Replicated patches have only two tolerances, because many wavelengths are
-# necessary to resolve their narrow lobes.
+# necessary to resolve the narrow maxima of interference between their periods.
 STRATA = [(kind, t) for kind in KINDS for t in (1e-1, 1e-2, 1e-3, 1e-4) if kind != "replicas" or t >= 1e-2]
 SURFACES = ("scan", "fingers", "diagonal", "sinusoidal", "lamellar", "blazed", "disc", "bumps", "sparse", "rough")
 GRATINGS = ("fingers", "sinusoidal", "lamellar", "blazed", "disc", "bumps")
 LAYOUTS = ("few", "some", "many", "many", "grid", "grid", "map", "map", "frame")
 WAYS = ("random", "mirror", "orders", "grazing", "mixed")
 ILLUMINANTS = ("D65", "D65", "D65", "A", "FL11", "HP1", "E")
-# Materials of half of the calls; one is drawn at random for each of them. The other calls use the default material.
+# Materials from which one is drawn at random for each of one half of the calls. The other calls use the default
+# material.
 MATERIALS = (
     None, *map(wd.Material.metal, ("Al", "Au", "Cu", "Cr")), wd.Material.dielectric(1.5),
     wd.Material.metal("Ni").coated(wd.Material.dielectric(1.46), 220.0),
@@ -53,7 +54,7 @@ LOWEST = math.cos(math.radians(STEEPEST_DEG))
 # |(u, v)| is 2, and at 380 nm the first order of a period of 190 nm has this value. A period requires two samples.
 COARSEST_PITCH_UM = 0.0945
 # Largest number of samples of a replicated patch, and largest total length of its periods [µm]. The values are limited
-# by the time of the reference, which sums every sample and resolves every lobe in the wavelength.
+# by the time of the reference, which sums every sample and resolves every maximum of interference over the wavelength.
 MOST_PATCH_SAMPLES = 1 << 14
 MOST_IN_STEP_UM = 3000.0
 # Largest angle of incidence of the light of a reflectance map [degrees].
@@ -105,7 +106,7 @@ class Configuration(NamedTuple):
 
 
 def configuration(index, seed=0, scan=None, layouts=LAYOUTS):
-    """Return the random call of an index. Its surface may be a part of ``scan``, or fingers if ``scan`` is None."""
+    """Return the random call of an index. Its surface may be a part of ``scan``, or nano-fingers if that is None."""
     rng = np.random.default_rng([seed, index])
     kind, tolerance = STRATA[index % len(STRATA)]
     layout = layouts[rng.integers(len(layouts))]
@@ -137,8 +138,8 @@ def log_uniform(rng, low, high):
 def surface(rng, name, scan, *, small=False):
     """Return a random height field of the named kind, and a name that describes it in more detail.
 
-    Without a scan, fingers replace crops of the scan. Height ranges are 0.001 to 3 µm. With ``small``, the height field
-    has at most ``MOST_PATCH_SAMPLES`` samples.
+    If ``scan`` is None, synthetic gratings with nano-fingers are used instead of crops of the scan. Height ranges are
+    0.001 to 3 µm. With ``small``, the height field has at most ``MOST_PATCH_SAMPLES`` samples.
     """
     seed = int(rng.integers(1 << 30))
     if name == "scan" and scan is not None:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-# Quotients of complex NaN set NumPy's flag for invalid operations. The warning of NumPy that follows is disabled.
+# Quotients of complex NaN set NumPy's flag for invalid operations. NumPy's warning about this flag is disabled.
 @np.errstate(invalid="ignore")
 def reflectance(material: Any, wavelengths_um: Any, cosines: Any, polarisations: str = "sp") -> NDArray[np.float64]:
     """Return the reflectance R of a material in air, as a mean over polarisations.
@@ -31,8 +31,8 @@ def reflectance(material: Any, wavelengths_um: Any, cosines: Any, polarisations:
             index = np.interp(1e3 * wavelengths, layer.wavelengths_nm, layer.n) + 1j * np.interp(
                 1e3 * wavelengths, layer.wavelengths_nm, layer.k
             )
-            # `normal` is the component of the wave vector normal to the surface, relative to 2π/λ. Of the two square
-            # roots, the one is used whose wave decays with depth.
+            # `normal` is the component of the wave vector normal to the surface, relative to 2π/λ. The square root is
+            # used for which the wave decays with depth.
             normal = np.sqrt(index**2 - along**2 + 0j)
             normal = np.where(normal.imag < 0.0, -normal, normal)
             normals.append(normal)

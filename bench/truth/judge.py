@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 # Number of illuminated directions that are sampled from a larger call. The value is limited by the computing time of
 # the reference.
 COUNT = 2000
-# Least number of bright directions in the sample, if the call has as many; a direction is bright if its luminance Y is
-# at least the floor f of relative errors. With fewer directions, the 99th percentile of their errors is noisy.
+# Least number of bright directions in the sample, if the call has that many; a direction is bright if its luminance Y
+# is at least the floor f of relative errors. With fewer directions, the 99th percentile of their errors is noisy.
 BRIGHT = 600
 # The reference is computed with half of this tolerance, or with half of the tolerance of the call if that is smaller.
 TRUTH_TOLERANCE = 1e-3

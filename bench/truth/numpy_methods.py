@@ -94,7 +94,7 @@ def spectral_error(rho, truth):
 
 
 def finger_rows(length_um, height_um=0.3, pitch_um=0.05):
-    """Return a height field with a single row across fingers.
+    """Return a height field with a single row of samples across nano-fingers (``gratings.fingers``).
 
     The diffraction orders of the field lie in one plane. A view that moves in the plane of incidence crosses one order
     after the other.
@@ -247,8 +247,8 @@ def windowed_powers(
         terms: Number of terms of the series; ignored by "exact".
         dtype: Floating-point type of coefficients and sums. Positions among the coefficients are computed in the type
             of ``lights``.
-        neighbour_extent: Number of Fourier coefficients on either side of the central one; None means all coefficients
-            that contribute.
+        neighbour_extent: Number of Fourier coefficients on either side of the central coefficient; None means all
+            coefficients that contribute.
         floor: Whether the central coefficient is found by floor(), instead of by rounding.
     """
     scattering_vectors = -(lights + views)

@@ -46,7 +46,7 @@ class Pixels(NamedTuple):
         xyz: XYZ, shape (k, 3).
         hit: Whether the ray through the centre of the pixel hits the mesh.
         illuminated: Whether at least one light illuminates the hit.
-        unsure: Whether rounding to float32 may change whether the pixel is hit or in shadow.
+        unsure: Whether rounding to float32 may change whether the ray hits the mesh, or whether the hit is in shadow.
         cos_geometric: Cosine between the last light and the face normal on the viewer's side.
     """
 

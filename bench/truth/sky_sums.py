@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 # Number of traced rays along each axis of a pixel. Samples of the pixel filter use the nearest traced ray. The value
-# was chosen; with a smaller number, the sampled filter would differ from the true one.
+# was chosen; with a smaller number, the sampled filter would differ from the exact filter.
 _ACROSS = 16
 # Half of the directions to the light are drawn around the mirror direction. The number is the share of these directions
 # for which |(u, v)| is within the first value of `_mirror`, a radius within which the density is uniform. The mean of

@@ -7,8 +7,8 @@
 
 namespace warpdiff {
 
-// Footprint of a ray in texture coordinates: the changes of (u, v) over one standard deviation of the ray's filter. The
-// first two numbers are the change along rows of the picture, and the last two the change along columns.
+// Footprint of a ray in texture coordinates (u, v): the changes of (u, v) over one standard deviation of the ray's
+// filter. The first two numbers are the change along rows of the picture, and the last two the change along columns.
 struct UvFootprint {
     float changes[4];
 
@@ -43,7 +43,7 @@ struct UvFootprint {
 };
 
 // Replace the negative base colours of the hits from `begin` to `end` by those of the textures of their materials, or
-// by black without a texture. `deviation` is the standard deviation of the rays' filter [pixels]; without one, textures
+// by black without a texture. `deviation` is the standard deviation of the rays' filter [pixels]. If it is 0, textures
 // are sampled at points.
 template <class Camera, class Surface, class Textures, class Pixels>
 WARPDIFF_INLINE void look_up_base_colours(const Camera& camera, const Surface& surface, const Textures& textures,

@@ -79,12 +79,12 @@ WARPDIFF_INLINE CellSums sum_cells(
     return sums;
 }
 
-// Sum the subpixel cells of the subdivided pixels with numbers from `begin` to `end`, and store the sums. The index −1
-// marks no pixel. If each cell has a random direction to the light, `changes_out` receives the standard deviation of
-// the mean colour of each pixel. Otherwise `changes_out` and `quadrants_out` are written only if `is_base`: the base
-// level is the level from whose cells the final level of a pixel is selected. `changes_out` then receives the change
-// from the pixel's colour before its subdivision, `colours_before`. `quadrants_out` receives the mean colours of the
-// pixel's quadrants.
+// Sum the subpixel cells of the subdivided pixels with the indices from `begin` to `end` in a list, and store the sums.
+// The index −1 marks no pixel. If each cell has a random direction to the light, `changes_out` receives the standard
+// deviation of the mean colour of each pixel. Otherwise `changes_out` and `quadrants_out` are written only if
+// `is_base`: the base level is the level from whose cells the final level of a pixel is selected. `changes_out` then
+// receives the change from the pixel's colour before its subdivision, `colours_before`. `quadrants_out` receives the
+// mean colours of the pixel's quadrants.
 template <class Colours, class Hits, class Numbers, class Sums, class Quadrants, class Bytes>
 WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const Hits& pixels,
     const Colours& colours_before, const Hits& ranks, const Numbers& weights, int level, bool is_base, bool is_sampled,

@@ -56,8 +56,8 @@ WARPDIFF_INLINE Colour colour_at_w(const Table& table, const Row<WIDTH>& sum, co
     return result;
 }
 
-// Convert a sum of rows to a colour, multiply it by `share`, and add it to pixel i. The colour may be slightly
-// negative, because some weights of rings are negative. Negative colours count as 0.
+// Convert a weighted sum of rows to a colour, multiply the colour by `share`, and add it to pixel i. The colour may be
+// slightly negative, because some weights with which rings are added are negative. Negative colours count as 0.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE void add_colour(
     const Table& table, const Row<WIDTH>& sum, const AtW<N>& at_w, int i, float share, float* xyz)
@@ -68,7 +68,7 @@ WARPDIFF_INLINE void add_colour(
 
 // Add the XYZ of the zeroth order (the reflection at the mean plane) to one pixel. At each wavelength, this order is a
 // Gaussian around (u, v) = 0, widened by the covariance (xx, xy, yy) of the footprint. `source2` is the square root of
-// the determinant of the light source's covariance, or 0 without a source.
+// the determinant of the covariance of (u, v) over a light source of finite size, or 0 without such a source.
 template <class Table>
 WARPDIFF_INLINE void add_zeroth_order(
     const Table& table, float u, float v, float w, float xx, float xy, float yy, float source2, float gain, float* xyz)

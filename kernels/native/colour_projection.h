@@ -1,6 +1,7 @@
 // Computation of the colours in a table from the power spectrum. The integral over λ is a weighted sum over rings,
-// because (u, v)/λ moves from ring to ring as λ changes. The spectrum is stored as one row per ring and azimuth. A few
-// azimuths are processed together.
+// because (u, v)/λ moves from ring to ring as λ changes. An azimuth is a line of constant polar angle in the plane of
+// frequencies (u, v)/λ, and a ring is a circle in this plane. The spectrum is stored as one row per ring and azimuth; a
+// row has the weights of basis functions (terms). A few azimuths are processed together.
 //
 // (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
 // light and to the viewer.
@@ -31,7 +32,7 @@ struct AzimuthRows {
 };
 
 // Interpolate the rows of the spectrum on all rings halfway between two azimuths, by the Lagrange polynomial through
-// four azimuths on each side.
+// the four nearest azimuths on each side.
 template <int TERMS, class Rows>
 WARPDIFF_INLINE void interpolate_halfway(
     const Rows& values, long long first, int before, int azimuths, int rings, typename AzimuthRows<TERMS>::Vector* out)
@@ -52,7 +53,7 @@ WARPDIFF_INLINE void interpolate_halfway(
 }
 
 // Collect the rows of the spectrum from which colours along AZIMUTHS azimuths are computed, `length` rows per azimuth.
-// The first row is zero and represents the ring before the octave. The rows of the octave follow, then the rows of the
+// The first row is zero and stands for the ring before the octave. The rows of the octave follow, then the rows of the
 // next octave, and if necessary the rows of a third octave. An octave may have half as many azimuths as the next
 // octave. Rows between the azimuths of the first octave are then interpolated.
 template <int TERMS, int AZIMUTHS, class Values, class Integers>

@@ -14,12 +14,14 @@ WARPDIFF_INLINE int dot_on_axis(float coordinate, int count)
     return wp::clamp((int)(fraction * (float)count), 0, count - 1);
 }
 
-// Find the dots of the hits from `begin` to `end`: row times `columns` plus column. Row 0 is at v = 1.
+// Find the dots of the hits from `begin` to `end`. The index of a dot is its row times `columns` plus its column; row 0
+// is at v = 1.
 //
 // At level n, a pixel has `across` = 2ⁿ cells per side. The edges of dots are often parallel to rows or columns of the
-// picture. Each ray therefore looks up its dot at another position within its cell: rows of cells differ in the
-// position to the right, and columns of cells in the position downwards. The 4ⁿ positions along an axis are then all
-// different (multi-jittered sampling, Chiu et al. 1994), so that edges are resolved as well as by 4ⁿ cells per side.
+// picture. The ray of each cell therefore looks up its dot at another position within the cell: rows of cells differ in
+// the position to the right, and columns of cells in the position downwards. The 4ⁿ positions of a pixel's rays along
+// an axis are then all different (multi-jittered sampling, Chiu et al. 1994), so that edges are resolved as well as by
+// 4ⁿ cells per side.
 template <class Camera, class Surface, class Pixels, class Numbers>
 WARPDIFF_INLINE void find_dots(const Camera& camera, const Surface& surface, const Pixels& pixels, int rows,
     int columns, int across, float least_facing, int begin, int end, Numbers& dots_out)

@@ -1,11 +1,13 @@
 // Mean colours over the footprints of pixels, from a colour table and its mip levels. A footprint is a Gaussian of
 // (u, v).
 //
-// A footprint is usually one part. It is split into several parts if the polar angle of (u, v) changes much within it.
-// The colour of a part is a weighted sum over rings. Rings are processed in segments; a segment lies within one octave.
-// The colour at a ring is a weighted sum over azimuths. It uses the widest mip level whose blur does not exceed the
-// blur of the footprint. The CPU processes batches of pixels stage by stage, with arrays between the stages, so that
-// compilers vectorise the loops. A GPU thread processes one pixel, part and segment at a time.
+// The table is a polar grid of (u, v): an azimuth is a line of constant polar angle, and a ring is a circle of constant
+// |(u, v)|. An octave has the rings between one radius and twice this radius. A footprint is usually looked up as one
+// part. It is split into several parts if the polar angle of (u, v) changes much within it. The colour of a part is a
+// weighted sum over rings. Rings are processed in segments; a segment lies within one octave. The colour at a ring is a
+// weighted sum over azimuths. It uses the widest mip level whose blur does not exceed the blur of the footprint. The
+// CPU processes batches of pixels stage by stage, with arrays between the stages, so that compilers vectorise the
+// loops. A GPU thread processes one pixel, part and segment at a time.
 //
 // (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
 // light and to the viewer.
@@ -20,8 +22,8 @@
 namespace warpdiff {
 
 // Number of pixels, or of parts of footprints, that a vectorised loop processes at a time. Loops always process a
-// multiple of this number, so that no vector is filled only in part. The compiler would round differently for the
-// elements of such a vector.
+// multiple of this number, so that no vector is filled only in part. In a vector that is filled only in part, compiled
+// code would round differently.
 constexpr int ABREAST = batch_of(8);
 // Largest number of rings per segment, which is a group of rings that are processed together. On the CPU, the value is
 // limited by local arrays, in which the weights and table rows of all rings are stored. A GPU needs no such arrays.
@@ -37,14 +39,15 @@ constexpr float WIDE = 0.25f;
 constexpr float MOST_TURN = 0.1f, WIDEST_ANGLE = 0.5f, WIDEST_RATIO = 0.35f;
 // The weights of rings are tabulated for blurs with a variance of at most `MOST_TABULATED` [rings²]. For larger
 // variances, the weights are values of a Gaussian, and not all rings are required. `MOST_APART` is the largest distance
-// between rings that are added, in units of 1/√(1/σ₁² + 1/σ₂² + …). Each σ is the standard deviation of the blur, or of
-// a feature of the colours over rings, so that the smallest σ has the largest influence. `CURVES` is the standard
+// between those rings that are added, in units of 1/√(1/σ₁² + 1/σ₂² + …). Each σ is the standard deviation of the blur,
+// or of a feature of the colours over rings, so that the smallest σ has the largest influence. `CURVES` is the standard
 // deviation of the narrowest colour curve over ln λ. A colour curve is the product of illuminant, colour-matching
 // function and reflectance.
 constexpr float MOST_TABULATED = 1.5f, MOST_APART = 1.5f, CURVES = 0.047f;
 
-// Gaussian for wide blurs across rings. It is truncated at `deviations` standard deviations from its centre, and has
-// the variance 1 after the truncation. Its variance before the truncation is larger: 1/`per_variance`.
+// Gaussian with which rings are weighted if the blur across rings is wide. It is truncated at `deviations` standard
+// deviations from its centre, and has the variance 1 after the truncation. Its variance before the truncation is
+// larger: 1/`per_variance`.
 struct CutGaussian {
     float deviations, per_variance;
 };
@@ -66,7 +69,7 @@ struct Footprints {
 };
 
 // Parts of the footprints of several pixels: a wide footprint is divided into parts, which are looked up separately. A
-// part has a position in the table, and its colour is blurred across rings and azimuths.
+// part has a position in the table, and its colour is a mean (blur) over rings and azimuths.
 template <int N>
 struct Parts {
     int count;
@@ -85,12 +88,12 @@ template <int N>
 struct Segments {
     int count;
     Batch<N, int> part, first, apart, rings;
-    // `position` is the azimuth of the part's centre. At a ring with t times the radius of the centre, the azimuth is
-    // shifted by `turning` · (1 − 1/t). `away` is the distance [rings] of the first ring from the mean of ln |(u, v)|.
-    // `behind` is the difference between the mean of ln |(u, v)| and its value at the centre. `blur` is the variance of
-    // the footprint in angle at the centre, and `level_blur` the variance that the rows of the mip level already have.
-    // Both variances are in steps of the table of weights, so that their difference is an index into the table. A
-    // rounding offset of ½ is included in `level_blur`.
+    // `position` is the azimuth of the part's centre. At a ring with t times the radius of the centre, the azimuth of
+    // the part is shifted by `turning` · (1 − 1/t). `away` is the distance [rings] of the first ring from the mean of
+    // ln |(u, v)|. `behind` is the difference between the mean of ln |(u, v)| and its value at the centre. `blur` is
+    // the variance of the footprint in angle at the centre, and `level_blur` the variance that the rows of the mip
+    // level already have. Both variances are in steps of the table of weights, so that their difference is an index
+    // into the table. A rounding offset of ½ is included in `level_blur`.
     Batch<N> position, turning, away, behind, blur, level_blur, skew, per_deviation;
     Batch<N, int> azimuths, first_row;
 };
@@ -106,7 +109,7 @@ struct PolarCovariance {
 };
 
 // Convert a covariance of (u, v) to the covariance of its polar angle and of ln |(u, v)|. Near the mirror direction,
-// the radius |(u, v)| is increased to about the width of the lobe of an order.
+// the radius |(u, v)| is increased to about the width of the peak (lobe) of a diffraction order.
 template <class Table>
 WARPDIFF_INLINE PolarCovariance to_polar(const Table& table, float u, float v, float xx, float xy, float yy)
 {
@@ -143,8 +146,8 @@ WARPDIFF_INLINE void load_footprints(
             pixels.row_u[i] = pixels.row_v[i] = pixels.column_u[i] = pixels.column_v[i] = 0.0f;
 }
 
-// Return the squared length of a pixel's direction to the light. It is 1, unless directions have pitch scales as their
-// lengths.
+// Return the squared length of a pixel's direction to the light. It is 1, unless the lengths of directions are pitch
+// scales of the dots of a grating map.
 template <int N, class Table>
 WARPDIFF_INLINE float squared_length(const Table& table, const Footprints<N>& pixels, int i)
 {
@@ -153,7 +156,7 @@ WARPDIFF_INLINE float squared_length(const Table& table, const Footprints<N>& pi
 }
 
 // Compute the covariances of footprints, in (u, v) and in polar coordinates, and the number of parts of each footprint.
-// `SCALED` is for tables whose directions to the light have pitch scales as their lengths.
+// `SCALED` states whether the lengths of directions to the light are pitch scales of the dots of a grating map.
 template <bool SOURCE, bool SCALED, int MOST_PARTS, int N, class Table>
 WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels, int count)
 {
@@ -186,11 +189,11 @@ WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels,
         }
 }
 
-// Return whether the table of a light source cannot give the colour of a pixel. This is so near the mirror direction,
-// and if the blur by the source is narrower than the blur that the rows of the table already have. A footprint may be
-// split into parts. The different angles of the parts then account for the share `cut` of the footprint's variance in
-// angle. The remaining share `within` is the variance within each part. Only this variance is compared with the blur of
-// the rows.
+// Return whether the table of a light source of finite size excludes the colour of a pixel. It does so near the mirror
+// direction, and if the blur by the source is narrower than the blur that the rows of the table already have. A
+// footprint may be split into parts. The different angles of the parts then account for the share `cut` of the
+// footprint's variance in angle. The remaining share, `within`, is the variance of the angle within each part. Only
+// this variance is compared with the blur of the rows.
 template <int N, class Table>
 WARPDIFF_INLINE bool is_unserved(const Table& table, const Footprints<N>& pixels, int i, float within, float cut)
 {
@@ -320,8 +323,7 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
         }
 }
 
-// Select the rings over which each part of a footprint is summed: first and last index, spacing and weights of the
-// rings.
+// Select the rings that are added for each part of a footprint: first and last index, spacing and weights of the rings.
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGaussian cut, Parts<N>& parts)
 {
@@ -397,8 +399,8 @@ WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, Ne
     }
 }
 
-// Select the mip level of each segment, a group of rings within one octave. Compute the azimuth, the blur in angle and
-// the first row of each segment on its level.
+// Select the mip level of each segment, a group of rings within one octave. For each segment, compute the azimuth, the
+// blur over the angle and the first row on its level.
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const Parts<N>& parts, Segments<N>& segments)
 {
@@ -563,7 +565,7 @@ WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGauss
 // Add the XYZ of the scattering vectors from `begin` to `end`, at most BATCH, times geometry factors (gains). Each XYZ
 // is a mean over the footprint, and with `SOURCE` also over the light source.
 //
-// Directions that the table of a light source cannot serve are skipped. The gains of these directions are stored in
+// Directions that the table of a light source excludes are skipped. The gains of these directions are stored in
 // `unserved_gain`, which is 0 for all other directions.
 template <int W_BASIS_SIZE, bool SOURCE, int BATCH, int MOST_PARTS, class Table, class Taps, class ScatteringVectors,
     class Lights, class Gains, class FootprintArray, class Colours>

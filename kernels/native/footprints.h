@@ -59,7 +59,7 @@ struct FootprintBatch {
 
 // Derivatives of the barycentric coordinates of a hit with respect to displacements in the picture plane. If the ray is
 // displaced, the hit point is displaced by a vector in the plane of the face: the displacement of the ray plus a
-// multiple of the view direction. `facing` is −1 if the camera sees the back of the face.
+// multiple of the view direction. `facing` is −1 if the back of the face is towards the camera.
 struct HitDifferentials {
     float view[3], of_share1[3], of_share2[3], across[3];
     float slide1, slide2, scale, per_unit, facing;

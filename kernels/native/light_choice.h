@@ -12,8 +12,9 @@
 
 namespace warpdiff {
 
-// The table of the scattered light has rings of |(u, v)|. Light within this number of octaves from the innermost ring
-// counts as light near the mirror direction. The value was chosen freely: other values change the noise, not the mean.
+// The table of the scattered light has rings (circles of constant |(u, v)|). Light within this number of octaves from
+// the innermost ring counts as light near the mirror direction. The value was chosen freely: other values change the
+// noise, not the mean.
 constexpr float OCTAVES_OF_MIRROR = 2.0f;
 // Largest number of groups of lights for which the summed brightness is stored. The value is limited by the size of a
 // local array.
@@ -106,8 +107,8 @@ WARPDIFF_INLINE void choose_light(const Lights& lights, const Table& table, floa
     ScatteringPoint point;
     point.load(table, pixels, footprints, ray);
     Batch<N> expected;
-    // Sums of the brightness over groups of lights. Only for the lights of one group is the brightness computed again,
-    // to choose one light of the group.
+    // Sums of the brightness over groups of lights. To choose one light of a group, the brightness is computed again
+    // for the lights of this group only.
     float sums[GROUPS], total = 0.0f;
     const int size = (count - 1) / (N * GROUPS) * N + N;
     for (int group = 0; group * size < count; ++group) {

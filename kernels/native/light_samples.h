@@ -1,5 +1,5 @@
-// Scattering vectors, directions to the light and gains of pixels. Sums of coverage and illumination over several
-// samples are updated, too.
+// Scattering vectors, directions to the light and gains (geometry factors) of pixels. Sums of coverage and illumination
+// over several samples are updated, too.
 //
 // (u, v, w) is the scattering vector −ωi − ωr in the shading frame, where ωi and ωr are the unit vectors to the light
 // and to the viewer. |P|² is the power that the surface diffracts into a direction, relative to a flat mirror in its
@@ -50,8 +50,8 @@ struct ScatteringBatch {
     // `frame` has the tangent, the bitangent and the normal, and `origin` is the origin of the shadow ray. `towards` is
     // the direction to the light and its weight, if each pixel has a light direction of its own. `light` and `uvw` are
     // the direction to the light and the scattering vector in the shading frame. `beyond_normal` is 1/R(0) − 1. `unit`
-    // is the factor that converts colours to the unit of the picture. `per_cosine` tells whether the gain is divided by
-    // the cosine of the angle between light and normal.
+    // is the factor that converts colours to the unit of the picture. `per_cosine` states whether the gain is divided
+    // by the cosine of the angle between light and normal.
     Batch<N> frame[3][3], to_view[3], origin[3];
     Batch<N> towards[4];
     Batch<N, double> light[3], uvw[3];
@@ -78,7 +78,7 @@ struct ScatteringBatch {
     }
 };
 
-// Set the parameters of each pixel's finish.
+// Set the parameters of each pixel's finish. A finish is a surface with one of its materials.
 template <int N, class Pixels, class Reflection>
 WARPDIFF_INLINE void load_finishes(
     const Pixels& pixels, const Reflection& reflection, int from, int count, ScatteringBatch<N>& batch)
@@ -150,8 +150,8 @@ WARPDIFF_INLINE void scatter(const LightPlace& light, bool has_directions, const
 }
 
 // Compute the scattering vectors, light directions and gains of the pixels from `begin` to `end`. Each pixel that hits
-// the mesh gets a scattering vector, even in shadow, because error estimates of neighbouring pixels compare it with
-// their own. `counted` is added to the coverage of these pixels.
+// the mesh gets a scattering vector, even in shadow, because the error estimate of a neighbouring pixel compares this
+// vector with the vector of that pixel. `counted` is added to the coverage of these pixels.
 template <int BATCH, class Pixels, class Vector, class Directions, class Reflection, class Flags,
     class ScatteringVectors, class Lights, class Gains, class Colours, class Coverage>
 WARPDIFF_INLINE void find_scattering_vectors(const Pixels& pixels, const Vector& place, const Directions& towards,

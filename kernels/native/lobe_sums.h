@@ -15,8 +15,6 @@ namespace warpdiff {
 // Number of values that `differentiate_lobe` writes per pair: derivatives with respect to q_x, q_y, M_xx, M_xy, M_yy,
 // x, L_x and L_y, the sums of r and of s times the terms, and the sum itself.
 constexpr int LOBE_DERIVATIVES = 11;
-// Largest number of terms of a series. The value is limited by the stack, which has the polynomials of a pair.
-constexpr int MOST_LOBE_TERMS = 1024;
 
 // Compute the first `count` Chebyshev polynomials at x.
 WARPDIFF_INLINE void chebyshev_polynomials(double x, int count, double* values)
@@ -30,7 +28,8 @@ WARPDIFF_INLINE void chebyshev_polynomials(double x, int count, double* values)
     }
 }
 
-// Compute the derivatives k U_{k−1} of the first `count` Chebyshev polynomials at x. U are those of the second kind.
+// Compute the derivatives k U_{k−1} of the first `count` Chebyshev polynomials at x. U are the Chebyshev polynomials of
+// the second kind.
 WARPDIFF_INLINE void chebyshev_slopes(double x, int count, double* values)
 {
     double now = 0.0, after = 1.0;
@@ -42,7 +41,8 @@ WARPDIFF_INLINE void chebyshev_slopes(double x, int count, double* values)
     }
 }
 
-// Gaussian weights of one pair, and the rows and columns of the block in which they are not negligible.
+// Gaussian weights (a lobe) of one pair, and the rows and columns of the block of Fourier coefficients in which these
+// weights are not negligible.
 struct Lobe {
     double qx, qy, xx, xy, yy, step_x, step_y, exponent;
     int first_row, last_row, first_column, last_column;
@@ -70,8 +70,8 @@ struct Lobe {
     }
 
     // Round a position up or down to a coefficient, and return its index in the block, from 0 to `count` − 1. If the
-    // lower end of a range is beyond the block, it becomes `count`. If the upper end is before the block, it becomes
-    // −1. The range is then empty.
+    // lower end of a range of indices is beyond the block, the result is `count`. If the upper end of the range is
+    // before the block, the result is −1. The range is then empty.
     static WARPDIFF_INLINE int within(double position, int first, int count, int up)
     {
         const double index = (up ? wp::ceil(position) : wp::floor(position)) - (double)first;
@@ -105,13 +105,13 @@ WARPDIFF_INLINE const double* coefficient_row(const Table& table, int row, int c
     return numbers<const double>(table.coefficients) + (long long)place * table.terms;
 }
 
-// Return the sum of the weighted Fourier coefficients of a pair.
-template <class Table, class Pairs>
+// Return the sum of the weighted Fourier coefficients of a pair. A series has at most MOST_TERMS terms.
+template <int MOST_TERMS, class Table, class Pairs>
 WARPDIFF_INLINE double sum_lobe(const Table& table, const Pairs& pairs, int pair)
 {
     Lobe lobe(table, pairs, pair);
     lobe.find_range(table);
-    double polynomials[MOST_LOBE_TERMS], sum = 0.0, dx, dy;
+    double polynomials[MOST_TERMS], sum = 0.0, dx, dy;
     chebyshev_polynomials(numbers<const double>(pairs.places)[pair], table.terms, polynomials);
     for (int row = lobe.first_row; row <= lobe.last_row; ++row) {
         for (int column = lobe.first_column; column <= lobe.last_column; ++column) {
@@ -123,13 +123,13 @@ WARPDIFF_INLINE double sum_lobe(const Table& table, const Pairs& pairs, int pair
 }
 
 // Compute the derivatives of the sum of a pair, in the order of `LOBE_DERIVATIVES`.
-template <class Table, class Pairs, class Values>
+template <int MOST_TERMS, class Table, class Pairs, class Values>
 WARPDIFF_INLINE void differentiate_lobe(const Table& table, const Pairs& pairs, int pair, Values& derivatives_out)
 {
     Lobe lobe(table, pairs, pair);
     lobe.find_range(table);
     double* const out = numbers<double>(derivatives_out) + (long long)pair * LOBE_DERIVATIVES;
-    double polynomials[MOST_LOBE_TERMS], slopes[MOST_LOBE_TERMS], sums[LOBE_DERIVATIVES] = {}, dx, dy;
+    double polynomials[MOST_TERMS], slopes[MOST_TERMS], sums[LOBE_DERIVATIVES] = {}, dx, dy;
     chebyshev_polynomials(numbers<const double>(pairs.places)[pair], table.terms, polynomials);
     chebyshev_slopes(numbers<const double>(pairs.places)[pair], table.terms, slopes);
     for (int row = lobe.first_row; row <= lobe.last_row; ++row) {
@@ -169,8 +169,9 @@ WARPDIFF_INLINE void write_polynomials(const Table& table, const Pairs& pairs, i
 
 // Add the contributions of all pairs near a coefficient to the adjoint of its series: the transpose of `sum_lobe`.
 //
-// Pairs are sorted by the cell of the block that contains their centre, and `begins` has the first pair of each cell.
-// Cells that are at most `reach_y` and `reach_x` away are searched.
+// The frequencies of the block of Fourier coefficients are divided into cells, one per coefficient. Pairs are sorted by
+// the cell that contains their centre q, and `begins` has the first pair of each cell. Cells that are at most `reach_y`
+// and `reach_x` away are searched.
 template <class Table, class Pairs, class Values>
 WARPDIFF_INLINE void spread_lobes(const Table& table, const Pairs& pairs, int cell, Values& rows_out)
 {

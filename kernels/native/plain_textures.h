@@ -2,7 +2,7 @@
 // values multiply the factors of the material.
 //
 // A texture of roughness has the squared roughness in red, roughness in green, metallic in blue, and the product of
-// roughness and metallic in alpha. From the means of these channels over a footprint follow the variance of roughness,
+// roughness and metallic in alpha. The means of these channels over a footprint determine the variance of roughness,
 // and its covariance with metallic.
 
 #pragma once
@@ -56,7 +56,7 @@ struct HitTextures {
 };
 
 // Write metallic, roughness with its standard deviation, and emission of textures at the hits from `begin` to `end`.
-// `deviation` is the standard deviation of the rays' filter [pixels]; without one, textures are sampled at points.
+// `deviation` is the standard deviation of the rays' filter [pixels]; if it is 0, textures are sampled at points.
 template <class Camera, class Surface, class Textures, class Pixels>
 WARPDIFF_INLINE void look_up_plain_textures(const Camera& camera, const Surface& surface, const Textures& textures,
     const Pixels& pixels, float deviation, float least_facing, int begin, int end)

@@ -1,4 +1,5 @@
-// Colours of single directions from a colour table, by quadratic splines between rings and between azimuths.
+// Colours of single directions from a colour table, by quadratic splines between rings and between azimuths. The table
+// is a polar grid of (u, v): a ring is a circle of constant |(u, v)|, and an azimuth is a line of constant polar angle.
 
 #pragma once
 
@@ -99,8 +100,8 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& poin
 
 // Add the XYZ of the scattering vectors from `begin` to `end`, at most BATCH, multiplied by geometry factors (gains).
 //
-// While one direction is looked up, the rows for the direction AHEAD indices later are fetched from memory. With a
-// larger distance, rows would be evicted from the first-level cache before their use.
+// While one direction is looked up, the rows for the direction with an index larger by AHEAD are fetched from memory.
+// With a larger AHEAD, rows would be evicted from the first-level cache before their use.
 template <int W_BASIS_SIZE, int BATCH, int AHEAD, class Table, class ScatteringVectors, class Gains, class Colours>
 WARPDIFF_INLINE void look_up_points(const Table& table, const ScatteringVectors& scattering_vectors, const Gains& gains,
     int begin, int end, Colours& xyz_out)

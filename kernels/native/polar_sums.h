@@ -1,9 +1,10 @@
 // Power spectrum on a polar grid of the frequency plane in float64, colours as sums over its rings, and transposes.
 //
-// t is the frequency along a radius. A block of rings has equally many azimuth samples on each ring. The spectrum is
-// also sampled between rings: a sample contributes to three rings, with the weights of a quadratic B-spline in ln t.
-// Along a ring, values are the coefficients of a cubic B-spline over the azimuth. κ is w/λ, for the wavelength λ and
-// the scattering vector (u, v, w). The adjoint of a quantity is the derivative of a scalar loss with respect to it.
+// An azimuth is a line of constant polar angle in the frequency plane, and a ring is a circle in this plane. t is the
+// frequency along an azimuth. A block of rings has equally many azimuth samples on each ring. The spectrum is also
+// sampled between rings: a sample contributes to three rings, with the weights of a quadratic B-spline in ln t. Along a
+// ring, values are the coefficients of a cubic B-spline over the azimuth. κ is w/λ, for the wavelength λ and the
+// scattering vector (u, v, w). The adjoint of a quantity is the derivative of a scalar loss with respect to it.
 
 #pragma once
 
@@ -11,11 +12,10 @@
 
 namespace warpdiff {
 
-// Number of rings of a block, number of rings per thread of `spread_pixels`, and largest number of terms of a series.
-// These numbers must equal those of the kernel module.
-constexpr int BLOCK_RINGS = 16, RINGS_TOGETHER = 4, MOST_POLAR_TERMS = 256;
+// The kernel module passes these template arguments: BLOCK_RINGS is the number of rings of a block, RINGS_TOGETHER the
+// number of rings per thread of `spread_pixels`, and MOST_TERMS the largest number of terms of a Chebyshev series.
 constexpr double RADIANS_PER_TURN = 6.283185307179586;
-// Number of columns of the block of coefficients whose weights are computed at once.
+// Number of columns of the block of Fourier coefficients whose Gaussian weights are computed at once.
 constexpr int COLUMNS_TOGETHER = 128;
 
 // Compute the weights with which sample k of a block contributes to its rings `ring` − 1, `ring` and `ring` + 1. The
@@ -35,7 +35,7 @@ struct SampleWeights {
     }
 };
 
-// Return the exponent of the Gaussian weight of the coefficient of an order, as its part along one axis.
+// Return the part along one axis of the exponent in the Gaussian weight of a Fourier coefficient.
 template <class Grid>
 WARPDIFF_INLINE double exponent_along(const Grid& grid, double position, int order, double step)
 {
@@ -74,7 +74,7 @@ WARPDIFF_INLINE void add_neighbours(const Table& table, const Grid& grid, double
 }
 
 // Compute the spectrum at the rings of a block along one azimuth.
-template <class Table, class Grid, class Values>
+template <int BLOCK_RINGS, int MOST_TERMS, class Table, class Grid, class Values>
 WARPDIFF_INLINE void sample_azimuth_rings(const Table& table, const Grid& grid, int direction, Values& values_out)
 {
     if (!numbers<const bool>(grid.is_used)[direction]) return;
@@ -88,7 +88,7 @@ WARPDIFF_INLINE void sample_azimuth_rings(const Table& table, const Grid& grid, 
     const long long stride = (long long)azimuths * terms;
     double* const out =
         numbers<double>(values_out) + ((long long)numbers<const int>(grid.starts)[block] + azimuth) * terms;
-    double total[MOST_POLAR_TERMS];
+    double total[MOST_TERMS];
     for (int k = 0; k < (BLOCK_RINGS + 2) * divisions; ++k) {
         for (int n = 0; n < terms; ++n) total[n] = 0.0;
         add_neighbours(table, grid, radii[k] * cosine, radii[k] * sine, total);
@@ -103,7 +103,7 @@ WARPDIFF_INLINE void sample_azimuth_rings(const Table& table, const Grid& grid, 
 
 // Add the contributions of nearby samples of the spectrum to the adjoint of a coefficient's series: the transpose of
 // `sample_azimuth_rings`.
-template <class Table, class Grid, class Values, class Rows>
+template <int BLOCK_RINGS, class Table, class Grid, class Values, class Rows>
 WARPDIFF_INLINE void spread_rings(const Table& table, const Grid& grid, const Values& values, int cell, Rows& rows_out)
 {
     if (cell == grid.excluded) return;
@@ -171,6 +171,7 @@ WARPDIFF_INLINE void spread_rings(const Table& table, const Grid& grid, const Va
 }
 
 // Position of a direction on one ring: four consecutive azimuth samples around it, and their cubic B-spline weights.
+template <int BLOCK_RINGS>
 struct AroundRing {
     long long start;
     int azimuths, first;
@@ -216,7 +217,7 @@ struct ColourRings {
         share = at - (double)entry;
     }
 
-    // Compute the weights in X, Y and Z of ring m among the contributing rings; beyond them, the weights are 0.
+    // Compute the weights in X, Y and Z of ring m among the contributing rings; for other rings, the weights are 0.
     template <class Pixels>
     WARPDIFF_INLINE void weights(const Pixels& pixels, int m, double* xyz) const
     {
@@ -226,7 +227,8 @@ struct ColourRings {
         for (int c = 0; c < 3; ++c) xyz[c] = inside ? (1.0 - share) * low[c] + share * high[c] : 0.0;
     }
 
-    // Return the reflectance at ring m among the contributing rings; beyond them, return that of the nearest one.
+    // Return the reflectance at ring m among the contributing rings; for other rings, return the reflectance at the
+    // nearest contributing ring.
     template <class Pixels>
     WARPDIFF_INLINE double reflectance(const Pixels& pixels, int pixel, int m) const
     {
@@ -254,14 +256,14 @@ WARPDIFF_INLINE void polynomials_at(
 // integral of the spectrum over this spline. The polynomials times the reflectance, T, change within the spline. A
 // spline in a fit of the product of colour curve and T therefore has the weight c T − (c₊ (T₊ − T) + c₋ (T₋ − T))/8, to
 // second order. Here c₋ and T₋ belong to the ring before, and c₊ and T₊ to the ring after.
-template <class Grid, class Values, class Pixels, class Colours>
+template <int BLOCK_RINGS, int MOST_TERMS, class Grid, class Values, class Pixels, class Colours>
 WARPDIFF_INLINE void sum_rings(
     const Grid& grid, const Values& values, const Pixels& pixels, int pixel, Colours& xyz_out)
 {
     const ColourRings rings(pixels, pixel);
     const int terms = (int)values.shape[1];
     const double turns = numbers<const double>(pixels.turns)[pixel], gain = numbers<const double>(pixels.gains)[pixel];
-    double polynomials[3][MOST_POLAR_TERMS], weights[3][3], sums[3] = {}, row[MOST_POLAR_TERMS];
+    double polynomials[3][MOST_TERMS], weights[3][3], sums[3] = {}, row[MOST_TERMS];
     for (int k = 0; k < 2; ++k) {
         polynomials_at(grid, pixels, rings, pixel, k - 1, terms, polynomials[k]);
         rings.weights(pixels, k - 1, weights[k]);
@@ -270,7 +272,7 @@ WARPDIFF_INLINE void sum_rings(
         const int before = m % 3, here = (m + 1) % 3, after = (m + 2) % 3;
         polynomials_at(grid, pixels, rings, pixel, m + 1, terms, polynomials[after]);
         rings.weights(pixels, m + 1, weights[after]);
-        const AroundRing around(grid, rings.first + m, turns);
+        const AroundRing<BLOCK_RINGS> around(grid, rings.first + m, turns);
         const double* rows[4];
         for (int j = 0; j < 4; ++j) rows[j] = numbers<const double>(values) + around.row(j) * terms;
         double own = 0.0, earlier = 0.0, later = 0.0;
@@ -290,12 +292,12 @@ WARPDIFF_INLINE void sum_rings(
 }
 
 // Add the contributions of all directions to the adjoints of a few rings: the transpose of `sum_rings`.
-template <class Grid, class Pixels, class Values>
+template <int BLOCK_RINGS, int RINGS_TOGETHER, int MOST_TERMS, class Grid, class Pixels, class Values>
 WARPDIFF_INLINE void spread_pixels(const Grid& grid, const Pixels& pixels, int group, Values& values_out)
 {
     constexpr int N = RINGS_TOGETHER + 2;
     const int terms = (int)values_out.shape[1], first_ring = group * RINGS_TOGETHER;
-    double polynomials[N][MOST_POLAR_TERMS], weights[N];
+    double polynomials[N][MOST_TERMS], weights[N];
     for (int pixel = numbers<const int>(pixels.begins)[group]; pixel < numbers<const int>(pixels.ends)[group];
         ++pixel) {
         const ColourRings rings(pixels, pixel);
@@ -307,8 +309,8 @@ WARPDIFF_INLINE void spread_pixels(const Grid& grid, const Pixels& pixels, int g
             double xyz[3];
             rings.weights(pixels, ring - rings.first, xyz);
             weights[k] = gain * (adjoint[0] * xyz[0] + adjoint[1] * xyz[1] + adjoint[2] * xyz[2]);
-            // Beyond the rings of the colour, polynomials are not needed. They are not computed, because they may be
-            // huge.
+            // For rings that do not contribute to the colour, polynomials are not needed. They are not computed,
+            // because they may be huge.
             const bool used = ring >= rings.first - 1 && ring <= rings.first + rings.count;
             if (used) polynomials_at(grid, pixels, rings, pixel, ring - rings.first, terms, polynomials[k]);
         }
@@ -317,10 +319,10 @@ WARPDIFF_INLINE void spread_pixels(const Grid& grid, const Pixels& pixels, int g
             if (ring < rings.first || ring >= rings.first + rings.count) continue;
             const double own = weights[k] + 0.125 * (weights[k - 1] + weights[k + 1]);
             const double earlier = -0.125 * weights[k - 1], later = -0.125 * weights[k + 1];
-            double row[MOST_POLAR_TERMS];
+            double row[MOST_TERMS];
             for (int n = 0; n < terms; ++n)
                 row[n] = own * polynomials[k][n] + earlier * polynomials[k - 1][n] + later * polynomials[k + 1][n];
-            const AroundRing around(grid, ring, turns);
+            const AroundRing<BLOCK_RINGS> around(grid, ring, turns);
             for (int j = 0; j < 4; ++j) {
                 double* const out = numbers<double>(values_out) + around.row(j) * terms;
                 for (int n = 0; n < terms; ++n) out[n] += around.weights[j] * row[n];

@@ -86,8 +86,8 @@ WARPDIFF_INLINE void put_hits(const Camera& camera, const Surface& surface, cons
     hits.count = 0;
 }
 
-// Intersect the rays of pixels or subpixel cells from `begin` to `end` with the nearest face of each. UNSEEN marks rays
-// without a face.
+// Intersect the rays of pixels or subpixel cells from `begin` to `end` with the nearest face of each ray. UNSEEN marks
+// rays that hit no face.
 template <int BATCH, unsigned long long UNSEEN, class Camera, class Surface, class Sampling, class Pixels>
 WARPDIFF_INLINE void intersect_known_faces(
     const Camera& camera, const Surface& surface, const Sampling& sampling, const Pixels& pixels, int begin, int end)

@@ -1,6 +1,6 @@
 // Rasterization: the nearest face of each camera ray. A batch of faces is projected together. Each face is then tested
 // against the rays of the pixels that it may cover, or against batches of cells of subdivided pixels. Only the CPU uses
-// this file; a GPU traces rays through a hierarchy.
+// this file; a GPU traces rays through a hierarchy of bounding boxes.
 
 #pragma once
 
@@ -52,7 +52,7 @@ struct Raster {
     double before;
     const double* offsets; // offset of each pixel's ray from the pixel centre; null if rays are at the centres
     // Pixels that are subdivided into cells. `marks` has one bit per pixel of the picture, in words of 64 bits. `ranks`
-    // has the number of each subdivided pixel among all subdivided ones. `aside` and `below` are the offsets of the
+    // has the index of each subdivided pixel among all subdivided pixels. `aside` and `below` are the offsets of the
     // cells from the pixel centre [pixels].
     const unsigned long long* marks; // null if pixels are not subdivided
     const int* ranks;
@@ -89,8 +89,8 @@ struct Raster {
     }
 };
 
-// A batch of triangles: faces, or parts of them behind the near plane. Arrays of three have one entry per corner, or
-// per edge; an edge has the index of the opposite corner.
+// A batch of triangles: faces, or the parts of faces beyond the near plane. Arrays of three have one entry per corner,
+// or per edge; an edge has the index of the opposite corner.
 struct Triangles {
     // Positions of corners in the picture, and depths: distances from the eye along the optical axis. `rises` states
     // whether an edge runs from the vertex with the smaller index to the one with the larger index.
@@ -102,8 +102,8 @@ struct Triangles {
     double low_column[FACES], high_column[FACES], low_row[FACES], high_row[FACES];
     double from_x[3][FACES], from_y[3][FACES], right[3][FACES], down[3][FACES], sign[3][FACES], slope[3][FACES];
 
-    // Compute twice the areas of the triangles between a point (x, y) and the three edges of triangle i. All three are
-    // positive inside the triangle.
+    // Compute twice the areas of the triangles between a point (x, y) and the three edges of triangle i. All three
+    // areas are positive if the point is inside the triangle.
     WARPDIFF_INLINE void areas(int i, double x, double y, double* inside) const
     {
         for (int k = 0; k < 3; ++k)

@@ -1,4 +1,6 @@
 // Mean colours over footprints of pixels that are wide compared with the distance |(u, v)| from the mirror direction.
+// The table is a polar grid of (u, v): a ring is a circle of constant |(u, v)|, and an azimuth is a line of constant
+// polar angle.
 //
 // The look-up for other footprints assumes that a footprint covers a small range of angles and radii. A wide footprint
 // covers a large range. Its colour is therefore a weighted sum of the rows at all rings and azimuths within the
@@ -34,7 +36,7 @@ constexpr float INNERMOST = 0.1f, INNERMOST_OF_LOBE = 0.3f, NARROWEST = 0.3f;
 // standard deviations of the Gaussian.
 constexpr float MOST_BLUR2 = 0.7f, AZIMUTHS_APART = 1.0f;
 
-// A Gaussian over (u, v): its mean (u, v) and the inverse of its covariance.
+// A Gaussian over (u, v): its mean and the inverse of its covariance.
 struct Gaussian2 {
     float u, v, uu, uv, vv;
 };

@@ -14,8 +14,8 @@ struct FrameLimits {
     float lift;           // height of the origins of shadow rays above the surface [radii of the mesh]
 };
 
-// Shading frames of N pixels, by axis. In special pixels, the normal must be rotated towards the viewer, or the tangent
-// is parallel to the normal. Special pixels are only marked here and computed separately.
+// Shading frames of N pixels, with one array per axis. In special pixels, the normal must be rotated towards the
+// viewer, or the tangent is parallel to the normal. Special pixels are only marked here and computed separately.
 template <int N>
 struct ShadingFrames {
     Batch<N> tangent[3], bitangent[3], normal[3], shadow_origin[3];

@@ -13,8 +13,8 @@ namespace warpdiff {
 // Number of faces of a list that are tested together. The value is limited by the size of local arrays.
 constexpr int LISTED = 32;
 
-// A batch of points: two coordinates perpendicular to the light [steps], height towards the light, index of the grid
-// cell (−1: no test required), and whether the point is occluded.
+// A batch of points. A point has two coordinates perpendicular to the light [steps], a height towards the light, the
+// index of its grid cell (−1 if no test is required), and a mark if it is occluded.
 template <int N>
 struct ShadowPoints {
     Batch<N, double> x, y, z;
@@ -46,8 +46,8 @@ struct ShadowPoints {
         }
     }
 
-    // Mark the points of a grid cell that lie below a face. `corners` are the corners of the face and `top` is the
-    // height of its highest corner.
+    // Mark the points of a grid cell that are below (occluded by) a face. `corners` are the corners of the face and
+    // `top` is the height of its highest corner.
     WARPDIFF_INLINE void mark_below(const float* corners, float top, int here)
     {
         const double x0 = corners[0], y0 = corners[1], z0 = corners[2], x1 = corners[3], y1 = corners[4];

@@ -1,5 +1,6 @@
-// Sampling of the power spectrum along azimuths of the frequency plane. The value at a ring is the integral of the
-// spectrum, weighted by a quadratic B-spline in ln t around the ring, where t is the radius [1/µm].
+// Sampling of the power spectrum along azimuths (lines of constant polar angle) of the frequency plane. A ring is a
+// circle in this plane. The value at a ring is the integral of the spectrum, weighted by a quadratic B-spline in ln t
+// around the ring, where t is the radius [1/µm].
 
 #pragma once
 
@@ -46,8 +47,8 @@ WARPDIFF_INLINE void gaussian_taps(float scale, int from, float beside, float* t
     }
 }
 
-// Return the weighted sum of Fourier coefficients from number `begin` to number `end` (excluded), counted from
-// `column`. Coefficients are periodic: a sum across the edge of the table continues at the other edge.
+// Return the weighted sum of the Fourier coefficients in the columns from `column` + `begin` to `column` + `end`
+// (excluded) of a row. Coefficients are periodic: a sum across the edge of the table continues at the other edge.
 template <int WIDTH, class Table>
 WARPDIFF_INLINE Row<WIDTH> sum_of_neighbours(
     const Table& table, const Neighbours& around, int y, int column, const float* taps, int begin, int end)
@@ -133,7 +134,7 @@ struct SplineSums {
     }
 
     // Add a sample of the spectrum to the integrals of three rings. `f` is the distance of the sample from the middle
-    // ring, in rings.
+    // ring, in units of the distance between rings.
     WARPDIFF_INLINE void add(const Row<WIDTH>& value, float f, float scale)
     {
         float weights[3];
@@ -161,8 +162,9 @@ WARPDIFF_INLINE void put_ring(float* rows, int ring, int count, const Row<WIDTH>
 
 // Compute the integrals of the spectrum along one azimuth at `rings` rings, and store them from the row `begin` on. A
 // sample at the frequency t [1/µm] is at the position (`sine` · t, `cosine` · t), in units of the distance of
-// neighbouring coefficients. There are `divisions` samples from ring to ring. The argument `t` is the frequency of the
-// first sample. Each sample has `ratio` times the frequency of the previous sample, up to the frequency `highest`.
+// neighbouring coefficients. There are `divisions` samples from one ring to the next. The argument `t` is the frequency
+// of the first sample. Each sample has `ratio` times the frequency of the previous sample, up to the frequency
+// `highest`.
 //
 // Rows consist of TERMS powers (PARTS = 1) or of amplitudes (PARTS = 2). Amplitudes are converted to powers at WIDTH
 // values of κ = w/λ before integration.

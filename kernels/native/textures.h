@@ -1,6 +1,6 @@
 // Textures: look-ups in an image pyramid, filtered by the footprint of a ray. A footprint is a Gaussian over texture
-// coordinates. Two rows of probes along its long axis, on one level, approximate it (as in Feline, McCormack et al.
-// 1999).
+// coordinates. Two rows of probes (bilinear look-ups) along the long axis of the footprint, on one level of the
+// pyramid, approximate the Gaussian (as in Feline, McCormack et al. 1999).
 //
 // All texels are in one array. Level 0 of a texture is its image, and each further level has half the size.
 
@@ -12,11 +12,13 @@ namespace warpdiff {
 
 // Continuation of a texture outside of its image along an axis: repeated, clamped to the edge, or mirrored.
 constexpr int REPEAT = 0, CLAMP = 1, MIRROR = 2;
-// Largest number of probes along the long axis of a footprint. A longer footprint is also blurred along its short axis.
-// The value was fitted (docs/decisions/textures.md): with 8, errors of long footprints are 1.4 times as large.
+// Largest number of probes along the long axis of a footprint. For a longer footprint, the texture is also blurred
+// along the short axis. The value was fitted (docs/decisions/textures.md): with 8, errors of long footprints are 1.4
+// times as large.
 constexpr int MOST_PROBES = 12;
-// Largest distance of probes along the long axis, in standard deviations of the blur of the level and of bilinear
-// interpolation. The value was fitted (docs/decisions/textures.md): twice the distance leaves gaps between the probes.
+// Largest distance of probes along the long axis, in standard deviations of the blur by the pyramid level and by
+// bilinear interpolation. The value was fitted (docs/decisions/textures.md): twice the distance leaves gaps between the
+// probes.
 constexpr float PROBE_SPACING = 1.5f;
 // Range of probes on both sides along the long axis [standard deviations of the footprint]. The Gaussian beyond this
 // range is neglected.
@@ -191,7 +193,7 @@ WARPDIFF_INLINE Rgba sample_footprint(const Textures& textures, int number, floa
         return result;
     }
     // Level n of a pyramid adds the variance (4ⁿ − 1)/4 along each axis [texels²]: the variance of the box filter, and
-    // that of bilinear interpolation between its wider texels. The chosen level is the coarsest one whose blur is at
+    // that of bilinear interpolation between its wider texels. The chosen level is the coarsest level whose blur is at
     // most the footprint's variance along the short axis. Probes add the remaining variance. If the footprint is too
     // long for the largest number of probes, the level is coarser. `limited` is then the variance of the blur with
     // which the distance of the probes is the largest permitted one.

@@ -156,7 +156,7 @@ def test_truncation_is_the_largest_relative_error(kind, truncation, rng):
 def test_series_are_long_enough_for_any_depth(depth_um):
     """Efficiencies must be accurate for any depth.
 
-    Rounding errors of Bessel functions once ended the series of deep gratings after two terms.
+    Rounding errors of Bessel functions must not end the series of deep gratings after too few terms.
     """
     grating = wd.gratings.sinusoidal(40.0, depth_um, samples=512)
     value = wd.adjoint.order_efficiencies(grating, (0.3, 0.0, 1.0), [450.0, 600.0], wrt=()).value
@@ -165,7 +165,9 @@ def test_series_are_long_enough_for_any_depth(depth_um):
 
 
 def test_gradients_by_heights_and_by_their_scale_agree(rng):
-    """If heights change in proportion to themselves, the value must change as it does with ``height_scale``."""
+    """If the changes of the heights are proportional to the heights, the value must change as it does with
+    ``height_scale``.
+    """
     result = wd.adjoint.reflectance(FIELD, *directions(rng), wrt=("heights_um", "height_scale"))
     adjoints = result.vjp(rng.normal(size=result.value.shape))
     assert np.sum(adjoints["heights_um"] * FIELD.heights_um) == pytest.approx(adjoints["height_scale"], rel=1e-6)

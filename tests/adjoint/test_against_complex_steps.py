@@ -1,4 +1,5 @@
-"""Values and derivatives must equal those of explicit sums, for random surfaces, directions and optics.
+"""Values and derivatives of ``wd.adjoint`` must equal those of explicit sums, for random surfaces, directions and
+optics.
 
 The reference computes derivatives by complex steps: f'(x) = Im f(x + ih)/h for a tiny h, without cancellation.
 """
@@ -32,7 +33,9 @@ def surface(rng):
 
 
 def directions(rng, heightfield, wavelength_nm):
-    """Return a direction to a light, and one to a viewer that is near an order, where reflectance is not tiny."""
+    """Return a direction to a light, and a direction to a viewer that is near a diffraction order, where reflectance is
+    not tiny.
+    """
     steps = 1e-3 * wavelength_nm / np.array(heightfield.size_um)[::-1]
     for _ in range(1000):
         light = hemisphere(rng, 1, 0.35)[0]
@@ -129,8 +132,8 @@ def test_spectral_derivatives(kind, seed):
     weights = rng.normal(size=value.shape)
     adjoints = vjp(weights)
     for name in names:
-        # If only the mirror order is in the lobe, the derivative with respect to a pitch may be far below value /
-        # pitch. Its error is then compared with the size of the terms that cancel in it.
+        # If only the mirror order contributes to a direction, the derivative with respect to a pitch may be far below
+        # value / pitch. The error of this derivative is then compared with the size of the terms that cancel in it.
         result, expected, scale = [], [], np.abs(weights * value).max() if name == "pitch_um" else 0.0
         key = REFERENCE_NAMES.get(name, name)
         for index in indices_of(name, heightfield, rng):
@@ -170,8 +173,8 @@ def test_derivatives_of_orders(energy, seed):
         heightfield, light, wavelength_nm, wrt=names, energy=energy, **settings
     )
     with warnings.catch_warnings():
-        # With so few samples, orders alias. They alias in the library and in the reference alike, so that the warning
-        # is not relevant here.
+        # With so few samples, orders alias. They alias in the same way in the library and in the reference, so that the
+        # warning is not relevant here.
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
         orders = wd.order_efficiencies(heightfield, light, wavelength_nm, ior=math.inf, energy="stam").orders
     weights = rng.normal(size=value.shape)

@@ -80,7 +80,7 @@ def test_truncation_is_the_largest_error_of_dark_directions_relative_to_a_mirror
 def test_single_pairs_have_exact_derivatives_by_the_scale_of_heights(depth_um, error):
     """With a single pair of directions, all values of κ = w/λ are equal. The derivative must still be exact.
 
-    The range of κ of the series then has no width of its own and must be widened.
+    The range of κ of the series then has the width 0 and must be widened.
     """
     field = noise((5, 9), (0.21, 0.17))
     field = wd.HeightField.of_known_scale(field.heights_um / np.ptp(field.heights_um) * depth_um, field.pitch_um)

@@ -128,7 +128,7 @@ def test_sequences_accept_every_kind_of_light(words, expected, monkeypatch, caps
 @pytest.mark.parametrize(
     "arguments",
     [["--port", "70000"], ["no.obj"], ["--heightfield", "no.png"], ["--host", "256.1.1.1"], ["--threads", "0"],
-     ["--environment", "no.exr"], ["--environment", __file__]],
+     ["--environment", "no.exr"], ["--environment", __file__], ["--pitch-um", "0.1"], ["--level", "1"]],
 )  # fmt: skip
 def test_a_viewer_that_cannot_start_reports_the_reason(arguments, monkeypatch, capsys):
     # The viewer's drawing thread would outlive the command and would draw during later tests. The method with which
@@ -240,6 +240,15 @@ def test_an_unwritable_folder_is_reported_before_rendering(arguments, tmp_path, 
     ("sequence tube -o turn --animation absent/a.webp", "--animation: the folder 'absent' does not exist"),
     ("sequence tube -o file.txt", "--output: 'file.txt' is a file; name a folder"),
     ("sequence tube -o file.txt/turn", "file.txt' is a file; name a folder"),
+    ("sequence tube -o turn --light-to 1 0 0 --lights-stay",
+     "--lights-stay is for --turns, not for --light-to: give one of them"),
+    ("sequence tube -o turn --path a.csv --lights-stay", "--lights-stay is for --turns, not for --path: give one of"),
+    ("sequence tube -o turn --path a.csv --lights-turn", "--lights-turn is for --turns, not for --path: give one of"),
+    ("sequence tube -o turn --frames-per-second 12", "--frames-per-second requires --animation: give both"),
+    ("sequence tube -o turn --formats .exr --background 1 1 1", "--background is for .png files, got --formats .exr"),
+    ("render tube -o a.png --pitch-um 0.1", "--pitch-um is for files, got --heightfield 'blazed': omit it"),
+    ("render tube -o a.png --surface *=plain --map turn_deg=20", "--map changes --heightfield, which no part has with"),
+    ("info --unit nm", "--unit is for files, got --heightfield 'blazed': omit it"),
     ("export-html absent/a.html", "OUT: the folder 'absent' does not exist"),
     ("export-html folder.html", "OUT must be a file, got the folder 'folder.html'"),
     ("brdf -o absent/a.png", "--output: the folder 'absent' does not exist"),

@@ -5,9 +5,10 @@ import pytest
 import trimesh
 
 import warpdiff as wd
-from warpdiff.apps import cli
+from warpdiff.apps import cli, cli_inputs
 from warpdiff.apps.cli_options import given, with_joined_tangents
 from warpdiff.core.options import describe
+from warpdiff.optics.spectra import colour_science
 from warpdiff.request.settings import PictureSettings, SinglePictureSettings
 
 SMALL = ["--tolerance", "0.1", "--sigma-um", "5"]
@@ -125,6 +126,24 @@ def test_info_reads_a_text_by_its_unit_and_channel(tmp_path, capsys):
     assert "--unit must be given" in capsys.readouterr().err
     assert run("info --unit nm --channel C", tmp_path / "a.txt") == 2
     assert "--channel must be one of 'A', 'B'" in capsys.readouterr().err
+
+
+def test_illuminants_whose_names_contain_a_full_stop_are_no_files(tmp_path, monkeypatch):
+    # All names of colour-science count, also those that end like a file name. Other texts with a suffix are files.
+    names = [*colour_science().SDS_ILLUMINANTS, *colour_science().SDS_LIGHT_SOURCES]
+    assert sum("." in name for name in names) >= 15
+    for name in names:
+        assert cli_inputs.illuminant_of(name) == name
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my.csv").write_text("380,1\n500,2\n780,1\n")
+    assert cli_inputs.illuminant_of("my.csv") == wd.Spectrum.from_csv("my.csv")
+    with pytest.raises(FileNotFoundError):
+        cli_inputs.illuminant_of("FL3.16")
+    arguments = ["render", "tube", "--heightfield", "blazed", "-o", "a.png", "--illuminant", "FL3.1"]
+    arguments += ["--light", "0", "0", "1", "--light", "directional:to_light=0x0x1,illuminant=FL3.15"]
+    options = cli._parser(arguments).parse_args(arguments)
+    lights = cli_inputs.lights_of(options, wd.View((0, 0, 1), (0, 0, 0)))
+    assert [light.illuminant for light in lights] == ["FL3.1", "FL3.15"]
 
 
 def test_a_height_field_is_named_once(capsys):

@@ -138,7 +138,7 @@ def test_powers_of_flat_fields_and_of_fields_with_few_samples_are_accurate(shape
 
 
 def test_the_basis_does_not_depend_on_the_neighbourhood():
-    """Plans that differ only in the size of their neighbourhood must share one fitted basis."""
+    """Plans that differ only in the number of neighbouring coefficients per direction must share one fitted basis."""
     heightfield = surface(0.3)
     plan = wd.plan(heightfield, (0, 0, 1), (0.3, 0, 1))
     extents = [
@@ -210,8 +210,8 @@ def test_the_strongest_coefficients_are_the_first_64_in_descending_order_of_thei
     basis = np.stack([np.ones(12), np.arange(-1.0, 11.0)], axis=1).astype(np.float32)
     coefficients = coefficient_basis.Coefficients(rows, basis, 0.0, 0.5, np.zeros(0))
     places, powers = coefficients.strongest
-    # The range of κ ends two steps before the last entry. The middle is a geometric mean; κ counts as at least 0.1 of
-    # the end.
+    # The range of κ ends two steps before the last entry. The middle of the range is a geometric mean of its ends; the
+    # lower end counts as at least 0.1 of the upper end.
     entry = math.sqrt(0.1 * 4.5 * 4.5) / 0.5
     values = rows[..., 0].astype(float) + entry * rows[..., 1]
     expected = values[..., 0] if parts == 1 else np.sum(values**2, axis=2)

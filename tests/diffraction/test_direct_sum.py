@@ -75,7 +75,7 @@ FORMS = {
     "200-copies": wd.Coherence("replicas", periods=(1, 200)),
 }  # fmt: skip
 METHODS = ("low-rank", "power", "jacobi-anger", "taylor")
-# The method "power" is only available for coherence models that add powers.
+# The method "power" is only available for kinds of coherence that add powers.
 PAIRS = [
     pytest.param(coherence, method, id=f"{name}-{method}")
     for name, coherence in FORMS.items()
@@ -126,7 +126,7 @@ def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
 
 @pytest.fixture(scope="module")
 def scan_crops(scan):
-    """Return a large crop of the scan for coherence windows, and a small one for the kinds "source" and "replicas".
+    """Return a large crop of the scan for coherence windows, and a small crop for the kinds "source" and "replicas".
 
     The small crop saves time, because direct sums for these two kinds are slow.
     """
@@ -135,7 +135,9 @@ def scan_crops(scan):
 
 @pytest.fixture(scope="module")
 def fingers():
-    """Return a large patch of fingers for coherence windows, and a small one for the kinds "source" and "replicas"."""
+    """Return a large patch of nano-fingers for coherence windows, and a small patch for the kinds "source" and
+    "replicas".
+    """
     return tuple(wd.gratings.fingers(size_um=size, seed=1) for size in (8.0, 6.4))
 
 
@@ -166,7 +168,7 @@ def test_kernel_equals_direct_sum_on_one_row(row, coherence, method, device):
 @pytest.mark.parametrize("kind", ["averaged", "centred"])
 @pytest.mark.parametrize("sigma_um", [0.8, 3.0])
 def test_neighbourhoods_larger_than_the_spectrum_of_the_patch_are_accurate(kind, sigma_um, rng):
-    """For a short window, a direction has more neighbours than the patch has coefficients.
+    """For a short coherence window, more Fourier coefficients contribute to a direction than the patch has.
 
     Look-ups must then repeat the coefficients periodically.
     """
@@ -189,9 +191,9 @@ def test_kernel_equals_direct_sum_for_moved_windows(rng):
         np.testing.assert_allclose(result, exact, rtol=2e-3, atol=1e-4 * exact.max())
 
 
-# By kind of coherence: the coherence model, the patch size in µm and the number of directions. Patches and numbers are
-# small, because the direct sum requires thousands of wavelengths where orders are narrow. A source near the horizon
-# requires the largest number of wavelengths.
+# By kind of coherence: the coherence, the patch size in µm and the number of directions. Patches and numbers of
+# directions are small, because the direct sum requires thousands of wavelengths if diffraction orders are narrow. A
+# source near the horizon requires the largest number of wavelengths.
 COLOURED = {
     "averaged": (wd.Coherence("averaged", 5.0), 4.5, 10),
     "centred": (wd.Coherence("centred", 5.0), 6.4, 16),
@@ -214,7 +216,9 @@ def test_colours_meet_the_tolerance(kind, rng):
 
 
 def test_the_direct_method_does_not_use_the_series(monkeypatch):
-    """The reference must not share code with the methods that it validates, so it must work without the series."""
+    """The reference must not share code with the methods that it validates, so it must work without the series
+    expansions.
+    """
     monkeypatch.setattr(fourier_coefficients, "series_coefficients", None)
     heightfield = wd.HeightField(np.zeros((4, 4)), 0.05)
     value = wd.spectral_reflectance(heightfield, (0, 0, 1), (0, 0, 1), 550.0, method="direct")

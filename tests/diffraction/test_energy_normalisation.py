@@ -101,8 +101,8 @@ def test_the_brdf_at_a_wavelength_does_not_depend_on_other_wavelengths():
 
 
 def test_energy_normalisation_hardly_changes_gentle_surfaces():
-    """A gentle surface has nearly all power in one order, so that its factors of the energy normalisation must be near
-    1.
+    """A surface with small slopes has nearly all power in one order, so that its factors of the energy normalisation
+    must be near 1.
     """
     x = np.arange(64) / 64.0
     sine = wd.HeightField(0.005 * np.sin(2.0 * math.pi * x)[None], 2.0 / 64.0)
@@ -187,7 +187,7 @@ def test_grid_weights_are_bilinear_between_the_directions_of_the_grid(rng):
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=1e-12)
     nodes, weights = energy_normalisation.grid_weights(directions)
     values = rng.uniform(size=len(directions))
-    # The nodes of the first row are one direction, the normal.
+    # All nodes in the first row of the grid are the same direction, the normal.
     columns = np.count_nonzero(directions[:, 2] > 1.0 - 1e-12)
     values[:columns] = 0.5
     np.testing.assert_allclose(np.sum(weights * values[nodes], axis=1), values, atol=1e-6)

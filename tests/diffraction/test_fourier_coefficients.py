@@ -149,12 +149,12 @@ def test_bessel_functions_equal_tabulated_values():
 
 
 def test_a_block_contains_all_orders_up_to_a_frequency_and_its_neighbours():
-    """A block must contain all orders up to a given frequency, and a number of neighbours beyond the last of these
-    orders.
+    """A block of Fourier coefficients must contain all orders up to a frequency, and a number of further orders beyond
+    the last of these orders.
 
     Up to a frequency of 0.7/µm there are 7 orders of a period of 10 µm, and 14 orders of a period of 20 µm. The test
-    requests 1 neighbour along the axis of 10 µm and 3 along the other axis. The orders of the block must therefore end
-    at ±8 and ±17.
+    requests 1 further order along the axis of 10 µm and 3 along the other axis. The orders of the block must therefore
+    end at ±8 and ±17.
     """
     grid = fourier_coefficients.Grid((101, 203), (10.0, 20.0))
     block = fourier_coefficients.Block.covering(grid, 0.7 - 1e-9, (1, 3))

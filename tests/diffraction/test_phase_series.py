@@ -1,4 +1,5 @@
-"""Phase series in float32: height ranges at which each one fails, and the messages that report it.
+"""Series expansions of exp(2πiκh) in float32: height ranges at which each series fails, and the messages that report
+the failure.
 
 κ is w/λ, the normal component w of the scattering vector divided by the wavelength.
 """
@@ -21,7 +22,7 @@ HEIGHTS_UM = [0.05, 0.3, 1.0, 2.5, 5.0]
 
 
 class Surface:
-    """Fingers with a given height range, and their exact spectra in random directions."""
+    """Height field with nano-fingers of a certain height range, and its exact spectra in random directions."""
 
     def __init__(self, height):
         flat = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=3)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import warpdiff as wd
+from warpdiff.core.warnings import warn
 from warpdiff.fitting import least_squares
 
 TRUE = np.array([0.14, 0.42, 0.04, 2.0])
@@ -56,6 +57,36 @@ def test_the_best_values_do_not_depend_on_the_size_of_sd(sd):
     result, _ = fit_with_warnings(GUESS, measured(NOISY), sd)
     np.testing.assert_allclose(result.values, expected.values, rtol=1e-6)
     assert result.chi2 == pytest.approx(expected.chi2 * (1e-3 / sd) ** 2, rel=1e-9)
+
+
+@pytest.mark.parametrize("sd", [1e-4, 1e3])
+def test_the_best_start_does_not_depend_on_the_size_of_sd(sd):
+    """For a large ``sd``, all χ² are tiny. A constant in their comparison once made the earliest start the best."""
+    far = profile(*(TRUE * [2.2, 1.0, 1.0, 1.0]))
+    one, _ = fit_with_warnings(far, measured(NOISY), sd)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        result = wd.fit(far, measured(NOISY), sd=sd, starts=8)
+    assert result.chi2 < 0.1 * one.chi2
+    np.testing.assert_allclose(result.values[[0, 3]], TRUE[[0, 3]], rtol=0.02)
+    minima = [least_squares.Minimum(TRUE, chi2 * sd**-2, has_converged=True) for chi2 in (85e-6, 1.000_000_1e-6, 1e-6)]
+    assert least_squares._best(minima, sd**-2) is minima[1]
+
+
+def test_warnings_about_starts_are_not_shown(monkeypatch):
+    """A random start may have an order at the horizon, which does not concern the result."""
+    predict, starts = wd.Measured.predict, []
+
+    def warning(data, surface, wrt=()):
+        if not starts:
+            starts.append(surface)
+            warn("an order at the horizon")
+        return predict(data, surface, wrt)
+
+    monkeypatch.setattr(wd.Measured, "predict", warning)
+    _, texts = fit_with_warnings(GUESS, measured(NOISY), 1e-3)
+    assert starts
+    assert texts == ""
 
 
 def test_exact_starts_and_surfaces_without_gradient_end_at_once():

@@ -60,6 +60,8 @@ def test_pictures_may_be_grey_images(tmp_path: Path) -> None:
     for name, picture in (("first", FIRST), ("second", SECOND)):
         Image.fromarray(np.round(255.0 * picture).astype(np.uint8)).save(tmp_path / f"{name}.png")
     files = wd.hidden_pictures(tmp_path / "first.png", str(tmp_path / "second.png"), EYES, TO_LIGHT, cell=CELL)
+    with pytest.raises(FileNotFoundError, match=r"^second: there is no file '.*missing\.png'"):
+        wd.hidden_pictures(FIRST, tmp_path / "missing.png", EYES, TO_LIGHT, cell=CELL)
     arrays = wd.hidden_pictures(FIRST, SECOND, EYES, TO_LIGHT, cell=CELL)
     np.testing.assert_allclose(files.depth_scale, arrays.depth_scale, atol=5e-3)
 

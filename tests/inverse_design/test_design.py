@@ -1,15 +1,18 @@
 """Designs: losses and exchanges against independent sums, limits of manufacture, seeds and refusals."""
 
 import math
+from unittest import mock
 
 import numpy as np
 import pytest
 
 import warpdiff as wd
-from warpdiff.inverse_design.design_result import achieved_values
+from warpdiff.inverse_design import design_search, pixel_exchange, rigorous_check
+from warpdiff.inverse_design.design_result import achieved_values, uniformity_error
 from warpdiff.inverse_design.first_heights import first_heights
 from warpdiff.inverse_design.goal import Goal, lab
 from warpdiff.inverse_design.pixel_exchange import PixelExchange, coefficients_of, edge_moves
+from warpdiff.inverse_design.rigorous_check import _colour
 from warpdiff.optics import colorimetry
 
 MIRROR = {"ior": math.inf}
@@ -115,7 +118,7 @@ def test_edges_move_only_between_runs_that_remain_long_enough():
 
 def test_splitter_meets_its_limits_and_repeats():
     target = wd.Target.equal(ORDERS, UP, 632.8, **MIRROR)
-    result = wd.design(pixels(), target, levels=4, depth_um=(0.15, 0.3), least_feature_um=0.8, starts=2, seed=3)
+    result = wd.design(pixels(), target, levels=4, depth_um=(0.15, 0.3), least_feature_um=0.8, starts=1, seed=3)
     assert result.uniformity_errors[0] < 0.05
     assert result.shares[0] > 0.65  # twelve features scatter the rest into other orders
     assert 0.15 <= result.levels_um[-1] <= 0.3
@@ -125,7 +128,7 @@ def test_splitter_meets_its_limits_and_repeats():
     row = result.heightfield.heights_um[0]
     row = np.roll(row, -int(np.flatnonzero(np.diff(row))[0]) - 1)
     assert np.diff(np.flatnonzero(np.append(True, np.append(np.diff(row) != 0, True)))).min() >= 4
-    again = wd.design(pixels(), [target], levels=4, depth_um=(0.15, 0.3), least_feature_um=0.8, starts=2, seed=3)
+    again = wd.design(pixels(), [target], levels=4, depth_um=(0.15, 0.3), least_feature_um=0.8, starts=1, seed=3)
     np.testing.assert_array_equal(result.heightfield.heights_um, again.heightfield.heights_um)
     plain = wd.order_efficiencies(result.heightfield, UP, 632.8, **MIRROR)
     np.testing.assert_allclose(result.achieved["achieved"], [plain[pair][0] for pair in ORDERS])
@@ -140,7 +143,53 @@ def test_splitter_meets_its_limits_and_repeats():
     assert "share of the reflected power" in result.report()
 
 
-def test_colours_have_one_exposure():
+@pytest.mark.parametrize("levels", [2, 4])
+def test_equal_orders_without_order_0_are_bright(levels):
+    """A flat surface, whose orders are all dark, once counted as perfectly equal, and was the best design."""
+    target = wd.Target.equal([(0, -1), (0, 1)], UP, 632.8, **MIRROR)
+    result = wd.design(wd.profiles.Pixels(0.5, np.zeros((1, 16))), target, levels=levels, starts=2)
+    assert result.shares[0] > 0.7
+    assert result.uniformity_errors[0] < 0.05
+    goal = Goal([target])
+    dark, one = goal.costs([np.zeros(2)], 0.0), goal.costs([np.array([0.4, 0.0])], 0.0)
+    assert dark > one > goal.costs([np.array([0.2, 0.2])], 0.0)
+    assert uniformity_error(np.zeros(2)) == uniformity_error(np.array([0.4, 0.0])) == 1.0
+
+
+def test_american_spellings_are_converted():
+    for target in (
+        wd.Target.equal(ORDERS, UP, 550.0, energy="normalized", **MIRROR),
+        wd.Target.orders({(0, 1): 0.3}, UP, 550.0, energy="normalized", **MIRROR),
+    ):
+        assert target.optics.energy == "normalised"
+
+
+def test_default_widths_of_edges_are_those_that_the_period_permits():
+    target = wd.Target.orders({(0, 0): 0.3}, UP, 632.8, **MIRROR, energy="stam")
+    for period, expected in ((0.4, []), (0.8, [0.05]), (1.6, [0.05, 0.1])):
+        result = wd.design(wd.profiles.Pixels(period / 8, np.zeros((1, 8))), target, starts=1)
+        table = result.robustness()
+        np.testing.assert_array_equal(table["amount"][table["change"] == "edges"], expected)
+    with pytest.raises(ValueError, match=r"edge_widths_um must lie within 0 to 0\.16 µm, a tenth of the period, got"):
+        result.robustness(edge_widths_um=[0.2])
+
+
+@pytest.mark.parametrize("coherence", [wd.Coherence(sigma_um=400.0), wd.Coherence("source", angular_diameter_deg=0.02)])
+def test_rigorous_colours_sample_the_narrow_peaks_of_a_long_coherence(coherence):
+    """Colours must equal sums over so many wavelengths that no peak lies between them."""
+    target = wd.Target.colour(GREEN, UP, wd.direction(17.0), coherence=coherence, **MIRROR)
+    nodes, orders = np.linspace(380.0, 780.0, 5), np.arange(-5, 6)
+    arguments = target, (1.0, 2.0), nodes, orders, np.full((5, 11), 0.1)
+    xyz = _colour(*arguments)
+
+    numbers, weights = colorimetry.uniform_quadrature(40_001, "D65", geometric=coherence.kind == "source")
+    with mock.patch.object(rigorous_check, "sampling", return_value=(1e3 / numbers, weights)):
+        expected = _colour(*arguments)
+    np.testing.assert_allclose(xyz, expected, rtol=5e-3)
+
+
+def test_colours_have_one_exposure(monkeypatch):
+    monkeypatch.setattr(design_search, "_MOST_ITERATIONS", 60)
     profile = wd.profiles.Pixels(0.25, np.zeros((1, 64)), samples=2)
     result = wd.design(profile, colours(coherence=wd.Coherence(sigma_um=8.0)), starts=2)
     assert result.delta_e.max() < 1.5
@@ -233,6 +282,15 @@ def test_fourier_starts_have_the_orders_of_the_target():
         orders = wd.order_efficiencies(profile.height_field(first), UP, 632.8, **MIRROR)
         assert min(orders[pair][0] for pair in pairs) > 0.2
         assert max(orders[-y, -x][0] for y, x in pairs) < 0.1
+
+
+def test_levels_wrap_only_at_a_cycle_of_the_phase(monkeypatch):
+    """For shallow levels, heights of one step above the highest level once became the lowest level: a flat surface."""
+    monkeypatch.setattr(pixel_exchange, "_MOST_PRODUCTS", 0.0)
+    target = wd.Target.orders({(0, 1): 0.3, (0, -1): 0.3}, UP, 632.8, **MIRROR, energy="stam")
+    result = wd.design(wd.profiles.Pixels(0.5, np.zeros((1, 8))), target, levels=2, depth_um=0.05, starts=1)
+    assert np.ptp(result.parameters) == pytest.approx(0.05)
+    assert result.achieved["achieved"].min() > 0.05
 
 
 def test_least_features_hold_after_the_exchange():

@@ -19,7 +19,7 @@ from warpdiff.scene.trimesh_parts import parts_of
 
 
 def textured(texels, scale, wrap, monkeypatch):
-    """Return a square as a prepared surface, whose texture coordinates range over ``scale`` copies of the image."""
+    """Return a square as a prepared surface, whose texture coordinates range over ``scale`` repeated images."""
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]])
     visual = TextureVisuals(uv=corners[:, :2] * scale, material=SimpleMaterial(image=Image.fromarray(texels)))
     (part,) = parts_of(trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False))
@@ -83,7 +83,7 @@ def test_filtered_colours_are_means_over_the_pixel_filter(wrap, scale, eye, rng,
     """Filtered base colours must equal means of the texture over the pixel filter.
 
     The means are computed from 81 × 81 points of the filter. Clamped textures are not tested: outside of the image, a
-    coarse mip level has the colours of its texels, which are wider than those of the image.
+    coarse mip level has the colours of its own edge texels, which are wider than the texels of the image.
     """
     surface = textured(rng.integers(0, 256, (64, 48, 3), dtype=np.uint8), scale, wrap, monkeypatch)
     view = wd.View.orthographic(eye, (0, 0, 0), extent_y=0.3, width=16, height=16)

@@ -70,7 +70,7 @@ def test_colours_of_replicated_periods_equal_a_direct_sum_over_many_wavelengths(
     """Colours of replicated periods must equal the direct sum.
 
     With many periods, the power of one patch is computed at few wavelengths and interpolated to ``divisions`` times as
-    many. The interference factor of the periods is computed at all of them.
+    many wavelengths. The interference factor of the periods is computed at all of these wavelengths.
     """
     heightfield, lights, views = noise((4, 8)), hemisphere(rng, 10, 0.3), hemisphere(rng, 10, 0.3)
     options = {"coherence": wd.Coherence("replicas", periods=periods), "tolerance": tolerance}
@@ -85,8 +85,9 @@ def test_each_direction_uses_the_smallest_sufficient_set_of_wavelengths(kind, rn
     """A direction must use the smallest set of wavelengths whose number is sufficient for its bandwidth.
 
     The weights of the wavelengths are replaced: X is the index of the set, and Y is 1. The ratio X/Y of a result is
-    then the index of the set that the kernel used. Under a source of light, orders pass a direction at the rate
-    √(d Σ⁻¹ d), where d is (u, v) and Σ is the covariance of (u, v) for the unit spread of the source.
+    then the index of the set that the kernel used. For a light source of finite size (coherence of the kind "source"),
+    diffraction orders pass a direction at the rate √(d Σ⁻¹ d) as the wavelength changes. Here d is (u, v), and Σ is the
+    covariance of (u, v) for a source whose spread is 1.
     """
     device, count = wp.get_device("cpu"), 60
     heightfield = noise((8, 128), (0.06, 0.05))

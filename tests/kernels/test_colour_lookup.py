@@ -29,7 +29,7 @@ def directions(rng):
     to_views /= np.linalg.norm(to_views, axis=1, keepdims=True)
     gains = rng.random(COUNT) * (rng.random(COUNT) > 0.1)
     # The footprints of the test have standard deviations of 1e-4 to 0.3 in (u, v). The widest footprints include all
-    # azimuths.
+    # polar angles of (u, v).
     footprints = rng.normal(size=(COUNT, 4)) * 10.0 ** rng.uniform(-4.0, -0.5, size=(COUNT, 1))
     return -(to_lights + to_views), to_lights, gains, footprints
 
@@ -70,8 +70,8 @@ def test_native_look_ups_equal_the_reference_implementation(fingers, plan, footp
         results[kind] = xyz.numpy().astype(np.float64), unserved_gain.numpy()
     (native, native_unserved), (plain, plain_unserved) = results["native"], results["plain"]
     served = native_unserved == plain_unserved
-    # For a direction near the limit of the table, rounding decides whether the table serves it. Directions for which
-    # the native look-up and its specification decide differently are excluded.
+    # For a direction near the limit of the table, rounding decides whether the direction is looked up in the table.
+    # Directions for which the native look-up and its reference implementation decide differently are excluded.
     assert np.mean(served) > 0.999
     errors = relative_errors(native, plain)[served]
     # Native look-ups round positions between two azimuth samples, or between two rings, to 1/64 of their spacing.

@@ -34,7 +34,16 @@ SM = 90
 SMS = (80, 90)
 ARCHITECTURES = [slow(80), SM]
 # Modules of the package ``kernels`` without a kernel. Their functions are compiled with the kernels that call them.
-FUNCTIONS_ONLY = {"atomics", "compile_options", "footprints", "indices", "sample_sequence", "shading_frames", "structs"}
+FUNCTIONS_ONLY = {
+    "atomics",
+    "compile_options",
+    "footprints",
+    "indices",
+    "sample_frames",
+    "sample_sequence",
+    "shading_frames",
+    "structs",
+}
 # Modules of the package ``kernels`` that contain only constants, for code that does not import Warp.
 WITHOUT_WARP = {"refinement_levels", "thresholds", "quadratic_spline"}
 KERNELS = {
@@ -132,7 +141,8 @@ def test_spectral_kernels_compile_and_stay_in_registers(name, lanes, form, power
     ptx = compile_to_ptx(getattr(coefficient_sum.kernels(lanes, form, powers), name).module, tmp_path)
     assert entry_points(ptx) == {name}
     # An array indexed by a variable would need local memory, which slows a kernel. PTX declares it as a ``depot``. Only
-    # kernels of replicas have one: 28 bytes in CUDA's sine for large arguments, which these kernels never compute.
+    # kernels for replicated patches have such an array: 28 bytes in CUDA's sine for large arguments, which these
+    # kernels never compute.
     depots = re.findall(r"__local_depot\d+\[(\d+)\]", ptx)
     assert depots == (["28"] if form == "replicas" else [])
 
@@ -140,7 +150,7 @@ def test_spectral_kernels_compile_and_stay_in_registers(name, lanes, form, power
 @pytest.mark.parametrize("arch", ARCHITECTURES)
 @pytest.mark.parametrize(
     ("name", "source"),
-    # The kernels ``blur`` and ``interpolate`` are equal for windows and sources.
+    # The kernels ``blur`` and ``interpolate`` are the same for coherence windows and for light sources.
     [("integrate", False), *(slow(name, False) for name in ("blur", "interpolate")),
      *((name, True) for name in sorted(KERNELS["colour_lookup"]))],
 )  # fmt: skip

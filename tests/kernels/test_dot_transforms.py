@@ -1,4 +1,4 @@
-"""Dots at hits and their transforms, against NumPy."""
+"""Dots of grating maps at hits, and transforms of samples to the frames of dots, compared with NumPy."""
 
 from __future__ import annotations
 
@@ -50,20 +50,20 @@ def test_dots_at_hits_repeat_and_row_0_is_on_top(rng: np.random.Generator) -> No
     launch_pipeline([call], rays, device=wp.get_device("cpu"), threads=1)
     hit = pixels.hit.numpy() != 0
     assert np.all(dots.numpy()[~hit] == -1)
-    # Points within the rounding error of an edge may be on either side.
+    # Points that are closer to the edge of a dot than the rounding error may be on either side of it.
     away = np.min(np.abs((uv * [COLUMNS, ROWS]) % 1.0 - 0.5), axis=1) < 0.499
     np.testing.assert_array_equal(dots.numpy()[hit & away], _dots(uv)[hit & away])
 
 
 def test_cells_look_up_dots_at_different_positions(rng: np.random.Generator) -> None:
-    """The cells of a pixel find the edge of a dot as well as 16 times as many cells would."""
+    """The subpixel cells of a pixel must find the edge of a dot as accurately as 16 times as many cells would."""
     across = 4
     camera, mesh, pixels, _ = _scene(across**2, rng)
     pixels.hit.fill_(1)
     pixels.face.fill_(0)
     centres = (np.arange(across) + 0.5) / across - 0.5
     for edge in np.linspace(0.01, 0.49, 25):
-        # The left edge of the dot with u = 0 is at the share ``edge`` of a pixel with a width of 0.5.
+        # The left edge of the dot with u = 0 is at the fraction ``edge`` of the pixel's width, which is 0.5.
         x = np.tile(centres, across) * 0.5 + 0.25 - edge
         y = 0.1 - np.repeat(centres, across) * 0.25 * 0.01
         second, third = (x + 3.0) / 8.0, (y + 3.0) / 8.0
@@ -72,7 +72,7 @@ def test_cells_look_up_dots_at_different_positions(rng: np.random.Generator) -> 
         dots = wp.zeros(across**2, dtype=wp.int32, device="cpu")
         call = KernelCall(dot_transforms.find_dots, [camera, mesh, pixels, 1, 1000, across], [dots], in_runs=True)
         launch_pipeline([call], across**2, device=wp.get_device("cpu"), threads=1)
-        # Dots left of the edge have u < 0, and columns near 1000 by repetition.
+        # Dots to the left of the edge have u < 0. Because the map repeats, their columns are near 1000.
         share = np.mean(dots.numpy() >= 500)
         assert abs(share - edge / 0.5) <= 0.5 / across**2 + 1e-6
 

@@ -45,7 +45,7 @@ def view():
 
 @pytest.fixture(scope="module")
 def pictures(tube, fingers):
-    """Return a picture with footprints, one with one ray per pixel, and a reference with 400 rays per pixel."""
+    """Return a picture with footprints, a picture with one ray per pixel, and a reference with 400 rays per pixel."""
     blurred = wd.shade(tube, fingers, LIGHT, view(), coherence=SHORT, tolerance=3e-2)
     plan = dataclasses.replace(blurred.plan, footprint=False)
     points = wd.shade(tube, fingers, LIGHT, view(), plan=plan)
@@ -84,7 +84,9 @@ def test_footprints_reduce_the_error_of_a_pixel(pictures):
 
 @pytest.mark.parametrize("angle_deg", [-1e-5, 0.0, 1e-5, -0.02, 180.0])
 def test_azimuth_samples_form_a_closed_circle(fingers, angle_deg):
-    """Azimuth samples are periodic, so that colours must be continuous at azimuths of 0° and 180°."""
+    """Colours must be continuous at azimuths (polar angles of (u, v)) of 0° and 180°, because a table's azimuth samples
+    are periodic.
+    """
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=0.1)
     plan = dataclasses.replace(plan, footprint=True)
     device = wp.get_device("cpu")
@@ -106,7 +108,7 @@ def test_azimuth_samples_form_a_closed_circle(fingers, angle_deg):
 def test_a_colour_does_not_depend_on_neighbouring_pixels(fingers, window, blurred, rng):
     """Colours must not depend on which look-ups share a SIMD batch. The number of threads changes this.
 
-    Compilers once rounded differently in incomplete batches, which changed the table row of 1 in 2000 look-ups.
+    Compiled code could round differently in incomplete batches, which would change the table row of 1 in 2000 look-ups.
     """
     plan = wd.plan(fingers, coherence=window, method="low-rank", integration="table", tolerance=0.1, strict=False)
     device = wp.get_device("cpu")
@@ -153,8 +155,9 @@ def colours(heightfield, plan, direction_range, uv, footprints):
 def test_means_over_footprints_equal_means_of_points(fingers, rng, widest, turn, median, most):
     """Look-ups of one-dimensional footprints must equal means over 120 points along these footprints.
 
-    The footprints are radial or oblique lines in (u, v). Wide ones are included, because their look-ups skip rings and
-    their Gaussians in ln |(u, v)| are skewed.
+    The footprints are radial or oblique lines in (u, v). Wide footprints are included, because their look-ups skip
+    rings (circles of constant |(u, v)| in the table), and because their Gaussians are skewed as functions of ln |(u,
+    v)|.
     """
     count = 200
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=0.02)
@@ -180,7 +183,8 @@ def test_means_over_footprints_equal_means_of_points(fingers, rng, widest, turn,
 def test_means_around_the_mirror_direction_equal_means_of_points(surface, fingers, rng, distance):
     """Look-ups of footprints close to the mirror direction must equal means over points.
 
-    These footprints include all azimuths. Their centres are 0 to 3 standard deviations away from the mirror direction.
+    These footprints include all polar angles of (u, v). Their centres are 0 to 3 standard deviations away from the
+    mirror direction.
     """
     heightfield = {"fingers": fingers, "lines": wd.gratings.sinusoidal(5.0, 0.14)}[surface]
     count = 8
@@ -203,10 +207,11 @@ def test_means_around_the_mirror_direction_equal_means_of_points(surface, finger
 
 
 def test_a_wide_footprint_weights_each_ring_by_its_area():
-    """A look-up of a wide footprint must equal a closed form, for a table that contains a narrow Gaussian of |(u, v)|.
+    """A look-up of a wide footprint must equal a closed form, for a table whose colours are a narrow Gaussian function
+    of |(u, v)|.
 
-    The footprint and the Gaussian of the table have the mirror direction as their common centre. Near it, look-ups of
-    wide footprints skip every second ring.
+    The footprint and the Gaussian of the table have the mirror direction as their common centre. Near this direction,
+    look-ups of wide footprints skip every second ring.
     """
     heightfield = wd.gratings.sinusoidal(5.0, 0.14)
     up = (0.0, 0.0, 1.0)
@@ -236,7 +241,8 @@ def test_a_wide_footprint_weights_each_ring_by_its_area():
 
 
 def seen_by(surface, view, light, face, column, row, *, smooth):
-    """Return (u, v) in float64, shape (n, 2), at the points where camera rays intersect the planes of given faces.
+    """Return (u, v) in float64, shape (n, 2), at the points where camera rays intersect the planes of the faces
+    ``face``.
 
     The rays pass through the picture positions (``column``, ``row``) in pixels.
     """
@@ -334,7 +340,7 @@ def test_few_azimuth_samples_blur_a_gaussian_line(rule, own, worst):
                 moments = weights[index, which, :count] @ np.stack([places, places**2], axis=1)
                 np.testing.assert_allclose(moments, [0.0, variances[index] + 0.25], atol=1e-5)
             # Index of the first azimuth sample that the filter uses. With this index, the samples of the filter are in
-            # the middle of the 49 samples.
+            # the middle of all 49 samples.
             first = 24 - count // 2
             for line in on_rays[first] - places[0] + np.linspace(-6.0, 6.0, 49):
                 values = np.exp(-0.5 * ((on_rays - line) / own) ** 2) / own

@@ -1,4 +1,6 @@
-"""Light samples: energy factors and transmittances by angle, and footprints of lights that are extended or nearby."""
+"""Light samples: factors of the energy normalisation and transmittances by angle, and footprints under lights that are
+extended or nearby.
+"""
 
 import numpy as np
 import pytest
@@ -26,8 +28,8 @@ def array(values, dtype):
 
 
 def test_factors_are_linear_between_angles(rng):
-    """Values between the entries of the tables must be linear: energy factors in √(1 − cos θ), and transmittances in
-    cos θ.
+    """Values between the entries of the tables must be linear functions: energy factors of √(1 − cos θ), and
+    transmittances of cos θ.
 
     The angle θ is that between the direction and the normal. Over the azimuth of a direction (x, y, z), energy factors
     are linear in y / (|x| + |y|) within each quadrant.

@@ -1,4 +1,6 @@
-"""Native headers: each one is included, is listed as a build dependency, and compiles with a plain C++ compiler."""
+"""Native headers (C++): each header is included, is listed as a build dependency, and compiles with a plain C++
+compiler.
+"""
 
 import ast
 import re

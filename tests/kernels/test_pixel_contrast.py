@@ -1,4 +1,5 @@
-"""Contrast of pixels: estimated errors of pixels with one ray each, and marks of pixels to subdivide.
+"""Contrast of pixels to their neighbours: estimated errors of pixels with one ray each, and marks of pixels to
+subdivide.
 
 (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
 light and to the viewer.
@@ -55,8 +56,8 @@ def estimate_by_hand(colours, uv, hit, floor, bound, base=None, maps=None):
                      if hit[y, x]]  # fmt: skip
             contrast = max([step if away == 1 else ASLANT * step for away, step in steps])
             if all(away != 1 for away, _ in steps):
-                # If no neighbour to the left, right, top or bottom is hit, there is no contrast, and the pixel's own
-                # colour is used instead.
+                # If no ray of a neighbour to the left, right, top or bottom hits the mesh, there is no contrast, and
+                # the pixel's own colour is used instead.
                 contrast = size(colours[row, column])
             share = 1.0
             if len(near) == 9 and all(hits):

@@ -60,8 +60,8 @@ def test_pairs_of_directions_have_the_brdf_of_the_specification(metallic, roughn
 def test_microfacets_cover_the_surface_once_after_a_blur(alpha, covariance):
     """The projected areas of all microfacets must add up to the area of the surface: ∫ D cos θ dω = 1.
 
-    Over the slopes s of microfacets, dω cos θ = ds cos⁴θ. The integral is a mean over points of the GGX distribution.
-    Its tail must be that of D without a blur, which a blur does not change.
+    As an integral over the slopes s of microfacets, dω cos θ = ds cos⁴θ. The integral is computed as a mean over points
+    that are drawn from the GGX distribution. The tail of the blurred D must equal the tail of D without a blur.
     """
     trace = min(covariance[0] + covariance[2], 0.18)
     share, turn = np.meshgrid((np.arange(200) + 0.5) / 200, (np.arange(64) + 0.5) / 64 * 2.0 * math.pi)

@@ -1,4 +1,6 @@
-"""Samples of lights for plain surfaces with a roughness: frames, shares of the ways of drawing, and disc lights."""
+"""Samples of lights for plain surfaces with a roughness: frames, fractions of the samples by the distribution from
+which they are drawn, and disc lights.
+"""
 
 import math
 
@@ -8,7 +10,7 @@ import warp as wp
 from conftest import hemisphere, launch
 
 import warpdiff as wd
-from warpdiff.kernels import compile_options, plain_samples
+from warpdiff.kernels import compile_options, plain_samples, sample_frames
 from warpdiff.kernels.light_samples import Lights
 from warpdiff.kernels.plain_reflection import Gloss, PlainMaterials
 from warpdiff.kernels.structs import Footprint, Pixels
@@ -29,7 +31,7 @@ def call_functions(
     views: wp.array(dtype=wp.vec3f), shares: wp.array(dtype=wp.float32),
 ):  # fmt: skip
     i = wp.tid()
-    frame = plain_samples.filtered_frame(pixels, i, footprints[i], random[i])
+    frame = sample_frames.filtered_frame(pixels, i, footprints[i], random[i])
     tangents[i] = frame.tangent
     bitangents[i] = frame.bitangent
     normals[i] = frame.normal
@@ -42,11 +44,12 @@ def call_functions(
 
 
 def test_frames_within_a_footprint_and_shares_of_microfacets_have_closed_forms(rng):
-    """Frames at points of the pixel filter must change (u, v) as the footprint states, for either handedness.
+    """Frames at points of the pixel filter must change (u, v) as the footprint states, for either handedness of the
+    frame.
 
     The footprint has the changes of (u, v) of light from the mirror direction over one standard deviation of the
-    filter, along rows and columns. The share of microfacets is that of the specular reflection in the brightness of the
-    surface under a white sky.
+    filter, along rows and columns. The fraction of samples drawn from microfacets is the share of the specular
+    reflection in the brightness of the surface under a white sky.
     """
     frames, local = np.linalg.qr(rng.normal(size=(COUNT, 3, 3)))[0], hemisphere(rng, COUNT, 0.3)
     frames[::2, 1] *= -1.0
@@ -120,9 +123,9 @@ def test_directions_on_a_disc_are_uniform_and_many_are_near_the_mirror_direction
 ):
     """Weighted directions must be uniform over the disc, also if a part of them is drawn from microfacets.
 
-    The mirror direction is on the disc. If the lobe of the surface is narrower than the disc, half of the directions is
-    drawn from microfacets. Half of the microfacets have slopes below α, which reflect to within 2α of the mirror
-    direction.
+    The mirror direction is on the disc. If the reflection lobe of the surface is narrower than the disc, half of the
+    directions are drawn from microfacets. Half of the microfacets have slopes below α, which reflect to within 2α of
+    the mirror direction.
     """
     axis, mirror, towards = drawn(20.0, alpha, towards_mirror)
     radius, weights = math.radians(10.0), towards[:, 3]

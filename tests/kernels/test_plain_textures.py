@@ -15,13 +15,16 @@ from warpdiff.scene.mesh_import import prepare_surface
 from warpdiff.scene.scene_parts import Appearance, ScenePart, TextureMap
 
 CORNERS = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]])
-# Transforms of texture coordinates, which differ between the two textures and from the base colour.
+# Transforms of the texture coordinates of the two textures. They differ from each other and from the transform of the
+# base colour.
 OF_ROUGHNESS = np.array([[0.8, -0.6, 0.3], [0.6, 0.8, -0.2]])
 OF_EMISSION = np.array([[1.5, 0.0, 0.0], [0.0, -1.0, 0.7]])
 
 
 def surface_of(roughness, emission, scale, wraps, monkeypatch):
-    """Return a square with two textures, at texture coordinates that range over ``scale``, and one without."""
+    """Return two squares: one with two textures, whose texture coordinates range over ``scale``, and one without
+    textures.
+    """
     maps = [
         TextureMap(Image.fromarray(texels), 1, transform, wrap)
         for texels, transform, wrap in zip((roughness, emission), (OF_ROUGHNESS, OF_EMISSION), wraps, strict=True)
@@ -82,7 +85,7 @@ def test_points_are_interpolated_between_texels_of_both_textures(wraps, rng, mon
     np.testing.assert_array_equal(gloss[inside, 2:], 0.0)
     expected = bilinear(decode(emission), wraps[1], *uvs[1][inside].T)
     np.testing.assert_allclose(emitted[inside], expected, atol=2e-5)
-    # The coordinates at the corners follow from the formula of the transform.
+    # The texture coordinates at the corners are computed by the formula of the texture transform.
     world = (surface.vertices * surface.radius + surface.centre)[:4, :2] * 2.3
     np.testing.assert_allclose(
         surface.maps.metallic_roughness_uvs[:4], world @ OF_ROUGHNESS[:, :2].T + OF_ROUGHNESS[:, 2], atol=1e-5
@@ -91,7 +94,9 @@ def test_points_are_interpolated_between_texels_of_both_textures(wraps, rng, mon
 
 @pytest.mark.parametrize(("scale", "eye"), [(0.4, (0, 0, 3.0)), (3.0, (0.3, -2.0, 1.2))], ids=str)
 def test_filtered_values_are_means_over_the_pixel_filter(scale, eye, rng, monkeypatch):
-    """The reference are sums over 61 × 61 points of the pixel filter, on the same plane."""
+    """Filtered values must equal means of the textures over the pixel filter, which are sums over 61 × 61 points on the
+    same plane.
+    """
     repeat = ("repeat", "repeat")
     roughness, emission = (rng.integers(0, 256, size, dtype=np.uint8) for size in ((64, 48, 3), (40, 40, 3)))
     surface = surface_of(roughness, emission, scale, (repeat, repeat), monkeypatch)
@@ -128,6 +133,6 @@ def test_textures_at_the_coordinates_of_the_base_colour_share_them(rng, monkeypa
     monkeypatch.setattr("warpdiff.scene.mesh_import.labelled_parts", lambda _: [(part, "mesh")])
     surface = prepare_surface(trimesh.Trimesh(), plain={"*": True})
     assert surface.maps.metallic_roughness_uvs is None
-    # Height fields hide the textures, which are not decoded for them.
+    # A surface with a height field does not show these textures, so that they are not decoded.
     monkeypatch.setattr("warpdiff.scene.mesh_import.labelled_parts", lambda _: [(dataclasses.replace(part), "mesh")])
     assert not prepare_surface(trimesh.Trimesh(), plain={"*": False}).has_maps

@@ -38,7 +38,7 @@ def cast(surface, view, *, smooth=True, sample=0, samples=1, seed=0, slices=1, s
     sampling.offsets = wp.empty(count if samples > 1 else 0, dtype=wp.vec2d, device="cpu")
     find = (bvh.trace_bvh, count, [axes, scene.with_hierarchy(), sampling])
     if covers:
-        neighbour_extent = primary_hits.MOST_OFFSET if samples > 1 else 0.0
+        neighbour_extent = refinement_levels.FILTER_CUT if samples > 1 else 0.0
         find = (primary_hits.rasterize, scene.face_count, [axes, scene.bare, sampling, Cells(), neighbour_extent])
     launches = [
         (primary_hits.place_samples, len(sampling.offsets), [sample, samples, seed], [sampling.offsets]),
@@ -148,7 +148,7 @@ def test_hits_and_shading_frames_equal_brute_force(scene, covers, smooth, reques
 
 
 def wall(corner_colours=None, size=100.0):
-    """Return a square in the plane z = 0 with u along x and v along y, covered by one copy of the texture."""
+    """Return a square in the plane z = 0 with u along x and v along y, covered by one repetition of the texture."""
     vertices = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]]) * size / 2.0
     uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
     material = None if corner_colours is None else SimpleMaterial(image=corner_colours)
@@ -230,7 +230,7 @@ def test_faces_are_clipped_behind_the_eye(mesh, view, samples):
 
 
 def test_an_eye_close_to_a_face_sees_no_gap():
-    """An eye inside a closed mesh must see a face in every direction."""
+    """A camera ray from an eye inside a closed mesh must hit a face in every direction."""
     surface = prepare_surface(trimesh.creation.icosphere(subdivisions=2), tangents=np.tile([0.3, 1.0, 0.2], (162, 1)))
     scene = SceneArrays(surface, device="cpu")
     rng = np.random.default_rng(5)
@@ -368,7 +368,7 @@ def test_both_sides_of_a_face_have_a_shading_frame(mirrored):
         assert np.all(got["hit"] == 1)
         np.testing.assert_allclose(got["normal"], np.tile([[0, 0, np.sign(z)]], (16, 1)), atol=1e-6)
         np.testing.assert_allclose(got["tangent"], np.tile([[1, 0, 0]], (16, 1)), atol=1e-6)
-        # The bitangent is n × t with the normal turned to the viewer, times the handedness.
+        # The bitangent is n × t with the normal turned to the viewer, times the handedness of the texture coordinates.
         np.testing.assert_allclose(got["bitangent"], np.tile([[0, sign * np.sign(z), 0]], (16, 1)), atol=1e-6)
         assert np.all(got["shadow_origin"][:, 2] * np.sign(z) > 0.0)
 
@@ -434,7 +434,7 @@ def shadow_rays(
     mesh_id: wp.uint64,
     origins: wp.array(dtype=wp.vec3f),
     direction: wp.vec3f,
-    # 1 for each ray that hits a face, else 0, written by this kernel.
+    # Output of this kernel: 1 for each ray that hits a face, otherwise 0.
     occluded_out: wp.array(dtype=wp.int32),
 ):
     i = wp.tid()

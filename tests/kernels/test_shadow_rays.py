@@ -1,4 +1,4 @@
-"""Shadow rays, by occluder grids and by the bounding-box hierarchy, compared with brute force in float64."""
+"""Shadow rays, traced by occluder grids and by the bounding-box hierarchy, compared with brute force in float64."""
 
 import dataclasses
 
@@ -70,7 +70,7 @@ MESHES = {
 
 
 def points_on(surface, light, count, rng):
-    """Return starting points of shadow rays on random faces, lifted to the side of the light."""
+    """Return starting points of shadow rays on random faces, moved a small distance from the face towards the light."""
     face = rng.integers(0, len(surface.faces), count)
     shares = rng.dirichlet((1.0, 1.0, 1.0), count)
     corners = surface.vertices[surface.faces[face]].astype(np.float64)
@@ -128,7 +128,7 @@ def test_shadows_equal_brute_force(make, light, rng):
 
 
 def through(scene, light, origins, directions=()):
-    """Return the results of the shadow kernel for scenes with transparent faces, as :func:`occluded`."""
+    """Return the results of the shadow kernel for scenes with transparent faces, like those of :func:`occluded`."""
     scene.with_hierarchy()
     return traced(
         trace_shadow_rays_through, [scene.bare, scene.textures, scene.transparency], light, origins, directions

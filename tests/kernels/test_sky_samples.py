@@ -18,7 +18,7 @@ from warpdiff.lights.sky_grid import sample_grid
 from warpdiff.optics import reflectance_factors
 
 COUNT = 1 << 14
-# Cumulative probabilities whose last value is below 1, as rounding may leave it.
+# Cumulative probabilities whose last value is below 1, which rounding can cause.
 SHORT = [0.3, 0.3, 0.9]
 
 
@@ -181,7 +181,8 @@ def pixels_with(frames, views, hit):
 def test_each_sample_scatters_light_from_its_direction_in_the_sky(rng):
     """The scattering vector must be −ωi − ωr, and the gains proportional to the power of the sky in the direction ωi.
 
-    Both must hold for either handedness of the frame, and for either way by which a direction is drawn.
+    Both must hold for either handedness of the frame, and for both distributions from which directions are drawn (by
+    the colours of the surface, and by the sky).
     """
     frames, views = frames_of_rays(rng), hemisphere(rng, SKY_RAYS, 0.3)
     hit = rng.uniform(size=SKY_RAYS) < 0.9
@@ -219,8 +220,10 @@ def test_each_sample_scatters_light_from_its_direction_in_the_sky(rng):
 
 
 def test_the_share_of_hits_and_the_mirror_directions_are_those_of_the_rays(rng):
-    """Light from the mirror direction has u = v = 0 and w = −2 cos θ; each hit adds the share of its ray to the
-    coverage."""
+    """Light from the mirror direction must have u = v = 0 and w = −2 cos θ.
+
+    Each ray that hits the mesh must add the fraction of the pixel that it represents to the coverage.
+    """
     frames, views = frames_of_rays(rng), hemisphere(rng, SKY_RAYS)
     hit = rng.uniform(size=SKY_RAYS) < 0.7
     vectors, gains = wp.zeros(SKY_RAYS, wp.vec3d, device="cpu"), wp.zeros(SKY_RAYS, wp.float32, device="cpu")

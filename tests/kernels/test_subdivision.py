@@ -1,4 +1,7 @@
-"""Subdivision of pixels: filtered sums over subpixel cells, and the choice of levels."""
+"""Subdivision of pixels: filtered sums over subpixel cells, and the choice of levels.
+
+A tile is a pixel that is divided into subpixel cells. At level n, a tile has 2ⁿ × 2ⁿ cells.
+"""
 
 import numpy as np
 import pytest
@@ -54,8 +57,8 @@ def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
 
 @pytest.mark.parametrize("level", [2, 3])
 def test_the_scatter_of_samples_follows_from_squares_of_four_cells(level, rng):
-    """The kernel's scatter of a subdivided pixel must equal the scatter that follows from the variances within 2 × 2
-    cells.
+    """The kernel's scatter of a subdivided pixel must equal the scatter that is computed from the variances within 2 ×
+    2 cells.
 
     Cells that miss the mesh do not add to the variance. In this test, one square of 2 × 2 cells misses the mesh
     completely.
@@ -160,7 +163,7 @@ def levels_by_hand(quadrants, marks, colours, lighting, floor, tolerance, most):
 def test_levels_follow_from_second_differences_of_colours(rng):
     height, width, floor, tolerance = 7, 9, 0.5, 0.05
     quadrants = rng.lognormal(0.0, 1.0, (height, width, 4, 3)).astype(np.float32)
-    # Where colours change linearly along a row, the kernel must not ask for finer cells.
+    # Where colours change linearly along a row, the kernel must not select a higher level.
     x = np.arange(2 * width, dtype=np.float32).reshape(width, 2)
     quadrants[3:] = (1.0 + x[:, [0, 1, 0, 1], None]) * np.array([1.0, 2.0, 3.0], dtype=np.float32)
     marks = rng.uniform(size=(height, width)) < 0.8
@@ -201,7 +204,11 @@ def test_threads_add_the_colours_of_a_light_to_each_pixel_once(rng):
 
 
 def test_shares_of_the_filter_are_integrals_of_a_truncated_gaussian():
-    """The filter is a Gaussian, truncated at 1.5 pixels, whose integrals over three pixels are its shares."""
+    """The shares of the pixel filter must be integrals of a truncated Gaussian over three pixels: a pixel and its
+    neighbours on both sides.
+
+    The Gaussian is truncated at 1.5 pixels.
+    """
     place = (np.arange(3000) + 0.5) / 1000.0 - 1.5
     values = np.exp(-0.5 * (place / refinement_levels.FILTER_SIGMA) ** 2).reshape(3, 1000).sum(axis=1)
     np.testing.assert_allclose(refinement_levels.FILTER_SHARES, values / values.sum(), rtol=1e-5)

@@ -1,4 +1,4 @@
-"""Kernels that list tiles, and the lower limit of luminances in the denominator of relative errors."""
+"""Kernels that list tiles (subdivided pixels), and the floor of luminance, the smallest divisor of relative errors."""
 
 import numpy as np
 import pytest
@@ -24,6 +24,7 @@ def test_the_luminance_floor_is_0_001_of_the_99th_percentile(count, octaves, rng
     )  # fmt: skip
     launch(tile_lists.luminance_floor, dim=1, inputs=[tallies], outputs=[floor], device="cpu")
     bright = np.sort(luminance[illuminated])
-    # The 99th percentile is the value that one per cent of the illuminated pixels, rounded down, exceed.
+    # The 99th percentile is the luminance that 1 % of the illuminated pixels exceed; the number of these pixels is
+    # rounded down.
     expected = 1e-3 * bright[-1 - count // 100] if count else 0.0
     assert floor.numpy()[0] == pytest.approx(expected, rel=1.0 / 128.0, abs=2e-38)

@@ -26,7 +26,9 @@ def emit_by_cosine(
     lights: Lights, lobe: wp.int32, axis: wp.vec3f, pixels: Pixels, first: wp.int32, run: wp.int32,
     towards_out: wp.array(dtype=wp.vec4f),
 ):  # fmt: skip
-    """Write directions to the light, and cos⁸ of the angle between the spotlight's axis and the direction from it."""
+    """Write directions to the light, and cos⁸ of the angle between the spotlight's axis and the direction from the
+    spotlight to the surface.
+    """
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         towards = wp.normalize(wp.vec3f(away_from(lights.places[lobe], pixels.shadow_origin[i])))
@@ -141,7 +143,7 @@ def test_a_profile_dims_the_light_of_the_pigment(fingers):
 
 
 def test_lobes_of_all_lights_are_refined_together_unless_a_part_has_its_own_pass(fingers):
-    """The lobes of all lights must form one set, including those of a light with an emission profile.
+    """The lobes of all lights must form one ``LobeSet``, including those of a light with an emission profile.
 
     Only lobes of a subclass of ``LobeSet`` that has its own pass must stay separate.
     """

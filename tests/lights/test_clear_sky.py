@@ -38,7 +38,7 @@ def test_luminances_and_illuminances_of_the_sky_follow_the_cie(altitude):
     sky = wd.Environment.clear_sky(3.0 * to_sun, sun=0.0, ground_albedo=0.3)
     luminance = sky.radiance_rgb.astype(np.float64) @ LUMINANCE
     polar = (np.arange(512) + 0.5) / 512.0 * math.pi
-    # Columns of the map are ordered by azimuth, counter-clockwise as seen from above, and are rotated by
+    # Columns of the map are ordered by azimuth, counter-clockwise as viewed from above, and are rotated by
     # ``rotation_deg``.
     azimuth = ((np.arange(1024) + 0.5) / 512.0 - 1.0) * math.pi - math.radians(sky.rotation_deg)
     for row, column in ((3, 700), (100, 20), (250, 511), (200, 1023)):
@@ -58,8 +58,8 @@ def test_luminances_and_illuminances_of_the_sky_follow_the_cie(altitude):
 def test_the_sun_is_extracted_with_its_power_width_and_position(altitude):
     """The sun that is extracted from a sky must have the power, width and position with which the sky was made.
 
-    The sun has a diameter of 0.53°, and pixels of the sky are 0.35° wide. Of the extracted light, 3 % is the sun's
-    glow.
+    The sun has a diameter of 0.53°, and pixels of the sky are 0.35° wide. Of the extracted light, 3 % is the glow of
+    the sky around the sun.
     """
     up, level = math.sin(math.radians(altitude)), math.cos(math.radians(altitude))
     sky = wd.Environment.clear_sky((-0.6 * level, up, 0.8 * level), sun=2.0)

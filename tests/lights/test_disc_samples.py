@@ -27,7 +27,7 @@ def fingers():
 
 
 def points_of(light, count):
-    """Return many directional lights that replace a disc light. They are in concentric rings on the disc."""
+    """Return many directional lights that replace a disc light. These lights are in concentric rings on the disc."""
     axis, radius = np.asarray(light.to_light), math.radians(light.angular_diameter_deg / 2.0)
     aside = np.cross(axis, (1.0, 0.0, 0.0))
     aside /= np.linalg.norm(aside)
@@ -104,8 +104,8 @@ def test_weighted_directions_are_uniform_over_the_disc(diameter, towards_mirror)
     if towards_mirror is None:
         np.testing.assert_array_equal(weights, 1.0)
     else:
-        # Directions drawn around the mirror direction are within one standard deviation of the lobe in 39 % of the
-        # draws. These are 12 % of all directions.
+        # Of the directions drawn around the mirror direction, 39 % are within one standard deviation of the zeroth
+        # order's lobe. These are 12 % of all directions.
         away = towards[:, :3] - mirror
         away -= (away @ normal)[:, None] * normal
         assert np.mean(np.linalg.norm(away, axis=1) < lobe) > 0.1
@@ -132,7 +132,7 @@ def test_a_disc_light_equals_many_directional_lights(diameter, count, median, mo
     assert np.median(errors) < median
     assert np.percentile(errors, 90.0) < most
     # A picture under a directional light without an angular diameter must be clearly different. Otherwise the
-    # comparison with the disc light would show nothing.
+    # comparison with the disc light would be meaningless.
     options |= {"coherence": None, "plan": exact.plan}
     point = wd.shade(body, fingers, wd.DirectionalLight(TOWARDS), VIEW, **options)
     others = relative_errors(point.xyz[visible], exact.xyz[visible])
@@ -170,7 +170,8 @@ def test_the_luminance_in_a_penumbra_is_the_visible_share_of_the_disc():
     light = wd.DirectionalLight((0.0, 0.0, 1.0), angular_diameter_deg=10.0)
     flat = wd.HeightField(np.zeros((8, 8)), 0.09)
     options = {"tolerance": 5e-2, "coherence": SHORT, "tangents": (1.0, 0.1, 0.05), "smooth": False}
-    # The pigment alone is compared, because it reflects light from all parts of the disc equally.
+    # Only the light that the pigment reflects is compared, because the pigment reflects light from all parts of the
+    # disc equally.
     shown, bare = (
         wd.shade(body, flat, light, view, **options, shadows=each, pigment=1.0).xyz
         - wd.shade(body, flat, light, view, **options, shadows=each, pigment=0.0).xyz
@@ -205,7 +206,8 @@ def test_the_best_table_is_used_if_none_meets_the_tolerance_for_single_direction
     bright = inside[np.argsort(image.xyz[tuple(inside.T)][:, 1])[-40::8]]
     exact = sums.under_disc(bright, light, 64, 0)
     errors = np.linalg.norm(image.xyz[tuple(bright.T)] - exact, axis=1) / np.linalg.norm(exact, axis=1)
-    # The table's reported error for single directions is 0.09. The samples of the disc light add noise to it.
+    # The error that the table reports for single directions is 0.09. The random directions to the disc light add noise
+    # to this error.
     assert np.median(errors) < 0.06
     assert errors.max() < 0.2
 

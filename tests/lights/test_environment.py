@@ -16,7 +16,7 @@ from conftest import slow, write_image
 
 import warpdiff as wd
 from bench.truth.sky_sums import SkySums
-from warpdiff.lights import sky_distribution
+from warpdiff.lights import sky_distribution, sky_grid
 from warpdiff.lights.sky_grid import extract_suns
 from warpdiff.optics import colorimetry
 from warpdiff.optics.spectra import colour_science
@@ -37,7 +37,8 @@ def middles(height):
 
 
 def spectrum_of_a_sky(sigma_um):
-    """Return the spectrum of a grey sky that a window reflects, D65 over λ², and the factor of its brightness.
+    """Return the spectrum of a grey sky's reflection under a coherence window, D65 over λ², and the factor of its
+    brightness.
 
     The factor is the mean of 4πσ²/λ², weighted by the contribution of each wavelength to Y.
     """
@@ -48,7 +49,9 @@ def spectrum_of_a_sky(sigma_um):
 
 
 def seen_at(degrees):
-    """Return an orthographic view of a few pixels, at an angle to the z-axis and along no coordinate axis."""
+    """Return an orthographic camera of a few pixels whose axis is at an angle of ``degrees`` to the z-axis, and along
+    no coordinate axis.
+    """
     angle = math.radians(degrees)
     eye = (4 * math.sin(angle) * 0.6, 4 * math.sin(angle) * 0.8, 4 * math.cos(angle))
     return wd.View.orthographic(eye, (0, 0, 0), up=(0, 1, 0.3), extent_y=0.3, width=4, height=3)
@@ -66,7 +69,7 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=1024)
     result = wd.shade(square, heightfield, sky, view, **UNDER | {"coherence": window, "tolerance": tolerance}).xyz
     # All pixels have the same colour, but different samples of the sky. Their mean has less noise than a single pixel,
-    # so that its error is mainly that of the table.
+    # so that the error of the mean is mainly that of the table.
     result = result.mean(axis=(0, 1))
     # The exact colour is a sum over directions to a grey sky of radiance L with the spectrum of D65. A solid angle dω
     # adds ρ L dω / Ω, where Ω = λ²/(4πσ²) is the solid angle of the light to which ρ refers. The grid has equal steps
@@ -215,7 +218,7 @@ def test_environment_files_are_read_and_invalid_ones_are_refused(tmp_path, squar
 
 @dataclasses.dataclass(frozen=True)
 class RayOfASky(wd.DirectionalLight):
-    """Directional light whose illuminant is a radiance divided by λ²."""
+    """Directional light whose illuminant is a radiance divided by λ², like a ray of a sky."""
 
     def lobes(self):
         return tuple(dataclasses.replace(lobe, is_of_sky=True) for lobe in super().lobes())
@@ -250,8 +253,8 @@ def test_pigment_and_shadows_under_a_sky_equal_those_under_many_lights():
     visible = expected[..., 1] > 0.0
     assert visible.sum() > 60
     away = np.linalg.norm(below[visible] - expected[visible], axis=1) / np.linalg.norm(expected[visible], axis=1)
-    # The exact picture has a directional light every 15°, each completely visible or occluded. This limits its
-    # accuracy.
+    # The reference picture has a directional light every 15°, which is either completely visible or completely
+    # occluded. This limits the accuracy of the reference.
     assert np.median(away) < 0.05
     assert np.percentile(away, 90.0) < 0.09
 
@@ -291,6 +294,33 @@ def test_no_sun_is_extracted_from_a_uniform_sky():
     grid, suns = extract_suns(sky)
     assert len(suns) == 1
     assert grid.max() == pytest.approx(1.19, rel=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(256, 4096), (2048, 300), (512, 100), (100, 1024), (600, 1200), (100, 150)])
+def test_a_sky_of_any_proportions_keeps_the_power_of_a_bright_pixel(shape, monkeypatch):
+    monkeypatch.setattr(sky_grid, "_MOST_SUNS", 0)
+    height, width = shape
+    solid = 2.0 * math.pi / width * np.diff(-np.cos(np.arange(height + 1) / height * math.pi))
+    on_grid = np.diff(-np.cos(np.arange(513) / 512 * math.pi))[:, None, None] * 2.0 * math.pi / 1024
+    # Interpolation conserves the power approximately: the sum of its weights depends on the position of the pixel
+    # between the cells of the grid, by up to 1.2 % here.
+    row = height // 2 + height // 9
+    for column in (0, *range(width // 4, width // 4 + 5), width - 1):
+        sky = np.zeros((*shape, 3), dtype=np.float32)
+        sky[row, column] = (1e4, 2e4, 3e4)
+        grid, suns = extract_suns(sky)
+        assert not suns
+        assert grid.shape == (512, 1024, 3)
+        np.testing.assert_allclose((grid * on_grid).sum(axis=(0, 1)), solid[row] * sky[row, column], rtol=2e-2)
+
+
+@pytest.mark.parametrize(("shape", "count"), [((64, 128), 1), ((512, 128), 1), ((512, 100), 0), ((50, 1024), 0)])
+def test_the_longer_side_of_a_pixel_determines_the_extent_of_a_sun(shape, count):
+    # With 64 rows or 128 columns, a pixel has a side of 2.8°; with 50 rows or 100 columns, a side of 3.6°. The largest
+    # sun has a radius of 4.5°, which is 1.5 times the side of a pixel of 3.0°.
+    sky = np.full((*shape, 3), 0.5, dtype=np.float32)
+    sky[shape[0] // 2, shape[1] // 2] = 1e5
+    assert len(extract_suns(sky)[1]) == count
 
 
 def test_a_second_picture_under_the_same_sky_uploads_nothing_and_reuses_the_recording(square, monkeypatch):
@@ -350,7 +380,8 @@ def test_an_environment_caches_few_parts_and_its_copies_none():
 def test_the_rays_of_a_pixel_share_its_samples(light, square):
     """More rays per pixel must not change the noise of a pixel.
 
-    The rays of a pixel share the number of samples of a light that a single ray would have.
+    The number of samples of a light per pixel does not depend on the number of rays; the rays of a pixel share these
+    samples.
     """
     flat, view = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), seen_at(40.0)
     lights = wd.DirectionalLight((0.3, 0.5, 1.0), angular_diameter_deg=20.0)
@@ -360,6 +391,6 @@ def test_the_rays_of_a_pixel_share_its_samples(light, square):
     for samples in (1, 4, 64):
         image = wd.shade(square, flat, lights, view, **UNDER, samples_per_pixel=samples)
         spread.append(float(np.std(image.xyz[..., 1]) / image.xyz[..., 1].mean()))
-    # Each sample of a disc light is blurred less if there are more samples. The noise may therefore increase, up to a
+    # The more samples a disc light has, the less each sample is blurred. The noise may therefore increase, up to a
     # factor of 2.
     assert max(spread[1:]) < 2.0 * spread[0]

@@ -1,4 +1,6 @@
-"""Many directional lights, of which each subpixel cell chooses one, compared with all lights in each cell."""
+"""Many directional lights, of which each subpixel cell (part of a pixel with one ray) chooses one, compared with all
+lights in each cell.
+"""
 
 import numpy as np
 import pytest
@@ -54,7 +56,8 @@ def test_a_picture_with_many_lights_does_not_depend_on_the_number_of_threads(fin
 
 
 def test_occluder_grids_are_kept_for_lights_that_do_not_move(fingers, monkeypatch):
-    """Occluder grids of lights that do not move must not be made again for the next picture.
+    """Occluder grids (grids of faces for shadow rays) must not be made again for the next picture if the lights do not
+    move.
 
     The picture has more lights than the mesh stores grids for, so that only the pass of the lights stores all grids.
     """

@@ -49,7 +49,7 @@ def test_each_pixel_has_a_light_in_its_own_direction(size, fingers):
 def test_footprints_include_changes_of_the_direction_to_the_light(fingers):
     """Footprints must include the change of the direction to a near light within a pixel.
 
-    In an orthographic view of a flat square, no other direction changes.
+    In an orthographic view of a flat square, no other direction changes within a pixel.
     """
     light = wd.PointLight((1.5, -1.0, 2.0))
     exact = wd.shade(square(), fingers, light, VIEW, footprint=False, samples_per_pixel=1024, **OPTIONS)
@@ -120,7 +120,7 @@ def test_too_much_light_is_refused(fingers):
 class FarLight(wd.PointLight):
     """Light far away from the mesh, with the extent of a disc of ``diameter_deg`` around its position.
 
-    Its extent along the direction to the light has no effect, because it is not visible from the mesh.
+    The extent of the light along the direction to it has no effect, because this extent is not visible from the mesh.
     """
 
     diameter_deg: float = 0.0

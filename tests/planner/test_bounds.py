@@ -70,10 +70,10 @@ def test_two_tall_levels_in_the_mirror_direction_meet_the_tolerance(rng, height_
 
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-2])
 def test_the_tail_of_the_lobe_around_a_mirrored_sun_meets_the_tolerance(rng, tolerance):
-    """Directions far from the mirror direction of the sun must meet the tolerance.
+    """The errors in directions far from the mirror direction of the sun must be within the tolerance.
 
-    All tested directions are 5 to 7 standard deviations of the source away from the mirror direction. Their reflectance
-    is about a millionth of the peak or less.
+    The sun is a light source of finite size. All tested directions are 5 to 7 standard deviations of this source away
+    from the mirror direction. Their reflectance is about a millionth of the peak or less.
     """
     source = wd.Coherence("source")
     away, turn = rng.uniform(5.2, 7.2, 120) * source.spread, rng.uniform(0.0, 2.0 * math.pi, 120)
@@ -84,7 +84,7 @@ def test_the_tail_of_the_lobe_around_a_mirrored_sun_meets_the_tolerance(rng, tol
 
 @pytest.mark.parametrize("illuminant", ["FL11", slow("HP1")])
 def test_maps_under_illuminants_with_narrow_lines_meet_the_tolerance(illuminant):
-    """Maps must meet the tolerance under illuminants with narrow lines.
+    """The errors of reflectance maps must be within the tolerance under illuminants with narrow spectral lines.
 
     Most directions of a map show diffraction orders at wavelengths between these lines.
     """
@@ -101,7 +101,8 @@ def upper_bound(heightfield, direction_range, *, wavelengths_nm=None, **options)
 
 
 def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
-    """The bandwidth has three parts: one for order rates, one for heights, and a constant.
+    """The bandwidth of a plan (wavelength samples per unit of 1/λ) has three parts: one for order rates, one for
+    heights, and a constant.
 
     The first part must be proportional to the σ of the window, and the second to the heights. For Gaussian windows,
     both must be proportional to tolerance^(−1/6).
@@ -115,8 +116,9 @@ def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
     np.testing.assert_allclose(
         bounds.bandwidth_um(fingers, wd.Coherence(sigma_um=5.0), 1e-4), (finer * rate, finer * height, colour)
     )
-    # For replicas, the first part of the bandwidth, which is for order rates, counts wavelengths per order of the patch
-    # that passes a direction while λ changes. It must be proportional to tolerance^(−1/4).
+    # For replicated patches (kind "replicas"), the first part of the bandwidth is a number of wavelengths per
+    # diffraction order of the patch that passes a direction while λ changes. It must be proportional to
+    # tolerance^(−1/4).
     replicas = wd.Coherence("replicas", periods=(2, 2))
     order, height, _ = bounds.bandwidth_um(fingers, replicas, 1e-2)
     assert height == pytest.approx(order * fingers.height_range_um)
@@ -124,7 +126,8 @@ def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
 
 
 def test_a_source_requires_the_samples_of_a_window_at_equal_ratios_of_the_wavelength(fingers):
-    """At 380 nm, the distance between wavelengths in 1/λ must be as small for a source as for a window.
+    """At 380 nm, the distance between wavelengths in 1/λ must be as small for a light source of finite size as for a
+    coherence window.
 
     The wavelengths for a source have equal ratios. Their distance in 1/λ is therefore largest at 380 nm.
     """
@@ -165,10 +168,11 @@ def test_bounds_are_valid_for_the_range_of_a_call_and_predict_no_quadrature_erro
 
 
 def test_periods_have_two_samples_per_lobe_in_the_steepest_direction(fingers):
-    """For replicas, the wavelengths must give at least two samples per maximum of the interference between periods.
+    """For replicated patches (kind "replicas"), the interference between periods must be sampled at least twice per
+    maximum.
 
-    Over (u, v), the interference of N periods has N maxima from one order of the patch to the next. Along the diagonal
-    of (u, v), the maxima are closer by a factor of √2.
+    As a function of (u, v), the interference of N periods has N maxima from one diffraction order of the patch to the
+    next. Along the diagonal of (u, v), the maxima are closer by a factor of √2.
     """
     rate, band = 1.9 * max(fingers.size_um), 1.0 / 0.38 - 1.0 / 0.78
     plan = upper_bound(

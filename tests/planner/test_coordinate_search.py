@@ -1,4 +1,10 @@
-"""Coordinate search with closed-form errors of plans: comparison with an exhaustive search, and single steps."""
+"""Coordinate search with closed-form errors of plans: comparison with an exhaustive search, and single steps.
+
+A search changes three numbers of a plan, its coordinates. The terms are the number of terms of the series in which
+Fourier coefficients are expanded. The neighbourhood is the number of neighbouring Fourier coefficients that contribute
+to a direction; the least Gaussian weight of these coefficients sets it. The bandwidth is the number of wavelength
+samples per unit of 1/λ.
+"""
 
 import dataclasses
 import itertools
@@ -14,19 +20,23 @@ from warpdiff.planner.coordinate_search import Coordinate
 
 # Target of the search for a tolerance of 0.01: the tolerance divided by the safety factor of 1.6.
 TOLERANCE, TARGET = 1e-2, 1e-2 / 1.6
-# Ratio of neighbouring bandwidths that a search tries (4 steps per octave), and number of terms per SIMD register.
+# Ratio of neighbouring bandwidths that a search tries (4 steps per factor of 2), and number of terms per SIMD register.
 STEP, REGISTER = 2.0 ** (1 / 4), 8
 
 
 @pytest.fixture(scope="module")
 def start(fingers):
-    """Return a plan from which searches start: 32 terms, and more neighbours and wavelengths than are required."""
+    """Return a plan from which searches start. It has 32 terms of the series, and more neighbouring Fourier
+    coefficients and wavelengths than are required.
+    """
     plan = wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], method="low-rank", tolerance=TOLERANCE)
     return dataclasses.replace(plan, terms=32, least_weight=math.exp(-20.0))
 
 
 class ClosedForm:
-    """Stand-in for a trial of plans. The error is the sum of errors of terms, neighbourhood and bandwidth."""
+    """Stand-in for a trial of plans. The error is a sum of three errors: by the numbers of terms, of neighbouring
+    coefficients and of wavelengths.
+    """
 
     integrates, max_order_rate, bright = True, 1.0, (math.inf, math.inf)
     validation_set = range(7)
@@ -39,7 +49,7 @@ class ClosedForm:
         self.tried = []
 
     def parts(self, plan):
-        """Return the errors caused by the number of terms, by the neighbourhood and by the bandwidth."""
+        """Return the three errors that the number of terms, the neighbourhood and the bandwidth cause."""
         of_rate, of_rest = (self._start.bandwidth_um[k] / plan.bandwidth_um[k] for k in (0, 2))
         quadrature = 2e-6 * (of_rate**6 + 0.1 * of_rest**6)
         return self._scale * np.array([math.exp(-0.7 * plan.terms), 0.1 * math.sqrt(plan.least_weight), quadrature])
@@ -66,9 +76,9 @@ def cost(trial, plan):
 
 
 def exhaustive(trial, start, target):
-    """Return the least cost of all plans that meet a target.
+    """Return the least cost of all plans whose error is at most ``target``.
 
-    The plans are on a grid of numbers of terms, neighbourhoods and bandwidths.
+    The plans are all combinations of several numbers of terms, neighbourhoods and bandwidths.
     """
     counts = range(REGISTER, start.terms + 1, REGISTER), range(12), range(13)
     per_rate, per_w, constant = start.bandwidth_um
@@ -81,8 +91,8 @@ def exhaustive(trial, start, target):
             numbers = {"terms": terms, "least_weight": weight, "bandwidth_um": bandwidth}
             if trial.parts(SimpleNamespace(**numbers)).sum() <= target:
                 sufficient = numbers
-        # With equal terms and neighbours, the plan with the smallest sufficient bandwidth has the least cost. It is the
-        # last sufficient plan of this loop.
+        # Among plans with the same number of terms and the same neighbourhood, the plan with the smallest sufficient
+        # bandwidth has the least cost. It is the last sufficient plan of this loop.
         if sufficient:
             least = min(least, cost(trial, dataclasses.replace(start, **sufficient)))
     return least
@@ -133,7 +143,9 @@ def test_steps_beyond_the_fewest_wavelengths_are_withdrawn(fingers, start):
 
 
 class Steps:
-    """Stand-in for a trial of plans. The error is a given function of the added terms and wavelengths."""
+    """Stand-in for a trial of plans. The error is a function, chosen by the test, of the numbers of added terms and
+    wavelengths.
+    """
 
     rates = np.array([0.5]), np.array([1.0]), np.ones(1)
 
@@ -192,7 +204,8 @@ def test_repairs_use_the_cheapest_sufficient_step_or_the_one_with_the_least_erro
 def test_the_safety_factor_of_predicted_errors_depends_on_the_directions_that_were_tried(
     start, error, bright, predicted
 ):
-    """If a search has tried all directions of a call, the predicted error must be 1.6 times the measured error.
+    """If the validation set contains all directions of a call, the predicted error must be 1.6 times the measured
+    error.
 
     Otherwise this factor must be up to 2. In all cases the predicted error must be at least a tenth of the tolerance.
     """
@@ -211,7 +224,11 @@ def test_terms_fill_whole_registers_up_to_the_size_of_the_basis(start):
 
 @pytest.mark.parametrize(("of_amplitudes", "automatic"), [(0.4, True), (0.6, True), (0.4, False)])
 def test_a_series_of_amplitudes_replaces_powers_that_cancel(start, of_amplitudes, automatic):
-    """A series of amplitudes must replace a basis of powers only if its error is less than half as large."""
+    """A method that adds amplitudes must replace a method that adds powers only if its error is less than half as
+    large.
+
+    Amplitudes and powers are those of Fourier coefficients. In a series of powers, large terms can cancel in float32.
+    """
     trial = SimpleNamespace(integrates=False, reference=dataclasses.replace(start, method="jacobi-anger", terms=40))
     trial.order_rate = trial.w = np.ones(1)
     trial.training_error = lambda plan: of_amplitudes if plan.method == "jacobi-anger" else 1.0
@@ -243,7 +260,11 @@ def test_a_bandwidth_is_not_doubled_where_that_does_not_halve_the_error(fingers,
 
 
 def test_a_bandwidth_is_doubled_until_the_fastest_orders_are_resolved(fingers, start):
-    """The error may not decrease before a plan has enough wavelengths for the direction with the largest order rate."""
+    """The search must double the bandwidth even if the error does not decrease at first.
+
+    The error can stay the same until a plan has enough wavelengths for the direction with the largest order rate (how
+    fast diffraction orders pass the direction as 1/λ changes).
+    """
     trial = ClosedForm(fingers, start)
     rate = 6.0 * start.max_order_rate
     trial.order_rate, trial.w = np.array([0.0, rate]), np.array([start.max_w, start.max_w])
@@ -309,18 +330,19 @@ def test_searches_of_all_tolerances_try_the_same_bandwidths_and_weights(fingers,
 
 
 def test_budgets_grow_evenly_from_the_error_of_the_start_to_the_target(fingers, start):
-    """Budgets must increase in equal steps from the error of the first plan to the target.
+    """Error budgets must increase in equal steps from the error of the first plan to the target.
 
-    A search reduces one number of the plan after another. The budget of a number is the limit of the error during its
-    reduction. If only few of the sampled directions are bright, they do not represent all bright directions of a call
-    well. The budgets of the first two numbers, terms and neighbourhood, must then increase by only a tenth of an equal
-    step, and the neighbourhood must not be reduced.
+    A search reduces one number of the plan (a coordinate) after another. The budget of a number is the limit of the
+    plan's error while this number is reduced. If only few of the sampled directions are bright, they do not represent
+    all bright directions of a call well. The budgets of the first two numbers, terms and neighbourhood, must then
+    increase by only a tenth of an equal step, and the neighbourhood must not be reduced.
     """
     trial, error = ClosedForm(fingers, start), 0.4 * TARGET
     coordinates = coordinate_search._coordinates(start, trial, error, TARGET)
     np.testing.assert_allclose([c.budget for c in coordinates], np.linspace(error, TARGET, 6)[1:])
-    # Largest numbers of steps by which a search may reduce a plan: 3 of its 4 registers of terms, 8 factors of e in the
-    # least weight (up to 1e-5), and 12 factors of 2^(1/4) of each part of the bandwidth.
+    # Largest numbers of steps by which a search may reduce a plan: 3 of the 4 SIMD registers that its terms fill, 8
+    # factors of e in the least weight of Fourier coefficients (up to 1e-5), and 12 factors of 2^(1/4) in each part of
+    # the bandwidth.
     assert [c.most for c in coordinates] == [3, 8, 12, 12, 12]
     trial.bright = (63.0, 64.0)
     few = coordinate_search._coordinates(start, trial, error, TARGET)

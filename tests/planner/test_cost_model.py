@@ -1,6 +1,8 @@
 """Cost model: how its estimates scale with the numbers of a plan.
 
-q is a spatial frequency, and σ the standard deviation of the coherence window.
+Terms are the terms of the series in which a Fourier coefficient is expanded. Neighbours are the Fourier coefficients
+that contribute to a direction; the set of them is the neighbourhood of the direction. q is a spatial frequency, and σ
+the standard deviation of the coherence window.
 """
 
 import dataclasses
@@ -37,8 +39,8 @@ def test_costs_are_in_proportion_to_wavelengths_and_grow_with_terms_and_neighbou
     increases = np.diff([sampling(heightfield, plan, terms=n) for n in (32, 64, 96, 128)])
     np.testing.assert_allclose(increases, increases[0], rtol=1e-6)
     assert increases[0] > 0.0
-    # The neighbourhood is an ellipse. Its axes, and therefore its number of coefficients per axis, are proportional to
-    # the square root of −ln(least_weight).
+    # The neighbouring coefficients are within an ellipse. Its axes, and therefore its number of coefficients per axis,
+    # are proportional to the square root of −ln(least_weight).
     costs = [sampling(heightfield, plan, least_weight=float(np.exp(-n))) for n in (1.0, 4.0, 9.0)]
     sides = np.array([1.0, 2.0, 3.0])
     np.testing.assert_allclose(costs, np.polyval(np.polyfit(sides**2, costs, 1), sides**2), rtol=1e-6)
@@ -59,7 +61,8 @@ def table_plan(heightfield, coherence, method="low-rank"):
 
 
 def test_samples_of_a_spectrum_cost_in_proportion_to_their_terms_and_neighbours(fingers):
-    """The cost of a sample of the spectrum must be proportional to its number of terms and its number of neighbours.
+    """The cost of a sample of the spectrum must be proportional to its numbers of terms and of neighbouring
+    coefficients.
 
     Neighbours lie in the circle of q in which their weight exp(−4π²σ²q²) is at least ``least_weight``. Their number is
     the area of this circle times the area of the patch.
@@ -86,7 +89,8 @@ def test_lines_of_a_source_cost_in_proportion_to_the_area_and_grow_with_terms():
     assert increases.min() > 0.0
     np.testing.assert_allclose(increases[:, 0], increases[:, 1], rtol=1e-6)
     np.testing.assert_allclose(np.diff(increases[:, 0]), increases[1, 0] - increases[0, 0], rtol=1e-6)
-    # The number of lines in a table is twice the number of coefficients whose frequency is at most ``highest``.
+    # The number of spectral lines in a table is twice the number of Fourier coefficients whose frequency is at most
+    # ``highest``.
     lines = 2.0 * math.pi * mip_layout.layout_of(plan).highest ** 2
     area = math.prod(heightfields[1].size_um) - math.prod(heightfields[0].size_um)
     assert increases[0, 0] == pytest.approx(lines * area * (150.0 + 42.0 * 8.0))
@@ -96,7 +100,7 @@ def test_lines_of_a_source_cost_in_proportion_to_the_area_and_grow_with_terms():
 
 
 def test_directions_cost_as_many_wavelengths_as_they_require():
-    """A direction must cost as many wavelengths as it requires, times 2^(1/8).
+    """The predicted cost of a direction must be that of the number of wavelengths it requires, times 2^(1/8).
 
     The sizes of the available sets of wavelengths increase in steps of a factor 2^(1/4). On average, a direction uses a
     set that is half a step, a factor of 2^(1/8), larger than required.
@@ -132,7 +136,9 @@ def test_neighbours_lie_in_a_rectangle_of_orders_around_a_direction():
 
 
 def test_a_look_up_costs_nine_nodes_of_three_channels_for_each_basis_function_of_w():
-    """A look-up must cost nine rows of the table, each with three channels, per basis function of w.
+    """Per basis function of w, a look-up must cost nine rows of the table times three colour channels.
+
+    w is the normal component of the scattering vector.
 
     If a plan states no number of basis functions of w, the table must have as many as the plan has terms, rounded up to
     whole SIMD registers.

@@ -1,5 +1,8 @@
 """Plans near the limits of support: the largest neighbourhood, and the Nyquist limit of the pitch.
 
+The neighbourhood of a direction is the set of Fourier coefficients that contribute to it. The pitch is the distance of
+height samples.
+
 (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
 light and to the viewer.
 """
@@ -16,8 +19,8 @@ from warpdiff.planner import refusals
 def test_neighbourhoods_of_more_than_40000_coefficients_are_refused(fingers, monkeypatch, extent, supported):
     """A neighbourhood of at most 40,000 coefficients must be accepted, and a larger one refused.
 
-    Extents of 100 and 99 to either side give 201 × 199 coefficients, which is within the limit. A neighbourhood of 201
-    × 201 coefficients exceeds it.
+    Extents of 100 and 99 coefficients to either side give 201 × 199 coefficients, which is within the limit. A
+    neighbourhood of 201 × 201 coefficients exceeds it.
     """
     monkeypatch.setattr(refusals.coefficient_table, "neighbour_extent", lambda _plan, _heightfield: extent)
     plan = SimpleNamespace(coherence=wd.Coherence(sigma_um=3.0))
@@ -40,8 +43,8 @@ def test_neighbourhoods_of_more_than_40000_coefficients_are_refused(fingers, mon
 def test_directions_beyond_the_nyquist_limit_warn(monkeypatch, recwarn, coherence, method, radius):
     """Directions must cause a warning if |(u, v)| exceeds the highest supported frequency times the wavelength.
 
-    This frequency is the Nyquist frequency, 2/µm for a pitch of 0.25 µm. For windows centred between samples, it is
-    lower by the radius of the neighbourhood.
+    This frequency is the Nyquist frequency, 2/µm for a pitch of 0.25 µm. For coherence windows centred between height
+    samples, it is lower by the radius of the neighbourhood.
     """
     heightfield = wd.HeightField([[0.0, 0.1, 0.2, 0.1]], pitch_um=0.25)
     monkeypatch.setattr(refusals.coefficient_table, "radius", lambda _plan: 0.5)

@@ -33,7 +33,9 @@ class Case:
 
     @property
     def automatic(self):
-        """Return the error of the automatic plan's colours against ``exact``. A warning or a refusal fails the test."""
+        """Return the error of the automatic plan's colours relative to ``exact``. A warning or a refusal fails the
+        test.
+        """
         xyz = wd.reflectance(self.heightfield, self.lights, self.views, coherence=self.coherence, tolerance=TOLERANCE)
         return self.error_of(xyz)
 
@@ -51,8 +53,8 @@ class Case:
         return self.error_of(rho @ weights)
 
 
-# Tests with coherence windows of different sizes. Short windows need many neighbours. Under long windows, orders are
-# narrower than wavelength steps of 1 nm.
+# Tests with coherence windows of different sizes. Short windows require many neighbouring Fourier coefficients. With
+# long windows, diffraction orders are narrower than wavelength steps of 1 nm.
 
 
 @pytest.fixture(scope="module")
@@ -88,8 +90,8 @@ def test_windows_that_are_too_short_or_too_long_are_refused_with_the_remedy(line
         wd.reflectance(line, lights, views, coherence=wd.Coherence(sigma_um=5e4))
 
 
-# Tests with patches of different sizes. The orders of large patches are so close that 3 × 3 neighbours do not suffice.
-# For all patches, 81 wavelengths (steps of 5 nm) are too few.
+# Tests with patches of different sizes. The diffraction orders of large patches are so close that 3 × 3 neighbouring
+# Fourier coefficients do not suffice. For all patches, 81 wavelengths (steps of 5 nm) are too few.
 
 
 @pytest.mark.parametrize("size", [2.0, 12.8, 32.0])
@@ -146,10 +148,12 @@ def test_automatic_plans_meet_the_tolerance_towards_the_horizon(elevation, sprea
 
 @pytest.mark.parametrize(("count", "seed"), [(64, 0), (15, 1)])
 def test_directions_far_darker_than_the_mirror_direction_meet_the_tolerance(count, seed):
-    """Directions with about a millionth of the reflectance of the mirror direction must meet the tolerance.
+    """The errors in directions with about a millionth of the reflectance of the mirror direction must be within the
+    tolerance.
 
-    The light in the mirror direction must not influence these directions. In such dark directions the terms of a series
-    of powers cancel. Another series must replace it, also in calls with few directions, which skip the search.
+    The light in the mirror direction must not affect the results in these directions. In such dark directions the terms
+    of a series of powers cancel. Another series must replace it, also in calls with few directions, which skip the
+    search.
     """
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4)
     assert Case(heightfield, methods.at_elevation(count, 0.1, None, seed)).automatic <= TOLERANCE
@@ -170,9 +174,9 @@ def test_spectra_of_sources_towards_the_horizon_meet_the_tolerance(elevation, sp
 
 @pytest.mark.parametrize(("elevation", "count", "seed"), [(0.5, 4, 0), slow(0.5, 20, 1), slow(0.2, 8, 1)])
 def test_colours_of_a_source_at_the_horizon_meet_the_tolerance(elevation, count, seed):
-    """Colours of a source at half a degree above the horizon or less must meet the tolerance.
+    """Colours for a light source of finite size at most half a degree above the horizon must meet the tolerance.
 
-    Such a source is foreshortened more than 100 times.
+    Such a source is foreshortened by a factor of more than 100.
     """
     heightfield = wd.gratings.fingers(size_um=3.2, pitch_um=0.09, seed=4)
     assert (
@@ -183,9 +187,9 @@ def test_colours_of_a_source_at_the_horizon_meet_the_tolerance(elevation, count,
 
 @pytest.mark.parametrize("count", [2, slow(8), slow(12)])
 def test_a_source_too_close_to_the_horizon_is_accurate_or_refused(count):
-    """A call with a source at 0.2° above the horizon must be accurate or refused.
+    """A call with a light source of finite size at 0.2° above the horizon must be accurate or refused.
 
-    It may require more wavelengths than a plan can have.
+    The call may require more wavelengths than a plan can have.
     """
     heightfield, source = wd.gratings.fingers(size_um=3.2, pitch_um=0.09, seed=4), wd.Coherence("source")
     lights, views = methods.at_elevation(count, 0.2)
@@ -198,8 +202,8 @@ def test_a_source_too_close_to_the_horizon_is_accurate_or_refused(count):
         assert methods.colour_error(xyz, exact) <= TOLERANCE
 
 
-# Tests with different pitches. A reference computed from the same samples would have the same aliasing. The expected
-# colours are therefore closed forms.
+# Tests with different pitches (distances of height samples). A reference computed from the same samples would have the
+# same aliasing. The expected colours are therefore closed forms.
 
 
 PERIOD, DEPTH, SINE_WINDOW = 1.6, 0.3, wd.Coherence(sigma_um=3.0)
@@ -236,7 +240,8 @@ def test_pitches_beyond_the_nyquist_limit_cause_a_warning():
         assert len(caught) == 1
         assert methods.colour_error(xyz, on_samples) <= TOLERANCE
         assert methods.colour_error(xyz, exact) > TOLERANCE
-        # The warning recommends to resample the field to a finer pitch. This must restore the accuracy.
+        # The warning recommends to resample the field to a smaller pitch. The resampled field must have accurate
+        # colours.
         xyz = wd.reflectance(coarse.resampled(0.04), **arguments)
         assert methods.colour_error(xyz, exact) <= TOLERANCE
 
@@ -244,10 +249,11 @@ def test_pitches_beyond_the_nyquist_limit_cause_a_warning():
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("seed", [0, 1, 4])
 def test_a_window_between_samples_close_to_the_nyquist_limit_is_accurate_or_refused(seed, side):
-    """Close to the Nyquist limit, a call for a window between samples must be accurate, or warn, or be refused.
+    """Close to the Nyquist limit, a call for a coherence window centred between height samples must be accurate, or
+    warn, or be refused.
 
-    There a direction requires coefficients beyond the limit, which repeat those below it. For a window centred between
-    samples, the repeated coefficients have wrong phases.
+    There a direction requires Fourier coefficients beyond the limit, which are copies of coefficients below it. For a
+    window centred between samples, the repeated coefficients have wrong phases.
     """
     heightfield = wd.HeightField(np.random.default_rng(seed).uniform(-0.15, 0.15, (1, 12)), 0.1353)
     window = wd.Coherence("centred", 1.0, centre_um=(0.0, side * 0.4 * heightfield.size_um[1]))
@@ -257,9 +263,9 @@ def test_a_window_between_samples_close_to_the_nyquist_limit_is_accurate_or_refu
     assert message or rho[0] == pytest.approx(exact[0], rel=1e-3)
 
 
-# Tests of replicas near a resonance, where periods interfere constructively. There the published form of the sum over
-# periods (Single 2014, eq. 3.47) is a quotient of two small differences, which loses all digits. The quotient of sines
-# sin²(πNt)/(N sin πt)² loses them in float32 if its arguments are large.
+# Tests of replicated patches near a resonance, where periods interfere constructively. There the published form of the
+# sum over periods (Single 2014, eq. 3.47) is a quotient of two small differences, which loses all digits. The quotient
+# of sines sin²(πNt)/(N sin πt)² also loses all digits in float32 if its arguments are large.
 
 
 @pytest.mark.parametrize("periods", [10, 1000, 5000])
@@ -293,7 +299,7 @@ def test_replicated_periods_near_resonance_are_accurate(periods, away):
 
 
 def test_the_published_form_of_replicated_periods_fails_in_float32():
-    """The published sum over periods must fail in float32: this is the reason for using another form.
+    """The published sum over periods must fail in float32: this is the reason why the library uses another form.
 
     At a phase of 1e-3 its error is 5 %, and at 1e-4 it is not finite.
     """
@@ -310,7 +316,8 @@ def test_the_published_form_of_replicated_periods_fails_in_float32():
 
 
 def test_seven_orders_do_not_suffice_for_a_patch():
-    """A sum of only seven orders must have an error of more than 5 %: this is the reason for using more.
+    """A sum of only seven diffraction orders must have an error of more than 5 %: this is the reason why the library
+    adds more orders.
 
     Between the orders of a patch, the spectrum converges slowly with the number of orders.
     """

@@ -1,4 +1,5 @@
-"""Strategy: direction ranges of a call, and the choice between bounds, search and table.
+"""Strategy: direction ranges of a call, and the choice between an upper-bound plan, the plan of a search, and a colour
+table.
 
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
 light and to the viewer. The component w is along the normal.
@@ -60,8 +61,8 @@ def test_the_whole_hemisphere_is_assumed_on_the_other_side(side, light, view, re
     views = -sample.scattering_vectors - sample.to_lights
     fixed, other = (sample.to_lights, views) if side == "light" else (views, sample.to_lights)
     np.testing.assert_allclose(fixed, np.broadcast_to(at_angle(30.0), fixed.shape), atol=1e-12)
-    # The call states only the direction to the light, or only that to the viewer. The other directions are drawn
-    # uniformly in z over the hemisphere, with a mean z of 0.5.
+    # The call states only the direction to the light, or only the direction to the viewer. The other directions are
+    # drawn uniformly in z over the hemisphere, with a mean z of 0.5.
     assert other[:, 2].mean() == pytest.approx(0.5, abs=0.02)
 
 
@@ -105,7 +106,7 @@ def test_an_explicit_method_that_adds_powers_is_tried_on_sixteen_directions():
 
 
 def test_a_table_may_cost_what_it_saves_in_three_calls(fingers):
-    """The largest cost of a table that a search may choose must be the cost that three calls save by it.
+    """The largest cost of a table that a search may choose must be the cost that three calls save by using this table.
 
     Without the table, each of these calls would use the plan of a search. The search costs as much as the evaluation of
     16,000 directions.

@@ -1,4 +1,8 @@
-"""Choice of the table size with closed-form errors: the smallest sufficient table, in few steps."""
+"""Choice of the table size with closed-form errors: the smallest sufficient table, in few steps.
+
+The size of a table is its number of rings per octave. A ring is a circle of constant |(u, v)|, and w is the normal
+component of the scattering vector (u, v, w). A table is sufficient if its error is at most the target.
+"""
 
 import dataclasses
 import math
@@ -27,8 +31,8 @@ def plan(fingers):
 class Tables:
     """Stand-in for a trial of tables. The error is a closed form, by default of second order in the ring spacing.
 
-    Tables meet the target from ``sufficient`` rings per octave on. For plans without a table, the function ``sampled``
-    returns the error; its argument is the plan's number of terms.
+    Tables with at least ``sufficient`` rings per octave meet the target. For plans without a table, the function
+    ``sampled`` returns the error; its argument is the number of terms of the plan's basis.
     """
 
     validation_set = range(5)
@@ -139,7 +143,8 @@ def test_more_functions_of_w_are_tried_where_rings_do_not_help(fingers, plan, ri
 
 
 def test_more_functions_of_w_are_tried_where_rings_help_by_less_than_their_order(fingers, plan):
-    """If twice the rings do not divide the error by 4, a table with more basis functions of w must be tried.
+    """If twice as many rings do not reduce the error by a factor of 4, a table with more basis functions of w must be
+    tried.
 
     Errors of interpolation between rings are of second order. A smaller improvement shows that the basis functions of w
     limit the accuracy.
@@ -159,10 +164,10 @@ def test_the_last_table_is_tried_with_more_functions_of_w(fingers, plan):
 
 
 def test_the_fewest_terms_whose_expected_error_is_within_half_of_the_target_are_used(fingers, plan):
-    """The table must have the fewest terms whose expected error is within half of the target.
+    """The table must have the smallest number of basis terms whose expected error is at most half of the target.
 
-    With 8 terms, the measured error equals the target. The residuals of the basis predict that 10 terms reduce this
-    error by a factor of 3.2.
+    With 8 terms, the measured error equals the target. The residuals of the fit of the basis predict that 10 terms
+    reduce this error by a factor of 3.2.
     """
     several = dataclasses.replace(plan, terms=24)
     trial = Tables(fingers, several, law=lambda _table: 0.5 * TARGET, sampled=lambda _terms: TARGET)
@@ -175,7 +180,7 @@ def test_the_fewest_terms_whose_expected_error_is_within_half_of_the_target_are_
 
 @pytest.mark.parametrize(("sampled", "terms", "rings"), [(0.8, 14, FIRST), (0.6, 14, 64), (0.4, 10, 64)])
 def test_terms_are_added_once_if_sampling_with_them_misses_its_half_of_the_target(fingers, plan, sampled, terms, rings):
-    """If the first table fails because it has too few terms, the next table must have more terms.
+    """If the first table fails because it has too few basis terms, the next table must have more terms.
 
     The first table has 10 terms, by an estimate. If it fails, a plan with 10 terms but without a table is tried. If the
     error of that plan exceeds half of the target, terms are added. If it also exceeds half of the error of the first

@@ -20,12 +20,12 @@ UP = np.array([0.0, 0.0, 1.0])
 
 @pytest.fixture(scope="module")
 def scan_or_none() -> wd.HeightField | None:
-    """Return the measured scan, or None if the file is missing, so that tests use synthetic fingers."""
+    """Return the measured scan, or None if the file is missing, so that tests use synthetic nano-fingers instead."""
     return inputs.levelled_scan()
 
 
 def check(case: Configuration, count: int = 400) -> None:
-    """Check that the error of a call is within its tolerance on ``count`` of its directions.
+    """Check that the error of a call is within the call's tolerance in ``count`` of its directions.
 
     In calls with many directions, the planner has used none of the ``count`` directions.
     """
@@ -51,8 +51,8 @@ def test_tolerance_is_met(index, scan_or_none):
     check(configuration(index, SEED, scan_or_none, ("few", "some")), count=100)
 
 
-# The ridges of the surface are along a diagonal of the grid of directions. In the mirrored case, they are along the
-# other diagonal.
+# The ridges of the surface are along a diagonal of the grid of directions. In the mirrored case, the ridges are along
+# the other diagonal.
 @pytest.mark.parametrize(("mirrored", "tolerance"), [slow(False, 1e-3), (True, 1e-2)])
 def test_a_plan_for_a_grid_of_directions_does_not_use_only_its_diagonal(mirrored, tolerance):
     rng = np.random.default_rng(5)
@@ -88,7 +88,7 @@ def test_grazing_directions_meet_the_tolerance():
 def test_a_few_bright_directions_of_a_dark_call_meet_the_tolerance(bright, rng):
     """The few bright directions of a call must be accurate even if all other directions are dark.
 
-    A sine grating reflects light only at its orders. Few of the directions are at an order.
+    A sine grating reflects light only into its diffraction orders. Few of the directions are near an order.
     """
     heightfield = wd.gratings.sinusoidal(2.0, 0.1)
     angles = rng.uniform(35.0, 60.0, 8000)
@@ -141,7 +141,7 @@ def test_the_judged_error_detects_errors_of_two_per_cent_of_all_or_of_the_bright
 def test_a_plan_of_the_fewest_wavelengths_is_repaired(fingers):
     """A plan with the smallest set of wavelengths must be repaired if its error is too large.
 
-    Repairs of such a plan once had no effect, and its error was 3 × tolerance.
+    Without a repair, the error of such a plan is three times the tolerance.
     """
     plan = wd.plan(fingers, coherence=wd.Coherence(sigma_um=1.5), method="low-rank", tolerance=1e-2)
     assert 16 < plan.wavelengths < 32

@@ -29,7 +29,9 @@ def trial_of(request, lights, views):
 
 @pytest.fixture(scope="module")
 def colours(fingers):
-    """Return a trial on 60 directions under two illuminants, an upper-bound plan for them, and the directions."""
+    """Return a trial of 60 directions under two illuminants, an upper-bound plan for these directions, and the
+    directions.
+    """
     rng = np.random.default_rng(7)
     lights, views = hemisphere(rng, 60, 0.3), hemisphere(rng, 60, 0.3)
     request = Evaluation.of(fingers, PlanSettings(coherence=SHORT, tolerance=1e-1), illuminants=ILLUMINANTS)
@@ -47,7 +49,8 @@ def test_the_reference_has_twice_the_wavelengths_and_the_values_of_the_public_fu
 
 
 def test_errors_of_few_directions_are_the_largest_error_relative_to_the_colour_or_the_floor(fingers, colours):
-    """The error of few directions must be the largest error, relative to the norm of the colour or to the floor.
+    """The error of few directions must be the largest error, relative to the norm of the colour or to the floor (the
+    smallest divisor of errors).
 
     Each of the 60 directions has more than 0.5 % of the weight. The 99.5th percentile of the errors is therefore their
     maximum.
@@ -70,7 +73,8 @@ def test_errors_of_few_directions_are_the_largest_error_relative_to_the_colour_o
     assert measured.training_error(coarse) == measured.validation_error(coarse)
     assert measured.bright == (math.inf, math.inf)
     assert measured.any_light
-    # Directions with order rates beyond the range of the reference plan must not be compared with the reference.
+    # Directions that orders pass faster, as 1/λ changes, than the reference plan resolves must not be compared with the
+    # reference.
     complete = measured.reference
     measured.reference = dataclasses.replace(complete, max_order_rate=0.8)
     assert measured.validation_error(coarse) == pytest.approx(max(of_half), rel=1e-2)
@@ -111,8 +115,8 @@ def test_the_reference_luminance_is_a_percentile_or_the_median_of_the_light():
     # therefore the luminance of these bright directions.
     luminance[-20:] = 50.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 50.0
-    # If each bright direction has a quarter of its weight, the bright directions have 0.5 % of the total weight. The
-    # percentile and the luminance-weighted median are then the luminance of the dim directions.
+    # If the weight of each bright direction is reduced to a quarter, the bright directions have 0.5 % of the total
+    # weight. The percentile and the luminance-weighted median are then the luminance of the dim directions.
     weights[-20:] = 0.25
     assert trial.reference_luminance(luminance, weights) == 1.0
     assert trial.reference_luminance(luminance[:0], weights[:0]) == 0.0
@@ -154,10 +158,11 @@ def test_errors_of_a_group_have_a_row_for_each_illuminant_and_floor(rng):
 
 
 def test_bright_directions_are_counted_by_the_highest_and_by_the_lowest_floor():
-    """For each of two luminance floors, the result must be the least number of bright directions of any illuminant.
+    """For each of two luminance floors, the result must be the number of bright directions under the illuminant with
+    the fewest.
 
-    A call can have two floors. The higher floor is computed with outliers among the brightest directions, the lower
-    floor without them.
+    A floor is the smallest luminance of a bright direction. A call can have two floors. The higher floor is computed
+    with outliers among the brightest directions, the lower floor without them.
     """
     above = np.arange(100) < np.array([[40], [60], [30], [80]])
     group = trial.Group(DirectionSample(*np.ones((2, 100, 3)), *np.ones((2, 100))), "cpu", 1)

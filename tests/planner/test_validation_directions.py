@@ -61,9 +61,12 @@ def test_directions_drawn_with_large_probabilities_appear_only_once(rng):
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_the_few_directions_at_an_order_are_candidates(axis, rng):
-    """Directions at the first order of a grating must be candidates even if there are only twelve of them.
+    """Directions at the first diffraction order of a grating must become candidates even if there are only twelve of
+    them.
 
-    All other directions miss the order, or are dim.
+    Candidates are the directions from which both sets are drawn.
+
+    All other directions are away from the order, or are dim.
     """
     grating = wd.gratings.sinusoidal(2.0, 0.1)
     heights = np.tile(grating.heights_um, (6, 1))
@@ -94,8 +97,8 @@ def test_the_few_directions_at_an_order_are_candidates(axis, rng):
 
 
 def test_directions_with_extreme_angles_are_edge_cases(rng):
-    """The directions with the most grazing lights and views, and with the largest and smallest |(u, v)|, must be
-    examined.
+    """The directions with the most grazing lights and views, and with the largest and smallest |(u, v)|, must be edge
+    cases.
     """
     heightfield = wd.gratings.sinusoidal(2.0, 0.1)
     lights, views = hemisphere(rng, 3000), hemisphere(rng, 3000)

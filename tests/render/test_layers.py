@@ -1,4 +1,6 @@
-"""Layers of a picture: values where central rays hit, directions to and light of single lights, and parts of EXR."""
+"""Layers of a picture: values where the rays through pixel centres hit the mesh, directions to single lights and their
+light, and parts of EXR files.
+"""
 
 import json
 import re
@@ -12,6 +14,7 @@ from trimesh.visual import TextureVisuals
 
 import warpdiff as wd
 from warpdiff.core.wording import WarpdiffWarning
+from warpdiff.render.picture_inputs import PictureInputs
 from warpdiff.request.layer_formats import LAYERS
 
 NAMES = ("normal", "depth", "geometry")
@@ -48,7 +51,7 @@ def ball():
 
 
 def rays(view):
-    """Return origins and directions of the central rays of all pixels, (height, width, 3) each."""
+    """Return origins and directions of the rays through all pixel centres, (height, width, 3) each."""
     frame = view.frame()
     x = frame.half_width * (2.0 * (np.arange(view.width) + 0.5) / view.width - 1.0)
     y = frame.half_height * (1.0 - 2.0 * (np.arange(view.height) + 0.5) / view.height)
@@ -60,7 +63,9 @@ def rays(view):
 
 
 def box_met(view, half=0.5):
-    """Return distances and normals where central rays hit a cube at the origin; infinity and zero for other rays."""
+    """Return distances and normals where rays through pixel centres hit a cube at the origin; infinity and zero for
+    other rays.
+    """
     origin, along = rays(view)
     with np.errstate(divide="ignore"):
         one, two = (-half - origin) / along, (half - origin) / along
@@ -276,6 +281,21 @@ def test_a_picture_without_layers_does_no_work_for_them(monkeypatch):
     image = shade(box(), layers=())
     assert not image.layers
     assert not image.names
+
+
+def test_the_light_of_single_lights_requires_no_second_picture(monkeypatch):
+    made = []
+    make = PictureInputs.picture
+
+    def counted(self, *args):
+        made.append(args)
+        return make(self, *args)
+
+    monkeypatch.setattr(PictureInputs, "picture", counted)
+    assert list(shade(box(), layers=("light",)).layers) == ["light.0"]
+    assert len(made) == 1
+    assert list(shade(box(), layers=("light", "normal")).layers) == ["light.0", "normal"]
+    assert len(made) == 3
 
 
 def test_the_documentation_lists_all_layers():

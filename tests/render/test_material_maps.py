@@ -1,4 +1,4 @@
-"""Pictures of plain surfaces whose metallic, roughness and emission are those of textures."""
+"""Pictures of plain surfaces whose metallic, roughness and emission are given by textures."""
 
 import math
 
@@ -98,7 +98,8 @@ def test_emission_is_multiplied_by_its_texture():
         inner = np.zeros((32, 32), bool)
         inner[2:-2, 2:-2] = True
         if options is OPTIONS:
-            # The texture repeats twice. In these columns, the pixel filter covers only one colour of the texture.
+            # The texture repeats twice. In the following columns of pixels, the pixel filter covers only one colour of
+            # the texture.
             inner &= np.isin(np.arange(32), [3, 4, 11, 12, 19, 20, 27, 28])
         np.testing.assert_allclose(image.xyz[inner], expected[inner], rtol=2e-3)
 
@@ -165,7 +166,9 @@ def test_far_textures_reflect_the_mean_light_of_their_roughnesses(name):
 
 
 def test_far_textures_reflect_the_mean_light_of_a_sky():
-    """With few cells, which contain different roughnesses, the mean colour must be that of cells below a texel."""
+    """With few subpixel cells, which contain different roughnesses, the mean colour must be that of cells that are
+    smaller than a texel.
+    """
     texels, sky = checker(90, 250, 64).repeat(8, axis=0).repeat(8, axis=1), wd.Environment.clear_sky((0.0, 0.05, 1.0))
     options = OPTIONS | {"shadows": False, "refine": False}
     few, many = (

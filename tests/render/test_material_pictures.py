@@ -18,7 +18,7 @@ MATERIALS = {"gold": GOLD, "a film on glass": wd.Material.dielectric(1.5).coated
     ("coherence", "tolerance"), [(SHORT, 2e-2), slow(wd.Coherence("source", angular_diameter_deg=1.5), 8e-2)], ids=str
 )
 def test_a_table_of_a_material_meets_its_tolerance(name, coherence, tolerance, fingers, rng):
-    """Tables with the reflectance R(θd, λ) of a material must meet their tolerance.
+    """Colour tables with the reflectance R(θd, λ) of a material must meet their tolerance.
 
     θd is half of the angle between light and viewer. R can be included in a table over the scattering vector (u, v, w),
     because cos θd = |(u, v, w)|/2.

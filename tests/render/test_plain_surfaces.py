@@ -94,7 +94,9 @@ def mean_colour(image, number):
 
 
 def hemisphere(count=400):
-    """Return directions of a hemisphere and solid angles times cos θ, for a midpoint rule in (sin²θ, azimuth)."""
+    """Return directions of a hemisphere, and for each its solid angle times cos θ, for a midpoint rule in (sin²θ,
+    azimuth).
+    """
     square = (np.arange(count) + 0.5) / count
     azimuth = 2.0 * math.pi * (np.arange(2 * count) + 0.5) / (2 * count)
     radius = np.sqrt(square)[:, None]

@@ -100,7 +100,9 @@ def test_pictures_meet_their_tolerance(truth, fingers, table):
 
 
 def test_reported_errors_bound_and_rank_the_true_ones(truth, fingers, table):
-    """Reported errors exceed true errors in more than 95 % of the pixels, and rank the pixels similarly."""
+    """Reported errors must exceed true errors in more than 95 % of the pixels, and the order of the pixels by both must
+    be similar.
+    """
     mesh, camera, exact = truth
     true, reported = [], []
     for tolerance, refine in ((1e-1, False), (1e-1, True), (3e-2, True)):
@@ -119,7 +121,7 @@ def test_reported_errors_bound_and_rank_the_true_ones(truth, fingers, table):
 def test_more_cells_are_never_worse(truth, fingers, table):
     """More subpixel cells do not increase errors, neither with footprints nor with point samples.
 
-    Footprints require a table. The second plan has none, so that its cells are point samples.
+    Footprints require a colour table. The second plan has no table, so that its cells are point samples.
     """
     mesh, camera, exact = truth
     for plan in (table, dataclasses.replace(table, coherence=table.coherence, rings_per_octave=0)):
@@ -142,7 +144,7 @@ def test_silhouettes_are_covered_in_part(truth, fingers, table):
     away = np.abs(image.coverage - coverage)[rim]
     assert np.median(away) < 0.03
     assert away.max() < 0.1
-    # Colours are multiplied by the coverage, in the picture and in the reference.
+    # Colours are multiplied by the coverage, both in the picture and in the reference.
     size = np.linalg.norm(xyz, axis=2)
     bright = rim & (size > 0.05 * np.percentile(size[coverage > 0.99], 90.0))
     relative = np.linalg.norm(image.xyz - xyz, axis=2)[bright] / size[bright]
@@ -200,14 +202,18 @@ def test_pixels_that_do_not_converge_cause_a_warning(fingers, table):
     """
     far = wd.View((12.0, 48.0, 93.0), (0.0, 0.0, 0.0), fov_y_deg=1.5, width=48, height=36)
     mesh, fine = lumpy(5), dataclasses.replace(table, tolerance=1e-3)
-    with pytest.warns(wd.WarpdiffWarning, match=r"of the illuminated pixels are expected to exceed .* see image.error"):
+    with pytest.warns(
+        wd.WarpdiffWarning, match=r"of the illuminated interior pixels are expected to exceed .* see image.error"
+    ):
         image = wd.shade(mesh, fingers, LIGHT, far, plan=fine)
     assert image.report.unconverged_share > 0.01
     assert "does not meet its tolerance of 0.001 everywhere" in str(image.report).splitlines()[0]
 
 
 def test_edge_pixels_are_distinguished_from_inner_pixels(truth, fingers, table):
-    """Pixels with an edge must be marked, and inner pixels, whose square is entirely hit and illuminated, must not."""
+    """Pixels with an edge must be marked, and inner pixels must not. The whole square of an inner pixel shows the mesh
+    and is illuminated.
+    """
     mesh, camera, (_, _, inside) = truth
     renderer = wd.Renderer(mesh, fingers, LIGHT, camera, plan=table, samples_per_pixel=16)
     illuminated = renderer.image().illuminated
@@ -258,7 +264,7 @@ def test_lights_and_pigments_add_up(fingers, table):
     alone = [wd.shade(mesh, fingers, light, view(), plan=table) for light in (LIGHT, other)]
     both = wd.shade(mesh, fingers, [LIGHT, other], view(), plan=table)
     # A picture with one light is refined until it meets the tolerance. With two lights, only the sum of both must meet
-    # it, so that the picture differs slightly from the sum of the two pictures.
+    # the tolerance, so that the picture differs slightly from the sum of the two pictures.
     expected = alone[0].xyz + alone[1].xyz
     away = relative_errors(both.xyz[both.illuminated], expected[both.illuminated])
     assert np.percentile(away, 99.0) < table.tolerance
@@ -317,7 +323,9 @@ def test_more_cells_than_the_highest_level_has_are_refused(fingers):
 
 
 def test_cells_detect_details_between_pixel_centres(fingers, table):
-    """Cells must detect a mesh of bars that are 0.3 pixels wide, one every 5.3 pixels. Most pixel centres miss it."""
+    """Subpixel cells must detect a mesh of bars that are 0.3 pixels wide, one every 5.3 pixels. The rays through most
+    pixel centres miss this mesh.
+    """
     bars = [
         trimesh.Trimesh(
             [(x, -9.0, 0.0), (x + 0.3, -9.0, 0.0), (x + 0.3, 9.0, 0.0), (x, 9.0, 0.0)], [(0, 1, 2), (0, 2, 3)],
@@ -335,7 +343,7 @@ def test_cells_detect_details_between_pixel_centres(fingers, table):
 
 
 def test_cells_detect_shadows_between_pixel_centres(fingers, table):
-    """Cells must detect the shadow of a strip that is narrower than a pixel and falls between pixel centres."""
+    """Subpixel cells must detect the shadow of a strip that is narrower than a pixel and between pixel centres."""
     floor = trimesh.creation.box((4.0, 4.0, 0.1))
     strip = trimesh.creation.box((2.4, 0.04, 0.01))
     strip.apply_translation((3.0, 0.08, 3.0))

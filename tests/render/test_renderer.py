@@ -221,7 +221,8 @@ def test_another_kind_of_light_in_the_same_direction_does_not_use_the_occluder_g
 ):
     """A disc or point light must not use the occluder grids of a directional light that was rendered before.
 
-    All of these lights have the same lobe direction (0, 0, 1). For a point light, it is a placeholder without use.
+    All of these lights have the same lobe direction (0, 0, 1). For a point light, the direction is a placeholder that
+    is not used.
     """
     first, plan = wd.DirectionalLight((0.0, 0.0, 1.0)), plans["footprints"]
     drawn = wd.Renderer(tube, fingers, first, view(), plan=plan)
@@ -356,7 +357,7 @@ REPLAYED = [
 
 @pytest.mark.parametrize(("name", "count", "options"), REPLAYED)
 def test_replayed_pictures_equal_those_of_shade(painted, fingers, plans, name, count, options, recorded):
-    # The picture is twice as wide as in other tests, so that it has enough pixels for fractions of differing pixels.
+    # The picture is twice as wide as in other tests, so that fractions of pixels that differ can be small.
     size = 2 * WIDTH, 2 * HEIGHT
     drawn = wd.Renderer(painted, fingers, LIGHTS[:count], view(size=size), plan=plans[name], threads=1, **options)
     for angle in (0.4, -0.3):

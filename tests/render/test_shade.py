@@ -25,8 +25,8 @@ ABOVE = wd.DirectionalLight((0.0, 0.0, 1.0))
 FLAT = wd.HeightField(np.zeros((4, 4)), 0.05)
 WHITE = np.array([0.950423, 1.0, 1.088610])
 SHORT = wd.Coherence("averaged", 3.0)
-# Coherence window that is much wider than the patch. Orders are then narrow, and directions between orders receive only
-# the tails of the orders' Gaussian lobes.
+# Coherence window that is much wider than the patch. Diffraction orders are then narrow, and directions between orders
+# receive only the tails of the orders' Gaussian lobes.
 LONG = wd.Coherence("averaged", 16.25)
 
 
@@ -126,8 +126,8 @@ def test_the_colours_of_several_lights_add_up(snake, fingers):
     # All pictures use the same plan. With separate plans, the wavelengths would depend on the lights of each picture.
     together = wd.shade(snake, fingers, lights, view, **options)
     alone = [wd.shade(snake, fingers, light, view, plan=together.plan) for light in lights]
-    # A picture with one light is refined until it meets the tolerance. With several lights, only the sum must meet it,
-    # so that the picture differs slightly from the sum of the pictures.
+    # A picture with one light is refined until it meets the tolerance. With several lights, only the sum must meet the
+    # tolerance, so that the picture differs slightly from the sum of the pictures.
     expected = sum(image.xyz for image in alone)
     np.testing.assert_array_equal(together.illuminated, expected[..., 1] > 0.0)
     away = relative_errors(together.xyz[together.illuminated], expected[together.illuminated])
@@ -239,7 +239,9 @@ def test_pictures_are_the_same_bit_for_bit(samples, snake, fingers):
 
 
 def test_many_samples_per_pixel_change_only_the_rim():
-    """With 16 samples per pixel, only pixels at the rim may be partly covered; the mean must not change."""
+    """With 16 samples per pixel, only pixels at the rim of the mesh may be partly covered; the mean colour must not
+    change.
+    """
     disc = whole_disc()
     view = wd.View((0.5, -1.2, 2.2), (0, 0, 0), fov_y_deg=60.0, width=64, height=48)
     # With a short coherence window, a flat surface has one broad lobe, so that colours change little within a pixel.
@@ -390,7 +392,9 @@ def test_illuminated_pixels_are_finite_and_positive(name, request):
 
 
 def test_the_belly_shows_no_seam(fingers):
-    """Neighbouring pixels on both sides of the texture's seam must not differ more than other neighbouring pixels."""
+    """Neighbouring pixels on both sides of the texture's seam, on the belly of the snake, must not differ more than
+    other neighbouring pixels.
+    """
     tube = meshes.tube(bend_deg=0.0, segments_along=96, segments_around=64)
     # The view is from below, and the seam lies on the border between the two middle columns of the picture.
     view = wd.View.orthographic((0, -2, 0), (0, 0, 0), up=(1, 0, 0), extent_y=1.2, width=48, height=64)

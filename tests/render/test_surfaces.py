@@ -21,7 +21,9 @@ OPTIONS = {"coherence": UNIT, "tolerance": 0.1, "refine": False, "masking": Fals
 
 
 def scene(**materials):
-    """Return three quads side by side, named after their geometries, each with the material of the given name."""
+    """Return three quads side by side, named after their geometries, each with the material that ``materials`` states
+    for its name.
+    """
     result = trimesh.Scene()
     for x, (name, material) in zip((-2.1, 0.0, 2.1), materials.items(), strict=True):
         corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])

@@ -11,7 +11,7 @@ from bench.reproduce import rigorous_tables as tables
 from bench.suite.validity import ANGLES, STORED, UNIT
 from warpdiff.inverse_design.design_result import achieved_values
 from warpdiff.inverse_design.rigorous_check import rigorous_values
-from warpdiff.rigorous import coupled_waves
+from warpdiff.rigorous import coupled_waves, rigorous_orders
 
 pytest.importorskip("meent", reason="meent is not installed")
 UP = (0.0, 0.0, 1.0)
@@ -101,10 +101,28 @@ def test_a_solver_that_is_wrong_on_a_flat_surface_is_refused(monkeypatch):
 
 def test_not_converged_is_a_result():
     steep = wd.gratings.lamellar(1.0, 0.6, samples=16)
-    with pytest.warns(wd.WarpdiffWarning, match="1 of 1 wavelengths have not converged"):
-        result = wd.rigorous_order_efficiencies(steep, UP, 600.0, material=wd.Material.metal("Ag"), max_harmonics=8)
+    silver, harmonics = wd.Material.metal("Ag"), 16
+    with pytest.warns(wd.WarpdiffWarning, match=r"1 of 1 wavelengths have not converged: 1 changed by up to 0\.\d+ in"):
+        result = wd.rigorous_order_efficiencies(steep, UP, 600.0, material=silver, max_harmonics=harmonics)
     assert not result.converged.any()
+    assert np.isfinite(result.changes[0])
     assert result.changes[0] > 5e-3
+
+
+def test_solutions_without_a_doubling_are_named_as_such():
+    """A change of infinity is no change in a doubling. It must not hide the changes at other wavelengths."""
+    long = wd.gratings.lamellar(8.0, 0.05, samples=16)
+    with pytest.warns(wd.WarpdiffWarning, match="not converged: 1 were computed once, with 22 harmonics: .* least 44$"):
+        result = wd.rigorous_order_efficiencies(long, UP, 600.0, material=ALUMINIUM, max_harmonics=40)
+    np.testing.assert_array_equal(result.changes, [np.inf])
+    with pytest.warns(wd.WarpdiffWarning) as caught:
+        rigorous_orders._warn_of_harmonics(
+            np.array([22, 32, 64]), np.array([np.inf, 0.02, 0.5]), np.array([False, False, True])
+        )
+    message = str(caught[0].message)
+    assert "2 of 3 wavelengths" in message
+    assert "1 changed by up to 0.02 in the last doubling to 32 harmonics" in message
+    assert "inf" not in message
 
 
 def test_layers_are_levels_or_a_staircase():
@@ -138,7 +156,7 @@ def test_refused_before_the_solution(options, message):
 def test_designs_are_checked_rigorously():
     pixels = wd.profiles.Pixels(0.8, np.zeros((1, 8)), samples=4)
     equal = wd.Target.equal([(0, -1), (0, 0), (0, 1)], UP, 632.8, ior=math.inf)
-    result = wd.design(pixels, equal, levels=4, starts=2)
+    result = wd.design(pixels, equal, levels=4, starts=1)
     check = result.check_rigorously()
     direct = wd.rigorous_order_efficiencies(result.heightfield, UP, 632.8, material=ALUMINIUM)
     np.testing.assert_allclose(check.achieved["achieved"], [direct[0, m][0] for m in (-1, 0, 1)])

@@ -260,7 +260,7 @@ def test_base_colours_of_materials_are_read(tmp_path):
     file.tree["textures"][0]["sampler"] = 0
     path = file.write(tmp_path / "b.gltf")
     appearance = load(path)[0].appearance
-    assert (appearance.alpha_mode, appearance.alpha_cutoff, appearance.is_double_sided) == ("mask", 0.3, True)
+    assert (appearance.alpha_mode, appearance.alpha_cutoff) == ("mask", 0.3)
     assert (appearance.metallic, appearance.roughness, appearance.emission) == (0.25, 1.0, (1.0, 0.5, 0.0))
     assert appearance.base_texture.wrap == ("clamp", "mirror")
     surface = prepare_surface(path, plain={"*": True})

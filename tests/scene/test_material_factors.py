@@ -44,7 +44,7 @@ def test_textures_without_their_coordinates_are_named_and_roughness_counts_with_
         "pbrMetallicRoughness": metal, "emissiveFactor": [1, 1, 1], "emissiveTexture": elsewhere,
     }  # fmt: skip
     path = file.write(tmp_path / "a.gltf")
-    names = "metallic-roughness texture except for its mean, emission with a texture of 'body'"
+    names = "metallic-roughness texture except for its mean, emission texture that cannot be sampled of 'body'"
     with pytest.warns(WarpdiffWarning, match=names):
         read = factors(path)
     (image,) = (part.appearance.metallic_roughness_texture.image for part in load(path))
@@ -78,7 +78,9 @@ def test_textures_that_cannot_be_read_are_named(tmp_path):
     messages = [str(warning.message) for warning in caught]
     assert len(messages) == 2
     assert "refers to 'missing.png', which is ignored" in messages[0]
-    assert messages[1].endswith("not rendered: metallic-roughness texture, emission with a texture of 'body'")
+    assert messages[1].endswith(
+        "not rendered: metallic-roughness texture, emission texture that cannot be sampled of 'body'"
+    )
     assert (read.metallic[0], read.roughness[0]) == (0.5, 0.25)
     assert not read.emission.any()
 

@@ -196,6 +196,36 @@ def test_objects_and_materials_of_obj_files_keep_their_names(library, tmp_path):
     assert set(prepare_surface(groups).geometry_names) == {"body", "lid"}
 
 
+@pytest.mark.parametrize("keyword_end", [" ", "\t", " \t "])
+@pytest.mark.parametrize("indent", ["", "  ", "\t"])
+@pytest.mark.parametrize("between", [" ", "\t"])
+def test_obj_files_may_have_tabs_and_indented_lines(indent, keyword_end, between, tmp_path):
+    # The name of the library has a space and a tab, which belong to the name.
+    (tmp_path / "two \t a.mtl").write_text("newmtl gold\nKd 1 0 0\nnewmtl silver\nKd 0 0 1\n")
+    lines = []
+    for line in TWO.replace("2/2 3/3", "-3/-2 -2/-1").splitlines():
+        keyword, name = line.split(" ", 1)
+        name = "two \t a.mtl" if keyword == "mtllib" else name.replace(" ", between)
+        lines.append(f"{indent}{keyword}{keyword_end}{name}\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", WarpdiffWarning)
+        parts = load(written(tmp_path / "a.obj", "".join(lines)))
+        expected = load(written(tmp_path / "b.obj", TWO.replace("two.mtl", "two \t a.mtl")))
+    assert len(parts) == len(expected) == 4
+    for part, same in zip(parts, expected, strict=True):
+        assert (part.geometry, part.appearance.name) == (same.geometry, same.appearance.name)
+        assert part.appearance.base_colour == same.appearance.base_colour
+        np.testing.assert_array_equal(part.vertices[part.faces], same.vertices[same.faces])
+        np.testing.assert_array_equal(part.uvs[0][part.faces], same.uvs[0][same.faces])
+
+
+@pytest.mark.parametrize("name", ["folder", "folder.obj", "folder.glb", "folder.other"])
+def test_a_folder_is_no_mesh(name, tmp_path):
+    (tmp_path / name).mkdir()
+    with pytest.raises(ValueError, match=f"mesh must be a file, got the folder '.*{name}'"):
+        load(tmp_path / name)
+
+
 def test_files_without_names_have_numbers(tmp_path):
     path = written(tmp_path / "a.obj", OBJ.replace("o Kübel\n", "").replace("usemtl Öl\n", ""))
     surface = prepare_surface(path)

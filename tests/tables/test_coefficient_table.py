@@ -1,4 +1,4 @@
-"""Coefficient tables in the cache: when they are fitted, reused, removed and deleted."""
+"""Tables of Fourier coefficients in the cache: when they are fitted, reused, removed and deleted."""
 
 import dataclasses
 import gc

@@ -1,4 +1,8 @@
-"""Colour tables, compared with the float64 reference, closed forms and sampled integration."""
+"""Colour tables, compared with the float64 reference, closed forms and sampled integration.
+
+A ring is a circle of constant |(u, v)| in the polar grid of a table, and an azimuth is a line of constant polar angle.
+An octave is the set of rings between one radius and twice this radius. (u, v, w) is the scattering vector.
+"""
 
 import dataclasses
 import itertools
@@ -19,8 +23,8 @@ from warpdiff.tables import colour_curves, colour_table
 from warpdiff.tables.lookup import ColourLookup
 from warpdiff.tables.mip_layout import MipLayout
 
-# This coherence window is so short that the orders of a 12.8 µm patch overlap. Each colour is then a sum of many
-# orders.
+# This coherence window is so short that the diffraction orders of a 12.8 µm patch overlap. Each colour is then a sum of
+# many orders.
 SHORT = wd.Coherence(sigma_um=3.25)
 
 
@@ -79,16 +83,17 @@ def test_the_smallest_tables_have_approximate_colours(fingers, rng):
 @pytest.mark.parametrize(
     ("counts", "lengths", "falloff"),
     [
-        ((40, 44), (6.0, 5.0), 22.0),  # patch with a moderate number of neighbours
+        ((40, 44), (6.0, 5.0), 22.0),  # patch with a moderate number of neighbouring coefficients
         ((64, 64), (9.0, 9.0), 2.5),  # patch with more rows and columns than a SIMD vector has elements
-        ((5, 3), (2.0, 1.6), 2.0),  # patch whose periodic coefficients repeat among the neighbours
+        ((5, 3), (2.0, 1.6), 2.0),  # patch so small that periodic coefficients occur several times
         ((1, 48), (0.02, 6.0), 22.0),
         ((48, 1), (6.0, 0.02), 22.0),
     ],
     ids=str,
 )
 def test_azimuth_samples_are_sums_of_gaussians_projected_on_splines(powers, counts, lengths, falloff, rng):
-    """Samples of the spectrum along azimuths must equal sums of Gaussians over all coefficients, projected on splines.
+    """Samples of the spectrum along azimuths must equal sums over all Fourier coefficients with Gaussian weights,
+    projected on splines.
 
     The kernel's samples are compared with sums in float64.
     """
@@ -137,7 +142,8 @@ def test_azimuth_samples_are_sums_of_gaussians_projected_on_splines(powers, coun
         expected[ray] += colour_curves.spline(offsets[k] - np.arange(nodes))[:, None] * value
     expected *= np.log(2.0) / (nodes * divisions)
     peak = np.abs(expected).max()
-    # The kernel excludes neighbours with a weight below exp(−20), which causes errors of up to 1e-6 of the peak.
+    # The kernel excludes Fourier coefficients with a weight below exp(−20), which causes errors of up to 1e-6 of the
+    # peak.
     np.testing.assert_allclose(values.numpy().reshape(expected.shape), expected, atol=1e-6 * peak)
 
 
@@ -150,8 +156,8 @@ def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_si
     """Colour rows computed by the kernel must equal float64 sums over spline coefficients of the spectrum.
 
     Beyond the last octave the spectrum is 0. The filter that computes spline coefficients begins ``reach`` samples
-    beyond the spectrum. The error of its first value decays over these samples. With ``reach`` = 0, the first value
-    itself must be correct.
+    beyond the spectrum. The error of the filter's first value decays over these samples. With ``reach`` = 0, the first
+    value itself must be correct.
     """
     lanes, terms, coarse = 8, 5, 16
     rays = [coarse, 2 * coarse, 4 * coarse]
@@ -199,13 +205,13 @@ def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_si
 def test_points_are_splines_through_the_rows(fingers, rng):
     """Look-ups of single directions must equal float64 sums of splines times table rows.
 
-    This must also hold at the limits of octaves and at an azimuth of 0.
+    The equality must also hold at the limits of octaves and at an azimuth of 0.
     """
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=0.1)
     options = {"device": wp.get_device("cpu"), "threads": 1}
     table = colour_table.table_for(fingers, plan, plan.direction_range, IlluminatedMaterial("D65"), **options).struct
     firsts, rays = table.first_rows.numpy()[0], table.azimuths.numpy()[0]
-    # ``seams`` are the ring numbers at which the last two octaves begin.
+    # ``seams`` are the ring indices at which the last two octaves begin.
     last = len(rays) * table.rings_per_octave - table.ring_of_one
     seams = last - table.rings_per_octave * np.arange(1, 3)
     anywhere = rng.uniform(seams[1] - 3.0, last - 3.0, 300)
@@ -257,7 +263,8 @@ def test_weights_reproduce_white_and_a_linear_spectrum(nodes, illuminant):
     products = colorimetry.colour_products(illuminant)
     white = products.sum(axis=0)
     np.testing.assert_allclose(weights.sum(axis=0) * step, white, rtol=1e-5)
-    # For a spectrum that is linear in ln λ, the integral under each spline equals the value at its node.
+    # For a spectrum that is linear in ln λ, the integral of the spectrum under each spline equals the value at the
+    # centre of the spline.
     exact = np.log(1e3 / np.arange(380.0, 781.0)) @ products / white
     places = np.log(1e3 / 780.0) + step * (np.arange(len(weights)) - 1.0)
     np.testing.assert_allclose(places @ weights * step / white, exact, atol=0.5 * step)

@@ -36,7 +36,7 @@ def test_grids_of_baked_lobes_end_one_ring_beyond_a_radius_of_2():
 
 @pytest.mark.parametrize("coherence", [wd.Coherence(sigma_um=3.25), wd.Coherence("source", angular_diameter_deg=2.0)])
 def test_rows_of_mip_levels_are_stored_one_after_another(coherence):
-    """The rows of all mip levels must be stored one after another without gaps.
+    """The rows of all mip levels (blurred copies of a table) must be stored one after another without gaps.
 
     All mip levels have the rings of level 0 and at most its number of azimuths. Before and after the rows of each
     octave there are additional rows, which repeat the last and the first azimuths of the octave.
@@ -58,7 +58,7 @@ def test_rows_of_mip_levels_are_stored_one_after_another(coherence):
 
 @pytest.mark.parametrize("coherence", [wd.Coherence(sigma_um=3.25), wd.Coherence("source", angular_diameter_deg=2.0)])
 def test_two_computations_of_the_zeroth_order_agree(coherence):
-    """The zeroth order of a colour table must equal that of baked lobes.
+    """The zeroth order of a colour table must equal the zeroth order of baked lobes.
 
     Baking computes the zeroth order in another way, from a histogram of heights.
     """
@@ -74,9 +74,10 @@ def test_two_computations_of_the_zeroth_order_agree(coherence):
 
 
 def test_the_lobe_variance_follows_from_the_coherence():
-    """The variance of a lobe must follow from the coherence model.
+    """The variance of a lobe (the peak of a diffraction order) must be that of the coherence.
 
-    A window has the lobe exp(−4π²σ²|q|²) with q = (u, v)/λ. The lobe of a source does not depend on λ.
+    A window has the lobe exp(−4π²σ²|q|²) with q = (u, v)/λ. For a light source of finite size, the lobe does not depend
+    on λ.
     """
     power = np.ones(2, dtype=np.float32)
     averaged, source = (

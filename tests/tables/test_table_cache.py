@@ -47,7 +47,7 @@ def arrays_of(struct):
 def test_the_size_of_the_cache_is_that_of_its_distinct_arrays(heightfield, coherence):
     """The size of the cache must be the total size of its arrays, each of which counts once.
 
-    Arrays of tables have space for mip levels. This space counts only once the levels are computed.
+    Arrays of tables have space for mip levels. This space counts only after the levels have been computed.
     """
     plan = plan_of(heightfield, coherence)
     blurred = dataclasses.replace(plan, footprint=True)
@@ -59,7 +59,8 @@ def test_the_size_of_the_cache_is_that_of_its_distinct_arrays(heightfield, coher
     assert len(cached) == 2
     arrays = {array.ptr: array for entry in cached for array in arrays_of(entry.struct)}
     if not coherence.adds_powers:
-        # A table of amplitudes has only mip level 0, so that the part of its arrays for other levels stays unused.
+        # A table of amplitudes (centred window) has only mip level 0, so that the part of its arrays for other levels
+        # stays unused.
         unfilled = {entry.fields["rows"].ptr: entry.layout.rows for entry in cached}
         arrays = {ptr: array[: unfilled.get(ptr, len(array))] for ptr, array in arrays.items()}
     assert cache.nbytes == sum(array.size * wp.types.type_size_in_bytes(array.dtype) for array in arrays.values())

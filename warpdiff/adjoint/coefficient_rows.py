@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Amplitudes(Protocol):
-    """Source of Fourier coefficients: heights on a grid, an outline, or a change of heights or outline."""
+    """Provider of Fourier coefficients: heights on a grid, an outline, or a change of heights or outline."""
 
     def at(self, part: slice) -> tuple[Complex, Complex]:
         """Return H at p sites, and the complex conjugates of H at their opposites, for k values of |κ|: (k, p) each."""
@@ -107,7 +107,7 @@ class CoefficientRows:
     def slopes(self, kappas: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the derivatives of the Chebyshev polynomials with respect to |κ| [µm], shape (n, k).
 
-        The derivative of the polynomial number n is proportional to n U_{n−1}.
+        The derivative of the polynomial of degree n is proportional to n U_{n−1}.
         """
         values = _recurrence(self.places(kappas), self.terms, np.zeros(len(kappas)), np.ones(len(kappas)))
         return values * (self.places_per_kappa * np.arange(self.terms))
@@ -139,7 +139,7 @@ class CoefficientRows:
 
 
 def sum_of(rows: Rows, place: slice) -> NDArray[np.float64] | Complex:
-    """Return the series at the indices ``place``: real series of powers, or complex series of amplitudes."""
+    """Return the series with the indices ``place``: real series of powers, or complex series of amplitudes."""
     return rows[0][place] if len(rows) == 1 else rows[0][place] + 1j * rows[1][place]
 
 

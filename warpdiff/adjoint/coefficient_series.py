@@ -1,7 +1,8 @@
 """``CoefficientSeries``: powers or amplitudes of the Fourier coefficients of a block, with adjoint and tangent.
 
-κ = w/λ, where w is the normal component of the scattering vector and λ the wavelength. The tangent is the change of a
-result to first order. The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
+A block is a rectangle of diffraction orders. κ = w/λ, where w is the normal component of the scattering vector and λ
+the wavelength. The tangent is the change of a result to first order. The adjoint of a quantity is the derivative of a
+scalar loss with respect to this quantity.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Wavelengths at which a colour must be sampled to meet a truncation error.
 
 The relative reflectance ρ is interpolated between the sampled wavelengths λ by quintic polynomials in 1/λ. The error of
-the interpolation follows from the fastest change of ρ with 1/λ. The index of refraction of a material is linear between
-the entries of its table. The reflectance of the material therefore has kinks, which polynomials cannot follow. The
-number of wavelengths is doubled until the colour of the flat material meets the truncation error.
+the interpolation is computed from the fastest change of ρ with 1/λ. The index of refraction of a material is linear
+between the entries of its table. The reflectance of the material therefore has kinks, which polynomials cannot follow.
+The number of wavelengths is doubled until the colour of the flat material meets the truncation error.
 
 σ is the standard deviation of a coherence window, q = (u, v)/λ the spatial frequency of a direction, and θd half of the
 angle between the directions to light and viewer.
@@ -27,21 +27,22 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
     from warpdiff.optics.spectra import Spectrum
 
-# Smallest and largest number of wavelengths of a colour. The smallest number is limited by quintic polynomials, which
-# need six nodes. The largest number is limited by the computing time, which is proportional to the number.
+# Smallest and largest number of wavelengths at which a colour is sampled. The smallest number is limited by quintic
+# polynomials, which need six nodes (wavelengths). The largest number is limited by the computing time, which is
+# proportional to the number.
 LEAST_WAVELENGTHS, MOST_WAVELENGTHS = 12, 20_000
-# Error of the quintic interpolation of a sine wave, divided by (angular frequency × step)⁶. The value follows from the
-# error formula of polynomial interpolation: the product of the distances from six nodes, in the middle of them, over
-# 6!.
+# Error of the quintic interpolation of a sine wave, divided by (angular frequency × step)⁶. The value was derived from
+# the error formula of polynomial interpolation: the product of the distances of the middle of six nodes from these
+# nodes, divided by 6!.
 _QUINTIC = (0.5 * 1.5 * 2.5) ** 2 / 720.0
 # Angular frequency of a sine wave that is interpolated with the same error as a Gaussian, times the standard deviation
-# of the Gaussian. The value follows from the sixth derivative of a Gaussian, which is at most 15 times its maximum.
+# of the Gaussian. The value was derived from the sixth derivative of a Gaussian, which is at most 15 times its maximum.
 OF_GAUSSIAN = 15.0 ** (1.0 / 6.0)
-# Fraction of the truncation error that the colour of the flat material may have. The colour is tried at a few angles
-# only, and the factor 2 was chosen as a margin for the angles between them.
+# Fraction of the truncation error that the colour of the flat material may have. The colour is computed at a few angles
+# only; the fraction leaves a margin of a factor of 2 for the angles between them.
 _SHARE_OF_MATERIAL = 0.5
 # Number of points of the Gauss quadrature between two kinks of the integrand, which are at most 1 nm apart. With this
-# number, the error for films of up to 1 µm is a rounding error.
+# number, the error for thin films of up to 1 µm is a rounding error.
 _GAUSS_POINTS = 4
 
 
@@ -63,7 +64,7 @@ def sampling(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
     """Return the wavelengths [nm] of a colour, shape (m,), and the weights that sum their ρ to XYZ, shape (m, 3).
 
-    The wavelengths are equally spaced in 1/λ, or in ln λ if the coherence is that of a source.
+    The wavelengths are equally spaced in 1/λ, or in ln λ if the coherence is that of a light source of finite size.
 
     Args:
         lights: Unit vectors to the light, shape (n, 3).
@@ -114,7 +115,7 @@ def count_of_material(
 def _count_of_surface(
     half: NDArray[np.float64], scale_um: float, size_um: tuple[float, float], coherence: Coherence, truncation: float
 ) -> int:
-    """Return how many wavelengths the change of ρ with the wavelength requires.
+    """Return the number of wavelengths that the change of ρ with the wavelength requires.
 
     The index of refraction is assumed to be constant. ``half`` has the sums of the unit vectors to light and viewer,
     shape (n, 3).
@@ -128,7 +129,8 @@ def _count_of_surface(
         reach = math.hypot(*np.multiply(coherence.periods, size_um))
         span, rate = high - low, phase + 2.0 * math.pi * along * reach
     else:
-        # The power at the distance d from q has a Gaussian weight of the standard deviation 1/(√8 πσ) in d.
+        # A Fourier coefficient at the distance d from q contributes its power with a Gaussian weight, whose standard
+        # deviation in d is 1/(√8 πσ).
         sharpness = math.sqrt(8.0) * math.pi * (coherence.sigma_um or 0.0)
         span, rate = high - low, phase + OF_GAUSSIAN * along * sharpness
     return int(counts_of(np.array([rate]), span, truncation)[0])

@@ -1,6 +1,8 @@
 """Splines that are fitted to colour curves, for any position of a colour between the rings of a polar grid.
 
-λ is the wavelength. A ring of the grid is a frequency, and stands for a wavelength of a given direction.
+λ is the wavelength. A ring of the grid is a circle of constant frequency |(u, v)|/λ, where (u, v) are the tangential
+components of the scattering vector. For one direction, a ring therefore stands for one wavelength. A colour curve is
+the product of illuminant and colour-matching function over the wavelength.
 """
 
 from __future__ import annotations
@@ -19,8 +21,9 @@ from warpdiff.tables.colour_curves import spline
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Number of intervals between two rings. Weights are tabulated at the ends of intervals and interpolated linearly in
-# between. The error of this interpolation is 1/(8 · 64²) = 3e-5 of the second difference of the weights.
+# Number of intervals between two neighbouring rings. The weights of rings in a colour are tabulated at the ends of
+# intervals and interpolated linearly in between. The error of this interpolation is 1/(8 · 64²) = 3e-5 of the second
+# difference of the weights.
 _INTERVALS = 64
 # Number of samples of the colour curves in an interval.
 _SAMPLES = 4
@@ -45,7 +48,8 @@ def curve_weights(illuminant: colorimetry.Illuminant, rings_per_octave: int) -> 
     Returns:
         Weights of the values at consecutive rings in X, Y and Z, shape (intervals + 1, rings, 3). The first axis is the
         position f of the rings relative to the longest visible wavelength, from 0 to 1: ring m is m + f − 2 rings
-        beyond this wavelength. A value at a ring is the integral of the spectrum over ln λ under its spline.
+        beyond this wavelength. The value at a ring is the integral over ln λ of the spectrum times the spline of this
+        ring.
     """
     step, count = math.log(2.0) / rings_per_octave, ring_count(rings_per_octave)
     per_ring = _INTERVALS * _SAMPLES

@@ -4,8 +4,9 @@ Each pair of a direction and a wavelength λ has one sum. The weight of a coeffi
 distance of its frequency from q = (u, v)/λ, and M is a 2 × 2 matrix. Each coefficient is a Chebyshev series in |κ|,
 with κ = w/λ. (u, v, w) is the scattering vector.
 
-The number of pairs is p, and the number of terms of a series is k. The adjoint of a quantity is the derivative of a
-scalar loss with respect to this quantity.
+A block is a rectangle of orders; a cell is the place of one order in the block. The number of pairs is p, and the
+number of terms of a series is k. The adjoint of a quantity is the derivative of a scalar loss with respect to this
+quantity.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ if TYPE_CHECKING:
 
     from warpdiff.adjoint.coefficient_rows import CoefficientRows
 
-# Weights below e^−x are neglected. The number is added to the x that the truncation error requires. It follows from the
-# second derivatives of a lobe at its edge, which are larger than the lobe by about x².
+# Weights below e^−x are neglected. This number is added to the x that the truncation error requires. It was derived
+# from the second derivatives of a lobe at its edge, which are larger than the lobe itself by a factor of about x².
 _FURTHER = 5.0
-# Number of cells (orders) of the transposed sum that a thread computes per launch. The value is limited by the time of
-# a launch, which is that of hundreds of cells, because most cells have few pairs.
+# Number of cells (orders) of the transposed sum that a thread computes per launch. The value is limited by the overhead
+# of a launch, which is as long as the computation of hundreds of cells, because most cells have few pairs.
 _CELLS_OF_SLICE = 16_384
 # Largest distance of a lobe's centre from the middle of its cell, along an axis [cells]: one half, and a margin for
 # rounding errors.
@@ -131,7 +132,7 @@ class GaussianLobes:
         return result
 
     def derivatives(self, pairs: Pairs, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sums and their derivatives, shape (p, 11), in the columns that ``lobe_sums.DERIVATIVES`` counts.
+        """Return the sums and their derivatives, shape (p, 11), in the columns that ``lobe_sums.DERIVATIVES`` lists.
 
         The derivative in column ``X`` is with respect to |κ|.
         """

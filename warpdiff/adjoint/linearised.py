@@ -53,7 +53,7 @@ def linearised(
     adjoint: Callable[[NDArray[np.float64]], Derivatives],
     tangent: Callable[[Derivatives], NDArray[np.float64]],
 ) -> Linearised:
-    """Return a linearised value; its ``vjp`` and ``jvp`` check their arguments and then call the given functions.
+    """Return a linearised value; its ``vjp`` and ``jvp`` check arguments and then call ``adjoint`` and ``tangent``.
 
     Args:
         value: Value of the differentiated function.

@@ -1,10 +1,11 @@
 """Sums of Fourier coefficients under wide lobes (Gaussian weights), for which neighbouring orders are added first.
 
-A lobe that is several orders wide changes little from one order to the next. A pyramid therefore has levels of nodes:
-level n has one node for 2ⁿ × 2ⁿ orders, and level 0 has the orders themselves. A node of the next level is every second
-node, to which half of each neighbour is added. This does not change the mean position of a coefficient. It adds a
-variance of (4ⁿ − 1)/6 orders², on average, to the position. This variance is subtracted from that of the lobe. All
-steps are linear. The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
+A lobe that is several orders wide changes little from one order to the next. A pyramid therefore has levels of nodes
+(sums of the coefficients of several orders): level n has one node for 2ⁿ × 2ⁿ orders, and level 0 has the orders
+themselves. The nodes of the next level are every second node of a level, to which half of each neighbouring node is
+added. This does not change the mean position of a coefficient. It adds a variance of (4ⁿ − 1)/6 orders², on average, to
+the position. This variance is subtracted from that of the lobe. All steps are linear. The adjoint of a quantity is the
+derivative of a scalar loss with respect to this quantity.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ class LobePyramid:
         return rows, columns
 
     def sums_of(self, coefficients: NDArray[np.float64]) -> Callable[[Pairs], NDArray[np.float64]]:
-        """Return a function that computes the sums of p pairs, shape (p,), for given series of the powers."""
+        """Return a function that computes the sums of p pairs, shape (p,), for series of the powers."""
 
         @functools.cache
         def joined(level: int) -> NDArray[np.float64]:
@@ -110,7 +111,8 @@ class LobePyramid:
         variances = np.stack([scale * yy, -scale * xy, scale * xx], axis=1)
         least, largest = self._deviations(variances)
         levels = np.clip(np.floor(np.log2(np.maximum(least, 1.0) / _LEAST_DEVIATION)), 0, _MOST_LEVEL).astype(np.int64)
-        # Long lobes are separated from short ones, because the transposed sum searches as far as its longest lobe.
+        # Long lobes are processed separately from short lobes, because the transposed sum searches around each node as
+        # far as its longest lobe extends.
         lengths = np.floor(np.log2(np.maximum(largest, 1.0))).astype(np.int64)
         for level, length in np.unique(np.stack([levels, lengths], axis=1), axis=0).tolist():
             chosen = np.flatnonzero((levels == level) & (lengths == length))
@@ -131,9 +133,9 @@ class LobePyramid:
         return np.sqrt(np.maximum(middle - half, 0.0)) if all(self._is_axis) else largest, largest
 
     def _at_level(self, pairs: Pairs, variances: NDArray[np.float64], level: int) -> tuple[Pairs, NDArray[np.float64]]:
-        """Return pairs for the nodes of a level, with centres relative to the block's first order, and their factors.
+        """Return pairs for the nodes of a level, with centres relative to the block's first order, and factors of sums.
 
-        The factors correct the sums for the smaller variance of the lobes.
+        The factors correct the sums for the reduced variance of the lobes.
         """
         centres, reduced = pairs.centres.copy(), variances.copy()
         for axis, column, entry in ((0, 1, 2), (1, 0, 0)):
@@ -161,7 +163,7 @@ class LobePyramid:
         return np.ascontiguousarray(fine)
 
     def _add_divided(self, coarse: NDArray[np.float64], fine: NDArray[np.float64]) -> None:
-        """Add the values of a level's nodes to those of the next finer level: the transpose of ``_joined``."""
+        """Add the values of a level's nodes to those of the level below: the transpose of ``_joined``."""
         for axis in (1, 0):
             if fine.shape[axis] > 1:
                 nodes = np.moveaxis(coarse, axis, 0)

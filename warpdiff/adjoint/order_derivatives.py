@@ -63,7 +63,7 @@ class _OrderCall:
         self, relief: Relief, lights: NDArray[np.float64], wavelengths: NDArray[np.float64], *, normalised: bool,
         ior: float, material: Material | None,
     ) -> None:  # fmt: skip
-        """Find the orders that propagate, and compute their Fourier coefficients."""
+        """Find the diffraction orders that propagate, and compute their Fourier coefficients."""
         orders, views = propagating(relief.lattice, lights, wavelengths)
         self._lives = ~np.isnan(views[..., 0])
         self._relief, self._lights, self._wavelengths = relief, lights, wavelengths
@@ -262,7 +262,7 @@ def order_efficiencies(
         "order_efficiencies", wrt,
         available("order_efficiencies", ior=ior, material=material, is_outline=relief.is_outline),
     )  # fmt: skip
-    normalised = energy_or_default(energy, normal, material) in ("normalised", "normalized")
+    normalised = energy_or_default(energy, normal, material) == "normalised"
     call = _OrderCall(relief, lights, wavelengths, normalised=normalised, ior=index_of(ior), material=material)
     if set(names) & set(_MOVING):
         call.warn_of_kinks()

@@ -6,8 +6,9 @@ wavelength λ and the normal component w of the scattering vector.
 
 A normalised efficiency is R times an element of the matrix P = diag(x) (K |H|²) diag(y). The rows of the matrix are
 directions to the light, and its columns are orders. The vectors x and y are such that the sums over rows and columns
-have prescribed values, which conserve energy. Derivatives follow from those of the prescribed sums, by the linear
-equations of ``balance_response``. The adjoint of a quantity is the derivative of a scalar loss with respect to it.
+have prescribed values, which conserve energy. Derivatives are computed from the derivatives of the prescribed sums, by
+the linear equations of ``balance_response``. The adjoint of a quantity is the derivative of a scalar loss with respect
+to it.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ class PeriodSums:
             ])  # fmt: skip
             slope_x, slope_y, slope_kappa = 2.0 * (np.conj(amplitude) * slopes).real * of_y[k, 0] * of_x[k, 0]
             power, (qx, qy) = abs(amplitude) ** 2, pairs.centres[k]
-            # The interference factors depend on t = qL, the change of the phase over one period in turns.
+            # The interference factors depend on t = qL, which is the change of the phase over one period, in turns.
             by_turns_x, by_turns_y = power * of_y[k, 0] * of_x[k, 1], power * of_x[k, 0] * of_y[k, 1]
             result[k, KAPPA], result[k, VALUE] = slope_kappa, power * of_y[k, 0] * of_x[k, 0]
             result[k, Q_X] = slope_x + by_turns_x * self._size_um[1]

@@ -13,6 +13,7 @@ from annotated_types import Interval
 from warpdiff.adjoint import reflection
 from warpdiff.adjoint.linearised import linearised
 from warpdiff.adjoint.picture_model import PictureModel
+from warpdiff.adjoint.spectral_model import SURFACE
 from warpdiff.adjoint.surfaces import Relief
 from warpdiff.adjoint.variables import available, check_variables, differentiable
 from warpdiff.core import validation
@@ -31,9 +32,6 @@ if TYPE_CHECKING:
     from warpdiff.lights.base import Light
     from warpdiff.profiles.outline import Outline
     from warpdiff.render.picture_samples import PictureSamples
-
-# Names of the variables that are the surface itself.
-_SURFACE = ("heights_um", "vertices")
 
 
 class _PictureCall:
@@ -54,7 +52,7 @@ class _PictureCall:
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Shape of each requested variable by its name."""
-        return {name: self._relief.variable_shape if name in _SURFACE else () for name in self._names}
+        return {name: self._relief.variable_shape if name in SURFACE else () for name in self._names}
 
     def value(self) -> NDArray[np.float64]:
         """Return XYZ of the illuminated pixels, shape (n, 3)."""
@@ -71,7 +69,7 @@ class _PictureCall:
         if set(self._names) - {"ior"}:
             of_surface = self._model.adjoint(of_groups)
             for name in self._names:
-                if name in _SURFACE:
+                if name in SURFACE:
                     result[name] = of_surface
                 elif name == "height_scale":
                     result[name] = np.asarray(np.sum(self._scaling * of_surface))
@@ -86,7 +84,7 @@ class _PictureCall:
         result = np.zeros_like(self._pigment)
         if self._model is None:
             return result
-        of_surface = [changes[name] for name in changes if name in _SURFACE]
+        of_surface = [changes[name] for name in changes if name in SURFACE]
         if "height_scale" in changes:
             of_surface.append(changes["height_scale"] * self._scaling)
         if of_surface:

@@ -1,9 +1,10 @@
 """Colours of the samples of a picture as a function of the heights, with adjoint and tangent.
 
 The colours are linear in the powers of the Fourier coefficients. If pixels show points under a coherence window, the
-colours are sums over the rings of a polar grid, and the zeroth order is a sum over wavelengths. In all other cases the
-colours are sums over wavelengths. For a test of the grid, some samples are computed in both ways: bright samples and
-random samples. The grid becomes finer until both results agree to the tolerance.
+colours are sums over the rings of a polar grid of the power spectrum (circles of constant frequency |(u, v)|/λ), and
+the zeroth order is a sum over wavelengths. In all other cases the colours are sums over wavelengths. For a test of the
+grid, some samples are computed in both ways: bright samples and random samples. The grid becomes finer until both
+results agree to the tolerance.
 
 A group has the samples with one illuminant and material. κ = w/λ, where w is the normal component of the scattering
 vector and λ the wavelength. The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
@@ -25,6 +26,7 @@ from warpdiff.adjoint.sites import Block
 from warpdiff.adjoint.wavelength_sums import HIGH, LOW, PAIRS_TOGETHER, WavelengthSums
 from warpdiff.core import memory
 from warpdiff.image.error_model import luminance_floor
+from warpdiff.kernels.polar_sums import MOST_TERMS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -35,8 +37,8 @@ if TYPE_CHECKING:
 
 # Sizes of polar grids, from coarse to fine. The first grid whose error is within the tolerance is used.
 _SIZES = (RingSizes(24, 1.3), RingSizes(32, 1.6), RingSizes(48, 2.0), RingSizes(96, 2.6))
-# The error of a grid is measured on `_CHECKED` bright and as many random samples of each group. At least the fraction
-# `_SHARE` of them must be within the tolerance.
+# The error of a grid is measured on `_CHECKED` bright samples and the same number of random samples of each group. For
+# at least the fraction `_SHARE` of these samples, the error must be within the tolerance.
 _CHECKED, _SHARE = 64, 0.95
 # Relative size of the truncated terms of series and sums, divided by the tolerance.
 _TRUNCATION_SHARE = 1e-2
@@ -78,7 +80,9 @@ class PictureModel:
         self._exponent = exponent_of(self._truncation)
         has_rings = coherence.kind == "averaged" and all(group.footprints is None for group in groups)
         for sizes in _SIZES if has_rings else ():
-            self._colours: Colours = self._by_rings(sizes)
+            if (size := self._size_of_rings(sizes)) is None:
+                continue
+            self._colours: Colours = self._by_rings(sizes, size)
             self.values = self._colours.sums(self._coefficients)
             if self._is_accurate():
                 return
@@ -95,15 +99,25 @@ class PictureModel:
         """Return the change of XYZ of each group, shape (n, 3), for a change of the heights [µm]."""
         return self._colours.sums(self._series.tangent(change))
 
-    def _by_rings(self, sizes: RingSizes) -> Colours:
+    def _size_of_rings(self, sizes: RingSizes) -> SeriesSize | None:
+        """Return the numbers of terms for a polar grid; None if the kernels have no memory for so many terms."""
+        margin = kappa_margin(sizes)
+        low, high = self._kappas()
+        kappas = low / margin, high * margin
+        # A series has more terms than its argument. Heights far beyond the limit of the kernels raise an error in
+        # `SeriesSize.of`, although sums over wavelengths may support them.
+        if 2.0 * math.pi * (kappas[1] - kappas[0]) * self._relief.scale_um > MOST_TERMS:
+            return None
+        size = SeriesSize.of(self._relief, kappas, self._truncation, powers=True)
+        return size if size.count <= MOST_TERMS else None
+
+    def _by_rings(self, sizes: RingSizes, size: SeriesSize) -> Colours:
         """Return colours by a polar grid of the given size, and compute the Fourier coefficients that they require."""
         relief, falloff = self._relief, 4.0 * (math.pi * (self._coherence.sigma_um or 1.0)) ** 2
         grid = RingGrid(self._groups, sizes, falloff)
-        margin = kappa_margin(sizes)
-        low, high = self._kappas()
         block = grid.block(self._exponent, relief.shape, relief.size_um)
         samples = sum(len(group.gains) for group in self._groups if group.illuminated.material is not None)
-        self._begin(block, (low / margin, high * margin), grid.rows, samples * ring_count(sizes.rings_per_octave))
+        self._begin(block, size, grid.rows, samples * ring_count(sizes.rings_per_octave))
         lobes = self._series.lobes(self._exponent)
         zeroth = _cell_of_zeroth(block)
         rings = PolarGridSums(grid, lobes, self._groups, zeroth)
@@ -123,7 +137,8 @@ class PictureModel:
             own = block_of(pairs, self._exponent, self._relief.shape, self._relief.size_um)
             block = own if block is None else block.joined(own)
         assert block is not None  # noqa: S101 (groups are not empty)
-        self._begin(block, self._kappas(), 0, 0)
+        size = SeriesSize.of(self._relief, self._kappas(), self._truncation, powers=True)
+        self._begin(block, size, 0, 0)
         return _OnLobes(sums, LobePyramid(self._series, self._relief.size_um, self._exponent))
 
     def _sums_over_wavelengths(self, groups: list[LitPixels]) -> WavelengthSums:
@@ -134,16 +149,15 @@ class PictureModel:
         ws = np.concatenate([-group.scattering_vectors[:, 2] for group in self._groups])
         return LOW * float(ws.min()), HIGH * float(ws.max())
 
-    def _begin(self, block: Block, kappas: tuple[float, float], ring_values: int, reflectances: int) -> None:
+    def _begin(self, block: Block, size: SeriesSize, ring_values: int, reflectances: int) -> None:
         """Compute the Fourier coefficients of a block; raise ``MemoryError`` first if they do not fit into memory.
 
         Args:
             block: Rectangle of orders that have coefficients.
-            kappas: Smallest and largest |κ| [1/µm].
+            size: Range of |κ| and numbers of terms of the series.
             ring_values: Number of values on all rings.
             reflectances: Number of reflectances at rings.
         """
-        size = SeriesSize.of(self._relief, kappas, self._truncation, powers=True)
         ny, nx = self._relief.shape
         sites = min(block.size, ny * (nx // 2 + 1))
         memory.require_memory(
@@ -156,7 +170,7 @@ class PictureModel:
         self._coefficients = self._series.powers()
 
     def _near_mirror(self, group: LitPixels, falloff: float) -> NDArray[np.int64]:
-        """Return the samples at which the zeroth order is not negligible."""
+        """Return the indices of the samples at which the zeroth order is not negligible."""
         u, v, _ = group.scattering_vectors.T
         return np.flatnonzero(falloff * (u * u + v * v) * LOW**2 < self._exponent)
 

@@ -2,10 +2,11 @@
 
 All steps from the series of Fourier coefficients to colours are linear. First, the spectrum is sampled on rings at
 equally spaced azimuths. Second, cubic splines interpolate between azimuths. Third, a colour is a sum over the rings
-between its longest and its shortest visible wavelength. A ring is a frequency q = (u, v)/λ of fixed magnitude, for the
-wavelength λ and the scattering vector (u, v, w). κ is w/λ. A lobe is the Gaussian weight of a coefficient in the
-spectrum, and σ is its standard deviation. The adjoint of a quantity is the derivative of a scalar loss with respect to
-it.
+between its longest and its shortest visible wavelength. A ring is a circle of frequencies q = (u, v)/λ of fixed
+magnitude, for the wavelength λ and the scattering vector (u, v, w). A block of rings has consecutive rings with the
+same number of azimuth samples; a block of orders is a rectangle of orders. κ is w/λ. A lobe is the Gaussian weight of a
+coefficient in the spectrum, and σ is its standard deviation. The adjoint of a quantity is the derivative of a scalar
+loss with respect to it.
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ _SAMPLE_SPACING_SIGMAS = 1.5
 # Radius around the origin within which the spectrum counts as constant, in standard deviations of its lobes. A Gaussian
 # changes by at most (1/50)²/2 = 2e-4 within this radius.
 _FLAT_WITHIN_SIGMAS = 0.02
-# Smallest number of azimuth samples of a ring. With this number, the four samples that interpolate a value are
-# different.
+# Smallest number of azimuth samples of a ring. With this number, the four samples between which a value is interpolated
+# are different.
 _FEWEST_AZIMUTHS = 16
 # The spectrum is sampled at the azimuths that directions use, and at this number of azimuths on both sides of them. At
 # this distance, a value changes the coefficient of a cubic spline by only 0.27^16 = 8e-10 of itself.
@@ -50,8 +51,9 @@ _NEIGHBOURS = 16
 _ANGLES = 513
 # Longest and shortest visible wavelength [µm].
 _RED_UM, _BLUE_UM = 1e-3 * colorimetry.LAMBDA_MAX_NM, 1e-3 * colorimetry.LAMBDA_MIN_NM
-# Numbers of azimuths, of cells and of directions that a thread processes per launch. They are limited because elements
-# of one launch require different times, and large slices would distribute the work unevenly.
+# Numbers of azimuths, of cells and of directions that a thread processes per launch. The numbers are limited because
+# the elements of one launch require different times, so that large slices would distribute the work unevenly over
+# threads.
 _AZIMUTHS_OF_SLICE, _CELLS_OF_SLICE, _PIXELS_OF_SLICE = 64, 1024, 512
 
 
@@ -74,12 +76,12 @@ class RingSizes:
 
 
 def kappa_margin(sizes: RingSizes) -> float:
-    """Return the factor by which κ of the rings of a colour exceeds the visible range of κ, at both ends."""
+    """Return the factor by which κ at the outermost rings of a colour exceeds the visible range of κ, at both ends."""
     return math.exp(4.0 * sizes.step)
 
 
 class RingGrid:
-    """Rings and azimuths at which the spectrum is sampled for given directions.
+    """Rings and azimuths at which the spectrum is sampled for some directions.
 
     Attributes:
         sizes: Size of the grid.
@@ -100,7 +102,7 @@ class RingGrid:
         step = sizes.step
         radii = [self.radii_of(group) for group in groups]
         # The rings of a colour extend from two rings before its longest wavelength to two rings beyond its shortest
-        # one.
+        # wavelength.
         low = min(float(part.min()) for part in radii) / _RED_UM * math.exp(-3.0 * step)
         high = max(float(part.max()) for part in radii) / _BLUE_UM * math.exp(4.0 * step)
         self._blocks: int = math.ceil(math.log(high / low) / (BLOCK_RINGS * step))
@@ -116,12 +118,12 @@ class RingGrid:
             self._mark(group, self.places(part))
 
     def radii_of(self, group: LitPixels) -> NDArray[np.float64]:
-        """Return |(u, v)| of the directions of a group, but at least a limit near the mirror direction, (n,)."""
+        """Return |(u, v)| of the directions of a group, replaced by a limit near the mirror direction, (n,)."""
         least = _FLAT_WITHIN_SIGMAS * self._sigma * _BLUE_UM
         return np.asarray(np.maximum(np.hypot(*group.scattering_vectors[:, :2].T), least))
 
     def places(self, radii: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the positions of the longest visible wavelength [rings], for values of |(u, v)| of directions."""
+        """Return the ring index (a fraction) of the longest visible wavelength for values of |(u, v)| of directions."""
         return np.asarray((np.log(radii / _RED_UM) - self.log_first) / self.sizes.step)
 
     def _mark(self, group: LitPixels, places: NDArray[np.float64]) -> None:
@@ -224,7 +226,8 @@ class PolarGridSums:
             reflectances = self._reflectances(group.among(order), curves.shape[1])
             pixels.reflectances = wp.array(reflectances, dtype=wp.float64, device="cpu")
         pixels.least_kappa, pixels.places_per_kappa = low, 2.0 / (high - low)
-        # A direction uses consecutive rings. For each group of rings, the directions that use any of them are searched.
+        # A direction uses consecutive rings. For each group of rings, the directions that use a ring of this group are
+        # searched.
         first = np.ceil(places[order]).astype(np.int64) - 2
         groups = TOGETHER * np.arange(self._rings.groups)
         begins = np.searchsorted(first, groups - curves.shape[1] + 1)
@@ -316,7 +319,7 @@ def turns_of(group: LitPixels) -> NDArray[np.float64]:
     """Return the azimuths of (u, v) of the directions of a group [turns], 0 to 1, shape (n,)."""
     u, v, _ = group.scattering_vectors.T
     turns = np.arctan2(v, u) / (2.0 * math.pi) % 1.0
-    # A tiny negative angle is rounded to 1, which stands for 0.
+    # A tiny negative angle is rounded to 1 turn, which is the same angle as 0.
     return np.where(turns < 1.0, turns, 0.0)
 
 

@@ -66,7 +66,7 @@ class PowerSums(Protocol):
 
 
 class LobeSums:
-    """Sums with Gaussian weights: of powers for averaged windows and sources, of amplitudes for centred windows."""
+    """Sums with Gaussian weights: of powers for averaged windows and light sources, of amplitudes for centred ones."""
 
     def __init__(
         self, terms: SurfaceTerms, rows: CoefficientRows, block: Block, sites: Sites,
@@ -91,9 +91,9 @@ class LobeSums:
             rows.fill(terms)
         s, r = block.orders()
         self._phases = np.exp(-2j * np.pi * ((s * centre[0]) % 1.0 + (r * centre[1]) % 1.0))[:, None]
-        # Different orders may alias onto the same Fourier coefficient, but have different phases for a window's centre.
-        # Amplitudes are therefore stored per order, with these phases. Powers have no phases and are stored per
-        # coefficient.
+        # Different orders may alias onto the same Fourier coefficient, but have different phases if the centre of a
+        # coherence window is not at the origin. Amplitudes are therefore stored per order, with these phases. Powers
+        # have no phases and are stored per coefficient.
         cells = sites.places if rows.powers else np.arange(block.size, dtype=np.int32)
         self._coefficients = rows.rows if rows.powers else self._shifted(rows.rows)
         self._lobes = GaussianLobes(rows, block, cells, size_um, exponent)
@@ -109,8 +109,8 @@ class LobeSums:
         if self._rows.powers:
             return slopes[0][:, [*range(VALUE), _SUM]]
         slope = slopes[0] + 1j * slopes[1]
-        # The coefficient of order r has the phase −2πrc/L for a window's centre c and the length L of the patch. If c
-        # is constant, this phase also changes with L.
+        # The coefficient of order r has the phase −2πrc/L, where c is the centre of the coherence window and L is the
+        # length of the patch. If c is constant, this phase also changes with L.
         for column, along, axis in ((L_X, 8, 1), (L_Y, 9, 0)):
             slope[:, column] += 2j * np.pi * self._moving_um[axis] / self._size_um[axis] ** 2 * slope[:, along]
         amplitude = slope[:, _SUM]

@@ -15,7 +15,7 @@ import numpy as np
 
 from warpdiff.adjoint.jets import Jet
 from warpdiff.kernels.thresholds import TINY
-from warpdiff.optics.materials import DEFAULT_IOR
+from warpdiff.optics.materials import DEFAULT_IOR, index_at
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -90,24 +90,25 @@ def schlick(cosines: NDArray[np.float64], ior: float, *, relative: bool) -> Jet:
 def fresnel(cosines: NDArray[np.float64], material: Material, wavelengths_nm: NDArray[np.float64]) -> Jet:
     """Return the unpolarised reflectance of a material as a jet of the variables ``MATERIAL_VARIABLES``.
 
-    n and k are those of the material below a film. They change linearly between the wavelengths of the material's
-    table.
+    n and k are those of the material below the film, if there is a film. They change linearly between the wavelengths
+    of the material's table.
 
     Args:
         cosines: cos θd, shape (...).
         material: Material, with a film or without.
         wavelengths_nm: Wavelengths [nm], in the shape of the cosines.
     """
+    substrate = index_at(material, wavelengths_nm)
     cosine, n, k, thickness, wavelength = Jet.variables(
-        np.minimum(cosines, 1.0), *_index(material, wavelengths_nm), np.full_like(cosines, material.film_nm),
-        wavelengths_nm,
+        np.minimum(cosines, 1.0), substrate.real, substrate.imag,
+        np.full_like(cosines, material.film_nm), wavelengths_nm,
     )  # fmt: skip
     along2 = 1.0 - cosine * cosine
     below = n + 1j * k + _dispersion(material, wavelength)
     media = [Jet(np.ones(cosines.shape), 0.0 * cosine.partials)]
     if material.film is not None:
-        film_n, film_k = _index(material.film, wavelengths_nm)
-        media.append(_dispersion(material.film, wavelength) + (film_n + 1j * film_k))
+        film = _dispersion(material.film, wavelength)
+        media.append(Jet(film.value + index_at(material.film, wavelengths_nm), film.partials))
     media.append(below)
     angles = [cosine, *((1.0 - along2 / (index * index)).power(0.5) for index in media[1:])]
     result = Jet(np.zeros(cosines.shape), 0.0 * cosine.partials)
@@ -126,14 +127,6 @@ def fresnel(cosines: NDArray[np.float64], material: Material, wavelengths_nm: ND
     return result
 
 
-def _index(material: Material, wavelengths_nm: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return n and k of a material without its film, interpolated linearly at wavelengths [nm]."""
-    n, k = (
-        np.interp(wavelengths_nm, np.asarray(material.wavelengths_nm), np.asarray(v)) for v in (material.n, material.k)
-    )
-    return np.asarray(n), np.asarray(k)
-
-
 def _dispersion(material: Material, wavelength: Jet) -> Jet:
     """Return a jet of the value 0, whose derivatives are those of n + ik with respect to the wavelength."""
     table = np.asarray(material.wavelengths_nm)
@@ -142,7 +135,7 @@ def _dispersion(material: Material, wavelength: Jet) -> Jet:
         slope = np.zeros(wavelength.value.shape, dtype=np.complex128)
     else:
         # At the last entry of a table, the derivative is that towards shorter wavelengths, because n + ik is not known
-        # at longer ones.
+        # at longer wavelengths.
         place = np.clip(np.searchsorted(table, wavelength.value, side="right") - 1, 0, len(table) - 2)
         inside = (wavelength.value >= table[0]) & (wavelength.value <= table[-1])
         slope = np.where(inside, (np.diff(index) / np.diff(table))[place], 0.0)

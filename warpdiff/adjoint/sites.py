@@ -45,7 +45,7 @@ class Block:
 
 
 class Sites:
-    """Different Fourier coefficients of real arrays, which lie in half of the frequency plane.
+    """Distinct Fourier coefficients of real arrays. Their frequencies lie in half of the frequency plane.
 
     The coefficient of a real array at (−s, −r) is the complex conjugate of the coefficient at (s, r), and coefficients
     are periodic in s and r. The coefficient of any order is therefore that of a site, or the complex conjugate of it.
@@ -58,7 +58,7 @@ class Sites:
     """
 
     def __init__(self, shape: tuple[int, int], s: NDArray[np.int64], r: NDArray[np.int64]) -> None:
-        """Find the sites of n orders (s, r) for arrays of the given shape (ny, nx)."""
+        """Find the sites of n orders (s, r) for arrays of the shape ``shape``, (ny, nx)."""
         self._shape = ny, nx = shape
         column = r % nx
         is_opposite = column > nx // 2

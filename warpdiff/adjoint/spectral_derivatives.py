@@ -188,7 +188,7 @@ class SpectralCall:
         memory.require_memory(needed, f"a gradient by {block.shape[0]} × {block.shape[1]} coefficients", _REMEDY)
 
     def _centre(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return the centre of a window relative to the size of the patch, and the coordinates that are fixed [µm].
+        """Return the centre of a coherence window relative to the size of the patch, and its fixed coordinates [µm].
 
         A centre that the caller states in µm is fixed. The default centre moves if the size of the patch changes.
         """
@@ -199,7 +199,7 @@ class SpectralCall:
         return (y / self._relief.size_um[0], x / self._relief.size_um[1]), (y, x)
 
     def _to_argument(self, name: str, array: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Convert the adjoint of unit vectors to that of the caller's directions; return other adjoints unchanged."""
+        """Convert adjoints of unit vectors to adjoints of the caller's directions; return other adjoints unchanged."""
         if name not in self._vectors:
             return array
         unit = self._lights if name == "to_light" else self._views

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 # an outline therefore have different Fourier coefficients, without aliasing.
 _OUTLINE_SAMPLES = 2**40
 # Number of Fourier coefficients that are computed at once, divided by the number of vertices for an outline. The value
-# is limited by memory: if doubled, the computation requires twice the memory.
+# is limited by memory: if it is doubled, the computation requires twice the memory.
 _SITES_TOGETHER = 8192
 
 

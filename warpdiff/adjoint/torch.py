@@ -43,7 +43,7 @@ def wrap(function: Callable[..., Linearised], wrt: Sequence[str], shape: Sequenc
         results = last.adjoints([_numpy(array) for array in arrays], _numpy(adjoint))
         return [torch.from_numpy(result).to(array.device) for result, array in zip(results, arrays, strict=True)]
 
-    # PyTorch passes the arguments of this function by name, so that the names must be these.
+    # PyTorch passes the arguments of this function by name, so that the names of the arguments must be those below.
     def keep(ctx: torch.autograd.function.FunctionCtx, inputs: list[list[torch.Tensor]], output: torch.Tensor) -> None:  # noqa: ARG001
         ctx.save_for_backward(*inputs[0])
 

@@ -84,7 +84,8 @@ def available(
 ) -> tuple[str, ...]:  # fmt: skip
     """Return the names of the variables with respect to which a call of a function has derivatives.
 
-    ``has_material`` states whether the reflectance depends on more than ``ior``, also without a single ``material``.
+    ``has_material`` states whether the reflectance depends on more than ``ior``, for example because parts of a mesh
+    have materials.
     """
     absent = set()
     if coherence is not None:

@@ -40,9 +40,9 @@ LOW, HIGH = 1e3 / colorimetry.LAMBDA_MAX_NM, 1e3 / colorimetry.LAMBDA_MIN_NM
 
 
 class WavelengthSums:
-    """Colours of directions as sums over sampled wavelengths, with Gaussian lobes that footprints widen.
+    """Colours of directions as sums over sampled wavelengths, with Gaussian lobes that pixel footprints widen.
 
-    Directions with similar |(u, v)| use the same wavelengths, whose number follows from the truncation error. For a
+    Directions with similar |(u, v)| use the same wavelengths, whose number is determined by the truncation error. For a
     light less than 2° above the horizon, the number of wavelengths is that for 2°. One warning states how many
     directions require more wavelengths than ``MOST_WAVELENGTHS``.
     """
@@ -122,8 +122,9 @@ class WavelengthSums:
     def _variances(self, group: LitPixels, lowest: float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the elements xx, xy and yy of two covariance matrices for each direction, shape (n, 3) each.
 
-        The first is that of a coherence window in q. The second is that of source and footprint in (u, v). A direction
-        to a light with a z component below ``lowest`` counts as having this z component.
+        The first matrix is the covariance that a coherence window causes in q. The second matrix is the covariance that
+        a light source and the pixel's footprint cause in (u, v). A direction to a light with a z component below
+        ``lowest`` counts as having this z component.
         """
         count = len(group.gains)
         of_q, of_uv = np.zeros((count, 3)), np.zeros((count, 3))
@@ -141,12 +142,12 @@ class WavelengthSums:
         return of_q, of_uv
 
     def _rates(self, group: LitPixels, height_range_um: float) -> NDArray[np.float64]:
-        """Return the angular frequency at which each spectrum oscillates, over 1/λ, or over ln λ for a source."""
+        """Return angular frequencies of the directions' spectra over 1/λ, or over ln λ for a light source."""
         u, v, w = group.scattering_vectors.T
         # Near the horizon, the extent of a source is foreshortened to 0, and the frequency would become infinite.
         of_q, of_uv = self._variances(group, LOWEST)
         phase = -2.0 * math.pi * w * height_range_um
-        # Among all wavelengths, the longest one has the smallest variances in q, and thus the fastest oscillation.
+        # At the longest wavelength, the variances in q are smallest, and the oscillation of the spectrum is fastest.
         xx, xy, yy = (of_q / LOW**2 + of_uv).T
         crossing = np.sqrt((yy * u * u - 2.0 * xy * u * v + xx * v * v) / (xx * yy - xy * xy))
         if self._is_source:
@@ -162,7 +163,8 @@ class WavelengthSums:
         forms = 0.5 * np.stack([yy, -xy, xx], axis=-1) / determinants[..., None]
         factors = np.repeat(group.gains[:, None], len(wavenumbers), axis=1)
         if group.footprints is not None:
-            # A footprint widens the lobe of a coefficient. The maximum becomes lower, so that the integral is the same.
+            # A footprint widens the lobe of a coefficient. The maximum of the lobe becomes lower, so that its integral
+            # is unchanged.
             own = of_q[:, None] + (of_uv - group.footprints)[:, None] * wavenumbers[:, None] ** 2
             factors *= np.sqrt((own[..., 0] * own[..., 2] - own[..., 1] ** 2) / determinants)
         if group.illuminated.material is not None:

@@ -81,11 +81,15 @@ def sequence(options: argparse.Namespace) -> None:
 
     if options.scheduler is not None and importlib.util.find_spec("distributed") is None:
         raise ArgumentValueError("--scheduler requires Dask, which is not installed: pip install 'warpdiff[dask]'")
-    if options.lights_turn and (options.path or options.light_to):
-        raise ArgumentValueError(
-            f"--lights-turn is for --turns, not for {'--path' if options.path else '--light-to'}: give one of them"
-        )
+    motion = "--path" if options.path else "--light-to" if options.light_to else None
+    for flag, is_set in (("--lights-turn", options.lights_turn), ("--lights-stay", options.lights_stay)):
+        if is_set and motion:
+            raise ArgumentValueError(f"{flag} is for --turns, not for {motion}: give one of them")
     saving = given(options, describe(wd.sequence))
+    if "frames_per_second" in saving and "animation" not in saving:
+        raise ArgumentValueError("--frames-per-second requires --animation: give both")
+    if "background" in saving and ".png" not in saving.get("formats", FORMATS[:1]):
+        raise ArgumentValueError(f"--background is for .png files, got --formats {' '.join(saving['formats'])}")
     # Files are checked here, because a ``Renderer`` is made before ``warpdiff.sequence`` checks the files. A new
     # renderer already draws a picture, for which an error about files should not wait.
     check_files(tuple(saving.get("formats", FORMATS[:1])), saving.get("animation"))
@@ -210,6 +214,9 @@ def view(options: argparse.Namespace) -> None:
         for path in paths:
             if not validation.path(path, name).is_file():
                 raise marked(FileNotFoundError, f"{ref(name)}: there is no file {path!r}")
+    if not options.heightfield:
+        for name in (*loading, *(f"{method}()" for method, _ in cli_inputs.cleaning_of(options))):
+            raise ArgumentValueError(f"{ref(name)} requires {ref('heightfield')}: give both")
     # Each file is loaded once before the server starts, so that the terminal shows the errors of unreadable files.
     for path in options.heightfield:
         cli_inputs.cleaned_of(cli_inputs.scan_of(path, options), options)

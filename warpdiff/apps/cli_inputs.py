@@ -14,6 +14,7 @@ from warpdiff.apps.cli_options import CLEANING, given
 from warpdiff.core import validation
 from warpdiff.core.options import describe
 from warpdiff.core.wording import ArgumentValueError, did_you_mean, marked, ref, renaming
+from warpdiff.optics import colorimetry
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import Metal
 from warpdiff.scene.part_names import REST
@@ -116,7 +117,8 @@ def surfaces_of(
     The dictionary has an entry for all parts that ``--surface`` does not name. The value None is a surface without a
     height field. With ``--map``, the height field of ``--heightfield`` is the cell of a grating map.
     """
-    heightfield = map_of(height_field_of(options), getattr(options, "map", None))
+    maps = getattr(options, "map", None)
+    heightfield = map_of(height_field_of(options), maps)
     # A page shows one height field, so that the command ``export-html`` has no flag ``--surface``.
     texts = getattr(options, "surface", None)
     if not texts:
@@ -132,7 +134,14 @@ def surfaces_of(
         if part in surfaces:
             raise ArgumentValueError(f"{ref('surface')} must name each part once, got {part!r} twice")
         surfaces[part] = None if surface == _PLAIN else _height_field(surface, "surface", options)
-    return surfaces if REST in surfaces else surfaces | {REST: heightfield}
+    if REST not in surfaces:
+        return surfaces | {REST: heightfield}
+    if maps:
+        raise ArgumentValueError(
+            f"{ref('map')} changes {ref('heightfield')}, which no part has with {ref('surface')} {REST}=…: omit one of "
+            "them"
+        )
+    return surfaces
 
 
 def map_of(cell: wd.HeightField, texts: list[str] | None) -> wd.HeightField | wd.GratingMap:
@@ -187,7 +196,11 @@ def _height_field(text: str, flag: str, options: argparse.Namespace) -> wd.Heigh
                 f"{ref(flag)}: there is no file {text!r}; a synthetic one is called by its name, one of "
                 f"{', '.join(names)}{did_you_mean(text, names)}",
             )
-        made = scan_of(text, options)
+        return cleaned_of(scan_of(text, options), options)
+    loading = given(options, describe(wd.HeightField.load))
+    # With ``--surface``, the height field of another part may be a file.
+    if loading and not getattr(options, "surface", None):
+        raise ArgumentValueError(f"{ref(next(iter(loading)))} is for files, got {ref(flag)} {text!r}: omit it")
     return cleaned_of(made, options)
 
 
@@ -271,7 +284,9 @@ def illuminant_of(text: str) -> str | wd.Spectrum:
             raise ArgumentValueError(
                 f"{ref('illuminant')} must be a temperature of 500K to 100000K, got {text!r}"
             ) from None
-        return wd.Spectrum.from_csv(text) if Path(text).suffix else text
+        # Names of illuminants may contain a full stop, such as FL3.1, so that a suffix alone does not indicate a file.
+        is_file = Path(text).suffix and not colorimetry.is_known_illuminant(text)
+        return wd.Spectrum.from_csv(text) if is_file else text
 
 
 def lights_of(options: argparse.Namespace, view: wd.View, environment: wd.Environment | None = None) -> list[Any]:

@@ -1,7 +1,8 @@
 """``bake``: computes the smallest table of a height field's colours that meets a colour difference.
 
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
-light and to the viewer. The component w is along the normal.
+light and to the viewer. The component w is along the normal. Rings are circles of constant |(u, v)| in the polar grid
+of a table, and nodes are the samples on the rings.
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ if TYPE_CHECKING:
     from warpdiff.optics.materials import Material
     from warpdiff.optics.spectra import Spectrum
 
-# Sizes of tables in ascending order. Each pair contains the rings per octave of |(u, v)|, and the azimuth samples per
-# standard deviation of a lobe, which is the peak of a diffraction order over (u, v).
+# Sizes of tables in ascending order. A size is the number of rings per octave of |(u, v)|, and the number of azimuth
+# samples per standard deviation of a lobe, which is the peak of a diffraction order over (u, v).
 _TABLE_SIZES = ((8, 0.7), (12, 0.8), (16, 0.9), (24, 1.0), (32, 1.2), (48, 1.5), (64, 1.8))
 # The grid of a table must resolve lobes (the peaks of diffraction orders over (u, v)) at this wavelength [µm]. Lobes of
 # shorter wavelengths are narrower, but contribute little to the visible colour.
@@ -53,9 +54,9 @@ _BLUE_UM = 0.43
 # `_RELATIVE_ERROR` is the relative tolerance of the sampled colours XYZ, per unit of the accepted ΔE2000. If
 # `_RELATIVE_ERROR` is doubled, the errors of these colours cause a larger share of the ΔE2000.
 _FUNCTIONS_SHARE, _RELATIVE_ERROR = 0.6, 5e-3
-# `_LOOK_UPS` is the typical number of colours that are computed for a table. `_MOST_S` is the longest accepted time for
-# these colours [s on one core]. The time is estimated, and estimates are too long: with a source of 2° and a patch of
-# 12.8 µm, 83 s were estimated and 25 s measured.
+# `_LOOK_UPS` is the typical number of colours that are computed to make a table. `_MOST_S` is the longest accepted time
+# for these colours [s on one core]. The time is estimated, and estimates are too long: with a source of 2° and a patch
+# of 12.8 µm, 83 s were estimated and 25 s measured.
 _LOOK_UPS, _MOST_S = 3e6, 300.0
 # Smallest |w| at which colours are sampled, where w is the component of the scattering vector along the normal. If |w|
 # is smaller, light and view are both near the horizon. Such colours are proportional to w² and need no samples.
@@ -70,9 +71,9 @@ _ANGLES, _EACH_NM = 65, 5
 # size of each half. `_CANDIDATES` is the number of random directions from which both halves are selected, and `_SEED`
 # is the random seed.
 _VALIDATION_SIZE, _CANDIDATES, _SEED = 2048, 32_768, 27
-# Before the ΔE2000 of a colour is computed, the colour is scaled to the luminance Y = `_SHOWN`. Colours with a
-# luminance below `_FLOOR` times the reference luminance are scaled less, by the factor of that luminance, so that they
-# remain dark.
+# Before the ΔE2000 of a colour is computed, the colour is scaled to the luminance Y = `_SHOWN`. Colours whose luminance
+# is below a limit, `_FLOOR` times the reference luminance, are multiplied by the same factor as colours at the limit,
+# so that they remain dark.
 _SHOWN, _FLOOR = 0.2, 1e-3
 # Measured peak memory while a table is computed [bytes per node of its polar grid].
 _BYTES_A_NODE = 170
@@ -165,8 +166,8 @@ class _Bakery:
             threads=evaluation.threads,
         )  # fmt: skip
         self._validation_set, self._gains, self._reference, self._bright = self._sampled(_SEED)
-        # The powers of the Fourier coefficients oscillate as functions of w. The number of Chebyshev nodes of |w|
-        # follows from the phase of these oscillations at the shortest wavelength. A margin is added, which convergence
+        # The powers of the Fourier coefficients oscillate as functions of w. The number of Chebyshev nodes over |w| is
+        # computed from the phase of these oscillations at the shortest wavelength, plus a margin that convergence
         # requires.
         phase = math.pi * LARGEST_KAPPA * evaluation.heightfield.height_range_um
         self._ws = chebyshev.nodes(_SMALLEST_W, LARGEST_W, math.ceil(phase + 4.0 * phase ** (1.0 / 3.0) + 4.0))

@@ -15,6 +15,7 @@ from annotated_types import Ge, Interval
 from warpdiff.baked.spectrum_table import BakedSpectrum
 from warpdiff.core import memory
 from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.optics.materials import DEFAULT_IOR
 from warpdiff.planner.strategy import directions_of, plan_for
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.settings import PlanSettings
@@ -28,7 +29,8 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Number of equally spaced |κ| = |w|/λ at which the functions of κ and the power of the zeroth order are tabulated.
+# Number of equally spaced |κ| = |w|/λ at which the table's functions of κ and the power of the zeroth order are
+# tabulated.
 _ENTRIES = 512
 
 
@@ -69,7 +71,7 @@ def bake_spectrum(
         Coherence(kind='averaged', sigma_um=2.0, centre_um=None, angular_diameter_deg=None, periods=None)
     """
     settings = PlanSettings(
-        tolerance=tolerance, method="low-rank", coherence=coherence, ior=1.5, device=device, threads=threads
+        tolerance=tolerance, method="low-rank", coherence=coherence, ior=DEFAULT_IOR, device=device, threads=threads
     )
     request = Evaluation.of(heightfield, settings)
     window = request.coherence

@@ -3,7 +3,7 @@
 The lobe of a diffraction order is a narrow peak whose distance |(u, v)| from the centre is proportional to λ. The
 visible wavelengths spread the lobe along the radius over one octave, so that colours vary slowly along the radius, like
 the colour-matching functions. Colours vary fast with the azimuth, within the width of a lobe. A Cartesian grid that
-resolves a lobe requires ten times as many nodes.
+resolves a lobe requires ten times as many nodes (samples).
 
 (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
 light and to the viewer.

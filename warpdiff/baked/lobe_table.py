@@ -2,7 +2,7 @@
 
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
 light and to the viewer. The component w is along the normal, and κ is w/λ. K is the number of functions of w in a
-table.
+table. Nodes are the samples of (u, v) on the rings of a polar grid. H₀₀ is the amplitude of the zeroth order.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ class BakedLobes(table_files.SavedTable):
     ``tolerance``, ``error``, ``rings``, ``rays`` (azimuth samples) and ``scale``.
 
     Attributes:
-        coherence: Averaged window or source. Lobes of a source are those at normal incidence; at oblique incidence they
-            have the correct power but are too wide.
+        coherence: Averaged window or source. Lobes of a source are computed for normal incidence; at oblique incidence
+            they have the correct power but are too wide.
         illuminant: Name of an illuminant, or a ``Spectrum``.
         tolerance: Requested 99th percentile of ΔE2000.
         error: Measured 99th percentile of ΔE2000 over directions to light and viewer on the whole hemisphere.

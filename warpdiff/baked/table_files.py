@@ -86,7 +86,10 @@ def _read(source: Path, expected: str) -> dict[str, Any]:
     try:
         with zipfile.ZipFile(content) as archive:
             size = sum(entry.file_size for entry in archive.infolist())
-        memory.require_memory(size, f"{ref('path')}: {str(source)!r}", "take a smaller one")
+            memory.require_memory(size, f"{ref('path')}: {str(source)!r}", "take a smaller one")
+            for entry in archive.infolist():
+                with archive.open(entry) as stream:
+                    files.shape_of_array(stream)
         content.seek(0)
         with np.load(content, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -185,3 +186,26 @@ def read_text(file: Path, most_bytes: int = 16 << 20) -> str:
     if len(raw) > most_bytes:
         raise ArgumentValueError(f"{ref('path')}: {file.name} must have at most {most_bytes} bytes")
     return raw.decode("utf-8", errors="replace").lstrip("\ufeff")
+
+
+def shape_of_array(stream: IO[bytes]) -> tuple[int, ...]:
+    """Return the shape of an array in NumPy's format, after a check that the stream has as many numbers.
+
+    NumPy would first allocate memory for the shape, and then find out that the numbers are missing.
+
+    Raises:
+        ValueError: The header is damaged, or states more numbers than the stream has.
+    """
+    headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    version = np.lib.format.read_magic(stream)
+    if version not in headers:
+        raise ValueError(f"version {version} of NumPy's format is unknown")
+    shape, _, dtype = headers[version](stream)
+    if dtype.itemsize == 0:
+        # Any number of texts without characters fits into a file, but not into a list.
+        raise ValueError(f"its elements have the type {dtype}, which has no bytes")
+    begin = stream.tell()
+    missing = math.prod(shape) * dtype.itemsize - (stream.seek(0, os.SEEK_END) - begin)
+    if missing > 0:
+        raise ValueError(f"its header states shape {shape} of {dtype}, and {missing} bytes are missing")
+    return shape

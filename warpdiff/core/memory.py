@@ -22,6 +22,8 @@ _NO_LIMIT = 2**60
 # Pattern of the messages of failed allocations, by which a MemoryError of NumPy or a RuntimeError of Warp is
 # recognised.
 _REFUSED = re.compile(r"[Aa]llocate (?P<size>[\d.]+) (?P<unit>bytes|[KMGTPE]iB)(?:.* on device '(?P<device>[^']+)')?")
+# Pattern of the lines of ``/proc/meminfo`` whose sum is the free memory [KiB].
+_FREE = re.compile(r"^(MemAvailable|SwapFree):\s*(\d+)", re.MULTILINE)
 _UNITS = {"bytes": 1.0, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30, "TiB": 2.0**40, "PiB": 2.0**50, "EiB": 2.0**60}
 # Memory that is allocated at most while a synthetic height field is made [bytes per height sample], and while a mesh of
 # ``warpdiff.meshes`` is made [bytes per face]. Both values were measured. If they were doubled, requests that would fit
@@ -65,8 +67,8 @@ def available() -> float:
     """Return the memory that this process can still allocate [bytes]; infinite if the system does not report it."""
     free = math.inf
     try:
-        fields = dict(line.split(":") for line in Path("/proc/meminfo").read_text().splitlines())
-        free = 1024.0 * sum(int(fields[name].split()[0]) for name in ("MemAvailable", "SwapFree"))
+        fields = dict(_FREE.findall(Path("/proc/meminfo").read_text()))
+        free = 1024.0 * sum(int(fields[name]) for name in ("MemAvailable", "SwapFree"))
     except (OSError, KeyError, ValueError):
         pass
     try:

@@ -184,9 +184,9 @@ def _describe_annotation(name: str, annotation: Any, default: object, text: str)
     if choices:
         kind = "choices"
     elif origin is Literal:
-        kind, choices = "choice", _choices_of(annotation)
+        kind, choices = "choice", choices_of(annotation)
     elif typing.get_origin(inner) is Literal:
-        kind, choices = "choices", _choices_of(inner)
+        kind, choices = "choices", choices_of(inner)
     elif annotation is _Pair:
         kind = "pair"
     elif origin is tuple and set(arguments) in ({int}, {float}):
@@ -198,7 +198,7 @@ def _describe_annotation(name: str, annotation: Any, default: object, text: str)
     )
 
 
-def _choices_of(literal: Any) -> tuple[str | int, ...]:
+def choices_of(literal: Any) -> tuple[str | int, ...]:
     """Return the values of a ``Literal``, from which American spellings are omitted."""
     return tuple(value for value in typing.get_args(literal) if value not in SPELLINGS)
 

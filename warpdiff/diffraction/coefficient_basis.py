@@ -43,8 +43,8 @@ POWER_METHODS = ("power",)
 # 4e-7. Amplitudes oscillate half as fast if heights are measured from the middle of the height range. For amplitudes,
 # the error is therefore 2e-8.
 _STEPS_PER_RADIAN = 16
-# Smallest number of steps in the table of a basis over κ = w/λ. Only shallow surfaces would need fewer steps. Their
-# powers do not oscillate over κ, but grow in proportion to κ², κ⁴ or a higher power of κ.
+# Smallest number of steps in the table of a basis (the shared functions of κ = w/λ). Only shallow surfaces would need
+# fewer steps. Their powers do not oscillate over κ, but grow in proportion to κ², κ⁴ or a higher power of κ.
 _FEWEST_STEPS = 64
 # Largest truncation error of the Jacobi-Anger series to which other bases are fitted. The value was chosen as about the
 # rounding error of float32.

@@ -36,6 +36,7 @@ _WIDTHS = 8.0
 _BYTES_PER_NUMBER = 64.0
 
 
+@single_threaded_blas()
 def window_power(
     heightfield: HeightField, coherence: Coherence, scattering_vectors: NDArray[np.float64],
     wavelengths_um: NDArray[np.float64], *, to_lights: NDArray[np.float64] | None = None,
@@ -73,7 +74,6 @@ def window_power(
     return result
 
 
-@single_threaded_blas()
 def _coefficient_sum(
     heightfield: HeightField, coherence: Coherence, field: NDArray[np.complex128], q: NDArray[np.float64],
     wavelength: float, to_light: NDArray[np.float64] | None,
@@ -90,9 +90,9 @@ def _coefficient_sum(
     if to_light is not None:
         tangential, cos_light = (float(to_light[0]), float(to_light[1])), float(to_light[2])
     falloff, cutoff = _falloff(coherence, wavelength), _cutoff(coherence, wavelength)
-    # Largest distances from q, along x and along y, of the coefficients that are summed. Under a source, let t be the
-    # component of the direction to the light along an axis. The Gaussian weight is narrower along this axis by the
-    # factor √(1 − t²), and so is the largest distance.
+    # Largest distances from q, along x and along y, of the coefficients that are summed. For a light source of finite
+    # size, let t be the component of the direction to the light along an axis; otherwise t is 0. The Gaussian weight is
+    # narrower along this axis by the factor √(1 − t²), and so is the largest distance.
     cutoff_x, cutoff_y = (cutoff * math.sqrt(1.0 - t**2) for t in tangential)
     ny, nx = heightfield.shape
     length_y, length_x = heightfield.size_um
@@ -155,7 +155,6 @@ def _check_orders(heightfield: HeightField, cutoff: float) -> None:
     )
 
 
-@single_threaded_blas()
 def _periods_power(
     heightfield: HeightField, coherence: Coherence, field: NDArray[np.complex128], q: NDArray[np.float64]
 ) -> float:

@@ -39,23 +39,23 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.field import HeightField
 
-# Largest number of orders for which ``order_efficiencies`` computes the energy factors exactly. For more orders, the
-# function interpolates the factors on a grid of directions. The computing time of exact factors is proportional to the
-# square of the number of orders.
+# Largest number of orders for which ``order_efficiencies`` computes the energy factors a(ω) exactly. For more orders,
+# the function interpolates the factors on a grid of directions. The computing time of exact factors is proportional to
+# the square of the number of orders.
 MOST_EXACT = 600
 # Number of elevations and of azimuths of the grid of directions, on which energy factors are computed and between which
-# they are interpolated. A finer grid has smaller errors and costs more.
+# they are interpolated. A finer grid has smaller errors and requires more time.
 _ELEVATIONS, _AZIMUTHS = 16, 16
 # Width of the bins in which the powers of neighbouring orders are summed, to save time [units of (u, v)]. The value is
 # about the distance between two nodes of the grid of directions.
 _BIN = 0.08
-# Number of sweeps of Sinkhorn's iteration before Newton's method starts. Sweeps always approach the factors. Newton's
-# method is faster, but needs a start near them. It was measured that after 20 sweeps Newton's method needs one to five
-# steps. This holds also for shallow profiles, for which even 200 sweeps leave an error of 3e-4 of a weak order. If the
-# number was doubled, only computing time would be lost.
+# Number of sweeps of Sinkhorn's iteration before Newton's method starts. Sweeps always converge towards the balanced
+# factors. Newton's method is faster, but must start near the solution. Measurements show that Newton's method needs one
+# to five steps after 20 sweeps, even for shallow profiles, for which even 200 sweeps leave an error of 3e-4 of a weak
+# order. If the number was doubled, only computing time would be lost.
 _SWEEPS = 20
-# Largest number of steps of Newton's method. If the method has not converged after this number of steps, it never does,
-# because the prescribed sums contradict the zeros of the matrix.
+# Largest number of steps of Newton's method. If the method has not converged after this number of steps, it never
+# converges, because the prescribed sums contradict the zeros of the matrix.
 _MOST_STEPS = 60
 # The factors count as converged if no sum over orders deviates from its prescribed value by more than this number,
 # relative to the value. The number is about the rounding error of a sum over `MOST_EXACT` orders.
@@ -91,13 +91,13 @@ _STEEPEST = math.radians(80.0)
 # wavelengths of a call. In each band, the factors are computed at this number of wavelengths and interpolated linearly.
 # The second value is the visible band [nm]; the longest and shortest wavelength of every band have the same ratio.
 _NODES, _BAND_NM = 5, (colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM)
-# Largest number of different incident directions in a call for which the orders are made to sum to exactly 1. For more
-# directions that would require too much time, and the factors are interpolated instead.
+# Largest number of different incident directions in a call for which the efficiencies of all orders are made to sum to
+# exactly 1. For more directions, exact sums would require too much time, and the factors are interpolated instead.
 _MOST_LIGHTS = 64
 # The prescribed sum over orders (`rise`) reaches 1 at this cosine of the angle from the normal, which is 5.7° above the
 # horizon. The value was fitted among values from 0.05 to 1. It gives the smallest mean error of the efficiencies of
-# perfect mirrors, compared with rigorous solutions (bench/reproduce/theory_verdict.py). If doubled, the mean error is 3
-# % larger.
+# perfect mirrors, compared with rigorous solutions (bench/reproduce/theory_verdict.py). If the value is doubled, the
+# mean error is 3 % larger.
 RISEN = 0.1
 # Smallest sum over orders that is used as a divisor. A sum is smaller only if the power of all propagating orders is
 # zero.
@@ -119,8 +119,8 @@ class Powers:
             highest_kappa: Largest |κ| [1/µm].
             bin_um: Largest width of a bin [1/µm]; 0 gives each order a bin of its own.
         """
-        # Number of Chebyshev polynomials in κ that represent the power of an order. The number follows from the number
-        # of oscillations of the power over κ.
+        # Number of Chebyshev polynomials in κ that represent the power of an order. The number is computed from the
+        # number of oscillations of the power over κ.
         argument = math.pi * highest_kappa * heightfield.height_range_um
         count = math.ceil(argument + 4.0 * math.cbrt(argument)) + 6
         heights = heightfield.heights_um - (heightfield.heights_um.max() + heightfield.heights_um.min()) / 2.0
@@ -462,7 +462,7 @@ def sums_from(
 ) -> NDArray[np.float64]:
     """Return the sum of K a(ωr) over all orders of each light, shape (n,).
 
-    ``powers`` must have a bin of its own for each order.
+    ``powers`` must have a separate bin for each order.
     """
     result = np.ones(len(lights))
     for row, light in enumerate(lights):

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 # Measured memory of `order_angles` [bytes per diffraction order and wavelength].
 _BYTES_PER_ORDER = 150
-# The sine of an angle from the normal counts as at least this number where it is a divisor. This prevents a division by
+# If the sine of an angle from the normal is a divisor, it counts as at least this number. This prevents a division by
 # zero.
 _LEAST_SINE = 1e-12
 

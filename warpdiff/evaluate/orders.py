@@ -53,7 +53,7 @@ _LEAST_REFLECTANCE = 1e-12
 # coefficients over κ = w/λ.
 _BYTES_A_SAMPLE, _BYTES_A_LINE, _BYTES_A_TERM = 100, 120, 16
 # Several directions to the light share Fourier transforms of the height field if their matrices for the energy
-# normalisation have at most this number of elements in total. The value is limited by memory.
+# normalisation (see ``_OrderMatrix``) have at most this number of elements in total. The value is limited by memory.
 _MOST_TOGETHER = 100_000
 
 
@@ -453,7 +453,7 @@ class _OrderMatrix:
 def _coefficients(
     heightfield: HeightField, indices: NDArray[np.int64], kappas: NDArray[np.float64]
 ) -> NDArray[np.complex128]:
-    """Return n Fourier coefficients H_rs(κ), each at a κ = w/λ of its own, with an error of about 1e-13, shape (n,).
+    """Return n Fourier coefficients H_rs(κ), each at its own κ = w/λ, with an error of about 1e-13, shape (n,).
 
     Heights are measured from the middle of their range. This changes the phase of the coefficients, but not their
     power. ``indices`` are the pairs (s, r), shape (n, 2), and ``kappas`` is the κ of each pair [1/µm], shape (n,).

@@ -387,9 +387,8 @@ def direct_colour(
 
     for done, i in enumerate(illuminated.tolist()):
         count = plan.wavelengths * plan.subdivisions
-        wavelengths = colorimetry.wavelengths_uniform_in_wavenumber(count)
-        values = powers(i, wavelengths)
-        colour = values @ colorimetry.quadrature_weights(wavelengths, lit_material.illuminant)
+        values = powers(i, colorimetry.wavelengths_uniform_in_wavenumber(count))
+        colour = values @ colorimetry.uniform_quadrature(count, lit_material.illuminant)[1]
         settled = False
         while not settled and 2 * count < _DIRECT_MOST_WAVELENGTHS:
             count = 2 * count - 1
@@ -398,7 +397,7 @@ def direct_colour(
             refined[::2] = values
             refined[1::2] = powers(i, finer[1::2])
             values, before = refined, colour
-            colour = values @ colorimetry.quadrature_weights(finer, lit_material.illuminant)
+            colour = values @ colorimetry.uniform_quadrature(count, lit_material.illuminant)[1]
             change = float(np.linalg.norm(colour - before))
             settled = change <= _DIRECT_SETTLED * plan.tolerance * float(np.linalg.norm(colour))
         unconverged += not settled

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from warpdiff.core.text_encodings import decoded
 from warpdiff.core.wording import ArgumentValueError, ref
-from warpdiff.scene.text_encodings import decoded
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -97,13 +97,14 @@ def _lines(text: str, separator: str) -> list[tuple[int, list[str]]]:
 def _columns(heading: list[str], known: tuple[str, ...]) -> list[_Column]:
     """Return the columns whose headings are known names."""
     columns = []
+    units = [(name, next((end for end in _UNITS if end and name.endswith(f"_{end}")), "")) for name in known]
     for place, cell in enumerate(heading):
         match = _HEADING.fullmatch(cell)
         title, unit = (match["name"], match["unit"]) if match else (cell, None)
-        for name in known:
-            own = next((end for end in _UNITS if end and name.endswith(f"_{end}")), "")
+        lower = re.sub(r"[\s-]+", "_", title).lower()
+        for name, own in units:
             # The case of single letters matters: X, Y and Z are colours, while x, y and z are positions.
-            title_name = title if len(name) == 1 else re.sub(r"[\s-]+", "_", title).lower()
+            title_name = title if len(name) == 1 else lower
             is_short = bool(own) and title_name == name.removesuffix(f"_{own}") and unit is not None
             factor = _UNITS[own].get((own if unit is None else unit).lower())
             # If the name ends in a unit, a different unit in brackets contradicts it, and the heading is not accepted.

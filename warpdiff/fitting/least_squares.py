@@ -43,9 +43,11 @@ _CHANGE, _MOST_STEPS = 1e-9, 60
 _ROUNDING = 2.3e-16
 # Largest number of starts. The value is limited by the computing time, which is proportional to it.
 _MOST_STARTS = 1000
-# Relative difference of two χ² below which both minima count as equally good. The minimum of the earlier start is then
-# the best.
-_TIE = 1e-6
+# Difference of two χ² below which both minima count as equally good; the minimum of the earlier start is then the best.
+# The first number is relative to χ², and limited by the accuracy of the minimiser. The second number is relative to the
+# sum of the squared data in standard deviations, and limited by rounding errors of exact data, whose χ² is nearly 0.
+# Both are relative, so that a common factor of all standard deviations does not change the best minimum.
+_TIE, _TIE_OF_DATA = 1e-6, 1e-12
 # The data do not determine a change of the parameters that hardly changes the residuals. `_LEAST_SINGULAR` is the
 # largest singular value of the Jacobian for such a change, relative to the largest singular value. If a parameter's
 # component of such a change exceeds `_SHARE`, its standard error is NaN. Both numbers are limited by rounding errors.
@@ -175,11 +177,17 @@ class Fit:
 
 
 class _Problem:
-    """Residuals of a fit and their Jacobian matrix; the results for the last parameters are stored for reuse."""
+    """Residuals of a fit and their Jacobian matrix; the results for the last parameters are stored for reuse.
+
+    Attributes:
+        data_size: Sum of the squares of the data, each divided by its standard deviation.
+        evaluations: Number of computed predictions.
+    """
 
     def __init__(self, profile: Profile, measured: Measured, sd: Array) -> None:
         self._profile, self._measured, self._sd = profile, measured, sd
         self._last: Array | None = None
+        self.data_size = float(np.sum((measured.values / sd) ** 2))
         self.evaluations = 0
 
     def forget(self) -> None:
@@ -301,7 +309,7 @@ def fit(
         minima.append(_minimum(problem, point, profile.bounds))
         if report is not None:
             report((k + 1.0) / (len(points) + 1.0))
-    best = _best(minima)
+    best = _best(minima, problem.data_size)
     if len(points) > 1:
         others = profile.equivalents(best.values)
         minima.extend(_minimum(problem, np.clip(other, low, high), profile.bounds) for other in others)
@@ -313,12 +321,12 @@ def _minimum(problem: _Problem, start: Array, bounds: Array) -> Minimum:
 
     low, high = bounds.T
     inside = np.clip(start, low + _AT_BOUND * (high - low), high - _AT_BOUND * (high - low))
-    # The residuals are divided by their norm at the start, so that the tolerances of the minimiser have the same
-    # meaning for all data.
-    size = float(np.linalg.norm(problem.residuals(inside))) or 1.0
     with warnings.catch_warnings():
-        # Warnings about intermediate parameters, such as an order at the horizon, do not concern the result.
+        # Warnings about starts and intermediate parameters, such as an order at the horizon, do not concern the result.
         warnings.simplefilter("ignore", WarpdiffWarning)
+        # The residuals are divided by their norm at the start, so that the tolerances of the minimiser have the same
+        # meaning for all data.
+        size = float(np.linalg.norm(problem.residuals(inside))) or 1.0
         result = least_squares(
             lambda x: problem.residuals(x) / size, inside, lambda x: problem.jacobian(x) / size, bounds=(low, high),
             x_scale=high - low, xtol=_CHANGE, ftol=_CHANGE, gtol=_ROUNDING, max_nfev=_MOST_STEPS,
@@ -326,15 +334,19 @@ def _minimum(problem: _Problem, start: Array, bounds: Array) -> Minimum:
     return Minimum(np.asarray(result.x), float(2.0 * result.cost) * size**2, has_converged=bool(result.status > 0))
 
 
-def _best(minima: list[Minimum]) -> Minimum:
-    """Return the minimum with the smallest χ²; among equally good minima, return that of the earliest start."""
+def _best(minima: list[Minimum], data_size: float) -> Minimum:
+    """Return the minimum with the smallest χ²; among equally good minima, return that of the earliest start.
+
+    ``data_size`` is the sum of the squares of the data, each divided by its standard deviation.
+    """
     least = min(minimum.chi2 for minimum in minima)
-    return next(minimum for minimum in minima if minimum.chi2 <= least + _TIE * (1.0 + least))
+    most = least + _TIE * least + _TIE_OF_DATA * data_size
+    return next(minimum for minimum in minima if minimum.chi2 <= most)
 
 
 def _result(profile: Profile, problem: _Problem, minima: list[Minimum], report: Callable[[float], None] | None) -> Fit:
     """Return the result of a fit: the best minimum with its covariance, and the other minima that are about as good."""
-    best = _best(minima)
+    best = _best(minima, problem.data_size)
     problem.forget()
     jacobian, residuals = problem.jacobian(best.values), problem.residuals(best.values)
     problem.warn_of_evanescent_orders(best.values)

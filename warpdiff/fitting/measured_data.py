@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple, get_args
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import check_covers, check_reflection
-from warpdiff.request.settings import Energy
+from warpdiff.request.settings import Energy, check_energy
 
 if TYPE_CHECKING:
     import os
@@ -123,7 +123,8 @@ class Measured:
             raise ArgumentValueError(f"{ref('orders')} must be integers of shape ({len(values)}, 2), got {pairs.shape}")
         lights = _grid(validation.unit_directions(to_light, "to_light")[0], len(values), "to_light")
         wavelengths = _wavelengths(wavelengths_nm, len(values))
-        _check_optics(ior, material, wavelengths.rows, energy=energy)
+        _check_optics(ior, material, wavelengths.rows)
+        energy = None if energy is None else check_energy(energy)
         if lights.rows[:, 2].min() <= HORIZON:
             raise _below_horizon("to_light", lights.rows[:, 2])
 
@@ -255,12 +256,8 @@ class Measured:
             Measured(orders, 7 values)
         """
         # All options are checked, also those that this kind of data does not use.
-        check_reflection(ior, material)
-        validation.instance(coherence, Coherence, "coherence", optional=True)
-        validation.flag(masking, "masking")
+        _check_optics(ior, material, None, coherence=coherence, masking=masking, energy=energy)
         colorimetry.check_illuminant(illuminant)
-        if energy is not None:
-            validation.choice(energy, "energy", get_args(Energy))
         file = validation.path(path, "path")
         with files.describing(file):
             names = dict.fromkeys(name for columns in COLUMNS.values() for name in columns)
@@ -302,17 +299,20 @@ def _values(values: object, name: str) -> Array:
 
 
 def _check_optics(
-    ior: float | None, material: Material | None, wavelengths_nm: Array, *, coherence: Coherence | None = None,
+    ior: float | None, material: Material | None, wavelengths_nm: Array | None, *, coherence: Coherence | None = None,
     masking: bool = True, energy: Energy | None = None,
 ) -> None:  # fmt: skip
-    """Raise an error before a fit starts if a material, an index of refraction or a coherence is invalid."""
+    """Raise an error before a fit starts if a material, an index of refraction or a coherence is invalid.
+
+    ``wavelengths_nm`` is None if the wavelengths are not known yet.
+    """
     check_reflection(ior, material)
-    if material is not None:
+    if material is not None and wavelengths_nm is not None:
         check_covers(material, float(wavelengths_nm.min()), float(wavelengths_nm.max()))
     validation.instance(coherence, Coherence, "coherence", optional=True)
     validation.flag(masking, "masking")
     if energy is not None:
-        validation.choice(energy, "energy", get_args(Energy))
+        check_energy(energy)
 
 
 def _below_horizon(name: str, heights: Array) -> Exception:

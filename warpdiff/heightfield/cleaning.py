@@ -20,6 +20,11 @@ if TYPE_CHECKING:
 _BYTES_PER_SAMPLE = {
     "levelled": 34.0, "despiked": 88.0, "periodic": 62.0, "periods": 107.0, "whole_periods": 107.0, "roughness": 115.0,
 }  # fmt: skip
+# Ratio of the standard deviation of the smooth part of a field to the standard deviation of its heights, above which
+# opposite edges count as unequal. The smooth part is that of Moisan's decomposition, which `HeightField.periodic`
+# subtracts. Patches with many features have a smaller ratio. If doubled, large changes of the surface happen without a
+# warning.
+MOST_CHANGE = 0.4
 
 
 def require_memory(method: str, shape: tuple[int, int]) -> None:

@@ -17,10 +17,6 @@ Axis = Literal["y", "x"]
 # Measured peak memory while gaps are filled [bytes per missing sample]. If doubled, fields are refused that would fit
 # into memory.
 _BYTES_PER_GAP = 700.0
-# Root mean square change of the heights by `HeightField.periodic`, relative to the standard deviation of the heights,
-# above which this method warns. In patches with many features, the change is smaller. If doubled, large changes of the
-# surface happen without a warning.
-_MOST_CHANGE = 0.4
 
 
 class CleaningMethods(HeightSamples):
@@ -241,7 +237,7 @@ class CleaningMethods(HeightSamples):
         result = self._with_heights(self._heights_um - smooth)
         change = float(np.sqrt(np.mean(smooth[~self.missing] ** 2)))
         result = result._after(self, f"Made periodic: changed heights by {change:.3g} µm (root mean square).")
-        if change > _MOST_CHANGE * self.rms_um:
+        if change > cleaning.MOST_CHANGE * self.rms_um:
             warn(
                 f"{ref('periodic()')} changed heights by {change:.3g} µm (root mean square), "
                 f"{100.0 * change / self.rms_um:.0f} % of their standard deviation, and their range from "

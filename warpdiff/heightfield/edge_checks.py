@@ -26,10 +26,6 @@ _MOST_TILT = 1.0
 # field counts as an exact plane. An exact plane is no tilt of the sample, but a surface such as one period of a blazed
 # grating.
 _EXACT = 1e6
-# Ratio of the standard deviation of the smooth part of a field to the standard deviation of its heights, above which
-# opposite edges count as unequal. The smooth part is that of Moisan's decomposition, which `HeightField.periodic`
-# subtracts; that method warns from the same ratio. Patches with many features have a smaller ratio.
-_MOST_CHANGE = 0.4
 # The jump across opposite edges of a field is compared with the largest steps between neighbouring samples. A warning
 # follows only if the ratio of both is above this number, because a smaller jump may be a wall of a grating.
 _MOST_JUMP = 1.5
@@ -69,7 +65,7 @@ def warn_of_edges(heightfield: HeightField, coherence: Coherence, longest_um: fl
     if tilt >= _EXACT * rough or max(shares) < _LEAST_SHARE:
         return
     change = float(np.sqrt(np.mean(cleaning.smooth_part(heights) ** 2)))
-    if change > _MOST_CHANGE * heightfield.rms_um:
+    if change > cleaning.MOST_CHANGE * heightfield.rms_um:
         _warned.add(heightfield)
         worst = jumps.index(max(jumps))
         warn(
@@ -88,7 +84,7 @@ def check_periodic(heightfield: HeightField) -> None:
     if max(jumps) <= _MOST_JUMP or float(np.std(plane)) >= _EXACT * float(np.std(heights - plane)):
         return
     change = float(np.sqrt(np.mean(cleaning.smooth_part(heights) ** 2)))
-    if change > _MOST_CHANGE * heightfield.rms_um:
+    if change > cleaning.MOST_CHANGE * heightfield.rms_um:
         worst = jumps.index(max(jumps))
         raise ArgumentValueError(
             f"{ref('heightfield')} must be periodic, but its opposite edges differ along {'yx'[worst]} by "

@@ -60,6 +60,7 @@ def hidden_pictures(
         A map of rows × columns dots.
 
     Raises:
+        FileNotFoundError: A picture is a path without a file.
         ValueError: The pictures differ in shape or exceed 0 to 1, an eye or the light is not above the card, the eyes
             are less than 2° apart, or no pitch aims at an eye, because it is in the mirror direction.
 

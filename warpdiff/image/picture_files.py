@@ -34,7 +34,7 @@ _SPECTRAL = re.compile(r"S0\.(\d{1,6}(?:,\d{1,9})?)nm")
 _FORMATS = (".exr", ".png")
 # Last bytes of a complete PNG file: the chunk IEND with length, name and checksum. A file without these bytes is
 # incomplete, but many readers accept it.
-PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
+_PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 # Memory for reading an EXR file [bytes per sample]: four for a float32 sample, and four for a copy in which each
 # channel is contiguous.
 _BYTES_PER_SAMPLE = 8
@@ -118,12 +118,17 @@ def write_parts(target: Path, parts: Sequence[FilePart]) -> None:
             raise OSError(f"cannot write {target}: the file does not hold what was written; the disk may be full")
 
 
+def ends_as_png(path: Path) -> bool:
+    """Return whether a file ends as a complete PNG file. Only its last bytes are read."""
+    with path.open("rb") as file:
+        file.seek(max(path.stat().st_size - len(_PNG_END), 0))
+        return file.read() == _PNG_END
+
+
 def _is_written(oiio: Any, path: Path, parts: Sequence[FilePart]) -> bool:
     """Whether a file is complete and contains the parts; the channels of a part may have any order."""
-    with path.open("rb") as file:
-        file.seek(max(path.stat().st_size - len(PNG_END), 0))
-        if path.suffix == ".png" and file.read() != PNG_END:
-            return False
+    if path.suffix == ".png" and not ends_as_png(path):
+        return False
     straight = oiio.ImageSpec()
     straight.attribute("oiio:UnassociatedAlpha", 1)
     source = oiio.ImageInput.open(str(path), straight)

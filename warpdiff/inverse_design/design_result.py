@@ -15,7 +15,7 @@ from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.evaluate.orders import order_efficiencies
 from warpdiff.evaluate.reflectance import reflectance
 from warpdiff.heightfield.field import HeightField
-from warpdiff.inverse_design.goal import TRUNCATION, Goal, silenced
+from warpdiff.inverse_design.goal import LEAST_POWER, TRUNCATION, Goal, silenced
 from warpdiff.inverse_design.rigorous_check import RigorousCheck, rigorous_values
 from warpdiff.optics import colorimetry
 from warpdiff.optics.materials import DEFAULT_IOR, Material
@@ -31,12 +31,11 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Least power of orders by which deviations are divided. Limit: the least float64 that has a reciprocal.
-_LEAST_POWER = 1e-300
 # Number of samples per standard deviation of rounded edges, at least.
 _PER_EDGE = 2.0
-
-
+# Standard deviations of rounded edges for which the robustness is computed by default [µm], and the largest standard
+# deviation relative to the period. Limit: wider Gaussians leave little of the relief.
+_EDGE_WIDTHS_UM, _WIDEST_EDGE = (0.05, 0.1), 0.1
 # Largest number of wavelengths of a rigorous colour. Limit: computing time is proportional to it.
 _MOST_WAVELENGTHS = 401
 
@@ -97,7 +96,7 @@ class Design:
 
     @property
     def uniformity_errors(self) -> Array:
-        """(largest − least)/(largest + least) of the efficiencies of each target of equal orders."""
+        """(largest − least)/(largest + least) of the efficiencies of each target of equal orders; 1 if all are dark."""
         return np.array([uniformity_error(self._of(k)) for k, each in enumerate(self.targets) if each.kind == "equal"])
 
     @property
@@ -183,14 +182,15 @@ class Design:
         return substance
 
     def robustness(
-        self, *, depth_scales: Sequence[float] = (0.95, 1.05), edge_widths_um: Sequence[float] = (0.05, 0.1),
+        self, *, depth_scales: Sequence[float] = (0.95, 1.05), edge_widths_um: Sequence[float] | None = None,
         tilts_deg: Sequence[float] = (0.25, 1.0),
     ) -> Table:  # fmt: skip
         """Return the errors after changes of the depth, of the edges and of the angle.
 
         Args:
             depth_scales: Factors of all heights, 0.1 to 10.
-            edge_widths_um: Standard deviations of the Gaussian that rounds all edges [µm], 0 to a tenth of the period.
+            edge_widths_um: Standard deviations of the Gaussian that rounds all edges [µm], 0 to a tenth of the
+                shorter period. None is those of 0.05 and 0.1 that are within this range.
             tilts_deg: Angles by which the surface is turned about the y axis [degrees], −20 to 20. All lights and
                 viewers must remain above the horizon.
 
@@ -220,7 +220,11 @@ class Design:
         for scale in _numbers(depth_scales, "depth_scales", 0.1, 10.0):
             scaled = HeightField.of_known_scale(scale * surface.heights_um, surface.pitch_um)
             changes.append(("depth", scale, scaled, 0.0))
-        widths = _numbers(edge_widths_um, "edge_widths_um", 0.0, 0.1 * least)
+        widest = _WIDEST_EDGE * least
+        if edge_widths_um is None:
+            widths = [width for width in _EDGE_WIDTHS_UM if width <= widest]
+        else:
+            widths = _numbers(edge_widths_um, "edge_widths_um", 0.0, widest, " µm, a tenth of the period")
         changes += [("edges", width, _rounded(surface, width), 0.0) for width in widths]
         changes += [("tilt", angle, surface, angle) for angle in _numbers(tilts_deg, "tilts_deg", -20.0, 20.0)]
         rows = []
@@ -290,8 +294,9 @@ def fitted_exposure(targets: Sequence[Target], values: list[Array], first: float
 
 
 def uniformity_error(efficiencies: Array) -> float:
-    """Return (largest − least)/(largest + least)."""
-    return float(np.ptp(efficiencies) / max(float(efficiencies.max() + efficiencies.min()), _LEAST_POWER))
+    """Return (largest − least)/(largest + least); 1, the largest value, if all orders are dark."""
+    total = float(efficiencies.max() + efficiencies.min())
+    return float(np.ptp(efficiencies)) / total if total > LEAST_POWER else 1.0
 
 
 def _errors(targets: Sequence[Target], values: list[Array], exposure: float) -> tuple[float, float]:
@@ -316,17 +321,18 @@ def _table(targets: Sequence[Target], values: list[Array], exposure: float) -> T
         names = [f"order {y}, {x}" for y, x in target.pairs]
         is_equal = target.kind == "equal"
         # A flat surface has no power in the orders of a target, and their deviation is −1.
-        errors = value / max(float(value.mean()), _LEAST_POWER) - 1.0 if is_equal else value - target.requested
+        errors = value / max(float(value.mean()), LEAST_POWER) - 1.0 if is_equal else value - target.requested
         requested = np.full(len(value), value.mean()) if is_equal else target.requested
         rows += list(zip([k] * len(names), names, requested.tolist(), value.tolist(), errors.tolist(), strict=True))
     columns = ("target", "quantity", "requested", "achieved", "error")
     return Table(dict(zip(columns, map(np.array, zip(*rows, strict=True)), strict=True)))
 
 
-def _numbers(values: ArrayLike, name: str, low: float, high: float) -> list[float]:
+def _numbers(values: ArrayLike, name: str, low: float, high: float, origin: str = "") -> list[float]:
+    """Return the values of an argument after a check of their range; ``origin`` is the unit and reason of ``high``."""
     array = validation.finite_array(values, name, ndim=1)
     if array.size and (array.min() < low or array.max() > high):
-        raise ArgumentValueError(f"{ref(name)} must lie within {low:g} to {high:g}, got {array.tolist()!s:.60}")
+        raise ArgumentValueError(f"{ref(name)} must lie within {low:g} to {high:g}{origin}, got {array.tolist()!s:.60}")
     return [float(value) for value in array]
 
 

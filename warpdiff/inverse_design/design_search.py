@@ -234,8 +234,19 @@ class _Search:
 
     @property
     def _wraps(self) -> bool:
-        """Whether heights are equivalent that differ by a cycle of the phase, which is only true of orders."""
-        return self._pixels is not None and not self._goal.has_colours
+        """Whether heights are equivalent that differ by a cycle of the phase, and levels divide a cycle.
+
+        Colours have no common cycle. With another depth than the default, the level above the highest one may differ
+        from the lowest one by another phase than a cycle.
+        """
+        if self._pixels is None or self._goal.has_colours:
+            return False
+        if not self._limits.levels:
+            return True
+        levels = self._limits.levels
+        cycle = float(np.mean([target.cycle_um for target in self._targets]))
+        depth = float(np.mean(self._limits.depths_um)) * levels / (levels - 1)
+        return _DEPTH_RANGE[0] * cycle <= depth <= _DEPTH_RANGE[1] * cycle
 
     @property
     def _is_normalised(self) -> bool:
@@ -244,7 +255,7 @@ class _Search:
 
     @property
     def _top_um(self) -> float:
-        """Largest height of pixels without levels [µm]; a cycle above the lowest level is equivalent to it."""
+        """Largest height of pixels before they get levels [µm]; with levels that divide a cycle, a step above them."""
         levels, (_, depth) = self._limits.levels, self._limits.depths_um
         return depth * levels / (levels - 1) if levels and self._wraps else depth
 
@@ -338,7 +349,7 @@ class _Search:
                 log_exposure=log_exposure,
                 penalty=penalty,
             )[2:]
-        # The level above the highest one is the lowest one, a cycle of the phase later.
+        # If levels divide a cycle, the level above the highest one is equivalent to the lowest one.
         indices = np.rint(x / step).astype(np.int64)
         indices = (indices % count if self._wraps else np.clip(indices, 0, count - 1)).reshape(self._blocks.pixels)
         depth = 0.5 * (low + high)

@@ -35,6 +35,9 @@ _PER_LOST_SHARE = 500.0
 # Weight of the logarithm of the exposure of colours. Choice: colours that are twice as bright are worth a colour
 # difference of 4.6; larger weights make colours wrong.
 _PER_EXPOSURE = 30.0
+# Sum of efficiencies up to which all orders of a target count as dark. Limit: rounding errors of powers, about 1e-16
+# for each order, must not count as equal orders. If doubled, no design changes.
+LEAST_POWER = 1e-12
 # Linear part of Lab's function of XYZ, below this ratio to white (CIE 15).
 _DELTA = 6.0 / 29.0
 # Truncation error of colours during the search, and of the result.
@@ -159,9 +162,11 @@ class Goal:
                 scale = _PER_DEVIATION / (value.shape[-1] * float(group[0].requested.mean()) ** 2)
                 total = total + scale * ((value - group[0].requested) ** 2).sum(axis=-1)
             else:
-                # The mean of (η/mean − 1)² follows from two sums.
-                count, power = value.shape[-1], np.maximum(value.sum(axis=-1), 1e-12)
-                deviation = count * (value * value).sum(axis=-1) / (power * power) - 1.0
+                # The mean of (η/mean − 1)² follows from two sums. It is at most n − 1, if all power is in one of n
+                # orders. Dark orders have no mean; they must not count as equal.
+                count, power = value.shape[-1], value.sum(axis=-1)
+                ratio = count * (value * value).sum(axis=-1) / np.maximum(power, LEAST_POWER) ** 2
+                deviation = np.where(power > LEAST_POWER, ratio - 1.0, count)
                 total = total + _PER_DEVIATION * deviation + _PER_LOST_SHARE * (1.0 - power / group[0].flat_reflectance)
         return np.asarray(total)
 
@@ -212,7 +217,7 @@ def _order_adjoint(target: Target, efficiencies: Array) -> Array:
     if target.kind == "orders":
         scale = _PER_DEVIATION / (count * float(target.requested.mean()) ** 2)
         return np.asarray(2.0 * scale * (efficiencies - target.requested))
-    power = max(float(efficiencies.sum()), 1e-12)
+    power = max(float(efficiencies.sum()), LEAST_POWER)
     squares = float((efficiencies * efficiencies).sum())
     by_deviation = 2.0 * count * (efficiencies - squares / power) / power**2
     return np.asarray(_PER_DEVIATION * by_deviation - _PER_LOST_SHARE / target.flat_reflectance)

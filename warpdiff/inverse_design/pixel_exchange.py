@@ -45,7 +45,8 @@ _MOST_SWEEPS = 6
 _LEAST_GAIN = 1e-9
 # Largest number of products of complex numbers of an exchange. Limit: about a minute.
 _MOST_PRODUCTS = 2e10
-# Number of depths that are tried, and the number of times that their range is reduced to two steps around the best.
+# Number of depths that are tried in a pass, and number of passes; each one after the first covers two steps around the
+# best. Choice: three passes find the depth to 1/2000 of its range. If doubled, the depth does not change visibly.
 _DEPTHS, _REFINEMENTS = 21, 3
 
 

@@ -1,4 +1,4 @@
-"""Rigorous values of the targets of a design, in place of those of scalar diffraction."""
+"""Rigorous values of the targets of a design, instead of those of scalar diffraction."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff.adjoint.colour_sampling import sampling
 from warpdiff.adjoint.reflection import index_of
 from warpdiff.adjoint.spectral_model import Illumination
 from warpdiff.core.wording import ArgumentValueError, ref
-from warpdiff.inverse_design.goal import silenced
+from warpdiff.inverse_design.goal import SEARCH_TRUNCATION, silenced
 from warpdiff.optics import colorimetry
-from warpdiff.rigorous.rigorous_orders import rigorous_order_efficiencies
+from warpdiff.rigorous.rigorous_orders import ACROSS, rigorous_order_efficiencies
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -26,12 +27,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Number of wavelengths of a colour. Choice: efficiencies are smooth over the wavelength except where orders begin to
-# propagate, and lobes are much narrower than the distance of these nodes.
-_FINE = 401
-# Largest component of a direction along the grooves that counts as 0. Limit: rounding errors.
-_ACROSS = 1e-9
-
 
 @dataclass(frozen=True, eq=False)
 class RigorousCheck:
@@ -43,7 +38,8 @@ class RigorousCheck:
         delta_e: ΔE2000 of the colours, shape (number of colours,).
         uniformity_errors: (largest − least)/(largest + least) of each target of equal orders.
         converged: Share of the rigorous solutions that have converged, 0 to 1.
-        change: Largest change of an order in the last doubling of the harmonics.
+        change: Largest change of an order in the last doubling of the harmonics; infinite if ``max_harmonics`` permits
+            no doubling at a wavelength.
     """
 
     achieved: Table
@@ -65,7 +61,7 @@ def rigorous_values(
 ) -> tuple[list[Array], float, float]:  # fmt: skip
     """Return rigorous XYZ or efficiencies of each target, the share that has converged, and the largest change."""
     for k, target in enumerate(targets):
-        if max(abs(target.to_light[1]), abs(target.to_view[1])) > _ACROSS:
+        if max(abs(target.to_light[1]), abs(target.to_view[1])) > ACROSS:
             raise ArgumentValueError(
                 f"{ref(f'targets[{k}]')} must have directions perpendicular to the grooves (y = 0), "
                 f"got {target.to_light.tolist()} and {target.to_view.tolist()}"
@@ -87,7 +83,7 @@ def rigorous_values(
     for target, key in zip(targets, keys, strict=True):
         result = solved[key]
         if target.kind == "colour":
-            values.append(_colour(target, surface.size_um[1], nodes, result.orders[:, 1], result.efficiencies))
+            values.append(_colour(target, surface.size_um, nodes, result.orders[:, 1], result.efficiencies))
         else:
             values.append(np.array([result[int(y), int(x)][0] for y, x in target.pairs]))
     return values, float(np.concatenate(flags).mean()), float(np.concatenate(changes).max())
@@ -97,25 +93,30 @@ def _part(report: Callable[[float], None], number: int, count: int) -> Callable[
     return lambda share: report((number + share) / count)
 
 
-def _colour(target: Target, period_um: float, nodes: Array, orders: NDArray[np.int64], efficiencies: Array) -> Array:
+def _colour(
+    target: Target, size_um: tuple[float, float], nodes: Array, orders: NDArray[np.int64], efficiencies: Array
+) -> Array:
     """Return XYZ of a target from efficiencies of orders at wavelengths, shape (m, n).
 
     ρ is the sum of R|H|² over orders, times their Gaussian weights and the geometry factor C of Stam's theory. The
     efficiency of an order is R|H|² C/cos θi in this theory, so that C R|H|² is replaced by the rigorous efficiency
-    times cos θi, and by the efficiency itself for a source.
+    times cos θi, and by the efficiency itself for a source. Efficiencies are smooth over the wavelength except where
+    orders begin to propagate. Their weights are not: a long coherence requires many wavelengths.
     """
     from scipy.interpolate import PchipInterpolator
 
     optics = target.optics
     is_source = optics.coherence.kind == "source"
-    wavenumbers, quadrature = colorimetry.uniform_quadrature(_FINE, optics.illuminant, geometric=is_source)
-    wavelengths = 1e3 / wavenumbers
-    pairs = Illumination(
-        target.to_light[None], target.to_view[None], wavelengths, optics.coherence, index_of(None), None, masking=False
-    ).pairs(slice(0, 1))
+    light, view = target.to_light[None], target.to_view[None]
+    wavelengths, quadrature = sampling(
+        light, view, 0.0, size_um, optics.coherence, None, optics.illuminant, SEARCH_TRUNCATION
+    )
+    pairs = Illumination(light, view, wavelengths, optics.coherence, index_of(None), None, masking=False).pairs(
+        slice(0, 1)
+    )
     at = np.clip(wavelengths, nodes[0], nodes[-1])
     powers = np.maximum(PchipInterpolator(nodes, efficiencies, axis=0)(at), 0.0)
     # The order m has the coefficient r = −m at r/L.
-    distance = pairs.centres[:, :1] + orders / period_um
+    distance = pairs.centres[:, :1] + orders / size_um[1]
     rho = (powers * np.exp(-pairs.forms[:, :1] * distance**2)).sum(axis=1)
     return np.asarray((1.0 if is_source else target.to_light[2]) * rho @ quadrature)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry, reflectance_factors
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import check_covers, check_reflection, reflectance_at
-from warpdiff.request.settings import Energy
+from warpdiff.request.settings import Energy, check_energy
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -221,7 +221,7 @@ class Target:
         normal, material = check_reflection(optics.ior, optics.material)
         if material is not None:
             check_covers(material, wavelength, wavelength)
-        energy = validation.choice(energy_or_default(energy, normal, material), "energy", get_args(Energy))
+        energy = check_energy(energy_or_default(energy, normal, material))
         light = _direction(to_light, "to_light")
         return cls(
             kind, light, values, light, pairs.astype(np.int64), wavelength, Optics(optics.ior, material, energy=energy)

@@ -32,8 +32,9 @@ if TYPE_CHECKING:
 # ends at 3e38.
 MOST_POWER = 1e12
 # Smallest number of directional lights with the same illuminant at which each subpixel cell chooses one light at
-# random, instead of evaluating all lights. The number was fitted to pictures of a snake and of a tube: with fewer
-# lights, one of these pictures requires less time if all lights are evaluated.
+# random, instead of evaluating all lights. A subpixel cell is a part of a pixel with one camera ray. The number was
+# fitted to pictures of a snake and of a tube: with fewer lights, one of these pictures requires less time if all lights
+# are evaluated.
 MANY_LIGHTS = 64
 # Number of random directions per pixel to a disc light that is too wide for one lobe (a Gaussian of directions), in
 # pictures with ``refine=False``. The value is limited by time, which is proportional to it.
@@ -51,7 +52,7 @@ class Light(ABC):
             coherence: Coherence of the picture. An environment is only accepted with an averaged window.
             single_lobe: Whether discs of up to 5° become one lobe (a Gaussian of directions), as in pictures without
                 refinement. Otherwise only discs of up to 1.5° become one lobe.
-            name: The name of the argument with this light, for messages.
+            name: Name of the argument that contains this light, for error messages.
 
         Raises:
             ValueError: The light does not suit the coherence; the message names the argument.
@@ -64,7 +65,7 @@ class LightPart(ABC):
     Attributes:
         spectra: The illuminants of the part.
         has_lobes: Whether the part consists of lobes, which are Gaussians of directions. The plan of a picture then
-            serves the directions of the lobes, otherwise the whole hemisphere.
+            covers only the directions of the lobes, otherwise the whole hemisphere.
         has_extent: Whether light arrives from more than one direction. Such a part requires that pixels show means over
             footprints.
         sample_count: Number of lobes, or of directions per pixel that are drawn if pixels are not refined.
@@ -97,7 +98,7 @@ class Lobe:
     """Lobe of a light: a Gaussian of directions or of positions, a single direction, or a single position.
 
     Attributes:
-        to_light: Unit vector towards the light, world frame.
+        to_light: Unit vector from the surface towards the light, world frame.
         illuminant: Illuminant of the lobe.
         power: Linear factor of the illuminant.
         deviations: Standard deviations of the directions [radians] along two vectors orthogonal to ``to_light``, shape
@@ -128,7 +129,7 @@ class Lobe:
 
 @dataclass(frozen=True, eq=False)
 class LobeSet(LightPart):
-    """Set of lobes whose pixels are refined together: directional lights, small discs, suns, and lights at positions.
+    """Set of lobes under which pixels are refined together: directional lights, small discs, suns and point lights.
 
     Attributes:
         lobes: Lobes of one light, or of all lights of a picture that consist of lobes.
@@ -154,7 +155,7 @@ class LobeSet(LightPart):
 
 @dataclass(frozen=True, eq=False)
 class LobeChoice(LobeSet):
-    """Set of many lobes with one illuminant, each with a single direction. A subpixel cell chooses one at random."""
+    """Set of many lobes with one illuminant, each with a single direction. A subpixel cell chooses a lobe at random."""
 
     def make_pass(self, context: PassContext) -> LightPass:
         """Return the pass in which every subpixel cell adds the colour under one lobe, chosen at random."""

@@ -18,11 +18,12 @@ if TYPE_CHECKING:
     from warpdiff.tables.lookup import Lookups
 
 # Number of lights that each pixel chooses before it is subdivided. The resulting colours serve only to estimate the
-# reference luminance of the picture, for which a few lights suffice. If doubled, this estimate takes twice as long.
+# reference luminance of the picture, for which a few lights suffice. If the number is doubled, this estimate takes
+# twice as long.
 _FIRST_SAMPLES = 4
 # A light is chosen with a probability proportional to the brightness that is expected under it. This brightness is the
-# diffraction near the mirror direction, plus a constant for all directions. The constant is `_DIFFUSE` without a
-# pigment (base colour of the mesh), and `_DIFFUSE_OF_PIGMENT` with a pigment. For comparison, the mean of the
+# diffraction near the mirror direction, plus a constant that is the same for all directions. The constant is `_DIFFUSE`
+# without a pigment (base colour of the mesh), and `_DIFFUSE_OF_PIGMENT` with a pigment. For comparison, the mean of the
 # diffraction over (u, v) is 0.08. Other values would change the noise of pictures, not their mean.
 _DIFFUSE, _DIFFUSE_OF_PIGMENT = 0.002, 0.08
 

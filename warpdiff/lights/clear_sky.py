@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 # Azimuth of the sun in the image, from −z towards +x [rad]. At this azimuth, the sun is in the middle of a column of
-# pixels.
+# the image's pixels.
 SUN_AZIMUTH = 0.5 * math.pi / ROWS
 # Parameters of type 12 of the CIE standard general sky, "clear sky, low illuminance turbidity" (CIE S 011/E:2003, ISO
 # 15469:2004, table 1). a and b are parameters of the gradation, and c, d and e are parameters of the indicatrix.

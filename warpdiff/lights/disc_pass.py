@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from warpdiff.lights.base import DiscPart
     from warpdiff.lights.light_pass import Counting, PassContext, RayBatch
 
-# Effective number of pixels that contribute to a pixel through the pixel filter, a Gaussian of σ pixels. For such a
-# filter, the number is 4πσ².
+# Effective number of pixels whose samples contribute to one pixel through the pixel filter, a Gaussian with the
+# standard deviation σ pixels. For such a filter, the number is 4πσ².
 _COVERED_PIXELS = 4.0 * math.pi * FILTER_SIGMA**2
 # A sample of a disc light counts as a Gaussian source around its direction, which lowers the noise. The standard
 # deviation of the Gaussian, in radii of the disc, is `_EXTENT` divided by the square root of the samples per pixel. It

@@ -45,14 +45,15 @@ _FEWEST_DIRECTIONS, _MOST_DIRECTIONS = 16, 32_768
 # Number of directions per pixel in pictures with ``refine=False``. The value was chosen so that the noise of such
 # pictures is about 7 %; time is proportional to it.
 _DEFAULT_DIRECTIONS = 64
-# Approximate memory per pixel [bytes] that is required to load an image, and to compute a background. If doubled,
-# images that would fit into memory are refused with a ``MemoryError``.
+# Approximate memory per pixel [bytes] that is required to load an image, and to compute a background. If the numbers
+# are doubled, images that would fit into memory are refused with a ``MemoryError``.
 _BYTES_PER_PIXEL, _BYTES_OF_BACKGROUND = 24.0, 400.0
 # Largest linear factor of the sun of a clear sky. The value was chosen so that the sun's radiance remains below the
 # largest radiance.
 _MOST_SUN = 1e3
 # An environment caches its sky and suns for pairs of a coherence window and a number of directions. This is the largest
-# number of cached pairs. The value is limited by memory: one pair uses 7 MB.
+# number of cached pairs. The value is limited by memory: one pair uses 13 MB: 6 on
+# the host and 7 on the device.
 _MOST_PARTS = 4
 
 
@@ -217,7 +218,7 @@ class Environment(ReadOnlyArrays, Checked, Light):
         return cls(radiance, rotation_deg=math.degrees(turn), scale=scale, directions=directions)
 
     def background(self, view: View) -> NDArray[np.float32]:
-        """Return the environment behind the mesh, as visible through a camera, for ``background=`` of pictures.
+        """Return the environment behind the mesh, as visible through a camera, for ``Image.save(background=)``.
 
         The background is as bright as its reflection in a perfect mirror. Pictures with ``ior=`` are relative to the
         reflectance at normal incidence: divide the background by that reflectance.

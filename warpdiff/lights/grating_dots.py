@@ -1,6 +1,6 @@
 """Dots of grating maps on a device. A sample is converted to the frame of its dot's cell, where colours are looked up.
 
-The cell is the height field of a dot without rotation and scaling. (u, v, w) is the scattering vector.
+The cell of a dot is the height field of the dot without rotation and scaling. (u, v, w) is the scattering vector.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class GratingDots:
     def __init__(
         self, maps: dict[int, GratingMap], surface_of_faces: NDArray[np.int32], rays: CameraRays
     ) -> None:  # fmt: skip
-        """Copy maps to the device of the rays; ``maps`` has them by the index of their surface.
+        """Copy maps to the device of the rays; ``maps`` is a dictionary of the maps by the index of their surface.
 
         ``surface_of_faces`` is empty if all faces have the same surface.
         """

@@ -1,9 +1,9 @@
 """Passes of lights: each pass samples one part of a light at the hits of rays, and looks up its colours.
 
-The hits are in ``scene.gbuffer``. This module defines the samples of one lobe (:class:`LightSamples`), and rays with
-the sums to which their colours are added (:class:`RayBatch`). A lobe is a Gaussian of directions, or a single
-direction. A plain surface has no height field. (u, v, w) is the scattering vector, and R(0) the reflectance at normal
-incidence.
+The hits are in ``scene.gbuffer``. This module defines :class:`LightSamples`, the samples of one lobe, and
+:class:`RayBatch`, which contains rays and the sums to which their colours are added. A lobe is a Gaussian of
+directions, or a single direction. A plain surface has no height field. (u, v, w) is the scattering vector, and R(0) the
+reflectance at normal incidence.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class PassContext:
             (plain faces with a roughness), the last entry is for all of them. Kernels of ``kernels.plain_reflection``
             compute their light.
         plain: Materials of plain surfaces; None if all are matte and emit no light.
-        finishes: Finishes of the picture: all surfaces with all of their materials.
+        finishes: Finishes of the picture: a finish is a surface with one of its materials.
         is_pigmented: Whether the mesh has base colours and the pigment is visible.
         has_maps: Whether textures have metallic, roughness or emission of plain faces.
         is_textured: Whether colours depend on any texture.
@@ -115,8 +115,8 @@ class PassContext:
         reflection.surfaces = self._array([finish.surface for finish in self.finishes], wp.int32)
         reflection.normal_reflectances = self._array([surface.normal_reflectance for surface in optics], wp.float64)
         reflection.units = self._array([surface.unit or 1.0 for surface in optics], wp.float64)
-        # If the picture is in the unit of its surface, its colours are relative to R(0). The light of the pigment is
-        # divided by R(0), too.
+        # If the colours of the picture are in the unit of its surface, they are relative to the surface's R(0). The
+        # light of the pigment is divided by R(0), too.
         units = [surface.unit or surface.normal_reflectance for surface in optics]
         pigments = [surface.pigment / unit for surface, unit in zip(optics, units, strict=True)]
         reflection.pigments = self._array(pigments if self.is_pigmented else [], wp.float64)
@@ -230,7 +230,7 @@ class LightSamples:
 
     @property
     def signals(self) -> wp.array:
-        """Vectors of the rays whose changes between pixels tell refinement how evenly colours change.
+        """Vectors of the rays from whose changes between pixels refinement estimates how evenly colours change.
 
         They are scattering vectors. With a grating map they also differ from dot to dot.
         """
@@ -281,7 +281,7 @@ class Counting:
 
     Attributes:
         weight: Weight of the lobe's colours in the sum of colours.
-        counted: Weight of a hit in the sum of coverage; 0 if the same hits were counted with an earlier lobe.
+        counted: Weight of a hit in the sum of coverage; 0 if the same hits were added for an earlier lobe.
         begins: Whether all sums are set to zero before this lobe is added.
         resets: Whether the sum of colours is set to zero before this lobe is added.
     """
@@ -337,7 +337,7 @@ class LightPass(ABC):
 
     @property
     def measured_lobes(self) -> range:
-        """Lobes whose scattering vectors determine the range for which a plan is chosen."""
+        """Lobes whose scattering vectors determine the range of directions for which a plan is chosen."""
         return range(self.lobe_count)
 
     def cell_lobes(self, level: int) -> range:
@@ -371,7 +371,7 @@ class LightPass(ABC):
 
     @property
     def is_prepared(self) -> bool:
-        """Whether shadow rays can be traced now: grids of occluders exist, or the pass uses none."""
+        """Whether shadow rays can be traced now: occluder grids exist, or the pass uses none."""
         return True
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:  # noqa: B027 (nothing is the usual case)

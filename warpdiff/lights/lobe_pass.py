@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from warpdiff.lights.light_pass import Counting, PassContext, RayBatch
     from warpdiff.tables.lookup import Lookups
 
-# Largest ratio of a point light's power to the square of the mesh's radius. The value is limited by float32: colours
-# increase near the light, and the squares of colours must remain below the largest float32.
+# Largest ratio of a point light's power to the square of the radius of the mesh. The value is limited by float32:
+# colours increase near the light, and the squares of colours must remain below the largest float32.
 _MOST_NEARBY = 1e9
 
 
@@ -45,7 +45,7 @@ class LobePass(LightPass):
         self._no_directions = wp.empty(0, dtype=wp.vec4f, device=context.device)
 
     def begin(self, previous: LightPass | None) -> None:
-        """Write the lobes into arrays. Arrays of the previous pass are reused if it had equally many lobes.
+        """Write the lobes into arrays. Arrays of the previous pass are reused if it had the same number of lobes.
 
         The occluder grids of the previous pass are reused only if the directions of its lobes are the same, too.
         """

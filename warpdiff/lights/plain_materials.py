@@ -71,7 +71,7 @@ def plain_faces(
     pairs = np.stack([np.append(factors.metallic, 0.0), roughness], axis=1)
     struct.metallic_roughness = wp.array(pairs, dtype=wp.vec2f, device=device)
     struct.emission = wp.array(emission, dtype=wp.vec3f, device=device)
-    # The maximum of the highlight is π D V = 1/(4 α²) times the luminance of a white surface, for the distribution D of
-    # microfacets and the masking V at normal incidence.
+    # The maximum of the highlight is π D V = 1/(4 α²) times the luminance of a white surface, where D is the
+    # distribution of microfacets and V is the masking, both at normal incidence.
     struct.least_alpha = max(_LEAST_ALPHA, 0.5 * math.sqrt(white_luminance))
     return PlainFaces(struct, is_glossy, emits)

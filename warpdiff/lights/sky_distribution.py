@@ -1,6 +1,7 @@
 """Distributions from which directions to a sky are drawn: by the sky's brightness, and by the surface's colours.
 
-(u, v, w) is the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the light and to the viewer.
+(u, v, w) is the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the light and to the viewer. A ring
+is a circle of constant |(u, v)|. The lobe of a diffraction order is its peak over (u, v).
 """
 
 from __future__ import annotations
@@ -30,14 +31,14 @@ if TYPE_CHECKING:
 # octave of |(u, v)|, and `_FARTHEST` is the largest |(u, v)|. `_DISC_RADIUS` is the radius of a disc in the middle
 # without rings, in standard deviations of the lobe of a diffraction order. Other values would change only the noise.
 _RINGS_PER_OCTAVE, _FARTHEST, _DISC_RADIUS = 6, 2.05, 0.5
-# Azimuth samples on a ring of (u, v). `_SPOKES_APART` is the distance of neighbouring samples, in standard deviations
-# of the lobe of a diffraction order. `_FEWEST_SPOKES` and `_MOST_SPOKES` are the smallest and the largest number of
-# samples per ring. The largest number was chosen by the errors of pictures: with at most 64 samples per ring, the
-# errors are 1.5 times as large (docs/decisions/environments.md).
+# Limits of the azimuth samples on a ring. `_SPOKES_APART` is the distance of neighbouring samples, in standard
+# deviations of the lobe of a diffraction order. `_FEWEST_SPOKES` and `_MOST_SPOKES` are the smallest and the largest
+# number of samples per ring. The largest number was chosen by the errors of pictures: with at most 64 samples per ring,
+# the errors are 1.5 times as large (docs/decisions/environments.md).
 _SPOKES_APART, _FEWEST_SPOKES, _MOST_SPOKES = 1.0, 16, 512
 # Values of |w| = cos θi + cos θr at which colours of the surface are looked up. θi and θr are the angles of light and
-# view from the normal. The mean of the colours determines the probability of a direction. The values were chosen
-# freely: they change only the noise.
+# view from the normal. The mean of the colours over these |w| determines the probability of a direction. The values
+# were chosen freely: they change only the noise of pictures.
 _WS = (0.8, 1.3, 1.8)
 # Standard deviation of the footprint with which the colour at an azimuth sample is looked up, relative to the distance
 # of samples. The value was chosen so that footprints do not blur the distribution, as wider footprints would.
@@ -46,8 +47,8 @@ _WIDTH = 0.4
 # necessary because a point of (u, v) that is dark at the few tabulated |w| may be bright at another |w|. Such a point
 # must have a chance to be drawn.
 _EVEN_SHARE = 0.05
-# Number of cells per side of a block of the sky's grid. All cells of a block have the same probability per solid angle.
-# The value is limited by memory and search time, which are larger for smaller blocks.
+# Number of grid cells per side of a block of the sky's latitude-longitude grid. All cells of a block have the same
+# probability per solid angle. The value is limited by memory and search time, which are larger for smaller blocks.
 _CELLS_OF_BLOCK = 4
 
 
@@ -63,8 +64,8 @@ def upload_sky(grid: SkyGrid, device: wp.Device) -> tuple[wp.array, ...]:
 def lookup_for_skies(lookup: ColourLookup | None) -> ColourLookup | None:
     """Return a look-up with the smaller colour table that suffices for skies, from a cache.
 
-    Directional lights of the same picture may require a table with up to eight times as many rings. A sky has three
-    spectra, and each spectrum would require such a large table.
+    For directional lights, the same picture may require a table with up to eight times as many rings. A sky has three
+    spectra, and each spectrum requires a table of its own, which should not be so large.
     """
     if lookup is None:
         return None

@@ -26,7 +26,7 @@ ROWS = 512
 _SUN_REACH, _SUN_PIXELS, _FARTHEST_SUN_REACH = math.radians(2.5), 1.5, math.radians(4.5)
 # Conditions for a sun. `_AROUND_SUN` is the largest brightness of its surroundings relative to the sun, `_SUN_SHARE`
 # the smallest fraction of the sky's light that it must have, and `_MOST_SUNS` the largest number of suns. Other values
-# would change only the noise: bright spots that are no suns remain in the sky and cause more noise.
+# would change only the noise: a bright spot that does not count as a sun remains in the sky and causes more noise.
 _AROUND_SUN, _SUN_SHARE, _MOST_SUNS = 0.1, 0.005, 4
 
 
@@ -77,7 +77,8 @@ def sample_grid(grid: NDArray[np.float64], along: NDArray[np.float64], turn: flo
 def extract_suns(radiance: NDArray[np.float32]) -> tuple[NDArray[np.float64], list[Sun]]:
     """Return the radiance of a sky on the grid without its suns, and the suns, which become separate lights."""
     grid = _on_grid(radiance)
-    sun_extent = max(_SUN_REACH, _SUN_PIXELS * math.pi / len(radiance))
+    height, width = radiance.shape[:2]
+    sun_extent = max(_SUN_REACH, _SUN_PIXELS * max(math.pi / height, 2.0 * math.pi / width))
     suns: list[Sun] = []
     if sun_extent > _FARTHEST_SUN_REACH:
         return grid, suns
@@ -116,7 +117,7 @@ def _sun_in(grid: NDArray[np.float64], sun_extent: float) -> tuple[Sun, NDArray[
         towards /= np.linalg.norm(towards)
     if bright[around].max() > _AROUND_SUN * brightest:
         return None
-        # Where the sun was extracted, the sky gets the brightness of the sun's surroundings.
+    # Where the sun was extracted, the sky gets the brightness of the sun's surroundings.
     share = np.where(inside, np.minimum(background / np.maximum(bright, 1e-300), 1.0), 1.0)[..., None]
     rgb = ((1.0 - share) * grid[rows] * solid[..., None]).sum(axis=(0, 1))
     rest = grid.copy()
@@ -136,18 +137,13 @@ def grid_directions() -> NDArray[np.float64]:
 def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
     """Return the radiance of an image on the latitude-longitude grid of the sky, shape (ROWS, 2 ROWS, 3).
 
-    An image with smaller pixels is averaged over the cells of the grid. An image with larger pixels is interpolated.
+    Along each axis, an image with smaller pixels than the grid is averaged over the cells of the grid, and an image
+    with larger pixels is interpolated.
     """
     result = radiance.astype(np.float64)
-    if len(result) < ROWS:
-        rows, columns = len(result), result.shape[1]
-        row = np.clip((np.arange(ROWS) + 0.5) / ROWS * rows - 0.5, 0.0, rows - 1.0)
-        column = (np.arange(2 * ROWS) + 0.5) / (2 * ROWS) * columns - 0.5
-        top, left = np.minimum(row.astype(int), rows - 2), np.floor(column).astype(int)
-        down, right = (row - top)[:, None, None], (column - left)[:, None]
-        result = (1.0 - down) * result[top] + down * result[top + 1]
-        return np.asarray((1.0 - right) * result[:, left % columns] + right * result[:, (left + 1) % columns])
     for axis, count in enumerate((ROWS, 2 * ROWS)):
+        if result.shape[axis] < count:
+            continue
         edges = np.linspace(0.0, 1.0, result.shape[axis] + 1)
         targets = np.linspace(0.0, 1.0, count + 1)
         if axis == 0:
@@ -160,4 +156,6 @@ def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
         first = np.minimum(place.astype(int), len(edges) - 2)
         sums = sums[first] + (place - first)[:, None, None] * (sums[first + 1] - sums[first])
         result = np.moveaxis(np.diff(sums, axis=0) / np.diff(targets)[:, None, None], 0, axis)
-    return result
+    # Along an axis that was averaged, the positions of the grid are those of the image, so that interpolation does not
+    # change the values.
+    return result if result.shape[:2] == (ROWS, 2 * ROWS) else sample_grid(result, grid_directions(), 0.0)

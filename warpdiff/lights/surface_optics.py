@@ -1,6 +1,7 @@
 """Optics of the surfaces of a picture, the unit of its colours, and the finishes of its faces.
 
-R(0) is the reflectance at normal incidence. A plain surface has no height field.
+R(0) is the reflectance at normal incidence. A finish is a surface with one of its materials. A plain surface has no
+height field.
 """
 
 from __future__ import annotations

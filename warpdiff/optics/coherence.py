@@ -15,14 +15,14 @@ from warpdiff.core.wording import ArgumentValueError, ref
 Kind = Literal["averaged", "centred", "centered", "source", "replicas"]
 KINDS = tuple(kind for kind in get_args(Kind) if kind not in SPELLINGS)
 # Default standard deviation σ of the window [µm]. The value is a convention: a coherence length of 65 µm is interpreted
-# as 4σ. If σ is doubled, the orders of a grating are half as wide in angle.
+# as 4σ. If σ is doubled, the diffraction orders of a grating are half as wide in angle.
 DEFAULT_SIGMA_UM = 16.25
 # Angular diameter of the sun [degrees], from astronomy.
 _DEFAULT_DIAMETER_DEG = 0.53
 _WINDOWS = ("averaged", "centred")
-# Largest angular diameter of a source [degrees]. In the model, the directions to the source are points of the plane
-# that touches the unit sphere at the centre of the source, instead of points of the sphere. For wider sources this is
-# not accurate.
+# Largest angular diameter of a light source [degrees]. In the model, the directions to the source are points of the
+# plane that touches the unit sphere at the centre of the source, instead of points of the sphere. For wider sources
+# this model is not accurate.
 _MAX_DIAMETER_DEG = 30.0
 # Largest number of periods along an axis. The value was chosen because 100,000 periods of 1 µm are ten centimetres,
 # which is more than the size of typical gratings.

@@ -33,8 +33,7 @@ LAMBDA_MIN_NM = 380
 LAMBDA_MAX_NM = 780
 VISIBLE_NM = np.arange(LAMBDA_MIN_NM, LAMBDA_MAX_NM + 1, dtype=np.float64)
 VISIBLE_NM.setflags(write=False)
-# The reflectance ρ is interpolated by a quintic polynomial, which passes through this number of wavelengths. For a
-# colour error of 1e-4, cubic polynomials would require up to twice as many wavelengths.
+# Shortest and longest wavelength [nm] of calls, plans and tables of materials; `check_wavelengths` refuses others.
 SHORTEST_NM, LONGEST_NM = 100.0, 10_000.0
 
 PRECOMPUTED = {"D65": Path(__file__).with_name("d65.npy")}
@@ -88,6 +87,11 @@ def check_illuminant(illuminant: object, name: str = "illuminant") -> Illuminant
     return checked
 
 
+def is_known_illuminant(name: str) -> bool:
+    """Return whether a text is the name of an illuminant or light source, such as ``"D65"`` or ``"FL3.1"``."""
+    return name in PRECOMPUTED or _distribution(name) is not None
+
+
 def _distribution(illuminant: str) -> Any:
     """Return the spectrum of an illuminant or light source in colour-science by its name; None if there is none."""
     for distributions in (colour_science().SDS_ILLUMINANTS, colour_science().SDS_LIGHT_SOURCES):
@@ -98,7 +102,7 @@ def _distribution(illuminant: str) -> Any:
 
 @functools.cache
 def _tabulated_nm(illuminant: str) -> tuple[float, float] | None:
-    """Return the first and last wavelength of an illuminant [nm] by its name; None if the name is not known.
+    """Return the first and last tabulated wavelength of an illuminant [nm] by its name; None if the name is unknown.
 
     The result is cached, because the look-up in colour-science requires half a millisecond.
     """
@@ -265,14 +269,16 @@ def _interpolation_weights(
     stencil = min(_STENCIL, nodes.size)
     tau, targets = 1.0 / nodes, 1.0 / np.clip(points, nodes[0], nodes[-1])
     first = np.clip(np.searchsorted(nodes, points) - stencil // 2, 0, nodes.size - stencil)
-    weights = np.zeros((nodes.size, 3))
+    weights = np.zeros((3, nodes.size))
+    near = tau[first[:, None] + np.arange(stencil)].T
     for k in range(stencil):
         share = np.ones_like(points)
         for j in range(stencil):
             if j != k:
-                share *= (targets - tau[first + j]) / (tau[first + k] - tau[first + j])
-        np.add.at(weights, first + k, share[:, None] * masses)
-    return weights
+                share *= (targets - near[j]) / (near[k] - near[j])
+        for channel in range(3):
+            weights[channel] += np.bincount(first + k, share * masses[:, channel], nodes.size)
+    return np.ascontiguousarray(weights.T)
 
 
 def _without_negative(weights: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -285,8 +291,13 @@ def _without_negative(weights: NDArray[np.float64]) -> NDArray[np.float64]:
         negative = np.minimum(weights, 0.0)
         if np.all(negative.sum(axis=0) >= -_NEGLIGIBLE * weights.sum(axis=0)):
             break
-        halves = np.pad(0.5 * negative, ((1, 1), (0, 0)), "edge")
-        weights = weights - negative + halves[:-2] + halves[2:]
+        halves = 0.5 * negative
+        weights = weights - negative
+        weights[1:] += halves[:-1]
+        weights[:-1] += halves[1:]
+        # The first and the last weight have only one neighbour, and keep the other half.
+        weights[0] += halves[0]
+        weights[-1] += halves[-1]
     return np.maximum(weights, 0.0)
 
 

@@ -1,8 +1,10 @@
 """Materials whose reflectance has the spectrum of normal incidence at all angles, for the tables of grating maps.
 
-A table of colours contains R(θd, λ) at the angle θd that follows from its own (u, v, w). Dots with a scaled depth or
-pitch look up other (u, v, w). Their tables have R(0, λ), and look-ups multiply by the luminance of R(θd, λ) over that
-of R(0, λ).
+R(θd, λ) is the reflectance of the material, where λ is the wavelength and θd half of the angle between the directions
+to light and viewer. (u, v, w) is the scattering vector, with cos θd = |(u, v, w)|/2. A table of colours contains R(θd,
+λ) at the angle θd of each of its (u, v, w). For a dot of a grating map with a scaled depth or pitch, colours are looked
+up at another (u, v, w), which has another θd. Tables of grating maps therefore contain R(0, λ), and look-ups multiply
+by the luminance of R(θd, λ) divided by that of R(0, λ).
 """
 
 from __future__ import annotations
@@ -17,11 +19,11 @@ from warpdiff.optics.materials import Material, reflectance_at
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Number of cosines of θd from 0 to 1 at which the ratio of luminances is tabulated. Choice: linear interpolation has an
-# error below 1e-4 for metals.
+# Number of cosines of θd from 0 to 1 at which the ratio of luminances is tabulated. The number was chosen because
+# linear interpolation then has an error below 1e-4 for metals.
 _COSINES = 257
-# Cosines of θd at which the change of the spectrum is judged. Choice: θd is half of the angle between light and view,
-# and exceeds 60° only if both are near the horizon.
+# Cosines of θd at which the change of the spectrum with θd is measured. The smallest value was chosen because θd
+# exceeds 60° only if both light and view are near the horizon.
 _JUDGED_COSINES = np.linspace(0.5, 1.0, 11)
 
 
@@ -55,9 +57,9 @@ def luminance_ratios(fixed: FixedReflectance) -> NDArray[np.float64]:
 
 
 def spectral_change(material: Material) -> float:
-    """Return how much the spectrum of R changes with θd up to 60°, apart from a factor: a weighted rms over λ.
+    """Return the change of the spectrum of R with θd up to 60°, apart from a factor: a weighted rms over λ.
 
-    The weights are the luminous efficiency under D65. The result is the largest one over θd.
+    The weights are the luminous efficiency under D65. The result is the largest change over all θd.
     """
     reflectances = reflectance_at(material, colorimetry.VISIBLE_NM, _JUDGED_COSINES[:, None])
     weights = colorimetry.colour_products("D65")[:, 1]

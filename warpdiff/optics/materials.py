@@ -1,8 +1,8 @@
 """Materials: reflectance of smooth surfaces by complex indices of refraction, with or without a thin film.
 
-The reflectance of a flat boundary follows from Fresnel's equations, that of a thin film from Airy's sum (Born and Wolf,
-Principles of Optics, sections 1.5, 1.6 and 14.4). Indices are n + ik, with k > 0 for absorption. Light arrives through
-air.
+The reflectance of a flat boundary is computed by Fresnel's equations, and the reflectance of a thin film by Airy's sum
+(Born and Wolf, Principles of Optics, sections 1.5, 1.6 and 14.4). Indices are n + ik, with k > 0 for absorption. Light
+arrives through air.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class Material(ReadOnlyArrays):
     film: Material | None = None
     film_nm: float = 0.0
     _key: tuple[object, ...] = field(init=False, repr=False)
-    # Whether the reflectance depends on the angle of incidence; ``fixed_reflectance`` has materials without.
+    # Whether the reflectance depends on the angle of incidence; it does not for the materials of ``fixed_reflectance``.
     has_angles: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -263,7 +263,7 @@ class Material(ReadOnlyArrays):
     @property
     def is_opaque(self) -> bool:
         """Whether the material transmits no visible light to a pigment below it."""
-        return bool(np.max(_index(self, colorimetry.VISIBLE_NM).imag) > _OPAQUE)
+        return bool(np.max(index_at(self, colorimetry.VISIBLE_NM).imag) > _OPAQUE)
 
 
 def reflectance_at(
@@ -274,7 +274,7 @@ def reflectance_at(
 ) -> NDArray[np.float64]:
     """Return the power reflectance R at wavelengths [nm] and cosines of the angle of incidence, which broadcast."""
     cosine = np.clip(cosine, 0.0, 1.0) if material.has_angles else np.ones_like(cosine)
-    media = [_index(medium, wavelengths_nm) for medium in (material.film, material) if medium is not None]
+    media = [index_at(medium, wavelengths_nm) for medium in (material.film, material) if medium is not None]
     # Cosines of the angle of refraction in each medium, by Snell's law. They are complex in an absorbing medium. The
     # principal square root belongs to the wave that decays into the medium.
     along2 = 1.0 - cosine * cosine
@@ -319,7 +319,7 @@ def check_covers(material: Material, low_nm: float, high_nm: float, name: str = 
             )
 
 
-def _index(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.complex128]:
+def index_at(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.complex128]:
     """Return n + ik of a material without its film at wavelengths [nm]; beyond its table, n + ik is constant."""
     table, n, k = (np.asarray(column) for column in (material.wavelengths_nm, material.n, material.k))
     return np.asarray(np.interp(wavelengths_nm, table, n) + 1j * np.interp(wavelengths_nm, table, k))

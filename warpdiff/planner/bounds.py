@@ -1,5 +1,9 @@
 """Upper-bound plan: numbers of terms, coefficients and wavelengths that suffice for any surface and all directions.
 
+The terms are those of the series in which each Fourier coefficient is expanded. The coefficients are the Fourier
+coefficients whose sum is the light of a direction. "Patch" means the area of the height field. "Source" means a light
+source of finite size (coherence of the kind "source").
+
 "All directions" are the directions within the range of a call. Calls with few directions use the upper-bound plan
 directly. For calls with many directions, a search for a cheaper plan starts from the upper-bound plan. The search
 measures errors against a plan with more wavelengths than the upper-bound plan.
@@ -27,19 +31,19 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.evaluation import Evaluation
 
-# Largest error of an amplitude that the truncation of its series may cause, as a share of the tolerance. The number was
-# derived as the product of two factors of 0.03. First, errors of luminance are relative to at least 1e-3 of a picture's
-# luminance (FLOOR), which is a factor of 0.03 in amplitude. Second, the amplitudes of all diffraction orders may be
-# only 0.03 of the amplitude of the mirror reflection. If the number was doubled, surfaces that have only weak orders
-# could exceed the tolerance.
+# Largest error that the truncation of the series may cause in the amplitude of a Fourier coefficient, as a share of the
+# tolerance. The number was derived as the product of two factors of 0.03. First, errors of luminance are relative to at
+# least 1e-3 of a picture's luminance (FLOOR), which is a factor of 0.03 in amplitude. Second, the amplitudes of all
+# diffraction orders may be only 0.03 of the amplitude of the mirror reflection. If the number was doubled, surfaces
+# that have only weak orders could exceed the tolerance.
 AMPLITUDE_MARGIN = 1e-3
 # Fourier coefficients with a smaller Gaussian weight are excluded from the sum of a direction. The weight is a share of
-# the tolerance. The key is True if powers add, and False if amplitudes add. The entry for powers was derived from the
-# zeroth order, whose peak has the power 1. If all directions of a call are far from this peak, they may be darker than
-# the peak by a factor of 1e-5. Errors are relative to at least 1e-3 of the luminance of these directions. The product
-# of both factors is 1e-8. The entry for amplitudes was derived as the square root of the entry for powers, 1e-4,
-# divided by 100 as a margin. If the entries were doubled, the errors of the darkest calls would exceed the tolerance,
-# because tails of the zeroth order would be missing.
+# the tolerance. The key is True if the powers of Fourier coefficients add, and False if their amplitudes add. The entry
+# for powers was derived from the zeroth order, whose peak has the power 1. If all directions of a call are far from
+# this peak, they may be darker than the peak by a factor of 1e-5. Errors are relative to at least 1e-3 of the luminance
+# of these directions. The product of both factors is 1e-8. The entry for amplitudes was derived as the square root of
+# the entry for powers, 1e-4, divided by 100 as a margin. If the entries were doubled, the errors of the darkest calls
+# would exceed the tolerance, because tails of the zeroth order would be missing.
 _WEIGHT_MARGINS = {True: 1e-8, False: 1e-6}
 # Least Gaussian weight of Fourier coefficients, as in `_WEIGHT_MARGINS`, for plans that no trial has validated. The
 # number was derived from the darkest calls, whose luminance may be as small as 1e-10 of the luminance of a mirror
@@ -47,17 +51,17 @@ _WEIGHT_MARGINS = {True: 1e-8, False: 1e-6}
 _DARKEST = trial.NEGLIGIBLE_SHARE * trial.DARK
 # Number of wavelength samples per unit of 1/λ [µm] that the colour-matching functions and the illuminant require. The
 # number was fitted for the illuminants D65, FL11 and HP1 at tolerances from 1e-1 to 1e-4
-# (docs/decisions/plans_and_tolerance.md). If the number was halved, the error of the integral over the wavelength alone
-# would exceed the tolerance under illuminants with spectral lines.
+# (docs/decisions/plans_and_tolerance.md). If the number was halved, the error of the integral over the wavelength would
+# exceed the tolerance under illuminants with spectral lines, even without any other error.
 _COLOUR_BANDWIDTH_UM = 48.0
 # Number of wavelength samples per standard deviation of a diffraction order, whose light is a Gaussian over 1/λ. The
 # number is for a tolerance of 1. It increases for smaller tolerances, to 0.95 at 1e-2. It was fitted for the
 # illuminants D65, FL11 and HP1 with standard deviations of 1/18 to 1/222 per µm.
 _SAMPLES_PER_DEVIATION = 0.441
-# In the mirror direction, the interference of two height levels oscillates over 1/λ. This number of wavelength samples
-# is required per cycle of this oscillation, in addition to the samples of `_COLOUR_BANDWIDTH_UM`. The number is for a
-# tolerance of 1. It increases for smaller tolerances, to 6 at 1e-2. It was fitted for levels 3 and 5.5 µm apart under
-# the illuminants HP2 and FL12.
+# In the mirror direction, the interference of the light from two height levels of a surface oscillates as a function of
+# 1/λ. This number of wavelength samples is required per cycle of this oscillation, in addition to the samples of
+# `_COLOUR_BANDWIDTH_UM`. The number is for a tolerance of 1. It increases for smaller tolerances, to 6 at 1e-2. It was
+# fitted for levels 3 and 5.5 µm apart under the illuminants HP2 and FL12.
 _SAMPLES_PER_CYCLE = 2.785
 # Orders p of convergence of the integral over the wavelength λ: for n samples, the error of the integral is
 # proportional to n^−p. The orders were derived from the interpolations over λ. For coherence windows and light sources,
@@ -70,14 +74,14 @@ _QUINTIC_ORDER, _CUBIC_ORDER = 6.0, 4.0
 _TYPICAL_SHARE = 0.05
 # While λ runs over the visible range, diffraction orders pass a direction. This number of wavelength samples per order
 # resolves the power of one patch of a replicated surface. The number is for a tolerance of 1. It increases for smaller
-# tolerances, to 25 at 1e-2. It was fitted for random patches of fingers under illuminants from D65 to HP1. If it was
-# halved, the error would be 16 times as large.
+# tolerances, to 25 at 1e-2. It was fitted for random patches of gratings with nano-fingers (``gratings.fingers``) under
+# illuminants from D65 to HP1. If it was halved, the error would be 16 times as large.
 _SAMPLES_PER_ORDER = 8.0
-# Largest number of wavelengths of a colour. The value is limited by computing time, which is proportional to it. With
-# this number, one direction already requires seconds.
+# Largest number of wavelengths that are sampled to compute a colour. The value is limited by computing time, which is
+# proportional to it. With this number, one direction already requires seconds.
 MOST_WAVELENGTHS = 65_536
-# Largest number of wavelengths under a light source whose light arrives near the horizon. The foreshortening of the
-# source there increases the required number without bound. This number suffices for a foreshortening by a factor of 50.
+# Largest number of wavelengths for a source whose light arrives near the horizon. The foreshortening of the source near
+# the horizon increases the required number without bound. This number suffices for a foreshortening by a factor of 50.
 _MOST_GRAZING = 16_384
 
 
@@ -85,8 +89,8 @@ def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, me
     """Return the upper-bound plan for ``method`` and ``tolerance``, which may differ from those of ``request``."""
     heightfield, coherence, colour = request.heightfield, request.coherence, request.integrates
     series = AUTOMATIC if method in ("auto", "direct") else method
-    # The methods ``"power"`` and ``"low-rank"`` have no series of their own. Both methods are fitted to the
-    # Jacobi-Anger series, and use its number of terms.
+    # The methods ``"power"`` and ``"low-rank"`` have no series of their own. The basis functions of both methods are
+    # fitted to the Jacobi-Anger series, so that they use the number of terms of this series.
     expansion = EXPANSIONS.get(series, EXPANSIONS["jacobi-anger"])
     argument = 2.0 * math.pi * direction_range.kappas[1] * expansion.offset_and_scale(heightfield)[1]
     terms = expansion.term_count(argument, tolerance * AMPLITUDE_MARGIN)
@@ -145,11 +149,11 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
     if coherence.sigma_um is not None:
         order_rate = per_deviation * 2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um
         return min(order_rate, MOST), cycles * heightfield.height_range_um, _COLOUR_BANDWIDTH_UM
-    # For windows and replicas, the wavelengths have equal steps of 1/λ. For a source, neighbouring wavelengths have
-    # equal ratios. The largest step of 1/λ under a source, at 380 nm, is ``wider`` times the equal step of as many
-    # wavelengths. The results b and c are therefore multiplied by ``wider``. The result a is not multiplied: the
-    # coherence window of a source is proportional to λ (van Cittert-Zernike), so that orders have a constant width in
-    # ln λ.
+    # For coherence windows and replicated patches, the wavelengths have equal steps of 1/λ. For a source, neighbouring
+    # wavelengths have equal ratios. The largest of the resulting steps of 1/λ, at 380 nm, is ``wider`` times as large
+    # as if the same number of wavelengths had equal steps. The results b and c are therefore multiplied by ``wider``.
+    # The result a is not multiplied: the coherence window of a source is proportional to λ (van Cittert-Zernike), so
+    # that orders have a constant width in ln λ.
     log_band = math.log(LAMBDA_MAX_NM / LAMBDA_MIN_NM)
     wider = log_band * NM_PER_UM / LAMBDA_MIN_NM / cost_model.SPAN
     order_rate = per_deviation / coherence.spread * log_band / cost_model.SPAN
@@ -159,14 +163,14 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
 def _with_wavelengths(plan: Plan) -> Plan:
     """Return the plan with the number of wavelengths that its ``bandwidth_um`` requires.
 
-    If light of a source arrives near the horizon, the number is limited.
+    If the coherence is that of a source whose light arrives near the horizon, the number is limited.
     """
     count = coefficient_table.wavelength_set_size(cost_model.wavelength_count(plan, plan.max_order_rate, plan.max_w))
     periods = plan.coherence.periods
     divisions = 1
     if periods is not None:
-        # Over 1/λ, the interference factor of N replicated periods has N lobes per diffraction order. It requires two
-        # samples per lobe.
+        # As a function of 1/λ, the interference factor of N replicated periods has N maxima per diffraction order. It
+        # requires two samples per maximum.
         divisions = math.ceil(2.0 * math.sqrt(2.0) * max(periods) / plan.bandwidth_um[0])
     facing = cost_model.wavelength_count(plan, plan.max_uv, plan.max_w)
     if plan.coherence.kind == "source" and facing <= _MOST_GRAZING < count:

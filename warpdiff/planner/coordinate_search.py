@@ -3,13 +3,15 @@
 Upper-bound plans suffice for the worst surface and the worst direction; most calls require less. The search changes a
 plan along coordinates: the number of terms of its series, the number of neighbouring Fourier coefficients that a
 direction includes, and the bandwidth with its two parts, which sets the number of wavelengths. Replicated patches also
-have a number of subdivisions per wavelength. The search makes one coordinate after the other as coarse as an error
-budget permits. The budget grows from coordinate to coordinate; the part of the budget that one coordinate does not use
-remains for the coordinates after it. Errors are measured on the training set against a reference. The validation set
-then checks the result. If the result fails, the coordinate with the largest effect is refined.
+have a number of subdivisions: samples of the interference factor per wavelength. The search makes one coordinate after
+the other as coarse as an error budget permits. The budget grows from coordinate to coordinate; the part of the budget
+that one coordinate does not use remains for the coordinates after it. Errors are measured on the training set against a
+reference. The validation set then checks the result. If the result fails, the coordinate with the largest effect is
+refined.
 
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
-light and to the viewer. The component w is along the normal.
+light and to the viewer. The component w is along the normal. The floor is the smallest number by which an error
+is divided to give a relative error.
 """
 
 from __future__ import annotations
@@ -31,9 +33,9 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 # Largest number of repairs of a plan whose error on the validation set is too large. A repair refines each coordinate
-# of the plan separately, and uses the best of the resulting plans. The first repair refines by one step. Each further
-# repair refines by twice as many steps as the repair before. The value was chosen so that a search tries fewer than
-# fifty plans.
+# (a parameter, such as the number of terms) of the plan separately, and uses the best of the resulting plans. The first
+# repair refines by one step. Each further repair refines by twice as many steps as the repair before. The value was
+# chosen so that a search tries fewer than fifty plans.
 _REPAIRS = 3
 # Largest number of factors of 2 by which a search reduces a bandwidth, the number of wavelength samples per unit of
 # 1/λ. Upper bounds are less than 2³ times as large as the bandwidth that calls require.
@@ -49,7 +51,7 @@ _GRID_TOLERANCE = 1e-2
 MIN_BRIGHT = 64
 # If fewer than MIN_BRIGHT validation directions are bright, a search uses only this share of its remaining error
 # budget. The same number has a second use: a predicted error is at least this share of the tolerance. The number was
-# fitted to random calls with few bright directions.
+# fitted to random calls with few bright directions (docs/decisions/plans_and_tolerance.md).
 _SHARE_BY_FEW = 0.1
 
 
@@ -99,7 +101,7 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
         # does not have this error.
         plan, error = refine(_by_amplitudes(plan, trial), trial, coordinates, target)
     # The predicted error is divided among its sources, such as truncation and rounding, in proportion to the errors
-    # that the search has measured for these sources.
+    # that the search has measured for these sources of error.
     share = predicted_error(error, plan, trial) / sum(errors.values())
     return replace(
         plan, truncation=share * errors["truncation"], neighbourhood=share * errors["neighbourhood"],
@@ -154,7 +156,7 @@ def _cost(plan: Plan, trial: Trial) -> float:
 
 
 def more_terms(plan: Plan, trial: Trial, registers: int) -> Plan:
-    """Return the plan with more terms: as many as fill ``registers`` further SIMD registers, or all terms that exist.
+    """Return the plan with more terms: as many as fill ``registers`` further SIMD registers, or all that exist.
 
     With a negative ``registers``, the plan gets fewer terms.
     """
@@ -189,18 +191,19 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
         ("truncation", by_mirror, registers - 1, lambda plan, steps: more_terms(plan, trial, -steps))
     ]
     if plan.coherence.kind != "replicas":
-        # In a few directions, nearly all light belongs to the far tail of a bright order, and the training set may not
-        # contain such directions. The search therefore never excludes Fourier coefficients whose Gaussian weight is at
-        # least FLOOR times the tolerance.
+        # In a few directions, nearly all light belongs to the tail of a bright diffraction order, far from the peak of
+        # the order, and the training set may not contain such directions. The search therefore never excludes Fourier
+        # coefficients whose Gaussian weight is at least FLOOR times the tolerance.
         most = math.floor(math.log(FLOOR * plan.tolerance / plan.least_weight))
         steps.append(("neighbourhood", by_mirror, max(most, 0) if by_mirror == 1.0 else 0, neighbours))
     if trial.integrates and plan.subdivisions > 1:
         steps.append(("quadrature", bright, octave_steps, subdivisions))
     if trial.integrates:
-        # The bandwidth is the number of wavelength samples per unit of 1/λ. It has three parts: for the order rate (how
-        # fast orders pass as 1/λ changes), for |w|, and for the colour-matching functions. The search first coarsens
-        # all parts together. It then coarsens the part for the order rate alone, and after this the other two parts. In
-        # the opposite sequence, the part for the order rate could use the whole error budget.
+        # The bandwidth is the number of wavelength samples per unit of 1/λ. It is a sum of three parts: for the order
+        # rate (how fast diffraction orders pass a direction as 1/λ changes), for |w|, and for the colour-matching
+        # functions. The search first coarsens all parts together. It then coarsens the part for the order rate alone,
+        # and after this the other two parts. In the opposite sequence, the part for the order rate could use the whole
+        # error budget.
         steps += [("quadrature", bright, octave_steps, part) for part in (bandwidth, order_rate, rest)]
     return [
         Coordinate(source, error + share * max(target - error, 0.0) * number / len(steps), most, coarser)
@@ -221,9 +224,9 @@ def _coarsened(plan: Plan, error: float, trial: Trial, coordinate: Coordinate) -
             high = middle
         middle = (low + high) // 2
     if best.wavelengths == coefficient_table.wavelength_set_size(0.0):
-        # The plan has the smallest possible number of wavelengths. Steps beyond this number reduced only the bandwidth
-        # (samples per unit of 1/λ) that the plan records, and saved no time. The loop undoes these steps. Otherwise a
-        # repair, which refines by steps, would first have to undo them.
+        # The plan has the smallest possible number of wavelengths. Further steps of the search reduced only the
+        # bandwidth (samples per unit of 1/λ) that the plan records, and saved no time. The loop undoes these steps.
+        # Otherwise a repair, which refines by steps, would first have to undo them.
         while low > 0 and replace(finer := coordinate.coarser(plan, low - 1), bandwidth_um=best.bandwidth_um) == best:
             best, low = finer, low - 1
     return best, error
@@ -238,9 +241,10 @@ def _octave_steps(steps: int) -> float:
 
 
 def _on_grid(plan: Plan, trial: Trial) -> Plan:
-    """Return the plan with least weight and bandwidth rounded to the grid of values that all searches try.
+    """Return the plan with its least weight and its bandwidth rounded to the grid of values that all searches try.
 
-    The least weight is for Fourier coefficients. The bandwidth is the number of wavelength samples per unit of 1/λ.
+    The least weight is the smallest Gaussian weight of Fourier coefficients that the plan includes. The bandwidth is
+    the number of wavelength samples per unit of 1/λ.
     """
     plan = replace(plan, least_weight=math.exp(math.floor(math.log(plan.least_weight))))
     if not trial.integrates:
@@ -264,9 +268,10 @@ def _scaled(
 def _with_bandwidth(plan: Plan, trial: Trial, bandwidth_um: tuple[float, float, float]) -> Plan:
     """Return the plan with the bandwidth ``bandwidth_um`` and the number of wavelengths that it requires."""
     per_rate, per_w, constant = bandwidth_um
-    # If a source is near the horizon, the number of wavelengths is limited, and the plan is valid only up to a certain
-    # order rate (how fast orders pass a direction as 1/λ changes). With a smaller bandwidth, the same number of
-    # wavelengths suffices for larger order rates, up to `served`. The new plan is then valid for these rates, too.
+    # If a light source of finite size is near the horizon, the number of wavelengths is limited, and the plan is valid
+    # only up to a certain order rate (how fast orders pass a direction as 1/λ changes). With a smaller bandwidth, the
+    # same number of wavelengths suffices for larger order rates, up to `served`. The new plan is then valid for these
+    # rates, too.
     served = ((plan.wavelengths - 1.0) / cost_model.SPAN - per_w * plan.max_w - constant) / per_rate
     rate = max(plan.max_order_rate, min(served, trial.max_order_rate))
     result = replace(plan, bandwidth_um=bandwidth_um, max_order_rate=rate)

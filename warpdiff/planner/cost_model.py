@@ -2,8 +2,9 @@
 
 Operations that are not multiply-adds count as the number of multiply-adds that require the same time. ``Plan`` converts
 multiply-adds to seconds. The constants were fitted to times on two cores; the model predicts these times within a
-factor of 1.5. The planner compares predicted costs, and prefers another method above a certain number of directions. If
-one constant is doubled, this number changes by less than a factor of 2.
+factor of 1.5. The planner compares predicted costs, and prefers another method above a certain number of directions.
+"Source" means a light source of finite size (coherence of the kind "source"). If one constant is doubled, this number
+changes by less than a factor of 2.
 """
 
 from __future__ import annotations
@@ -30,14 +31,15 @@ _Numbers = TypeVar("_Numbers", float, "NDArray[np.float64]")
 SPAN = NM_PER_UM / LAMBDA_MIN_NM - NM_PER_UM / LAMBDA_MAX_NM
 # Costs of a sum over Fourier coefficients [multiply-adds], in addition to the products of the sum itself. The first
 # cost is per wavelength, or per sample of the interference factor of replicated patches. The second cost is per term of
-# the series, and also per coefficient. Both were fitted to times.
+# the series in which a coefficient is expanded, and the same cost is added per coefficient. Both were fitted to times.
 _COST_OF_WAVELENGTH, _COST_OF_STEP = 340.0, 18.0
 # Cost of sampling the spectrum for a table [multiply-adds], in addition to the products of the sum over Fourier
-# coefficients. The cost is per sample of the spectrum. Under a source, it is per spectral line. It was fitted to times.
+# coefficients. The cost is per sample of the spectrum. For a source, whose spectrum is a sum of lines, it is per
+# spectral line. It was fitted to times.
 _COST_OF_SAMPLE = 150.0
 # Costs of computing a table from the spectrum [multiply-adds]. The first cost is for filtering and writing one number
-# of a row of the table. The second cost is for one product of the projection to colours. It is below 1, because the
-# loop of the projection uses SIMD instructions only. Both were fitted to times.
+# of a row of the table. The second cost is for one product in the conversion (projection) of the spectrum to colours.
+# It is below 1, because the loop of the projection uses SIMD instructions only. Both were fitted to times.
 _COST_OF_ROW_COLOUR, _COST_OF_DENSE_MULTIPLY_ADD = 105.0, 0.2
 
 
@@ -55,13 +57,14 @@ def sampling_multiply_adds(
     heightfield: HeightField, plan: Plan, order_rates: NDArray[np.float64], w: NDArray[np.float64],
     weights: NDArray[np.float64] | None = None,
 ) -> float:  # fmt: skip
-    """Predict the multiply-adds per direction with sampled wavelengths, as a mean over the directions."""
+    """Predict the multiply-adds per direction with sampled wavelengths (without a table), as a mean over directions."""
     lanes = coefficient_table.lanes_of(plan.terms)
     parts = 1 if holds_powers(plan.method, adds_powers=plan.coherence.adds_powers) else 2
     samples: NDArray[np.float64] = np.full(len(w), max(plan.wavelengths, 1.0))
     if plan.adaptive and plan.wavelengths:
         # Only certain numbers of wavelengths are available, with a constant ratio between consecutive numbers. The
-        # number that is used exceeds the required number. On average, it does so by the square root of this ratio.
+        # smallest sufficient one of these numbers is used. On average, it exceeds the required number by the square
+        # root of this ratio.
         needed = wavelength_count(plan, order_rates, w)
         samples = np.minimum(samples, needed * 2.0 ** (0.5 / coefficient_table.SETS_PER_OCTAVE))
     factors = 1
@@ -90,7 +93,7 @@ def look_up_multiply_adds(plan: Plan) -> float:
 
 
 def table_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
-    """Predict the multiply-adds of the construction of a table."""
+    """Predict the multiply-adds of computing a table."""
     layout = mip_layout.layout_of(plan)
     parts = 1 if plan.coherence.adds_powers else 2
     lanes = coefficient_table.lanes_of(plan.terms)
@@ -101,9 +104,9 @@ def table_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
     else:
         neighbours = math.pi * area * -math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence)
         sampling = layout.samples * parts * (_COST_OF_SAMPLE + neighbours * lanes)
-    # A row of the sampled spectrum has about one number per term of the basis. If amplitudes add, it has two numbers
-    # per term. A table needs about as many functions of w (the normal component of the scattering vector) as such a row
-    # has numbers, and stores X, Y and Z for each function.
+    # A row of the sampled spectrum has about one number per basis function (term). If amplitudes of Fourier
+    # coefficients add, it has two numbers per term. A table needs about as many functions of w (the normal component of
+    # the scattering vector) as such a row has numbers, and stores X, Y and Z for each function.
     powers = parts * plan.terms
     rings = polar_grid.ring_count(plan.rings_per_octave)
     projection = layout.levels[0].nodes * rings * powers * (powers + 2.0)

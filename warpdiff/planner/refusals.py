@@ -38,8 +38,9 @@ _PATCH_IN_SIGMAS = 20.0
 # Largest number of wavelengths times subdivisions for replicated patches. The value is limited by the memory of the
 # integral over wavelengths, which is proportional to it.
 _MOST_SAMPLES = 2_000_000
-# A call may exceed the range of an explicit plan by this relative amount without a warning. Such an excess is harmless,
-# because coefficients are computed for a range that exceeds the range of the plan by more than this amount.
+# The directions of a call may exceed the range of a plan that the caller passes by this relative amount without a
+# warning. Such an excess is harmless, because coefficients are computed for a range that exceeds the range of the plan
+# by more than this amount.
 _RANGE_MARGIN = 0.03
 _LESS_COHERENT = {
     "averaged": f"a smaller {ref('sigma_um')}",
@@ -96,7 +97,7 @@ def _check_neighbours(heightfield: HeightField, plan: Plan) -> None:
 def _longest_sigma_um(coherence: Coherence) -> float:
     """Return the standard deviation σ [µm] of the coherence window.
 
-    For a source, it is σ of the equivalent window at the longest visible wavelength.
+    For a source (light source of finite size), it is σ of the equivalent window at the longest visible wavelength.
     """
     if coherence.sigma_um is not None:
         return coherence.sigma_um
@@ -141,7 +142,10 @@ def check_error(request: Evaluation, plan: Plan) -> None:
 
 
 def table_too_large(tolerance: float) -> ToleranceError:
-    """Return the error for a call that requests a colour table, if even the smallest sufficient table is too large."""
+    """Return the error for a call that requests a colour table, if even the smallest sufficient table is too large.
+
+    The table is sufficient if it is expected to meet the tolerance.
+    """
     return ToleranceError(
         f"{ref('integration', 'table')} requires more than {polar_grid.MOST_MEGABYTES:g} MB for "
         f"{ref('tolerance', tolerance)}: use {ref('integration', 'auto')}, or in pictures lights of "
@@ -150,13 +154,13 @@ def table_too_large(tolerance: float) -> ToleranceError:
 
 
 def warn_of_theory(plan: Plan) -> None:
-    """Warn that scalar diffraction is invalid on the surface of a plan, if the verdict on the theory is "invalid"."""
+    """Warn that scalar diffraction is invalid on the surface of a plan, if its ``theory`` has the grade "invalid"."""
     if plan.theory.grade == "invalid":
         warn(f"scalar diffraction is {plan.theory}: {plan.theory.remedy}")
 
 
 def warn_of_darkness() -> None:
-    """Warn that all results of a call are 0, because each pair of light and view has a direction below the horizon."""
+    """Warn that all results of a call are 0, because the light or the viewer of each direction is below the horizon."""
     warn(
         f"no pair of {ref('to_light')} and {ref('to_view')} is above the horizon (z > 0), so that all results are 0: "
         "directions are vectors away from the surface, in its frame with z along the normal"
@@ -187,7 +191,7 @@ def warn_of_aliasing(heightfield: HeightField, plan: Plan, direction_range: Dire
 def warn_outside(
     plan: Plan, heightfield: HeightField, direction_range: DirectionRange, *, integrates: bool = True
 ) -> None:
-    """Warn if the directions, wavelengths or heights of a call are outside of the range of its explicit ``plan``.
+    """Warn if the directions, wavelengths or heights of a call are outside of the range of the user's ``plan``.
 
     If ``integrates`` is True, the call computes colours by an integral over wavelengths. The order rate of the call
     (how fast orders pass a direction as 1/λ changes) is then compared, too.
@@ -201,7 +205,7 @@ def warn_outside(
     ]
     if integrates and plan.wavelengths and not plan.rings_per_octave and plan.coherence.sigma_um is None:
         # For coherence windows, the order rate (how fast orders pass as 1/λ changes) need not be compared: it equals
-        # |(u, v)|, which is compared above.
+        # |(u, v)|, and the lines above compare |(u, v)|.
         numbers.append(("an order rate up to", direction_range.max_order_rate, plan.max_order_rate, 1.0))
     if plan.method not in EXPANSIONS:
         # A fitted basis is valid only if |w|/λ is at least the product of the smallest |w| and the smallest 1/λ of its

@@ -1,5 +1,8 @@
 """Strategy of the planner: selects the direct sum, upper bounds, a colour table or a search, by predicted cost.
 
+An evaluation method is either a method that adds powers |H|² of Fourier coefficients H, or a method that adds the
+amplitudes H. "Source" means a light source of finite size (coherence of the kind "source").
+
 The planner first computes an upper-bound plan, which suffices for all directions of the range. Calls with few
 directions use this plan. For many directions, a search on a sample of the directions finds a cheaper plan, or a colour
 table replaces the integral over the wavelength.
@@ -48,18 +51,19 @@ if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.request.keywords import PlanKeywords
 
-# Typical cost of the upper-bound plan, divided by the cost of the plan that a search finds, by kind of coherence. The
-# numbers were fitted: they are medians of 32 random calls (docs/decisions/plans_and_tolerance.md).
+# Typical cost of the upper-bound plan, divided by the cost of the plan that a search finds, for each kind of coherence.
+# The numbers were fitted: they are medians of 32 random calls (docs/decisions/plans_and_tolerance.md).
 _SAVINGS = {"averaged": 2.6, "centred": 3.0, "source": 2.2, "replicas": 4.0}
 # Cost of a search, expressed as a number of directions. In the time of a search, the plan that it finds could evaluate
 # this number of directions. The number was fitted to 32 random calls.
 _SEARCH_DIRECTIONS = 16_000
-# If the caller selects a method that adds powers, a trial measures the rounding error of this method in float32. The
-# trial is made only for calls with at least this number of directions. The number was chosen because a trial requires
-# about a second, which fewer directions do not justify.
+# If the caller selects a method that adds powers, a trial (an evaluation of sampled directions) measures the rounding
+# error of this method in float32. The trial is made only for calls with at least this number of directions. The number
+# was chosen because a trial requires about a second, which fewer directions do not justify.
 _FEWEST_TRIED = 16
-# Assumed number of calls that use the same table, because pictures are often rendered again with another light or view.
-# If the number is doubled, the planner prefers a table already for calls with about half as many directions.
+# Assumed number of calls that use the same table. It exceeds 1 because pictures are often rendered again with another
+# light or view. If the number is doubled, the planner prefers a table already for calls with about half as many
+# directions.
 _EXPECTED_REPEATS = 3
 
 
@@ -128,7 +132,7 @@ def directions_of(
 
 
 def _repeated(directions: ArrayLike, name: str) -> NDArray[np.float64]:
-    """Return ``MOST_SAMPLED`` directions: a selection of ``directions``, or all of ``directions`` repeatedly."""
+    """Return ``MOST_SAMPLED`` of ``directions``; if there are fewer, the list of all of them is repeated."""
     checked, _ = validation.unit_directions(directions, name)
     if not len(checked):
         return np.zeros((MOST_SAMPLED, checked.shape[1]))
@@ -139,7 +143,7 @@ def _repeated(directions: ArrayLike, name: str) -> NDArray[np.float64]:
 def _any_direction(
     heightfield: HeightField, coherence: Coherence, direction_range: DirectionRange, known: NDArray[np.float64] | None
 ) -> DirectionRange:
-    """Return the range of all pairs of a known direction and any direction of the hemisphere.
+    """Return the range of all pairs that combine a known direction with any direction of the hemisphere.
 
     If ``known`` is None, both directions of a pair may be anywhere in the hemisphere.
     """
@@ -150,9 +154,9 @@ def _any_direction(
         z = known[above, 2]
         max_uv = 1.0 + float(np.max(np.hypot(known[above, 0], known[above, 1])))
         min_w, max_w = float(z.min()), 1.0 + float(z.max())
-    # The order rate (how fast orders pass as 1/λ changes) of a source has no upper limit near the horizon. The range
-    # therefore ends at the largest rate of the sampled directions. Directions with a larger rate are evaluated with the
-    # largest number of wavelengths of the plan.
+    # The order rate of a source (how fast diffraction orders pass a direction as 1/λ changes) has no upper limit near
+    # the horizon. The range therefore ends at the largest rate of the sampled directions. Directions with a larger rate
+    # are evaluated with the largest number of wavelengths of the plan.
     most = {"source": max(direction_range.max_order_rate, max_uv), "replicas": max_uv * max(heightfield.size_um)}
     return DirectionRange(min(max_uv, 2.0), most.get(coherence.kind, min(max_uv, 2.0)), min_w, max_w)
 
@@ -197,13 +201,13 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
 def _method(request: Evaluation) -> str:
     """Return the evaluation method that the caller requests.
 
-    If only ``integration`` has an explicit value, ``"low-rank"`` replaces ``"auto"``.
+    If the caller sets ``integration`` but no method, ``"low-rank"`` replaces ``"auto"``.
     """
     return AUTOMATIC if request.method == "auto" and request.integration != "auto" else request.method
 
 
 def _has_footprint_table(request: Evaluation) -> bool:
-    """Whether the pixels of a call show means over pixel footprints that a table with mip levels can compute."""
+    """Whether pixels of a call show means over their footprints, which a table with mip levels can compute."""
     return request.footprint and request.coherence.adds_powers and _method(request) == "auto"
 
 
@@ -302,6 +306,6 @@ def _coarse_plan(request: Evaluation, direction_range: DirectionRange) -> Plan:
     """Return a cheap, inaccurate plan, which only serves to find the bright directions of a call."""
     coarse = bounds.upper_bound_plan(request, direction_range, method=_method(request), tolerance=0.5)
     terms = coarse.terms if coarse.method in EXPANSIONS else min(coarse.terms, coefficient_table.LANES)
-    # The numbers of an upper-bound plan suffice for any surface. To find bright directions, half of its wavelengths
-    # suffice.
+    # The numbers of an upper-bound plan suffice for any surface. To find bright directions, half of the wavelengths of
+    # such a plan suffice.
     return replace(coarse, wavelengths=math.ceil(coarse.wavelengths / 2.0), terms=terms)

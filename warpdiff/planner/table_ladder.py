@@ -1,4 +1,8 @@
-"""Table ladder: search for the smallest colour table that meets a tolerance on the validation directions."""
+"""Table ladder: search for the smallest colour table that meets a tolerance on the validation directions.
+
+Tables have a few sizes, in ascending order. The size sets the number of rings of the table's polar grid. The validation
+directions are a sample of the call's directions, on which a trial measures the error of a table.
+"""
 
 from __future__ import annotations
 
@@ -22,18 +26,18 @@ if TYPE_CHECKING:
 
 
 # A search first tries the smallest table whose expected error is at most this share of the tolerance. The share was
-# fitted to the planning times of 32 calls (docs/decisions/plans_and_tolerance.md). If it was doubled, half of the first
-# tables would miss the tolerance, and another table would have to be computed.
+# fitted to the planning times of 32 calls (docs/decisions/plans_and_tolerance.md). If the share was doubled, the first
+# table would miss the tolerance in half of the calls, and another table would have to be computed.
 _FIRST_SHARE = 0.35
 # A search tries a larger table only if the present table has reduced the error enough: to at most this number times the
 # least error of the tables before. In addition, the present error must be at most twice the error that the order of
-# convergence predicts. The number must exceed 0.6, because the smallest step of the table size, 1.3 times the rings,
-# reduces the error to 0.6.
+# convergence predicts. The number must exceed 0.6, because the smallest step of the table size, to 1.3 times as many
+# rings, reduces the error to 0.6 times its value.
 _HELPS = 0.7
 
 
 def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, affordable: float) -> Plan | None:
-    """Return a plan with the smallest table whose validation error is within the target, or with the best table tried.
+    """Return a plan with the smallest table whose validation error is within the target, or with the best table.
 
     The target is the tolerance divided by ``SEARCH_SAFETY``. The search computes a table of each size that it tries.
     These tables stay in the cache, and the call that follows uses the last one. The result is None if no table was
@@ -49,8 +53,9 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
     """
     target = plan.tolerance / SEARCH_SAFETY
     if plan.coherence.kind == "source":
-        # A table of a source excludes directions near the mirror direction. These directions are computed by sampled
-        # wavelengths. For them, the plan needs the same least weight of Fourier coefficients as the reference plan.
+        # The table of a light source of finite size excludes directions near the mirror direction. These directions are
+        # computed by sampled wavelengths. For them, the plan needs the same least weight of Fourier coefficients as the
+        # reference plan.
         plan = replace(plan, least_weight=trial.reference.least_weight)
     plan, truncation = _few_terms(plan, trial, target / 2.0)
     sizes = polar_grid.table_sizes(plan.coherence)
@@ -81,9 +86,9 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
             break
         more_terms = min(plan.terms + LANES // 2, trial.most_terms(plan))
         if sampled_error is None and more_terms > plan.terms:
-            # The number of terms of the basis is only an estimate. After the first failure of a table, the search
-            # therefore measures the error of sampled wavelengths with the same number of terms. If this error is too
-            # large as well, the terms cause it, and the search uses more terms.
+            # The number of basis functions (terms) of the Fourier coefficients is only an estimate. After the first
+            # failure of a table, the search therefore measures the error of sampled wavelengths with the same number of
+            # terms. If this error is too large as well, the terms cause it, and the search uses more terms.
             sampled_error = trial.validation_error(plan)
             if sampled_error > target / 2.0:
                 plan, truncation = replace(plan, terms=more_terms), sampled_error
@@ -94,7 +99,7 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
         last_rings = rings
         if not w_basis_size and (not helps or (larger is None and error <= 2.0 * plan.tolerance)):
             # If more rings do not reduce the error, or if no larger size exists, the search increases the number of
-            # functions of w (the normal component) in the table.
+            # functions of w in the table. w is the normal component of the scattering vector.
             w_basis_size = min(candidate.w_basis_size + W_BASIS_STEP, MOST_W_BASIS)
             continue
         size = larger if helps else None
@@ -107,7 +112,7 @@ def _first_size(plan: Plan, trial: Trial, *, needed: bool) -> int | None:
     If a table is ``needed``, the result is a middle size instead of None.
     """
     # The expected errors are larger in two cases: if diffraction orders are far apart, and if few validation directions
-    # are bright, because the validation set then misses bright directions.
+    # are bright. In the second case, the validation set misses bright directions of the call.
     few_orders = polar_grid.orders_are_separate(trial.heightfield, plan.coherence) or trial.bright[1] < MIN_BRIGHT
     sizes = polar_grid.table_sizes(plan.coherence)
     errors = [polar_grid.table_error(rings, few_orders=few_orders) for rings, _ in sizes]
@@ -160,8 +165,8 @@ def _next_size(sizes: Sequence[tuple[int, float]], size: int, excess: float, exp
 def _few_terms(plan: Plan, trial: Trial, budget: float) -> tuple[Plan, float]:
     """Return a plan with the fewest terms whose truncation error is at most ``budget``, and this error.
 
-    A trial measures the error with ``LANES`` terms only. For other numbers of terms, the measured error is scaled in
-    proportion to the truncation errors of the fitted basis.
+    A trial measures the error of a plan with ``LANES`` terms. For other numbers of terms, the measured error is scaled
+    in proportion to the truncation errors of the fitted basis.
     """
     if plan.method in EXPANSIONS or plan.terms <= LANES:
         return plan, 0.0

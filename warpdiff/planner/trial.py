@@ -3,7 +3,9 @@
 A search may try any number of plans on the training set. The validation set judges only the result of the search.
 
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
-light and to the viewer. The component w is along the normal.
+light and to the viewer. The component w is along the normal. The floor is the smallest number by which an error is
+divided to give a relative error. "Candidates" are sampled directions, of which some are drawn into the two sets.
+"Source" means a light source of finite size (coherence of the kind "source").
 """
 
 from __future__ import annotations
@@ -39,12 +41,12 @@ if TYPE_CHECKING:
 # The factor was fitted by bench.reproduce.tolerance_sweep. In one call of a hundred, the error over all directions
 # exceeds the error on the validation set by more than this factor.
 SEARCH_SAFETY = 1.6
-# If a call has more directions than there are candidates, this number of the brightest candidates may be outliers. The
-# floor of relative errors is therefore computed both with and without these candidates. The number was fitted to a call
-# in which one of 6,312 directions, in the mirror lobe, had half of the total luminance.
+# If a call has more directions than candidates (sampled directions of the call), this number of the brightest
+# candidates may be outliers. The floor of relative errors is therefore computed both with and without these candidates.
+# The number was fitted to a call in which one of 6,312 directions, in the mirror lobe, had half of the total luminance.
 _LUCKY_BRIGHTEST = 4
-# Least luminance that counts as light, as a share of the luminance of a mirror. Light with a smaller luminance is
-# invisible.
+# Least luminance that counts as light, as a share of the luminance of a perfect mirror. Light with a smaller luminance
+# is invisible.
 DARK = 1e-10
 # An error of the reference plan, or of a fitted basis, is neglected if it is below this share of the tolerance. The
 # share was chosen so that such an error is small compared with the errors that a trial measures.
@@ -61,11 +63,11 @@ class Group:
     """Directions of a training or validation set on a device, with their weights and reference values.
 
     Attributes:
-        sample: The directions of the set, and the weight of each direction in percentiles of the error.
+        sample: Directions of the set, and the weight of each direction in percentiles of the errors.
         exact: Values of the directions by the reference plan, in the shape that ``Trial.run`` returns; None before
             ``Trial.exact`` computes them.
         scale: Divisor of the error of each direction, shape (rows, n): the reference value or the floor of relative
-            errors, whichever is larger. There is one row per illuminant and floor.
+            errors, whichever is larger. There is one row for each pair of illuminant and floor.
         above: Whether a direction is brighter than the floor, shape (rows, n).
     """
 
@@ -160,15 +162,16 @@ class Trial:
 
     @property
     def any_light(self) -> bool:
-        """Whether a floor of relative errors, or a value of a training direction, is above ``DARK``."""
+        """Whether a floor of relative errors, or the luminance of a training direction, is above ``DARK``."""
         return bool(np.any(self._floors > DARK) or np.any(self.exact(self.training_set) > DARK))
 
     @property
     def bright(self) -> tuple[float, float]:
-        """Numbers of bright validation directions: with the highest floor and with the lowest floor.
+        """Numbers of bright validation directions: for the highest floor and for the lowest floor.
 
-        Each number is for the illuminant with the fewest bright directions. A direction is bright if its luminance is
-        at least the floor of relative errors. Both numbers are infinite if the validation set has all candidates.
+        If there are several illuminants, each number is for the one with the fewest bright directions. A direction is
+        bright if its luminance is at least the floor of relative errors. Both numbers are infinite if the validation
+        set has all candidates.
         """
         if len(self.validation_set) == len(self._candidates):
             return math.inf, math.inf
@@ -310,8 +313,9 @@ class Trial:
     def validation_error(self, plan: Plan) -> float:
         """Return the 99.5th percentile of a plan's errors on the validation set.
 
-        Bright and dim directions have separate percentiles. The result is the larger one. Directions that orders pass
-        faster, as 1/λ changes, than the reference plan resolves are excluded, unless all directions are such.
+        Bright and dim directions have separate percentiles. The result is the larger one. A direction is excluded if
+        diffraction orders pass it faster, as 1/λ changes, than the wavelengths of the reference plan resolve. If this
+        is true of all directions, all are included.
         """
         exact = self.exact(self.validation_set)
         errors = self.validation_set.errors(self.run(plan, self.validation_set), exact)
@@ -353,8 +357,8 @@ def _percentile(values: NDArray[np.float64], weights: NDArray[np.float64], share
 def worst_percentile(errors: NDArray[np.float64], group: Group, included: NDArray[np.bool_] | None = None) -> float:
     """Return the larger of the 99.5th percentiles of the errors of bright and of dim directions.
 
-    ``errors`` has the shape (rows, n), with one row per illuminant and floor of relative errors. The result is the
-    largest percentile of all rows. Only the directions in the mask ``included`` count.
+    ``errors`` has the shape (rows, n), with one row for each pair of illuminant and floor of relative errors. The
+    result is the largest percentile of all rows. Only the directions in the mask ``included`` count.
     """
     included = np.ones(errors.shape[1], dtype=bool) if included is None else included
     # The tolerance limits the 99th percentile of the errors of all directions of a call. Percentiles of a small sample

@@ -2,10 +2,11 @@
 
 If few directions of a call are bright, a uniform sample may miss them. The angles of up to 8,192 directions are
 therefore examined. About 1,024 of them become candidates: some are selected uniformly, and all edge cases are included.
-Edge cases are near the mirror direction, near strong diffraction orders, at the largest geometry factors (gains), or at
-the ends of the ranges of the call, such as grazing directions. A coarse plan estimates the luminance of the candidates.
-The training set and the validation set are drawn from the candidates; bright candidates are drawn with a higher
-probability. The weight of a drawn direction is proportional to the number of the call's directions that it represents.
+Edge cases are directions near the mirror direction, near strong diffraction orders, with the largest geometry factors
+(gains), or at the ends of the ranges of the call, such as grazing directions. A coarse plan estimates the luminance of
+the candidates. The training set and the validation set are drawn from the candidates; bright candidates are drawn with
+a higher probability. The weight of a drawn direction is proportional to the number of the call's directions that it
+represents.
 
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
 light and to the viewer. The component w is along the normal.
@@ -36,14 +37,14 @@ _CANDIDATES, _TRAINING = 1024, 128
 # Number of validation directions. The validation set is larger than the training set, because it decides whether a plan
 # is accepted.
 _VALIDATION = 2 * _TRAINING
-# Number of edge cases of each kind, such as the most grazing directions. Each strong diffraction order is a kind of its
-# own: the directions near it are edge cases. The same number of strong orders is examined. The value was chosen so that
-# all edge cases together are at most a third of the candidates.
+# Number of edge cases of each kind, such as the most grazing directions. The directions near one strong diffraction
+# order are a kind of edge cases. The same number, 16, is also the number of strong orders that are examined. The value
+# was chosen so that all edge cases together are at most a third of the candidates.
 _EDGE_CASES = 16
 # A candidate is drawn into a set for one of three reasons: by a uniform draw, because it is bright, or because it is an
-# edge case. This number is the probability of the third reason, divided by the probability of each of the other two.
-# About a ninth of a set is therefore drawn as edge cases. Among the directions that are drawn for the other two
-# reasons, there are further edge cases.
+# edge case. This number is the probability of a draw as an edge case, divided by the probability of each of the other
+# two draws. About a ninth of a set is therefore drawn as edge cases. Among the directions that are drawn for the other
+# two reasons, there are further edge cases.
 _EDGE_CASE_SHARE = 0.25
 
 
@@ -110,8 +111,9 @@ def _draw(
     """Draw ``count`` of the directions with the indices ``among`` by systematic sampling, each direction at most once.
 
     The probability of a direction is proportional to ``measure``, and the weight of the direction in the result is
-    divided by this probability. ``represents`` is the number of all candidates divided by the number of directions in
-    ``among``. All weights are multiplied by ``represents``, so that the drawn directions represent all candidates.
+    divided by this probability. ``represents`` is the number of all candidates (the directions from which both sets are
+    drawn) divided by the number of directions in ``among``. All weights are multiplied by ``represents``, so that the
+    drawn directions represent all candidates.
     """
     if len(among) <= count:
         return candidates.some(among, represents * candidates.weights[among])
@@ -134,7 +136,7 @@ def _edge_cases(
 ) -> NDArray[np.int64]:
     """Return the indices of edge cases: directions near a strong order, or with extreme angles, rates or gains.
 
-    Rates are order rates, and gains are geometry factors.
+    Rates are order rates (how fast orders pass a direction as 1/λ changes), and gains are geometry factors.
     """
     u, v, w = sample.scattering_vectors.T
     across, light = np.hypot(u, v), sample.to_lights[:, 2]
@@ -177,9 +179,9 @@ def _order_light(
     # the falloff is an arbitrary 1 µm².
     falloff_um2 = 1.0
     if plan.coherence.kind != "replicas":
-        # For a centred window, the falloff of an order's amplitude is used. It is half of the falloff of the order's
-        # power. The estimated power then extends farther from each order. Directions in the minima between orders are
-        # therefore edge cases, too. Tables have their largest errors in these minima.
+        # For a centred coherence window (kind "centred"), the falloff of the amplitude of an order is used, which is
+        # half of the falloff of its power. The estimated power then extends farther from each order. Directions in the
+        # minima between orders are therefore edge cases, too. Tables have their largest errors in these minima.
         falloff_um2 = coefficient_table.falloff_um2(plan.coherence, 0.5)
     strength = np.log(np.maximum(powers, TINY)) - falloff_um2 * away
     return np.asarray(strength + np.log(np.maximum(sample.gains, TINY))[:, None])

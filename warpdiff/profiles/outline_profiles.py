@@ -9,7 +9,7 @@ import numpy as np
 from warpdiff.core import validation
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.profiles.outline import Outline
-from warpdiff.profiles.profile_base import Profile
+from warpdiff.profiles.profile_base import HEIGHT_MARGIN_UM, Profile
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 # Range of a period, relative to its start value. The range was chosen because angles of orders determine a period more
 # precisely than 5 %, and because fits that start further away end at other minima.
 _PERIOD_RANGE = 0.95, 1.05
-# Largest difference between the height of a vertex and its start value [µm]. The value is limited because scalar
-# diffraction does not describe steeper surfaces.
-_HEIGHT_MARGIN_UM = 10.0
 # Upper bound of a depth, relative to its start value. A factor of 3 was chosen because the random starts of a fit lie
 # between the bounds; with a larger factor, more of them end at other minima.
 _DEPTH_RANGE = 3.0
@@ -134,7 +131,7 @@ class Polygon(_OutlineProfile):
             position, height = array[k]
             bounds += [
                 [position - 0.499 * gaps[0], position + 0.499 * gaps[1]],
-                [height - _HEIGHT_MARGIN_UM, height + _HEIGHT_MARGIN_UM],
+                [height - HEIGHT_MARGIN_UM, height + HEIGHT_MARGIN_UM],
             ]
         base = np.zeros_like(array)
         base[0] = array[0]

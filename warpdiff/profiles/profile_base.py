@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
+# Largest difference between the height of a sample or vertex and its start value [µm]. The value is limited because
+# scalar diffraction does not describe steeper surfaces.
+HEIGHT_MARGIN_UM = 10.0
+
 
 class Profile(ABC):
     """Surface with p parameters: start values, bounds, and the chain rule between surface and parameters.

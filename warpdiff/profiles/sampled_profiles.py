@@ -10,7 +10,7 @@ import numpy as np
 from warpdiff.core import validation
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.heightfield.field import HeightField, check_whole
-from warpdiff.profiles.profile_base import Profile
+from warpdiff.profiles.profile_base import HEIGHT_MARGIN_UM, Profile
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -18,10 +18,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     Array = NDArray[np.float64]
-
-# Largest difference between a height and its start value [µm]. The value is limited because scalar diffraction does not
-# describe steeper surfaces.
-_HEIGHT_MARGIN_UM = 10.0
 
 
 class _SampledProfile(Profile):
@@ -83,7 +79,7 @@ class Samples(_SampledProfile):
         self._shape = heightfield.shape
         heights = heightfield.heights_um.ravel()
         names = tuple(f"height_um[{j}, {i}]" for j, i in np.ndindex(self._shape))
-        bounds = np.stack([heights - _HEIGHT_MARGIN_UM, heights + _HEIGHT_MARGIN_UM], axis=1)
+        bounds = np.stack([heights - HEIGHT_MARGIN_UM, heights + HEIGHT_MARGIN_UM], axis=1)
         super().__init__(names, heights, bounds, heightfield.pitch_um)
 
     def _heights(self, x: Array) -> Array:
@@ -126,7 +122,7 @@ class Pixels(_SampledProfile):
         self._along_y = self.samples if heights.shape[0] > 1 else 1
         names = tuple(f"level_um[{j}, {i}]" for j, i in np.ndindex(heights.shape))
         flat = heights.ravel()
-        bounds = np.stack([flat - _HEIGHT_MARGIN_UM, flat + _HEIGHT_MARGIN_UM], axis=1)
+        bounds = np.stack([flat - HEIGHT_MARGIN_UM, flat + HEIGHT_MARGIN_UM], axis=1)
         super().__init__(names, flat, bounds, (self.pixel_um / self._along_y, self.pixel_um / self.samples))
 
     def _heights(self, x: Array) -> Array:
@@ -169,7 +165,7 @@ class ScanModes(_SampledProfile):
             validation.number(scale, "scale"), *validation.numbers(tilt, "tilt", length=2),
             validation.number(bow, "bow"),
         ]  # fmt: skip
-        margin = [[-_HEIGHT_MARGIN_UM, _HEIGHT_MARGIN_UM]] * 3
+        margin = [[-HEIGHT_MARGIN_UM, HEIGHT_MARGIN_UM]] * 3
         names = ("scale", "tilt_y_um", "tilt_x_um", "bow_um")
         super().__init__(names, start, [[0.0, 10.0], *margin], heightfield.pitch_um)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import warp as wp
 
 # Names of the fields of :class:`Accumulators` that a picture with several lights stores twice: as sums over all lights,
-# and for the light that is rendered at the moment.
+# and as values for the light that is rendered at the moment.
 _OF_ONE_LIGHT = ("xyz", "illuminated", "errors")
 
 
@@ -18,10 +18,10 @@ class Accumulators:
     Attributes:
         xyz: Sums of colours, ``wp.vec3f``.
         coverage: Fraction of each pixel that the mesh covers; all lights use the same array.
-        coverage_levels: Sum of the subdivision levels of the nine tiles (the pixel and its neighbours) from which the
-            coverage was computed. If the sum is larger for a later light, the cells for this light are finer, and the
-            coverage from these cells replaces the stored one. Empty if pixels show points. All lights use the same
-            array.
+        coverage_levels: Sum of the subdivision levels of the nine tiles (the pixel and its eight neighbours, each
+            divided into cells) from which the coverage was computed. If the sum is larger for a later light, the cells
+            for this light are smaller, and the coverage from these cells replaces the stored coverage. Empty if pixels
+            show points. All lights use the same array.
         illuminated: Whether any light reached the pixel.
         errors: Estimated errors ‖ΔXYZ‖ of means over pixels; empty if pixels show points.
         edges: Whether an edge of the mesh or of a shadow passes through the pixel; all lights use the same array.

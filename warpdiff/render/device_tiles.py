@@ -1,4 +1,7 @@
-"""Tiles on a GPU: kernels list and count the tiles, without work on the host, so that launches can be recorded."""
+"""Tiles on a GPU: kernels list and count the tiles, without work on the host, so that launches can be recorded.
+
+A tile is a pixel that is divided into subpixel cells, with one ray per cell. At level n, a tile has 2ⁿ × 2ⁿ cells.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ _MOST_RAYS = 1 << 20
 class DeviceTiles:
     """Tile executor on a GPU, whose launches can be recorded as a CUDA graph.
 
-    A recorded launch over a level without tiles has no effect.
+    If a level has no tiles, its recorded launches have no effect.
 
     Attributes:
         floor: Smallest ‖XYZ‖ by which errors are divided to give relative errors, shape (1,).

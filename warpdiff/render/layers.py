@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from warpdiff.scene.camera_rays import CameraRays
     from warpdiff.scene.mesh_import import Surface
 
-# Name of the layer with the light of single lights. It comes from the picture itself, and not from central rays.
+# Name of the layer with the light of single light sources. Its values are those of the picture itself, and not of the
+# rays through pixel centres.
 LIGHT = "light"
 
 
@@ -124,11 +125,15 @@ class CentralHits:
         has_colour = self.surface.has_base_colour
         return self.vectors("base_colour") if has_colour else np.zeros((len(self.faces), 3), dtype=np.float32)
 
+    def local(self, directions: NDArray[np.float32 | np.float64]) -> NDArray[np.float64]:
+        """Return unit vectors in the local frame for directions in the world frame at the hits, both (hits, 3)."""
+        axes = np.stack([self.vectors(name) for name in ("tangent", "bitangent", "normal")], axis=1).astype(np.float64)
+        local = np.einsum("nac,nc->na", axes, directions)
+        return np.asarray(local / np.linalg.norm(local, axis=1, keepdims=True))
+
     def to_view(self) -> NDArray[np.float64]:
         """Return unit vectors to the viewer in the local frame, shape (hits, 3)."""
-        axes = np.stack([self.vectors(name) for name in ("tangent", "bitangent", "normal")], axis=1).astype(np.float64)
-        local = np.einsum("nac,nc->na", axes, self.vectors("to_view"))
-        return np.asarray(local / np.linalg.norm(local, axis=1, keepdims=True))
+        return self.local(self.vectors("to_view"))
 
 
 # Values of the layers that do not depend on the lights, by name. Layers of face numbers have no entry.

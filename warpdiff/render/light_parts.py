@@ -39,7 +39,7 @@ def check_extent(light: Light, name: str, coherence: Coherence, *, means: bool) 
 def parts_of(
     lights: Sequence[Light], evaluation: Evaluation, *, refine: bool, means: bool, first: int = 0
 ) -> list[LightPart]:
-    """Check lights and return their parts. Without refinement, discs of up to 5° become single lobes.
+    """Check lights and return their parts. Without refinement, disc lights of up to 5° become single lobes.
 
     ``first`` is the index of the first light among the lights of the picture, for errors.
 
@@ -55,7 +55,7 @@ def parts_of(
         for part in light.parts(evaluation.coherence, single_lobe=not refine, name=name):
             if part.has_extent:
                 check_extent(light, name, evaluation.coherence, means=means)
-            # A subclass of ``LobeSet`` that makes a pass of its own kind is a separate part.
+            # A subclass of ``LobeSet`` that overrides ``make_pass`` is a separate part.
             if isinstance(part, LobeSet) and type(part).make_pass is LobeSet.make_pass:
                 lobes += [replace(lobe, name=f"{ref(name)} ({type(light).__name__})") for lobe in part.lobes]
             else:

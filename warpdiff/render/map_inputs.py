@@ -17,19 +17,18 @@ from warpdiff.request.plan import Plan
 from warpdiff.scene.mesh_import import HOW_TO_GET_TANGENTS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Collection, Iterable, Iterator
 
     from numpy.typing import NDArray
 
     from warpdiff.heightfield.grating_map import GratingMap
     from warpdiff.lights.surface_optics import SurfaceOptics
-    from warpdiff.render.picture_inputs import SurfaceInputs
     from warpdiff.request.settings import PictureSettings
     from warpdiff.scene.mesh_import import Surface as Mesh
 
 
 def settings_of_map(grating_map: GratingMap, settings: PictureSettings) -> PictureSettings:
-    """Check the options of a surface with a map, and return them with the coherence of the map.
+    """Check the options of a surface with a grating map, and return them with the coherence of the map.
 
     If neither a coherence nor a plan is given, the coherence is ``Coherence("source")``.
 
@@ -125,12 +124,14 @@ def naming_depth_scale(grating_map: GratingMap | None) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def naming_texture_coordinates(surfaces: Mapping[str, SurfaceInputs]) -> Iterator[None]:
-    """Context in which errors about a mesh without tangents state that maps require texture coordinates."""
+def naming_texture_coordinates(has_map: Collection[bool]) -> Iterator[None]:
+    """Context in which errors about a mesh without tangents state that maps require texture coordinates.
+
+    ``has_map`` states for each surface of the mesh whether it has a map.
+    """
     try:
         yield
     except ArgumentValueError as error:
-        has_map = [own.grating_map is not None for own in surfaces.values()]
         if HOW_TO_GET_TANGENTS not in error.marked or not any(has_map):
             raise
         if all(has_map):

@@ -1,4 +1,8 @@
-"""Pictures: the rays, the passes of lights and the sums of a picture on a device."""
+"""Pictures: the rays, the passes of lights and the sums of a picture on a device.
+
+A pixel begins as one ray. Refinement divides a pixel into subpixel cells, with one ray per cell; level n has 2ⁿ × 2ⁿ
+cells. A pixel shows either the mean of the colours over its footprint (the area of its filter) or the colour of points.
+"""
 
 from __future__ import annotations
 
@@ -54,11 +58,11 @@ _PROGRESS_OF_FIRST_RAYS = 0.3
 # time if there are many shadow rays. The value was fitted to pictures of the snake mesh, which have 20 shadow rays per
 # hit at a tolerance of 0.1, and 59 at 0.03.
 _SHADOW_RAYS_REFINED = 24
-# Level of the first cells of pixels near the edges of dots of a grating map. The value was chosen because with 4 cells
-# instead of 16, the scatter of colours that dots cause within a pixel is often missed.
+# Level of the first subpixel cells in pixels near the edges of dots of a grating map. The value was chosen because with
+# 4 cells instead of 16, the scatter of colours that dots cause within a pixel is often missed.
 _FIRST_LEVEL_OF_DOTS = 2
 # Number of pixels per slice when colours of one ray per pixel are looked up on the CPU. The value was chosen because
-# longer slices distribute work less evenly over threads, and shorter slices require more launches.
+# larger slices distribute work less evenly over threads, and smaller slices require more launches.
 _COLOURS_OF_SLICE = 2048
 
 
@@ -200,7 +204,8 @@ class Picture:
             if xyz_by_part is not None:
                 xyz_by_part.append(self._cropped(self._sums.xyz).copy())
         if xyz_by_part is not None and len(groups) > 1:
-            # Pictures of points have no margin, so that the cropped colours are those of all pixels.
+            # Pictures of points have no margin of additional pixels, so that the cropped colours are those of all
+            # pixels.
             self._sums.xyz.assign(np.sum(xyz_by_part, axis=0, dtype=np.float32).reshape(-1, 3))
 
     def illuminated(self, index: LobeIndex) -> Sequence[Sequence[IlluminatedMaterial]]:
@@ -261,10 +266,7 @@ class Picture:
         # The callables of previews are called by the host between launches. A recorded graph is launched without the
         # host, so it has no previews.
         previews = previews if isinstance(self.rays, RasterizedRays) else ()
-        # Look-ups by sampled wavelengths ignore footprints. Cells near the mirror direction of a map under a source are
-        # therefore points, even if the rest of the map has a table.
-        means = lookups.uses_footprints and not (self.context.dots is not None and lookups.needs_sampling)
-        least_level = pixel_filter.level_of(self._least_samples, means=means)
+        least_level = pixel_filter.level_of(self._least_samples, means=lookups.uses_footprints)
         if len(self._passes) > 1:
             # Each light is refined to its final tolerance before the next light begins. A preview requires all lights,
             # so that they are all rendered at the tolerance of the preview first.

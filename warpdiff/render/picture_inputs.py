@@ -90,8 +90,8 @@ class SurfaceInputs:
         )
         parts = parts_of(lights, evaluation, refine=settings.refine, means=footprint)
         plan = None if evaluation.plan is None else replace(evaluation.plan, footprint=footprint)
-        # The planner tries tables for the spectra of lobes. If only a sky illuminates, tables for one of its three
-        # primary spectra suffice, because all three are smooth.
+        # The planner tries tables for the spectra (illuminants) of lobes. If a sky is the only light, tables for one of
+        # the sky's three primary spectra suffice, because all three are smooth.
         spectra = [name for part in parts if part.has_lobes for name in part.spectra] or parts[0].spectra[:1]
         materials = [material_of_dots(material, grating_map) for material in evaluation.materials.values()]
         illuminated = IlluminatedMaterial.of(spectra, materials)
@@ -228,6 +228,11 @@ class PictureInputs:
     def heightfields(self) -> list[HeightField | None]:
         """Height field of each surface; None for a plain surface."""
         return [None if own.is_plain else own.evaluation.heightfield for own in self.surfaces.values()]
+
+    @property
+    def has_map(self) -> list[bool]:
+        """Whether each surface has a grating map."""
+        return [own.grating_map is not None for own in self.surfaces.values()]
 
     @property
     def plain(self) -> dict[str, bool] | None:

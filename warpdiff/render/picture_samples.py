@@ -26,8 +26,9 @@ if TYPE_CHECKING:
     from warpdiff.render.pixel_sampler import LobeIndex
     from warpdiff.render.renderer import Renderer
 
-# Largest standard deviation of a footprint in (u, v). At silhouettes, directions change so fast that footprints, which
-# are linear approximations, would exceed the hemisphere without this limit.
+# Largest standard deviation of a footprint in (u, v), the tangential components of the scattering vector. At
+# silhouettes, directions change so fast that footprints, which are linear approximations, would exceed the hemisphere
+# without this limit.
 _WIDEST = 0.35
 # Names of the fields of :class:`LitPixels` with one entry per sample, without the field of the footprints.
 _ARRAYS = ("pixels", "scattering_vectors", "to_lights", "gains")

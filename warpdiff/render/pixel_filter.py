@@ -41,8 +41,8 @@ _CELL_SIGMA_PER_SPACING = 0.4
 # Smallest level of pixels at silhouettes of the mesh; level 2 has 4 × 4 cells. The value was chosen because one level
 # more requires four times as many cells at silhouettes.
 SILHOUETTE_LEVEL = 2
-# Smallest and largest number of rays that a thread shades in one launch. With fewer rays, launches use a larger part of
-# the time. With more rays, buffers require more memory.
+# Smallest and largest number of rays that a thread shades in one launch. With fewer rays, the overhead of launches is a
+# larger part of the time. With more rays, buffers require more memory.
 _LEAST_RAYS, MOST_RAYS = 8192, 32_768
 # Largest number of rays whose faces are found in one rasterization. The value is limited by memory: a ray requires
 # eight bytes.
@@ -105,9 +105,10 @@ def weights_of(level: int, *, means: bool) -> NDArray[np.float64]:
 def filter_normalisation_on(means: bool, device: str) -> wp.array:
     """Return correction factors for the weights of cells, one row per level and three columns.
 
-    The columns are for a pixel, and for its neighbours on both sides along an axis. In each of these three pixels, the
-    pixel filter has a certain part of its weight. The weights of the cells in this pixel add up to a slightly different
-    sum. The factor is that part divided by this sum.
+    The columns are for the neighbour of a pixel on one side, the pixel itself, and the neighbour on the other side
+    along an axis. The filter of the pixel has a certain part of its weight in each of these three pixels. The weights
+    of the cells in such a pixel add up to a slightly different sum. The correction factor is that part divided by this
+    sum.
     """
     filter_normalisation = [
         np.array(FILTER_SHARES) / weights_of(level, means=means).reshape(3, -1).sum(axis=1) for level in LEVELS
@@ -118,7 +119,7 @@ def filter_normalisation_on(means: bool, device: str) -> wp.array:
 
 
 def parts(pixels: NDArray[np.int32], level: int) -> Iterator[NDArray[np.int32]]:
-    """Divide a list of pixels into consecutive parts that do not have more cells than one rasterization can process."""
+    """Divide a list of pixels into consecutive parts. A rasterization can process all cells of a part at once."""
     size = _MOST_RASTERIZED // rays_at(level)
     for first in range(0, len(pixels), size):
         yield pixels[first : first + size]

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from warpdiff.lights.light_pass import LightPass, PassContext
     from warpdiff.render.accumulators import Accumulators
 
-# Rays are traced before a plan is chosen, to measure the range of scattering vectors. If pixels show points, there are
-# at most `_SAMPLES_MEASURED` rays per pixel. If pixels show means over footprints, there are about `_CELLS_MEASURED`
-# rays in total, and at most `_MOST_SAMPLES_MEASURED` per pixel. Their positions in the pixel vary, because subpixel
-# cells have directions that do not occur at pixel centres. The numbers are limited by time, which is proportional to
-# them.
+# Before a plan is chosen, rays are traced to measure the range of the scattering vectors. If pixels show points, there
+# are at most `_SAMPLES_MEASURED` rays per pixel. If pixels show means over footprints, there are about
+# `_CELLS_MEASURED` rays in total, and at most `_MOST_SAMPLES_MEASURED` per pixel. Their positions in the pixel vary,
+# because subpixel cells have directions that do not occur at pixel centres. The numbers are limited by time, which is
+# proportional to them.
 _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 
 
@@ -93,7 +93,7 @@ class PixelSampler:
         )  # fmt: skip
 
     def trace(self, sample: int, samples_per_pixel: int | None = None) -> None:
-        """Trace one ray per pixel: the ray with the index ``sample`` among the rays of a pixel."""
+        """Trace one ray per pixel: the ray with the index ``sample`` among all rays of the pixel."""
         self._context.rays.launch(self._trace_calls(sample, samples_per_pixel or self._samples_per_pixel))
         self._sample = sample
 
@@ -144,8 +144,8 @@ class PixelSampler:
     def _of_dots(self, surface: int) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]] | None:
         """Return the directions of the last lobe in the frames of a surface's dots; None without a grating map.
 
-        Directions to the light are unit vectors. A plan therefore meets its tolerance for the smallest pitch scale,
-        whose orders are narrowest relative to (u, v).
+        Directions to the light are unit vectors. A plan therefore meets its tolerance for the dots with the smallest
+        pitch scale (factor of the lengths in a dot), whose orders are narrowest relative to (u, v).
         """
         dots, of_dots = self._context.dots, self.samples.of_dots
         if dots is None or of_dots is None or not dots.has_map(surface):

@@ -1,5 +1,8 @@
 """Refinement: selection of the pixels that are subdivided into cells, and of the level of each.
 
+A tile is a pixel that is divided into subpixel cells, with one ray per cell. At level n, a tile has 2ⁿ × 2ⁿ cells. The
+base level is the level of the first cells of a tile.
+
 :class:`RefinementLoop` is the same for the CPU and GPUs; a :class:`TileExecutor` shades the cells. On the CPU, the host
 lists the tiles of each level, reports progress, and stops if the caller cancels. On a GPU, kernels list the tiles
 without the host, so that launches can be recorded.
@@ -29,8 +32,8 @@ if TYPE_CHECKING:
     from warpdiff.render.tile_buffers import TileBuffers
     from warpdiff.tables.lookup import Lookups
 
-# Number of pixels per slice of a launch on the CPU. The value was fitted so that launches add 1 % to the time of the
-# kernels.
+# Number of pixels that one thread processes in one launch on the CPU (a slice). The value was fitted so that launches
+# add 1 % to the time of the kernels.
 SLICE = 32_768
 
 
@@ -58,7 +61,7 @@ class RefinementPolicy:
 
     @property
     def measures_scatter(self) -> bool:
-        """Whether levels and errors follow from the scatter of the colours of cells, instead of their curvature."""
+        """Whether the scatter of the cells' colours determines levels and errors, instead of their curvature."""
         return self.is_sampled or self.has_dots
 
     @property
@@ -122,7 +125,7 @@ class LightRefinement:
 
     @property
     def _cells_are_means(self) -> bool:
-        """Whether cells have a filter: that of footprints in (u, v), or that of textures."""
+        """Whether cells show means over their filter: means over footprints in (u, v), or means of textures."""
         return self.lookups.uses_footprints or self.light_pass.context.is_textured
 
     def estimate_errors(self, floor: wp.array, marks: wp.array) -> KernelCall:
@@ -138,9 +141,9 @@ class LightRefinement:
         return KernelCall(pixel_contrast.estimate_errors, inputs, [self.sums.errors, marks], in_runs=True)
 
     def mark_edges_of_dots(self, floor: wp.array, marks: wp.array) -> KernelCall | None:
-        """Return the kernel call that marks pixels near the edges of dots, which the previous call does not find.
+        """Return the kernel call that marks pixels near the edges of dots, which :meth:`estimate_errors` does not find.
 
-        It is None if there are no dots, or if all pixels are marked already.
+        The result is None if there are no dots (no grating map), or if all pixels are marked already.
         """
         policy, samples = self.policy, self.batch.samples
         if samples.of_dots is None or policy.is_sampled or not policy.refine:

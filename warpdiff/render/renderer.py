@@ -95,7 +95,7 @@ class Renderer:
             )
         inputs = PictureInputs.of(heightfield, lights, view, checked)
         load_kernels(inputs.evaluation.device)
-        with picture_memory(view), naming_texture_coordinates(inputs.surfaces):
+        with picture_memory(view), naming_texture_coordinates(inputs.has_map):
             surface = prepare_surface(mesh, tangents=checked.tangents, plain=inputs.plain)
         self._begin(inputs, surface, view)
         self.draw()

@@ -91,7 +91,7 @@ def shade(
     progress = reporter(progress, "shade")
     load_kernels(inputs.evaluation.device)
     with picture_memory(view):
-        with naming_texture_coordinates(inputs.surfaces):
+        with naming_texture_coordinates(inputs.has_map):
             surface = prepare_surface(mesh, tangents=checked.tangents, plain=inputs.plain)
         if spectral is not None:
             (own,) = inputs.surfaces.values()
@@ -150,15 +150,17 @@ class LayerRequest:
         image, xyz_by_part = rendered
         if not self.names:
             return image
-        points = inputs.of_points(self.directed).picture(surface, view)
-        points.set_lights(self.directed)
         colours = iter(xyz_by_part)
-        by_light: dict[str, NDArray[Any]] = {
+        computed: dict[str, NDArray[Any]] = {
             f"{LIGHT}.{index}": sum((next(colours) for _ in parts[1:]), next(colours))
             for index, parts in enumerate(self.parts)
         }
-        others = layers_of(points, [name for name in self.names if name not in by_light])
-        layers = {name: by_light[name] if name in by_light else others[name] for name in self.names}
+        of_points = [name for name in self.names if name not in computed]
+        if of_points:
+            points = inputs.of_points(self.directed).picture(surface, view)
+            points.set_lights(self.directed)
+            computed |= layers_of(points, of_points)
+        layers = {name: computed[name] for name in self.names}
         return replace(image, layers=layers, names=names_of(surface, self.names))
 
 
@@ -197,7 +199,7 @@ def warn_unconverged(image: Image) -> None:
     report = image.report
     if report is not None and not report.is_converged:
         warn(
-            f"{100.0 * report.unconverged_share:.2g} % of the illuminated pixels are expected to exceed "
+            f"{100.0 * report.unconverged_share:.2g} % of the illuminated interior pixels are expected to exceed "
             f"{ref('tolerance', report.tolerance)}, and {100.0 * report.unconverged_edge_share:.2g} % of those at "
             "edges to exceed three times the tolerance: see image.error; render a larger picture, or move the camera "
             "closer"

@@ -1,4 +1,7 @@
-"""Tiles on the CPU: the host lists the tiles of each level, and threads shade them in slices."""
+"""Tiles on the CPU: the host lists the tiles of each level, and threads shade them in slices.
+
+A tile is a pixel that is divided into subpixel cells, with one ray per cell. At level n, a tile has 2ⁿ × 2ⁿ cells.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +63,7 @@ class _ShadedTiles:
     """
 
     def __init__(self) -> None:
-        # Dictionary from the level to the indices of the shaded tiles, and copies of the sums over their cells.
+        # For each level, the indices of the shaded tiles, and copies of the sums over their cells.
         self._by_level: dict[int, tuple[NDArray[np.int32], list[NDArray[Any]]]] = {}
 
     def fill(
@@ -148,8 +151,8 @@ class ThreadedTiles:
         width, height = self._rays.width, self._rays.height
         has_cells = pixel_filter.around(pixels, width, height)
         tiles = np.flatnonzero(has_cells).astype(np.int32)
-        # A pixel that is not marked can still be computed from cells, if the pixel itself and its eight neighbours are
-        # tiles of marked pixels. It gets the mark ``SHARED``.
+        # A pixel that is not marked for subdivision can still be computed from cells, if the pixel itself and its eight
+        # neighbours are tiles of marked pixels. It gets the mark ``SHARED``.
         touched = pixel_filter.around(np.flatnonzero(~has_cells), width, height).ravel()
         between = np.flatnonzero(~touched & (self._marked == 0)).astype(np.int32)
         self._marked[between] = pixel_contrast.SHARED

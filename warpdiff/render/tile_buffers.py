@@ -1,4 +1,7 @@
-"""Tile buffers: arrays with one entry per subpixel cell, for the rays of many tiles, one tile after the other."""
+"""Tile buffers: arrays with one entry per subpixel cell, for the rays of many tiles, one tile after the other.
+
+A tile is a pixel that is divided into subpixel cells, with one ray per cell. At level n, a tile has 2ⁿ × 2ⁿ cells.
+"""
 
 from __future__ import annotations
 
@@ -49,9 +52,9 @@ class TileBuffers:
         gbuffer: Hits of the rays.
         samples: Samples of one lobe at the hits; the samples of the next lobe overwrite them.
         colours: Colours of the rays, added over the lobes of a light.
-        unserved_gain: Geometry factors of directions that a table does not contain. tiles: For each level, an array of
-        the pixels whose cells are in the buffers. Only the array of the level that is
-            shaded at the moment is used.
+        unserved_gain: Geometry factors of directions that a table does not contain.
+        tiles: For each level, an array of the pixels whose cells are in the buffers. Only the array of the level that
+            is shaded at the moment is used.
     """
 
     gbuffer: GBuffer
@@ -104,8 +107,8 @@ class SharedTileBuffers:
 
     def __init__(self, parts: int, *, kind: BufferKind, device: wp.Device) -> None:
         """Allocate buffers that ``parts`` threads can use at the same time."""
-        # Each part of the buffers, which one thread uses at a time, has space for a whole number of pixels with their
-        # cells at any level, and for a whole number of the batches of rays that look-ups process together.
+        # A part of the buffers is used by one thread at a time. Its size is a multiple of the largest number of cells
+        # per pixel, and of the number of rays that look-ups process together (``BATCH``).
         multiple = math.lcm(refinement_levels.rays_at(refinement_levels.MOST_LEVEL), BATCH)
         self._size = -(-pixel_filter.MOST_RAYS // multiple) * multiple
         rays = parts * self._size
@@ -141,8 +144,8 @@ class SharedTileBuffers:
                 self._tiles[level][first // rays : end // rays] = pixels[part.start : part.stop]
                 self._nearest[first:end] = nearest[part.start * rays : part.stop * rays]
                 self._colours[first:end] = 0.0
-                # Look-ups process whole batches of rays. The rays after the end of the slice fill the last batch. They
-                # get the gain 0, so that they contribute nothing.
+                # Look-ups process batches of ``BATCH`` rays. The last batch of a slice may contain rays after the end
+                # of the slice. These rays get the gain 0, so that they contribute nothing.
                 for gains in self._gains:
                     gains[end : -(-end // BATCH) * BATCH] = 0.0
                 pipeline.launch(range(first, end))

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Largest number of directions that the planner samples from the directions of a call. It tries plans on the sampled
-# directions. If the number was doubled, planning would require more time.
+# Largest number of directions that the planner samples from the directions of a call. The planner tries plans on the
+# sampled directions. If the number was doubled, planning would require more time.
 MOST_SAMPLED = 8192
 # If a call has fewer directions than this, the planner uses all of them. Otherwise it samples at most half of them.
 _SAMPLED_FROM = 4096
@@ -175,10 +175,10 @@ def order_rate(
 ) -> NDArray[np.float64]:
     """Return the order rate of n directions: how fast diffraction orders pass a direction as 1/λ changes, shape (n,).
 
-    The rate is |(u, v)| for a window, and |(u Lx, v Ly)| [µm] for replicas of a patch with the sides Lx and Ly. For a
-    source, the rate is a stretched |(u, v)|. The disc of the source is foreshortened along the tangential part of the
-    direction to the light. The component of (u, v) along this part is therefore divided by cos θi, where θi is the
-    angle of the light from the normal.
+    The rate is |(u, v)| for a coherence window, and |(u Lx, v Ly)| [µm] for replicas of a patch with the sides Lx and
+    Ly. For a light source of finite size, the rate is a stretched |(u, v)|. The disc of the source is foreshortened
+    along the tangential part of the direction to the light. The component of (u, v) along this part is therefore
+    divided by cos θi, where θi is the angle of the light from the normal.
     """
     u, v = scattering_vectors[:, 0], scattering_vectors[:, 1]
     if coherence.kind == "replicas":

@@ -1,4 +1,4 @@
-"""``Plan``: the numbers of a computation with predicted errors. Which coherences each method supports."""
+"""``Plan``: the numbers of a computation with predicted errors, and the coherences that each method supports."""
 
 from __future__ import annotations
 
@@ -416,7 +416,7 @@ def check_footprint(method: str) -> None:
 
 
 def _is_legal(method: str, integration: str, coherence: Coherence) -> bool:
-    """Whether a method can be used with a kind of coherence and with a way of integrating over λ."""
+    """Whether a method can be used with a kind of coherence and with a method of integrating over λ."""
     if method in POWER_METHODS and not coherence.adds_powers:
         return False
     if integration != "table":
@@ -428,7 +428,7 @@ def has_table(expansion: str, coherence: Coherence) -> bool:
     """Whether colour tables can be computed from an expansion under a coherence.
 
     Tables exist if the coefficients that the expansion provides are added in the way that the coherence requires:
-    powers for averaged windows and sources, amplitudes for centred windows. Replicated periods have no table.
+    powers for averaged windows and light sources, amplitudes for centred windows. Replicated periods have no table.
     """
     return (
         coherence.kind != "replicas"

@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Collection  # noqa: TC003 (fields are described at run time)
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar, cast, get_args
 
 import numpy as np
 from annotated_types import Ge, Gt, Interval, Unit
 
 from warpdiff.core import validation
-from warpdiff.core.options import Checked, Names
+from warpdiff.core.options import SPELLINGS, Checked, Names, choices_of
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.colorimetry import check_wavelengths
@@ -51,11 +51,17 @@ LEAST_STEP_NM = 1e-5
 MOST_STOPS = 30.0
 
 
+def check_energy(energy: str) -> Energy:
+    """Return an energy of orders in British spelling; raise an error if it is no energy."""
+    spelling = SPELLINGS.get(energy, energy) if isinstance(energy, str) else energy
+    return cast("Energy", validation.choice(spelling, "energy", choices_of(Energy)))
+
+
 _Tangents = TypeVar("_Tangents")
 
 
 def check_tangents(tangents: _Tangents) -> _Tangents:
-    """Return ``tangents`` unchanged; raise an error for a text that is no rule."""
+    """Return ``tangents`` unchanged; raise an error for a text that names no rule."""
     if isinstance(tangents, str):
         validation.choice(tangents, "tangents", TANGENT_RULES)
     return tangents

@@ -19,7 +19,7 @@ from warpdiff.evaluate.orders import propagating
 from warpdiff.heightfield.field import check_whole
 from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry
-from warpdiff.optics.materials import DEFAULT_IOR, Material, check_covers, check_reflection
+from warpdiff.optics.materials import DEFAULT_IOR, Material, check_covers, check_reflection, index_at
 from warpdiff.request.signatures import checked
 from warpdiff.rigorous import coupled_waves
 
@@ -37,7 +37,7 @@ _CHANGE, _CHANGE_OF_LONG_PERIODS, _LONG_PERIOD = 5e-3, 1e-2, 20.0
 # fewer, the first doubling always changes the orders too much.
 _FIRST, _BEYOND = 1.25, 6
 # Largest component of the direction to the light along the grooves that counts as 0. Limit: rounding errors.
-_ACROSS = 1e-9
+ACROSS = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,8 @@ class RigorousEfficiencies:
         efficiencies_s: The same for an electric field along the grooves, shape (m, n).
         efficiencies_p: The same for a magnetic field along the grooves, shape (m, n).
         harmonics: Largest order of the expansion of the fields, shape (m,).
-        changes: Largest change of an order in the last doubling of the harmonics, shape (m,).
+        changes: Largest change of an order in the last doubling of the harmonics, shape (m,); infinite where
+            ``max_harmonics`` permits no doubling.
         converged: Whether this change is at most 5e-3, or 1e-2 for periods above 20 wavelengths, shape (m,).
 
     Examples:
@@ -164,7 +165,7 @@ def rigorous_order_efficiencies(
             f"{heightfield.shape[0]} rows: two-dimensional reliefs have no rigorous solution here"
         )
     unit, is_single = validation.unit_directions(to_light, "to_light")
-    if not is_single or unit[0, 2] <= HORIZON or abs(unit[0, 1]) > _ACROSS:
+    if not is_single or unit[0, 2] <= HORIZON or abs(unit[0, 1]) > ACROSS:
         raise ArgumentValueError(
             f"{ref('to_light')} must be one direction (x, 0, z) above the horizon, perpendicular to the grooves, got "
             f"{to_light!r:.60}"
@@ -183,12 +184,10 @@ def rigorous_order_efficiencies(
         )
     angle = math.atan2(unit[0, 0], unit[0, 2])
     relief = coupled_waves.layers_of(heightfield.heights_um[0], most)
+    indices = index_at(substance, wavelengths)
     parts: list[tuple[Array, Array, int, float, bool]] = []
     for column, wavelength in enumerate(wavelengths.tolist()):
-        index = complex(
-            np.interp(wavelength, np.asarray(substance.wavelengths_nm), np.asarray(substance.n)),
-            np.interp(wavelength, np.asarray(substance.wavelengths_nm), np.asarray(substance.k)),
-        )
+        index = complex(indices[column])
         coupled_waves.check_on_a_flat_surface(substance, index, wavelength, angle)
         own = orders[~np.isnan(views[0, column, :, 0]), 1]
         grating = (*relief, heightfield.size_um[1])
@@ -201,15 +200,31 @@ def rigorous_order_efficiencies(
         results[:, column, lives] = s, p
     harmonics, changes, converged = (np.array([part[k] for part in parts]) for k in (2, 3, 4))
     if not converged.all():
-        warn(
-            f"orders of {int(np.sum(~converged))} of {len(wavelengths)} wavelengths have not converged: they changed "
-            f"by up to {changes.max():.2g} in the last doubling to {harmonics.max()} harmonics; increase "
-            f"{ref('max_harmonics')}"
-        )
+        _warn_of_harmonics(harmonics, changes, converged)
     return RigorousEfficiencies(
         wavelengths, unit[0], orders, views[0], results.mean(axis=0), results[0], results[1], harmonics, changes,
         converged,
     )  # fmt: skip
+
+
+def _warn_of_harmonics(harmonics: NDArray[np.int64], changes: Array, converged: NDArray[np.bool_]) -> None:
+    """Warn of wavelengths whose orders have not converged, and state by how much they changed in the last doubling."""
+    once, twice = ~converged & np.isinf(changes), ~converged & np.isfinite(changes)
+    reasons = []
+    if twice.any():
+        reasons.append(
+            f"{int(twice.sum())} changed by up to {changes[twice].max():.2g} in the last doubling to "
+            f"{harmonics[twice].max()} harmonics; increase {ref('max_harmonics')} to at least "
+            f"{2 * harmonics[twice].max()}"
+        )
+    if once.any():
+        reasons.append(
+            f"{int(once.sum())} were computed once, with {harmonics[once].max()} harmonics: {ref('max_harmonics')} "
+            f"permits no doubling; increase it to at least {2 * harmonics[once].max()}"
+        )
+    warn(
+        f"orders of {int(np.sum(~converged))} of {len(converged)} wavelengths have not converged: {'; '.join(reasons)}"
+    )
 
 
 def _substance(ior: float | None, material: Material | None, wavelengths: Array) -> Material:

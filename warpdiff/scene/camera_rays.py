@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from warpdiff.device.kernel_calls import KernelCall, launch, launch_pipeline
-from warpdiff.kernels import base_colours, bvh, plain_textures, primary_hits, transparency
+from warpdiff.kernels import base_colours, bvh, plain_textures, primary_hits, refinement_levels, transparency
 from warpdiff.kernels.structs import Cells, Sampling
 from warpdiff.scene import device_mesh
 from warpdiff.scene.gbuffer import GBuffer
@@ -160,7 +160,7 @@ class RasterizedRays(CameraRays):
         """Find the nearest faces for one of ``samples`` rays per pixel; return the calls that compute the hits."""
         sampling, nearest = self._sampling(sample, samples), self.gbuffer.pixels.nearest
         nearest.fill_(primary_hits.UNSEEN)
-        self._rasterize(sampling, Cells(), 0.0 if samples == 1 else primary_hits.MOST_OFFSET, nearest)
+        self._rasterize(sampling, Cells(), 0.0 if samples == 1 else refinement_levels.FILTER_CUT, nearest)
         return self.calls(sampling, self.gbuffer, deviation)
 
     def calls(self, sampling: Sampling, gbuffer: GBuffer, deviation: float) -> list[KernelCall]:

@@ -114,5 +114,5 @@ class NotSampled:
                 by_mean = source is not None and source.image is not None and not own.has_map_uvs[0]
                 texts.append(f"metallic-roughness texture{' except for its mean' if by_mean else ''}")
             if self.emission[row]:
-                texts.append("emission with a texture")
+                texts.append("emission texture that cannot be sampled")
         return result

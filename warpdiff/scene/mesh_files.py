@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from warpdiff.core import validation
+from warpdiff.core.text_encodings import decoded
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, marked, ref
 from warpdiff.scene import gltf, mesh_images, obj_text, ply_polygons, trimesh_parts
 from warpdiff.scene.scene_parts import Appearance, ScenePart
-from warpdiff.scene.text_encodings import decoded
 
 if TYPE_CHECKING:
     import os
@@ -44,11 +44,11 @@ def load(path: str | os.PathLike[str]) -> list[ScenePart]:
     file = validation.path(path, "mesh")
     if not file.exists():
         raise marked(FileNotFoundError, f"the {ref('mesh')} file {str(file)!r} does not exist")
+    if not file.is_file():
+        raise ArgumentValueError(f"{ref('mesh')} must be a file, got the folder {str(file)!r}")
     if file.suffix.lower() in (".gltf", ".glb"):
-        if not file.is_file():
-            raise ArgumentValueError(f"{ref('mesh')} must be a file, got the folder {str(file)!r}")
         parts = gltf.load(file)
-    elif file.suffix.lower() in _BY_TRIMESH or not file.is_file():
+    elif file.suffix.lower() in _BY_TRIMESH:
         parts = _load_by_trimesh(file)
     else:
         names = ", ".join((".gltf", ".glb", *_BY_TRIMESH))
@@ -109,6 +109,7 @@ def _rewritten(data: bytes, suffix: str) -> tuple[bytes, list[obj_text.PartName]
     """
     if suffix == ".obj":
         text = decoded(data).replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", " ")
+        text = obj_text.spaced_obj(text)
         text, names = obj_text.numbered_obj(obj_text.triangulated_obj(obj_text.absolute_obj(text)))
         return text.encode(), names
     if suffix == ".off":

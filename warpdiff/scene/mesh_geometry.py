@@ -319,7 +319,6 @@ def is_closed(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) ->
 
     In such a mesh, the volume of each body is positive. Along each edge, equally many faces have the edge in one
     direction and in the opposite direction.
-    is positive.
     """
     welded = weld(vertices)[0]
     start = welded.take(faces)

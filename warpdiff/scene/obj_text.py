@@ -22,6 +22,10 @@ _POLYGON = re.compile(r"^[ \t]*f((?:[ \t]+[^\s#]+){4,})[^\n]*$", re.MULTILINE)
 # Matches the line of a face with a negative index in an .obj file.
 _NEGATIVE = re.compile(r"^[ \t]*f[^\n]*[\s/]-\d", re.MULTILINE)
 _NAME = re.compile(r"^[ \t]*(o|g|usemtl)(?:[ \t]+([^\n]*))?$", re.MULTILINE)
+# Matches the start of a line that is indented or has a tab, in an .obj file.
+_TABBED = re.compile(r"^(?:[ \t]|[^\n\t]*\t)", re.MULTILINE)
+# Keywords whose lines have a name. Tabs within the name are a part of it.
+_NAMING = ("o", "g", "usemtl", "mtllib")
 _AFTER_SLASH = re.compile(r"/\S*")
 
 
@@ -30,6 +34,24 @@ class PartName(NamedTuple):
 
     geometry: str | None
     material: str | None
+
+
+def spaced_obj(text: str) -> str:
+    """Return the text of an .obj file without indentation, and with spaces instead of the tabs between its words.
+
+    trimesh ignores lines whose keyword is indented or has a tab after it. Tabs within the name of an object, a material
+    or a file remain.
+    """
+    if not _TABBED.search(text):
+        return text
+    lines = text.split("\n")
+    for number, line in enumerate(lines):
+        keyword, *rest = line.split(None, 1)[:2] or [""]
+        if keyword in _NAMING:
+            lines[number] = " ".join([keyword, *rest])
+        else:
+            lines[number] = line.strip().replace("\t", " ")
+    return "\n".join(lines)
 
 
 def triangulated_obj(text: str) -> str:

@@ -58,7 +58,6 @@ class Appearance:
         alpha_mode: Use of the alpha of the base colour: it is ignored, compared with ``alpha_cutoff``, or mixes the
             surface with its background.
         alpha_cutoff: Smallest alpha at which a surface with the mode "mask" is visible.
-        is_double_sided: Whether faces are visible from both sides.
         not_rendered: Features of the material in the file that have no effect on pictures.
     """
 
@@ -73,7 +72,6 @@ class Appearance:
     emission_texture: TextureMap | None = None
     alpha_mode: AlphaMode = "opaque"
     alpha_cutoff: float = 0.5
-    is_double_sided: bool = False
     not_rendered: tuple[str, ...] = ()
 
 

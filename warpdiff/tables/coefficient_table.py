@@ -1,7 +1,9 @@
 """Tables of the Fourier coefficients of a height field on a device, in the layout that kernels read, with a cache.
 
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
-light and to the viewer. The component w is along the normal, and κ is w/λ.
+light and to the viewer. The component w is along the normal, and κ is w/λ. A row has the numbers of one Fourier
+coefficient: its weights of the basis functions of κ (terms). "Source" means a light source of finite size (coherence of
+the kind "source").
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 # Number of float32 values in a SIMD register. The length of a table row is padded to a multiple of this number, so that
-# loops over a row use whole registers. Each padded length requires separately compiled kernels.
+# loops over a row fill whole registers. Each padded length requires separately compiled kernels.
 LANES = 8
 # Smallest number of wavelengths in a quadrature. A quadrature is a numerical integral over the wavelength.
 _FEWEST_WAVELENGTHS = 16
@@ -48,8 +50,8 @@ _LEAST_EXTENT_WEIGHT = 1e-14
 # the power of one patch, which uses cubics through four neighbouring wavelengths.
 _FEWEST_INTERVALS = 4
 # A quadrature is a numerical integral over the wavelength. Its size, the number of wavelengths, must be one of certain
-# permitted sizes. From one size to twice that size, there are so many permitted sizes. Plans with the same size share a
-# quadrature. With more permitted sizes, plans would share it less often.
+# permitted sizes. The value is the number of permitted sizes from one size to twice that size. Plans with the same size
+# share a quadrature. With more permitted sizes, plans would share it less often.
 SETS_PER_OCTAVE = 4
 # Measured peak memory while the wavelengths and weights of an integral over the wavelength are computed
 # [bytes per wavelength].
@@ -58,9 +60,10 @@ _BYTES_PER_WAVELENGTH = 370.0
 # directions to the light and to the viewer. The error of linear interpolation between these values is at most 1e-4; it
 # is largest near the horizon.
 _ANGLES = 513
-# Measured peak memory while coefficients are computed [bytes]. `_BYTES_OF_SERIES` and `_BYTES_OF_FIT` are per
-# coefficient and term: for a series, and for the fit of a basis to the series. `_BYTES_PER_SAMPLE` is per frequency of
-# the Fourier transform, and each thread adds `_BYTES_OF_THREAD` per frequency.
+# Measured peak memory while coefficients are computed [bytes]. `_BYTES_OF_SERIES` and `_BYTES_OF_FIT` are bytes per
+# coefficient and term: the first for a series, and the second for the fit of basis functions to the series.
+# `_BYTES_PER_SAMPLE` is the number of bytes per frequency of the Fourier transform; each thread adds `_BYTES_OF_THREAD`
+# per frequency.
 _BYTES_OF_SERIES, _BYTES_OF_FIT, _BYTES_PER_SAMPLE, _BYTES_OF_THREAD = 16.0, 36.0, 8.0, 18.0
 
 
@@ -126,7 +129,7 @@ class RowsKey:
         coefficient_range: Range of spatial frequencies and of |κ| = |w|/λ.
         method: One of ``coefficient_basis.METHODS``.
         terms: Number of basis terms in the row of each coefficient.
-        kind: Kind of coherence; rows of a centred window contain the phase of the window's position.
+        kind: Kind of coherence. For the kind "centred", rows contain the phase of the window's position.
         centre_um: Position (y, x) of a centred window [µm]; None is the centre of the patch.
     """
 
@@ -157,7 +160,7 @@ class Table:
 
 
 def lanes_of(terms: int) -> int:
-    """Return the padded length of a table row with ``terms`` terms: a multiple of ``LANES``."""
+    """Return the padded length of a table row with ``terms`` basis terms: a multiple of ``LANES``."""
     return LANES * math.ceil(terms / LANES)
 
 
@@ -179,8 +182,8 @@ def coefficients_for(
         neighbour_extent: Number of coefficients along (y, x) on either side of a direction that look-ups may read.
         terms: Number of terms of a series; the fit of a basis selects its own number.
         threads: Number of Fourier transforms that run in parallel.
-        to_fit: Whether the caller needs the series only to fit a basis to it. The series is then stored in a cache of
-            one entry.
+        to_fit: Whether the caller needs the series only to fit basis functions to it. The series is then stored in a
+            cache of one entry.
     """
     coefficient_range = CoefficientRange.covering(direction_range)
     kappas = 0.0 if method in EXPANSIONS else coefficient_range.kappa_low, coefficient_range.kappa_high
@@ -251,8 +254,9 @@ def table_for(
 ) -> Table:
     """Return the table of Fourier coefficients for a plan and the directions of a call, from the cache if possible."""
     coherence = plan.coherence
-    # A fitted basis depends on the range of directions to which it is fitted. Here this is the range of the plan. It is
-    # extended only if the call exceeds it. All calls within the range of a plan therefore use the same basis.
+    # Fitted basis functions depend on the range of directions for which they are fitted. Here, this range is the range
+    # of the plan. It is extended only if the call exceeds it. All calls within the range of a plan therefore use the
+    # same basis.
     direction_range = plan.direction_range.joined(direction_range)
     coefficients, block, grid = coefficients_for(
         heightfield, plan.method, coherence, direction_range, neighbour_extent(plan, heightfield), terms=plan.terms,
@@ -291,6 +295,8 @@ def table_for(
     table.exponent = -math.log(plan.least_weight)
     falloff = falloff_um2(coherence)
     table.across, table.along = (falloff / length**2 for length in grid.lengths_um)
+    if coherence.kind == "source":
+        table.spread = coherence.spread
     return Table(kernels.integrate, kernels.sample, table, coefficients)
 
 
@@ -306,9 +312,10 @@ def without_zeroth_order(table: Table) -> Table:
 def falloff_um2(coherence: Coherence, wavelength_um: float = 1.0) -> float:
     """Return the factor a [µm²] of the Gaussian weight exp(−a |q − q_rs|²) of a Fourier coefficient.
 
-    q is the frequency of a direction, and q_rs is the frequency of the coefficient. The factor is 4π²σ² for powers
-    under an averaged window, and 2π²σ² for amplitudes under a centred window, with the standard deviation σ of the
-    window. For powers under a source of the spread s at normal incidence, it is λ²/2s².
+    q is the frequency of a direction, and q_rs is the frequency of the coefficient. For an averaged coherence window,
+    the weight multiplies powers, and the factor is 4π²σ², where σ is the standard deviation of the window. For a
+    centred window, the weight multiplies amplitudes, and the factor is 2π²σ². For a source with the spread s (the
+    standard deviation of its directions), the weight multiplies powers, and the factor at normal incidence is λ²/2s².
     """
     if coherence.sigma_um is None:
         return wavelength_um**2 / (2.0 * coherence.spread**2)
@@ -329,7 +336,7 @@ def neighbour_extent(plan: Plan, heightfield: HeightField) -> tuple[int, int]:
     """
     if plan.coherence.kind == "replicas":
         return coefficient_sum.TAPS, coefficient_sum.TAPS
-    # At oblique incidence, the coefficients that contribute to a direction under a source lie within an ellipse. The
+    # At oblique incidence, the coefficients that contribute to a direction for a source lie within an ellipse. The
     # kernels sum over a parallelogram that contains the ellipse. It extends farther than the ellipse by up to the
     # factor √2.
     around = radius(plan) * (math.sqrt(2.0) if plan.coherence.kind == "source" else 1.0)
@@ -342,9 +349,9 @@ def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: Illuminate
     per_lateral, per_w, constant = plan.bandwidth_um
     largest = per_lateral * plan.max_order_rate + per_w * plan.max_w + constant
     counts = [plan.wavelengths]
-    # The bandwidth of a direction is the number of wavelengths that it requires per unit of 1/λ. Directions of smaller
-    # bandwidth use sets with fewer wavelengths. The smallest useful set is for the constant part of the bandwidth,
-    # which every direction requires.
+    # The bandwidth of a direction is the number of wavelengths that it requires per unit of 1/λ. Directions with a
+    # smaller bandwidth use sets of fewer wavelengths. The smallest useful set suffices for the constant part of the
+    # bandwidth, which every direction requires.
     levels = math.floor(SETS_PER_OCTAVE * (math.log2(largest) - math.log2(constant))) if plan.adaptive else 0
     for level in range(1, levels + 1):
         fewer = wavelength_set_size(plan.wavelengths * 2.0 ** (-level / SETS_PER_OCTAVE))
@@ -378,7 +385,7 @@ def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: Illuminate
 
 
 def wavelength_set_size(count: float) -> int:
-    """Return the smallest permitted number of wavelengths that is at least ``count``, or at most 2 % below it."""
+    """Return the smallest permitted number of wavelengths that is at least ``count``, or at most 2 % less."""
     steps = math.ceil(SETS_PER_OCTAVE * math.log2(max(count, 1.0) / _FEWEST_WAVELENGTHS) - 0.1)
     return int(_FEWEST_WAVELENGTHS * 2.0 ** (max(steps, 0) / SETS_PER_OCTAVE) + 0.5)
 
@@ -389,7 +396,7 @@ def _taps(count: int) -> NDArray[np.float32]:
 
 
 def _set_taps(table: Any, kernels: Any, heightfield: HeightField, device: wp.Device) -> None:
-    """Store the gridding kernel, which interpolates between stored frequencies, in the struct of a table.
+    """Store the gridding kernel, which interpolates between stored frequencies, in the struct of a coefficient table.
 
     The gridding kernel is stored as polynomials. Along an axis with a single height sample, one constant weight of 1
     replaces these polynomials.

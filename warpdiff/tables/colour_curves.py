@@ -1,8 +1,10 @@
 """Colour curves: spline weights that convert a power spectrum to XYZ, and functions of w that colours share.
 
 A colour curve is a product as a function of the wavelength. Its factors are the spectrum of an illuminant, a CIE
-colour-matching function and the reflectance of a material. w is the component of the scattering vector along the
-normal.
+colour-matching function and the reflectance of a material. (u, v, w) is the scattering vector −ωi − ωr, where ωi and ωr
+are the unit vectors to the light and to the viewer. The component w is along the normal. A ring is a circle of constant
+|(u, v)|/λ in the polar grid of the power spectrum; the radii of neighbouring rings have a constant ratio. An
+octave is the set of rings between one radius and twice this radius.
 
 θd is half of the angle between the directions to the light and to the viewer, so that cos θd = |(u, v, w)|/2.
 """
@@ -37,11 +39,11 @@ if TYPE_CHECKING:
 # scattering vector. Each oscillation of a function has at least 32 values. Cubics interpolate between these values.
 _ENTRIES_OVER_W = 160
 # A colour table has only a limited number of functions of w, the normal component of the scattering vector. The
-# truncation of these functions causes an error. It is measured relative to the size of the colours at the same |w|, or
-# to this share of the largest size over all |w| if that is larger.
+# truncation of these functions causes an error. The error at each |w| is divided by the magnitude of the colours at
+# this |w|, or by this share of their largest magnitude over all |w|, whichever is larger.
 _LEAST_SCALE_OVER_W = 1e-2
-# Number of wavelengths from one ring of the table to the next at which the colour curves are sampled. Splines are
-# fitted to these samples.
+# Number of wavelengths at which the colour curves are sampled between two neighbouring knots of their splines, which
+# are one ring of the table apart. The splines are fitted to these samples.
 _SAMPLES_PER_NODE = 64
 # In the fit of splines, errors are relative to the values of a colour curve. These values vanish at both ends of the
 # visible range. The divisor of an error is therefore at least this share of the largest value of the curve.
@@ -52,9 +54,9 @@ _LEAST_SCALE = 0.005
 # `_PRODUCTS_SHARE` is the largest error of the sum, as a share of the tolerance.
 _MIDDLE_COSINE, _PRODUCTS_SHARE = 0.8, 0.02
 # The reflectance of a material, divided by its reflectance in the colour curves, is approximated by polynomials in cos
-# θd through Chebyshev nodes. `_POLYNOMIALS_ERR` is the largest absolute error of this ratio. The other numbers are the
-# smallest and the largest number of nodes. Metals need the fewest nodes; thin films with resonances near the horizon
-# need the most.
+# θd through Chebyshev nodes. `_POLYNOMIALS_ERR` is the largest absolute error of this ratio. `_FEWEST_ROOTS` and
+# `_MOST_ROOTS` are the smallest and the largest number of nodes. Metals need the fewest nodes; thin films with
+# resonances near the horizon need the most.
 _POLYNOMIALS_ERR, _FEWEST_ROOTS, _MOST_ROOTS = 1e-6, 32, 512
 # Smallest reflectance in colour curves, as a share of the largest reflectance. Smaller reflectances are replaced by it.
 # Thin films reflect nothing at some wavelengths. Without the replacement, ratios to a reflectance of 0 would be
@@ -69,12 +71,12 @@ class SpectrumBasis:
     Attributes:
         basis_at: Function of an array of |κ|, shape (n,), that returns the basis functions there, shape (n, terms).
         kappas: Smallest and largest |κ| [1/µm].
-        sizes: Relative size of the weight of each basis function in typical rows, shape (terms,).
-        share: Permitted error by truncating the functions of w (the normal component) of the colour table, as a share
-            of the tolerance.
-        holds_lines: Whether rows are powers per unit area of frequency, as for a source, under which orders are
-            spectral lines. Colours require powers per unit area of (u, v). The weights of the colour curves therefore
-            include the factor λ⁻², which converts the first to the second.
+        sizes: Typical magnitude of the weight of each basis function in the rows, relative to the other weights, shape
+            (terms,).
+        share: Permitted error by truncating the functions of w of the colour table, as a share of the tolerance.
+        holds_lines: Whether rows are powers per unit area of frequency, as for the coherence of a light source of
+            finite size, where diffraction orders are spectral lines. Colours require powers per unit area of (u, v).
+            The weights of the colour curves therefore include the factor λ⁻², which converts the first to the second.
     """
 
     basis_at: Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -86,7 +88,7 @@ class SpectrumBasis:
 
 @dataclass(frozen=True)
 class SeparableTerm:
-    """Summand of the colours in one octave of |(u, v)|: the spectrum projected to colours, times factors of rings.
+    """Summand of the colours of one octave: a projection of the spectrum to colours, times one factor per ring.
 
     Attributes:
         projection: Index of the matrix in ``Projection.matrices``; several octaves may share a matrix.
@@ -103,15 +105,14 @@ class Projection:
 
     Attributes:
         ws: Tabulated values of |w|, equally spaced, shape (entries,).
-        w_basis: Functions of w (the normal component of the scattering vector) that all colours of a table share, at
-            the values ``ws``, shape (entries, m).
+        w_basis: Functions of w that all colours of a table share, at the values ``ws``, shape (entries, m).
         weights: Spline coefficients of the colour curves: weights in X, Y and Z of the rings that contribute to one
             colour, shape (rings, 3).
         matrices: Each matrix has the coefficients of the functions of w for each ring and basis term, shape
             (rings, terms, m). The colour at one |(u, v)| requires the rings |(u, v)|/λ from the longest visible
             wavelength to the shortest, and one ring more at each end.
-        octaves: For each octave of |(u, v)|, the terms whose sum is the octave's colours. Without a material there is a
-            single term.
+        octaves: For each octave of |(u, v)|, the summands (separable terms) whose sum is the octave's colours. Without
+            a material there is a single summand.
     """
 
     ws: NDArray[np.float64]
@@ -127,8 +128,8 @@ def make_projection(
 ) -> Projection:
     """Return the weights that convert the power spectrum on the rings of a plan's table to colours.
 
-    If the plan does not set the number of functions of w, the tolerance determines it. The angle θd is half of the
-    angle between the directions to the light and to the viewer. Because cos θd = |(u, v, w)|/2, the reflectance
+    If the plan does not set the number of functions of w, the tolerance of the plan determines it. The angle θd is half
+    of the angle between the directions to the light and to the viewer. Because cos θd = |(u, v, w)|/2, the reflectance
     R(θd, λ) of a material is a function of λ, w and the radius |(u, v)| of a ring. The integral over λ therefore
     includes R, and look-ups need no material.
     """
@@ -154,9 +155,8 @@ def make_projection(
     matrix *= relative
     values, vectors = np.linalg.eigh(matrix @ matrix.T)
     squares, left = np.maximum(values, 0.0), vectors[:, ::-1]
-    # Entry n of `remaining` is the truncation error with the first n functions of w, the normal component of the
-    # scattering vector. The error is the largest one over all |w| and not the mean, because a call may use a single
-    # |w|.
+    # Entry n of `remaining` is the truncation error if only the first n functions of w are used. The error is the
+    # largest one over all |w| and not the mean, because a call may use a single |w|.
     remaining = np.sqrt(np.append(np.cumsum(squares * vectors**2, axis=1).max(axis=0)[::-1], 0.0))
     needed = int(np.argmax(remaining <= terms.share * plan.tolerance))
     m = plan.w_basis_size or min(W_BASIS_STEP * math.ceil(max(needed, 1) / W_BASIS_STEP), MOST_W_BASIS)
@@ -169,7 +169,7 @@ def make_projection(
 
 
 def _on_curve(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the reflectance of a material that colour curves include: at one angle, and limited from below."""
+    """Return the reflectance of a material that colour curves include: at one angle θd, and at least a limit > 0."""
     # If the largest reflectance is 0, as for air, the number 1 replaces it, because it is a divisor later.
     most = reflectance_at(material, VISIBLE_NM, np.array(_MIDDLE_COSINE)).max() or 1.0
     reflectances = reflectance_at(material, wavelengths_nm, np.array(_MIDDLE_COSINE))
@@ -189,7 +189,7 @@ def _material_products(
     changes, share one function of (w, λ).
 
     Returns:
-        Functions of (w, λ), each with its largest factor over all rings; and the terms of each octave.
+        Functions of (w, λ), each with its largest factor over all rings; and the separable terms of each octave.
     """
     ws, per_um = _places(rings_per_octave, low, high)
     grid = layout.levels[0]
@@ -231,7 +231,7 @@ def _material_products(
 
 
 def _places(rings_per_octave: int, low: float, high: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return equally spaced |w| from ``low`` to ``high``, and the wavenumbers 1/λ [1/µm] of one colour.
+    """Return equally spaced |w| from ``low`` to ``high``, and the wavenumbers 1/λ [1/µm] of the rings of one colour.
 
     At a fixed (u, v), each ring |(u, v)|/λ of the spectrum belongs to one wavenumber. The result has the wavenumbers of
     all rings that contribute to one colour.
@@ -275,8 +275,8 @@ def colour_weights(rings: int, illuminated: IlluminatedMaterial, *, lines: bool 
     if lines:
         products = products / (1e-3 * np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))[:, None] ** 2
     result = _projected(products, rings)
-    # A constant power spectrum must give the exact colour of white, up to rounding. The weights of rings are scaled
-    # accordingly.
+    # A constant power spectrum must give the exact colour of white, up to rounding. The weights of the rings are scaled
+    # so that it does.
     return np.asarray(result * products.sum(axis=0) / (math.log(2.0) / rings * result.sum(axis=0)))
 
 

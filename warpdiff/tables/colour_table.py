@@ -1,7 +1,9 @@
 """Colour tables: XYZ under an illuminant over polar coordinates of (u, v). Construction and cache of the tables.
 
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
-light and to the viewer. The component w is along the normal.
+light and to the viewer. The component w is along the normal. A ring of the polar grid is a circle of constant |(u, v)|;
+the spectrum has rings of constant |(u, v)|/λ. "Source" means a light source of finite size (coherence of the kind
+"source").
 """
 
 from __future__ import annotations
@@ -37,13 +39,13 @@ if TYPE_CHECKING:
     from warpdiff.tables.colour_curves import Projection
     from warpdiff.tables.mip_layout import MipLayout
 
-# A look-up with a wide footprint may add only every second ring (decimation). This is accurate if the colour curves are
-# smooth over ln λ. The sum over every second ring confuses (aliases) one frequency over ln λ with a constant: the
-# frequency of a full oscillation per two rings. `_MOST_AT_ALIAS` is the upper limit for the Fourier transform of the
-# colour curves at that frequency, relative to the transform at frequency 0. `_SAFE_DEVIATIONS` is the least distance of
-# that frequency from the largest frequency of the power spectrum over ln λ, in standard deviations of the Fourier
-# transform of the look-up's Gaussian. `_NO_DECIMATION` is the value of the field `decimation_scale` that disables
-# decimation.
+# A look-up with a wide footprint may add the colours of only every second ring (decimation). This is accurate if the
+# colour curves (illuminant times colour-matching functions times reflectance) are smooth over ln λ. The sum over every
+# second ring confuses (aliases) one frequency over ln λ with a constant: the frequency of a full oscillation per two
+# rings. `_MOST_AT_ALIAS` is the upper limit for the Fourier transform of the colour curves at that frequency, relative
+# to the transform at frequency 0. `_SAFE_DEVIATIONS` is the least distance of that frequency from the largest frequency
+# of the power spectrum over ln λ, in standard deviations of the Fourier transform of the look-up's Gaussian.
+# `_NO_DECIMATION` is the value of the field `decimation_scale` that disables decimation.
 _MOST_AT_ALIAS, _SAFE_DEVIATIONS, _NO_DECIMATION = 0.05, 4.2, 1e6
 # `_ZEROTH_WAVELENGTHS` is the number of wavelengths at which look-ups integrate the zeroth order. For this integral,
 # the reflectance of the material is tabulated at `_ZEROTH_ANGLES` values of cos θd. θd is half of the angle between the
@@ -58,7 +60,7 @@ class ColourTable:
     """Table of the colours XYZ(u, v, w) = Σ_k c_k(u, v) f_k(w) under an illuminant, plus the zeroth order.
 
     Attributes:
-        kernels: Kernels and types for the number of functions f_k of w in the table.
+        kernels: Kernels and struct types that are compiled for the number of functions f_k of w in the table.
         layout: Layout of the table, with only those mip levels whose rows are filled.
         fields: Values of the fields of the kernels' struct ``Colours`` by name, without the fields that the layout
             defines.
@@ -102,17 +104,21 @@ class ColourTable:
         return result
 
     def without_zeroth_order(self) -> ColourTable:
-        """Return a table whose look-ups exclude the zeroth order, the reflection of the mean plane."""
+        """Return a table whose look-ups exclude the zeroth order, the reflection of the mean plane of the surface."""
         return replace(self, fields={name: value for name, value in self.fields.items() if name != "zeroth_order"})
 
     def with_pitch_scales(self) -> ColourTable:
-        """Return a table whose look-ups take the length of each direction to the light as a pitch scale."""
+        """Return a table whose look-ups take the length of each direction to the light as a pitch scale.
+
+        The pitch scale is the ratio by which a dot of a grating map is scaled.
+        """
         return replace(self, fields={**self.fields, "has_pitch_scales": True})
 
     def fill(self, levels: range, compute: Callable[[int, int, wp.array], None], **options: Any) -> None:
         """Fill the rows of some mip levels with spline coefficients.
 
-        ``compute`` writes the values of one octave of a level. The splines pass through these values.
+        ``compute`` writes the values of one octave of a level. The splines
+        pass through these values.
         """
         grid = self.layout.levels[0]
         values = wp.empty(max(grid.azimuths) * grid.rings, dtype=self.kernels.row, device=options["device"])
@@ -136,7 +142,7 @@ def table_for(
     source = source_for(heightfield, plan, direction_range, device=device, threads=threads)
     key = source.key, illuminated
     options: dict[str, Any] = {"device": device, "threads": threads, "slice_size": _AZIMUTHS_OF_SLICE}
-    # The entry of the cache is read only once, because another thread may replace it at any time.
+    # The table is read from the cache only once, because another thread may replace the entry of the cache at any time.
     table = cache.colours.get(key)
     if table is None:
         table = _made(source, plan, illuminated, cache, **options)
@@ -209,8 +215,9 @@ def _fields(
     """Return the values of the fields of the struct ``Colours`` without the layout; the rows are not filled yet."""
     grid, zeroth, coherence = source.layout.levels[0], source.zeroth, source.key.coherence
     per_log = grid.rings / math.log(2.0)
-    # ``lobe2`` is the variance of the peak of a diffraction order, per squared wavelength. For a source it is 0: the
-    # peaks of orders then have the same width in (u, v) at all wavelengths, which ``spread2`` describes.
+    # ``lobe2`` is the variance of the peak of a diffraction order in (u, v), divided by the squared wavelength. For a
+    # source it is 0: the peaks of orders then have the same width in (u, v) at all wavelengths, which ``spread2``
+    # describes.
     lobe2 = 0.0 if source.has_lines else zeroth.lobe_variance(1.0)
     wavenumbers, weights = colorimetry.uniform_quadrature(_ZEROTH_WAVELENGTHS, illuminated.illuminant)
     reflectances = np.zeros((len(weights), 0))
@@ -229,7 +236,7 @@ def _fields(
         "decimation_scale":
             source.phase / (_SAFE_DEVIATIONS * per_log) if _is_smooth(illuminated, per_log) else _NO_DECIMATION,
         # ``least_uv`` is the smallest |(u, v)| of a look-up; smaller values are replaced by it. It lies above the
-        # innermost ring, because the spline of a look-up also uses the next smaller ring.
+        # innermost ring, because the spline of a look-up also uses the ring with the next smaller radius.
         "least_uv": math.exp(grid.log_radius + 2.0 / per_log),
         "lobe2": lobe2, "lobe_uv": math.sqrt(lobe2) * MIDDLE_UM,
         "zeroth_order": wp.array(zeroth.power, dtype=wp.float32, device=device),

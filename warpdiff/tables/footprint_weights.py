@@ -1,4 +1,8 @@
-"""Weights with which look-ups add azimuths and rings of a mip level, and the parts of a long footprint."""
+"""Weights with which look-ups add azimuths and rings of a mip level, and the parts of a long footprint.
+
+Azimuths are the samples along a ring of the table's polar grid. The footprint of a pixel is the Gaussian over (u, v)
+over which its colour is averaged. Taps are the samples that a look-up adds.
+"""
 
 from __future__ import annotations
 
@@ -19,18 +23,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 # A mip level is blurred less than the footprint of a pixel. The look-up adds the remaining blur by tabulated weights.
-# `_REMAINING_BLURS` is the number of blurs for which weights are tabulated. `_MOST_REMAINING_VARIANCE` is the largest
-# variance of these blurs [squared distances of samples]. It was derived from the blur of a level, whose standard
-# deviation b doubles from level to level. The remaining variance is therefore less than (2b)² − b² = 3b². Because b is
-# at most 1.2 distances of samples, the value must exceed 3 · 1.2².
+# `_REMAINING_BLURS` is the number of variances of this blur for which weights are tabulated. `_MOST_REMAINING_VARIANCE`
+# is the largest of these variances [squared distances of neighbouring samples]. It was derived from the blur of a
+# level, whose standard deviation b doubles from level to level. The remaining variance is therefore less than (2b)² −
+# b² = 3b². Because b is at most 1.2 distances of samples, the value must exceed 3 · 1.2².
 _REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
 # Typical standard deviation of the blur of the spectrum in a mip level, in distances of azimuth samples. In level 0,
 # this blur is from 0.9 to 2.1. The weights for spectra under a window are fitted to this blur.
 _OWN_BLUR_SPACINGS = 1.1
 # Filter that converts sampled values to coefficients of quadratic splines; its outermost weights are about 1e-6.
 _PREFILTER = np.array(quadratic_spline.prefilter(8))
-# Number of positions between two samples for which the weights of taps are tabulated. Taps are the samples that a
-# look-up adds.
+# Number of positions between two neighbouring samples for which the weights of taps are tabulated.
 _TAP_POSITIONS = 64
 # A long footprint is represented by a sum of n narrower Gaussians, its parts. The variance of a part is the variance of
 # the whole footprint, times this number divided by n. If the number is doubled, parts become 1.4 times as wide, and
@@ -83,10 +86,10 @@ def _parts(most: int) -> NDArray[np.float64]:
 
 
 def _tap_weights(most: int, rule: TapRule) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Return the tabulated weights of taps, shape (variances, positions, most), and the number of taps per variance.
+    """Return the weights of taps for tabulated variances and positions, and the number of taps for each variance.
 
-    Taps are the samples that a look-up adds. A tabulated position is the centre of the Gaussian relative to the centre
-    of the taps, from −1/2 to 1/2 distances of samples.
+    The shape of the weights is (variances, positions, most). A tabulated position is the centre of the Gaussian
+    relative to the centre of the taps, from −1/2 to 1/2 distances of neighbouring samples.
     """
     fractions = (np.arange(_TAP_POSITIONS) + 0.5) / _TAP_POSITIONS - 0.5
     weights = np.zeros((_REMAINING_BLURS, _TAP_POSITIONS, most))
@@ -116,7 +119,7 @@ def _cut_off(places: NDArray[np.float64], variance: float) -> NDArray[np.float64
 
 
 def _closest(places: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
-    """Return the weights of spline coefficients that best blur a spectrum which is itself a Gaussian.
+    """Return the weights of spline coefficients whose sum best approximates a blurred Gaussian spectrum.
 
     The Gaussian has the standard deviation ``_OWN_BLUR_SPACINGS``. The weighted sum of spline coefficients is fitted to
     the blurred Gaussian by least squares over all positions of the Gaussian. The fitted sum has the exact area, mean
@@ -152,6 +155,6 @@ def _filtered(at: NDArray[np.float64], filters: NDArray[np.float64], variance: f
     return np.asarray(gaussian @ filters / math.sqrt(2.0 * math.pi * variance))
 
 
-# Taps are the samples that a look-up adds. For spectral lines, they extend further than for a smooth spectrum under a
-# coherence window, because the tails of single lines are visible.
+# For spectral lines, taps extend further than for a smooth spectrum under a coherence window, because the tails of
+# single lines are visible.
 SPECTRUM_TAPS, LINE_TAPS = TapRule(2.5, _closest), TapRule(3.1, _cut_off)

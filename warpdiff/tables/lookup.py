@@ -1,4 +1,8 @@
-"""Look-up of colours by scattering vector on a device, in colour tables or by sums over wavelengths."""
+"""Look-up of colours by scattering vector on a device, in colour tables or by sums over wavelengths.
+
+(u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
+light and to the viewer. The component w is along the normal.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +24,8 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Multiply-adds of one look-up for each function of w, the normal component of the scattering vector. The number was
-# derived as three colour channels times 3 × 3 spline coefficients.
+# Multiply-adds of one look-up for each function of w in a colour table. The number was derived as three colour channels
+# times 3 × 3 spline coefficients.
 MULTIPLY_ADDS_OF_FUNCTION = 27.0
 # Number of derived tables that a `ColourLookup` caches for its callers. The colours under a sky are such a table. Two
 # entries suffice for two skies that alternate.
@@ -68,7 +72,8 @@ class ColourLookup:
     ) -> None:  # fmt: skip
         """Prepare the look-up for a range of directions; tables are computed at the first use.
 
-        Under a source, ``pitch_scales`` states that directions to the light have the pitch scales of dots as lengths.
+        ``pitch_scales`` states that the length of a direction to the light is the pitch scale of a dot of a grating
+        map. It is only for light sources of finite size (coherence of the kind "source").
         """
         self.heightfield, self.plan, self.device, self._threads = heightfield, plan, device, threads
         self._range, self._zeroth_order, self._pitch_scales = direction_range, zeroth_order, pitch_scales
@@ -76,9 +81,9 @@ class ColourLookup:
         self._quadratures: dict[IlluminatedMaterial, Any] = {}
         self.derived: LruCache[Any] = LruCache(most=_MOST_DERIVED)
         self._table: coefficient_table.Table | None = None
+        self._no_footprints = wp.empty(0, dtype=Footprint, device=device)
         if plan.rings_per_octave:
             self._taps = footprint_taps(device.alias, source_type(plan.coherence).tap_rule)
-            self._no_footprints = wp.empty(0, dtype=Footprint, device=device)
 
     def accumulate(
         self, scattering_vectors: wp.array, to_lights: wp.array, gains: wp.array, illuminated: IlluminatedMaterial,
@@ -93,8 +98,8 @@ class ColourLookup:
             illuminated: Illuminant, and the material of the surface.
             xyz: Array to which the XYZ are added, shape (n,).
             footprints: Footprint of the pixel around each scattering vector, shape (n,), for a plan with footprints.
-            among: Range of the indices of the directions to evaluate; its start is a multiple of the batch size. None
-                is all directions.
+            among: Range of the indices of the directions to evaluate; its start is a multiple of ``BATCH``, the
+                number of directions that the kernels process together. None is all directions.
             options: Options ``slice_size`` and ``progress`` of ``launch_pipeline``.
         """
         options.setdefault("slice_size", self.slice_size)
@@ -104,7 +109,7 @@ class ColourLookup:
         )
 
     def copy_with(self, plan: Plan) -> ColourLookup:
-        """Return a look-up of the same directions by another plan; it has tables of its own."""
+        """Return a look-up for the same range of directions by another plan; it has separate tables."""
         return ColourLookup(
             self.heightfield, plan, self._range, zeroth_order=self._zeroth_order, pitch_scales=self._pitch_scales,
             device=self.device, threads=self._threads,
@@ -132,18 +137,18 @@ class ColourLookup:
         """
         directions = [scattering_vectors, to_lights]
         if not self.plan.rings_per_octave:
-            return [self._sample([*directions, gains], illuminated, xyz)]
+            return [self._sample([*directions, gains, self._no_footprints], illuminated, xyz)]
         if unserved_gain is None:
             unserved_gain = wp.empty(len(gains) * self.needs_sampling, dtype=wp.float32, device=self.device)
-        calls = [self._look_up([*directions, gains], illuminated, xyz, footprints, unserved_gain)]
+        spreads = self._no_footprints if footprints is None else footprints
+        calls = [self._look_up([*directions, gains, spreads], illuminated, xyz, unserved_gain)]
         if self.needs_sampling:
-            calls.append(self._sample([*directions, unserved_gain], illuminated, xyz))
+            calls.append(self._sample([*directions, unserved_gain, spreads], illuminated, xyz))
         return calls
 
     def _look_up(
-        self, directions: list[wp.array], illuminated: IlluminatedMaterial, xyz: wp.array, footprints: wp.array | None,
-        unserved_gain: wp.array,
-    ) -> KernelCall:  # fmt: skip
+        self, directions: list[wp.array], illuminated: IlluminatedMaterial, xyz: wp.array, unserved_gain: wp.array
+    ) -> KernelCall:
         """Return the kernel call that looks up colours in the table and adds them to ``xyz``."""
         if illuminated not in self._colours:
             table = colour_table.table_for(
@@ -152,9 +157,8 @@ class ColourLookup:
             table = table if self._zeroth_order else table.without_zeroth_order()
             self._colours[illuminated] = table.with_pitch_scales() if self._pitch_scales else table
         table = self._colours[illuminated]
-        spreads = self._no_footprints if footprints is None else footprints
         batch = colour_lookup.BATCH if self.device.is_cpu else 1
-        inputs = [table.struct, *directions, spreads, self._taps, batch]
+        inputs = [table.struct, *directions, self._taps, batch]
         return KernelCall(table.kernels.integrate, inputs, [unserved_gain, xyz], block=batch)
 
     def _sample(self, directions: list[wp.array], illuminated: IlluminatedMaterial, xyz: wp.array) -> KernelCall:

@@ -1,5 +1,9 @@
 """Layout of a colour table: grids of the spectrum and of the mip levels, blurs of the grids, and order of rows.
 
+A mip level is a blurred copy of the table with fewer samples. A ring is a circle of a polar grid, and an octave is the
+set of rings between one radius and twice this radius. "Source" means a light source of finite size (coherence of the
+kind "source"); its spectrum is a sum of spectral lines.
+
 (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
 light and to the viewer.
 """
@@ -34,7 +38,7 @@ _FLAT_WITHIN_SIGMAS = 0.02
 # Standard deviation by which the spectral lines under a light source are blurred in a table, in distances of azimuth
 # samples. Splines represent lines of this width accurately.
 _LINE_BLUR_SPACINGS = 0.8
-# Number of azimuth samples of a mip level per standard deviation of the total blur of this level.
+# Number of azimuth samples of a mip level per standard deviation of the total blur of this level along the azimuth.
 _BLURRED_AZIMUTHS_PER_WIDTH = 1.2
 # Largest standard deviation of the blur that a mip level adds to level 0, as an angle of azimuth [rad].
 _WIDEST_BLUR_RAD = 0.4
@@ -54,7 +58,8 @@ class MipLayout:
 
     Attributes:
         spectrum: Grid of frequencies [1/µm] from which level 0 is projected.
-        divisions: Number of spectrum samples from one ring to the next, for each octave; 0 for spectral lines.
+        divisions: Number of spectrum samples along the radius from one ring to the next, for each octave; 0 for
+            spectral lines.
         blurs: Standard deviation of the blur that the spectrum itself has along the azimuth [rad], for each octave of
             |(u, v)|.
         levels: Grid of |(u, v)| for each mip level.
@@ -71,7 +76,7 @@ class MipLayout:
 
     @classmethod
     def for_plan(cls, plan: Plan, highest: float) -> MipLayout:
-        """Return the layout for a plan and for frequencies up to ``highest`` [1/µm], with mip level 0 only."""
+        """Return the layout for a plan and for spatial frequencies up to ``highest`` [1/µm], with mip level 0 only."""
         return (cls._of_lines if plan.coherence.kind == "source" else cls._of_window)(plan, highest)
 
     @classmethod
@@ -79,8 +84,8 @@ class MipLayout:
         """Return the layout of a table for a coherence window, whose spectrum is smooth and is sampled."""
         rings, width = plan.rings_per_octave, blur(plan.coherence)
         step = math.log(2.0) / rings
-        # A colour uses up to three rings beyond its octave of frequencies, and the spline of a look-up uses two further
-        # rings. The outermost octave of frequencies ends five rings beyond the largest frequency.
+        # A colour uses up to three rings of the spectrum beyond its octave of frequencies, and the spline of a look-up
+        # uses two further rings. The outermost octave of frequencies ends five rings beyond the largest frequency.
         top = math.log(max(highest, width)) + 5.0 * step
         octaves = max(math.ceil((top - math.log(_FLAT_WITHIN_SIGMAS * width)) / math.log(2.0)), 2)
         log_low = top - octaves * math.log(2.0)
@@ -88,8 +93,8 @@ class MipLayout:
         divisions = np.maximum(np.ceil(tops * step / (_SAMPLE_SPACING_SIGMAS * width)), _FEWEST_DIVISIONS)
         most = 2.0 * math.pi * tops[-1] / width * plan.azimuths_per_width
         doublings = min(max(math.floor(math.log2(most / polar_grid.FEWEST_AZIMUTHS)), 0), octaves - 1)
-        # The number of azimuth samples is a multiple of 4, because the projection to colours processes four of them at
-        # once.
+        # The number of azimuth samples is a multiple of 4, because the kernel that converts the spectrum to colours
+        # processes four of them at once.
         fewest = max(4 * math.ceil(most / 4.0 / 2.0**doublings), polar_grid.FEWEST_AZIMUTHS)
         azimuths = tuple((fewest * 2 ** np.maximum(np.arange(octaves) - (octaves - 1 - doublings), 0)).tolist())
         level0 = PolarGrid(rings, log_low - LOG_RED, azimuths[1:])
@@ -100,7 +105,7 @@ class MipLayout:
 
     @classmethod
     def _of_lines(cls, plan: Plan, highest: float) -> MipLayout:
-        """Return the layout of a table for a source, whose spectrum is a sum of lines; lines are added to the grid."""
+        """Return the layout of a table for a source, whose spectrum is a sum of lines that are added to the grid."""
         rings, spread = plan.rings_per_octave, plan.coherence.spread
         step = math.log(2.0) / rings
         # The grid ends three rings beyond the largest frequency, because the spline of a look-up uses these rings, too.
@@ -117,13 +122,13 @@ class MipLayout:
         )  # fmt: skip
 
     def with_mip_levels(self) -> MipLayout:
-        """Return the layout with all mip levels, which means over footprints and look-ups under sources require."""
+        """Return the layout with all mip levels, which are required for means over footprints, and for sources."""
         narrow = np.asarray(self.levels[0].azimuths)
         first = 2.0 * math.pi / narrow
         levels, level_blurs = [self.levels[0]], [self.level_blurs[0]]
         for level in range(math.ceil(math.log2(_WIDEST_BLUR_RAD / float(first.min()))) + 1):
-            # The blur of an octave doubles from level to level up to ``_WIDEST_BLUR_RAD``. Levels beyond this blur are
-            # equal for this octave.
+            # The blur of an octave doubles from level to level up to ``_WIDEST_BLUR_RAD``. All further
+            # levels have the same grid in this octave.
             blurred = np.minimum(first * 2.0**level, np.maximum(_WIDEST_BLUR_RAD, first))
             total = np.hypot(self.blurs, blurred)
             fewer = np.ceil(2.0 * math.pi / total * _BLURRED_AZIMUTHS_PER_WIDTH)
@@ -154,7 +159,7 @@ class MipLayout:
         return sum(n * d * (grid.rings + 2) for n, d in zip(grid.azimuths, self.divisions, strict=True))
 
     def source(self, level: int, octave: int) -> int:
-        """Return the finer mip level from which one octave of ``level`` is computed, by a further blur.
+        """Return the less blurred mip level from which one octave of ``level`` is computed, by a further blur.
 
         The result is the most blurred level that permits an accurate further blur: the standard deviation of this blur
         is at least the distance of azimuth samples in the result.

@@ -5,10 +5,11 @@ surface times exp(−r²/4σ²). A table over logarithmic polar coordinates (rin
 it. Such a table contains the integral over λ of any number of orders, for every direction of light and view.
 ``colour_table`` computes the table once per height field and coherence.
 
-A source blurs (u, v) equally at all wavelengths, and so does the footprint of a pixel. The table of a source contains
-spectral lines with little blur; each look-up adds the blur of the source and of the footprint. Tables of sources
-exclude directions near the mirror direction. They also exclude directions where a source near the horizon blurs less
-than the table does. The colours of excluded directions are integrated over sampled wavelengths.
+A source (light source of finite size, coherence of the kind "source") blurs (u, v) equally at all wavelengths, and so
+does the footprint of a pixel. The table of a source contains spectral lines with little blur; each look-up adds the
+blur of the source and of the footprint. Tables of sources exclude directions near the mirror direction. They also
+exclude directions where a source near the horizon blurs less than the table does. The colours of excluded directions
+are integrated over sampled wavelengths.
 """
 
 from __future__ import annotations
@@ -32,13 +33,13 @@ if TYPE_CHECKING:
 FEWEST_AZIMUTHS = 16
 # Wavelength in the middle of the visible range [µm].
 MIDDLE_UM = 0.55
-# Number of azimuth samples in tables of light sources, relative to other tables. More samples reduce the blur of the
-# table itself. Fewer directions under sources near the horizon must then sample wavelengths. Memory is proportional to
-# the factor.
+# Number of azimuth samples in tables of sources, relative to other tables. More samples reduce the blur of the table
+# itself. If a source is near the horizon, fewer directions are then excluded from the table and computed by sampled
+# wavelengths. Memory is proportional to the factor.
 _MORE_AZIMUTHS_OF_SOURCES = 1.5
-# Smallest |(u, v)| for which tables of light sources are used, in standard deviations of the source. Nearer to the
-# mirror direction, where (u, v) = 0, a blur in polar coordinates is inaccurate. At a quarter of this limit, the median
-# error was measured as 4e-2.
+# Smallest |(u, v)| for which tables of sources are used, in standard deviations of the directions to the source. Nearer
+# to the mirror direction, where (u, v) = 0, a blur in polar coordinates is inaccurate. At a quarter of this limit, the
+# median error was measured as 4e-2.
 INNER_RADIUS_SPREADS = 30.0
 LOG_RED, LOG_BLUE = (
     math.log(colorimetry.NM_PER_UM / end) for end in (colorimetry.LAMBDA_MAX_NM, colorimetry.LAMBDA_MIN_NM)
@@ -109,7 +110,7 @@ class PolarGrid:
 
 
 def azimuth_counts(radii: NDArray[np.floating[Any]], width: float, per_width: float) -> NDArray[np.float64]:
-    """Return the number of azimuth samples on rings of given radii, a multiple of 4.
+    """Return the number of azimuth samples on rings with the radii ``radii``, a multiple of 4.
 
     Neighbouring samples are at most ``width / per_width`` apart; ``width`` is the width of the finest feature on the
     rings, in the unit of ``radii``.
@@ -118,14 +119,14 @@ def azimuth_counts(radii: NDArray[np.floating[Any]], width: float, per_width: fl
 
 
 def inner_radius(coherence: Coherence) -> float:
-    """Return the smallest |(u, v)| that a table serves: 0 for windows, and a multiple of its spread for a source."""
+    """Return the smallest |(u, v)| that a table serves: 0 for a window, and for a source a multiple of its spread."""
     return INNER_RADIUS_SPREADS * coherence.spread
 
 
 def blur(coherence: Coherence) -> float:
     """Return the standard deviation of the peak of a diffraction order in the power spectrum [1/µm].
 
-    Under a source, the standard deviation depends on the wavelength; the result is for 0.55 µm.
+    For a source, the standard deviation depends on the wavelength; the result is for 0.55 µm.
     """
     if coherence.sigma_um is None:
         return coherence.spread / MIDDLE_UM
@@ -149,7 +150,7 @@ def orders_are_separate(heightfield: HeightField, coherence: Coherence) -> bool:
 
 
 def table_sizes(coherence: Coherence) -> list[tuple[int, float]]:
-    """Return the available table sizes in ascending order, as pairs of rings per octave and azimuths per width."""
+    """Return the available table sizes in ascending order, as pairs like those of ``TABLE_SIZES``."""
     factor = _MORE_AZIMUTHS_OF_SOURCES if coherence.kind == "source" else 1.0
     return [(rings_per_octave, factor * azimuths) for rings_per_octave, azimuths in TABLE_SIZES]
 

@@ -1,7 +1,9 @@
 """Power spectra from which colour tables are computed: a sampled spectrum, or a sum of spectral lines.
 
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
-light and to the viewer. The component w is along the normal, and κ is w/λ.
+light and to the viewer. The component w is along the normal, and κ is w/λ. A row of a spectrum has the weights of basis
+functions of κ (basis terms), whose weighted sum is the power at one point of the grid of q = (u, v)/λ. "Source" means a
+light source of finite size (coherence of the kind "source").
 """
 
 from __future__ import annotations
@@ -41,18 +43,19 @@ if TYPE_CHECKING:
 # Smallest |κ| = |w|/λ of the basis functions of a spectrum, as a share of the largest |κ|. At smaller |κ|, all
 # diffraction orders except the zeroth order are negligible.
 _SMALLEST_KAPPA = 1e-3
-# Permitted errors by truncating the functions of w (the normal component of the scattering vector) of a colour table,
-# as shares of the tolerance. `_FUNCTIONS_SHARE` is for spectra in which powers |H|² of Fourier coefficients add.
-# `_CARDINALS_SHARE` is for other spectra, which are interpolated by polynomials in |κ|. A sum of the terms of such a
-# polynomial may be much smaller than its single terms, so that an error of a term counts more.
+# Permitted errors by truncating the set of functions of w of a colour table, as shares of the tolerance.
+# `_FUNCTIONS_SHARE` is for spectra in which powers |H|² of Fourier coefficients add. `_CARDINALS_SHARE` is for other
+# spectra, which are interpolated by polynomials in |κ|. A sum of the terms of such a polynomial may be much smaller
+# than its single terms, so that an error of a term counts more.
 _FUNCTIONS_SHARE, _CARDINALS_SHARE = 0.5, 0.05
 # `_ROWS_FOR_TERM_SIZES` is the number of Fourier coefficients from whose rows the typical size of each basis term is
-# computed. `_LEAST_TERM_SIZE` is the smallest size that is assumed for a term, relative to the largest term.
+# computed. `_LEAST_TERM_SIZE` is the smallest size that is assumed for a term, relative to the size of the largest
+# term.
 _ROWS_FOR_TERM_SIZES, _LEAST_TERM_SIZE = 4096, 1e-3
 # Number of values of |κ| = |w|/λ at which the power of the zeroth order is tabulated.
 _ZEROTH_ENTRIES = 2048
-# Peak memory while spectral lines are listed [bytes per line]. It was derived by adding the sizes of the arrays in the
-# code.
+# Peak memory of the list of spectral lines while it is made [bytes per line]. It was derived by adding the sizes of the
+# arrays in the code.
 _BYTES_PER_LINE = 80.0
 # The Gaussian blur of a spectral line along the azimuth is truncated at this angle from the line [standard deviations
 # of the blur].
@@ -66,7 +69,7 @@ class SpectrumKey:
     Attributes:
         device: Name of the device.
         coefficient_range: Range of spatial frequencies and of |κ| = |w|/λ of the Fourier coefficients. All further
-            attributes are those of the plan.
+            attributes are those of the plan with the same names.
     """
 
     device: str
@@ -95,8 +98,8 @@ class SpectrumSource(ABC):
             contains zeros.
         zeroth: Zeroth order, which is stored separately from the rows. If amplitudes add, its array of powers is empty,
             and the rows include the zeroth order.
-        phase: Fastest oscillation of a power over ln λ [rad per unit of ln λ].
-        projections: Projections that were computed already, by illuminant and material.
+        phase: Angular frequency of the fastest oscillation of a power as a function of ln λ [rad per unit of ln λ].
+        projections: Conversions of the spectrum to colours that were computed already, by illuminant and material.
     """
 
     has_lines: ClassVar[bool]
@@ -121,7 +124,7 @@ class SpectrumSource(ABC):
 
     @abstractmethod
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Return a function that projects spectrum samples to level 0 of a colour table.
+        """Return a function that converts (projects) spectrum samples to the colours in mip level 0 of a colour table.
 
         Args:
             samples: Result of :meth:`sampled`.
@@ -134,7 +137,7 @@ class SpectrumSource(ABC):
         """
 
     def projection(self, plan: Plan, illuminated: IlluminatedMaterial) -> Projection:
-        """Return the projection to colours for an illuminant and a material, from the cache if possible."""
+        """Return the conversion to colours for an illuminant and a material, from the cache if possible."""
         if illuminated not in self.projections:
             self.projections[illuminated] = make_projection(plan, self.basis, illuminated, self.layout)
         return self.projections[illuminated]
@@ -182,9 +185,9 @@ class WindowedSpectrum(SpectrumSource):
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
         """Return a function that projects samples of the spectrum, in one octave and the next octave, to colours."""
         azimuths, terms, rings = self.layout.levels[0].azimuths, len(self.basis.sizes), self.layout.spectrum.rings
-        # Working memory, in which each azimuth sample has room for its rings of one octave and of the next octave. On
-        # the CPU, the threads use only the beginning of this memory. The unused part of the allocation occupies no
-        # memory.
+        # Working memory, in which each azimuth sample has room for the values on all rings of one octave and on some
+        # rings of the next octave. On the CPU, the threads use only the beginning of this memory. The unused part of
+        # the allocation occupies no memory.
         length = rings + len(curves) - 1 + FILTER_REACH
         sequence = wp.empty(azimuths[-1] * length, dtype=samples[0].dtype, device=options["device"])
 
@@ -210,13 +213,13 @@ class Lines(NamedTuple):
     log_frequencies: NDArray[np.float64]
 
 
-# Number of table entries to which each spectral line is added; the cost model uses it. It was derived as 2 × 7 azimuth
-# samples times 3 rings.
+# Number of samples of the polar grid to which each spectral line is added; the cost model uses this number. It was
+# derived as 2 × 7 azimuth samples on each of 3 rings.
 NODES_OF_LINE = 42.0
 
 
 class LineSpectrum(SpectrumSource):
-    """Power spectrum of an infinite surface under a source: one line at the frequency of each Fourier coefficient."""
+    """Power spectrum of an infinite surface for a source: one line at the frequency of each Fourier coefficient."""
 
     has_lines, tap_rule = True, LINE_TAPS
 
@@ -263,7 +266,8 @@ class LineSpectrum(SpectrumSource):
             inside = np.flatnonzero((places > -0.5) & (places < rings - 0.5))
             angles = samples.angles[inside]
             # Angles are periodic: the blur of a spectral line near the angle 0 extends to angles below 2π, and vice
-            # versa. Copies of such lines are therefore added at the other end of the range of angles.
+            # versa. Copies of such lines, with angles changed by 2π, are therefore added at the other end of the range
+            # of angles.
             far = _LINE_RADIUS_SIGMAS * blur
             after, before = np.searchsorted(angles, far), np.searchsorted(angles, 2.0 * math.pi - far)
             rotated = np.concatenate([angles[before:] - 2.0 * math.pi, angles, angles[:after] + 2.0 * math.pi])

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from warpdiff.tables.colour_table import ColourTable
     from warpdiff.tables.spectrum_source import SpectrumSource
 
-# Maximum size of the cache of a height field. `MOST_CACHED` is the number of entries of each kind, except colour
-# tables. `MOST_BYTES` is the total size of the colour tables [bytes]. Memory is proportional to these numbers.
+# Maximum size of the cache of a height field. `MOST_CACHED` is the largest number of entries of each kind (each
+# attribute of :class:`TableCache`), except colour tables. `MOST_BYTES` is the total size of the colour tables [bytes].
+# Memory is proportional to these numbers.
 MOST_CACHED, MOST_BYTES = 4, 1e9
 _caches: weakref.WeakKeyDictionary[HeightField, TableCache] = weakref.WeakKeyDictionary()
 
@@ -30,8 +31,8 @@ class TableCache:
 
     Attributes:
         coefficients: Fourier coefficients on the host.
-        fitted_to: Coefficients of the series to which the last fitted basis was fitted. They are moved or deleted when
-            a caller requests coefficients of a series for evaluation.
+        fitted_to: Coefficients of the series to which the last basis functions were fitted. They are moved or deleted
+            when a caller requests coefficients of a series for evaluation.
         rows: Rows of Fourier coefficients on devices, with their basis functions.
         sources: Descriptions of the power spectra for colour tables, without the samples of these spectra.
         spectra: Samples of the power spectrum that was computed last, from which tables for other illuminants and

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Number of height levels of the histogram from which the zeroth order is computed. With this number, the phases that
-# heights cause have an error of at most 1e-4 rad.
+# Number of height levels of the histogram from which the zeroth order is computed. With this number, the phases of the
+# light from the heights have an error of at most 1e-4 rad.
 _HEIGHTS = 65_536
 
 
@@ -69,7 +69,8 @@ class ZerothOrder:
     def lobe_variance(self, wavelength_um: float) -> float:
         """Return the variance of the zeroth order's lobe along u or v at a wavelength [µm].
 
-        Under a source, the variance depends on the direction of the light; the result is for normal incidence.
+        For a source (light source of finite size), the variance depends on the direction of the light; the result is
+        for normal incidence.
         """
         if self.coherence.sigma_um is None:
             return self.coherence.spread**2
@@ -79,7 +80,8 @@ class ZerothOrder:
 def between_entries(entries: NDArray[Any], shares: NDArray[np.float64]) -> NDArray[np.float64]:
     """Interpolate linearly between equally spaced entries of a table.
 
-    ``entries`` has the shape (n, m). The positions ``shares`` run from 0 at the first entry to 1 at the last entry.
+    ``entries`` has the shape (n, m). The positions ``shares`` at which the entries are interpolated are from 0 (first
+    entry) to 1 (last entry).
     """
     at = shares * (len(entries) - 1)
     first = np.clip(at.astype(np.int64), 0, len(entries) - 2)

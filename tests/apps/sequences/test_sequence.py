@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import pickle
+from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 (the abbreviation of its manual)
@@ -12,6 +13,8 @@ from PIL import Image
 
 import warpdiff as wd
 from warpdiff.apps.sequences import frames
+from warpdiff.apps.sequences.sequence import _is_whole
+from warpdiff.image.picture_files import ends_as_png
 from warpdiff.lights.environment import with_settings
 from warpdiff.request.settings import DisplaySettings
 
@@ -231,6 +234,18 @@ def test_an_interrupted_sequence_is_resumed_without_rendering_frames_twice(rende
     assert drawn == [shots[index].view for index in (1, 2, 4, 5)]
     assert [path.read_bytes() for path in paths] == whole
     assert {path.name for path in folder.iterdir()} == {"sequence.json", *(path.name for path in paths)}
+
+
+def test_only_the_ends_of_png_files_are_read(tmp_path, monkeypatch):
+    path = tmp_path / "frame_0000.png"
+    Image.new("RGBA", (VIEW.width, VIEW.height)).save(path)
+    whole = path.read_bytes()
+    monkeypatch.setattr(Path, "read_bytes", lambda _: pytest.fail("a whole file is read"))
+    assert _is_whole(path, wd.Shot((LIGHT,), VIEW))
+    assert ends_as_png(path)
+    for end in (0, 5, 11, len(whole) - 12, len(whole) - 1):
+        path.write_bytes(whole[:end])
+        assert not ends_as_png(path)
 
 
 def test_frames_of_another_sequence_are_not_mixed_in(renderer, tmp_path):

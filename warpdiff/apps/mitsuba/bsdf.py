@@ -30,6 +30,7 @@ import numpy as np
 
 import warpdiff as wd
 from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.optics.materials import DEFAULT_IOR
 
 # Type of Mitsuba's values, arrays and modules. Which classes these are depends on Mitsuba's variant, which is set at
 # run time.
@@ -247,7 +248,7 @@ def _bsdf_class(table_of: Variant) -> Variant:
         def __init__(self, props: Variant) -> None:
             mi.BSDF.__init__(self, props)
             self._table = table_of(str(props["filename"]))
-            index = float(props.get("ior", 1.5))
+            index = float(props.get("ior", DEFAULT_IOR))
             self._normal = 1.0 if math.isinf(index) else ((index - 1.0) / (index + 1.0)) ** 2
             self._masking = bool(props.get("masking", True))
             flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.Anisotropic

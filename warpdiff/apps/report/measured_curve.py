@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from warpdiff.core import files, validation
+from warpdiff.core.text_encodings import decoded
 from warpdiff.core.wording import ArgumentValueError, ref, renaming
 from warpdiff.heightfield.readers import text_table
 from warpdiff.optics import colorimetry
@@ -82,7 +83,7 @@ def read_curve(path: str | os.PathLike[str]) -> MeasuredCurve:
         data = text_table.unpacked(file, _MOST_BYTES)
     if len(data) > _MOST_BYTES:
         raise _refusal(file, f"has more than {_MOST_BYTES} bytes", "give a table of one curve")
-    lines = text_table.lines_of(text_table.decode(data))
+    lines = text_table.lines_of(decoded(data))
     form = text_table.form_of(lines)
     if form is None:
         raise _refusal(file, "has no rows of numbers", _REMEDY)

@@ -36,7 +36,7 @@ _RETRIES = 5
 # Number of frames that are sent to the workers in advance, per thread of a worker. The number is limited because
 # finished frames wait in memory until they are written. If doubled, they require twice the memory.
 _AHEAD = 2
-# Number of environment lights whose arrays of 14 MB each stay on the device. With 2, an environment that is the same in
+# Number of environment lights whose device arrays of 7 MB each are kept. With 2, an environment that is the same in
 # all frames is uploaded only once. If doubled, the arrays require twice the memory.
 _MOST_SKIES = 2
 
@@ -87,7 +87,7 @@ class FrameRenderer:
     def _transient(self, light: Light) -> Light:
         """Return a copy of an environment light; return other lights unchanged.
 
-        An environment keeps device arrays of 14 MB as long as it exists. The environments of the shots exist during the
+        An environment keeps device arrays of 7 MB as long as it exists. The environments of the shots exist during the
         whole sequence, so their copies are rendered instead. Only the last few copies are kept, and the arrays of older
         copies are freed.
         """

@@ -21,7 +21,7 @@ from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.heightfield.field import HeightField
 from warpdiff.heightfield.grating_map import GratingMap
 from warpdiff.image.display_transform import MEAN_SHOWN, exposure_factor
-from warpdiff.image.picture_files import PNG_END
+from warpdiff.image.picture_files import ends_as_png
 from warpdiff.lights.base import LobeLight
 from warpdiff.lights.environment import Environment
 from warpdiff.render.renderer import Renderer  # noqa: TC001 (the decorator ``checked`` needs the class at run time)
@@ -303,7 +303,8 @@ def _metered(renderer: Renderer, shots: Sequence[Shot], display: Display, report
 def _is_whole(path: Path, shot: Shot) -> bool:
     """Whether a frame's file exists, has the size of the shot, and is complete.
 
-    The check reads only the header and the last part of the file.
+    The check reads only the header and the last part of the file: the last rows of an EXR file, or the last bytes of a
+    PNG file.
     """
     if not path.is_file():
         return False
@@ -320,7 +321,7 @@ def _is_whole(path: Path, shot: Shot) -> bool:
             is_whole = source.read_scanlines(spec.height - 1, spec.height, 0, 0, spec.nchannels) is not None
             openimageio.error_text(source)
         source.close()
-    return is_whole and (path.suffix != ".png" or path.read_bytes().endswith(PNG_END))
+    return is_whole and (path.suffix != ".png" or ends_as_png(path))
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -16,6 +16,7 @@ from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.lights.directional import ONE_LOBE_DEG, DirectionalLight
 from warpdiff.lights.environment import Environment
 from warpdiff.optics.coherence import DEFAULT_SIGMA_UM, Coherence
+from warpdiff.optics.materials import DEFAULT_IOR
 from warpdiff.request.settings import TANGENT_RULES, DisplaySettings, PictureSettings
 from warpdiff.samples import gratings
 from warpdiff.scene.camera import View
@@ -250,8 +251,8 @@ def controls(
         *(Control(window["periods"], "Optics", f"periods along {axis}", (1, 50, 1), shown_if=replicas, default=2,
                   name=f"periods_{axis}", call="coherence", element=element) for element, axis in enumerate("yx")),
         _own("material", "Optics", "material", "Material of the surface.", labels=MATERIALS),
-        Control(picture["ior"], "Optics", "index of refraction", (1.01, 4.0, 0.01), default=1.5, call="picture",
-                shown_if={"material": ("dielectric",)}),
+        Control(picture["ior"], "Optics", "index of refraction", (1.01, 4.0, 0.01), default=DEFAULT_IOR,
+                call="picture", shown_if={"material": ("dielectric",)}),
         Control(picture["energy"], "Optics", "energy", call="picture"),
         Control(picture["masking"], "Optics", "masking and shadowing", shown_if={"energy": ("stam",)}, call="picture"),
         Control(describe(View)["height"], "Picture", "picture height", default=360, labels=_ROWS),

@@ -9,6 +9,7 @@ import numpy as np
 
 import warpdiff as wd
 from warpdiff.core import disk_cache
+from warpdiff.render.layers import CentralHits
 from warpdiff.scene.camera_rays import rays_for
 from warpdiff.scene.mesh_import import Surface, prepare_surface
 
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     import warp as wp
-    from numpy.typing import NDArray
 
     from warpdiff.apps.viewer.page_calls import Call, PageRequest
     from warpdiff.request.settings import TangentRule
@@ -64,8 +64,8 @@ def framed(surface: Surface, width: int, height: int) -> wd.View:
 class LocalDirections(NamedTuple):
     """Directions to the light and to the viewer in the local frame of a point, unit vectors."""
 
-    to_light: tuple[float, float, float]
-    to_view: tuple[float, float, float]
+    to_light: tuple[float, ...]
+    to_view: tuple[float, ...]
 
 
 def local_directions(
@@ -84,24 +84,14 @@ def local_directions(
     )  # fmt: skip
     rays = rays_for(surface, one, smooth=smooth, device=device, threads=threads)
     rays.launch(rays.trace(0, 1))
-    pixels = rays.gbuffer.pixels
-    if not pixels.hit.numpy()[0]:
+    hits = CentralHits(rays)
+    if not hits.hit[0]:
         return None
-    axes = np.array([getattr(pixels, name).numpy()[0] for name in ("tangent", "bitangent", "normal")], dtype=np.float64)
     if isinstance(light, wd.PointLight):
-        first, second = pixels.place.numpy()[0].tolist()
-        corners = surface.vertices[surface.faces[int(pixels.face.numpy()[0])]].astype(np.float64)
-        point = surface.centre + surface.radius * (np.array([first, second, 1.0 - first - second]) @ corners)
-        to_light = np.array(light.position) - point
+        to_light = np.array([light.position]) - hits.positions
     else:
-        to_light = np.array(light.to_light)
-    return LocalDirections(_local(axes, to_light), _local(axes, pixels.to_view.numpy()[0]))
-
-
-def _local(axes: NDArray[np.float64], direction: NDArray[Any]) -> tuple[float, float, float]:
-    local = axes @ direction
-    x, y, z = (local / np.linalg.norm(local)).tolist()
-    return x, y, z
+        to_light = np.array([light.to_light])
+    return LocalDirections(tuple(hits.local(to_light)[0].tolist()), tuple(hits.to_view()[0].tolist()))
 
 
 def nearest_pixel(mask: Any, probe: Sequence[float]) -> tuple[int, int] | None:

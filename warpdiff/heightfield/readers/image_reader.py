@@ -12,6 +12,7 @@ from warpdiff.heightfield.readers.reader_registry import FileContent, refusal, r
 if TYPE_CHECKING:
     from pathlib import Path
 
+
 # Measured peak memory while an image is read [bytes per sample]. Images that need more than the free memory are
 # refused. If doubled, images are refused that would fit into memory.
 _BYTES_PER_SAMPLE = 28.0

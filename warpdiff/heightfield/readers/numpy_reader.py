@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
-import functools
-import math
-import os
 import zipfile
 from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
+from warpdiff.core import files
 from warpdiff.heightfield.readers.reader_registry import FileContent, refusal, register_reader, require_memory
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
     from contextlib import AbstractContextManager
     from pathlib import Path
 
@@ -36,27 +33,23 @@ def read_npy(file: Path) -> FileContent:
 @register_reader(".npz", title="file of `HeightField.save`", states="everything in the file")
 def read_npz(file: Path) -> FileContent:
     """Read heights, pitch and history, as `HeightField.save` writes them. A file without a history is accepted."""
-    heights, pitch = _member(file, "heights_um"), _member(file, "pitch_um")
-    with zipfile.ZipFile(file) as archive:
-        has_history = "history.npy" in archive.namelist()
-    history = _member(file, "history") if has_history else np.zeros(0, dtype=np.str_)
+    writer = "HeightField.save"
+    try:
+        archive = zipfile.ZipFile(file)
+    except Exception as error:
+        raise _unreadable(file, error, writer) from None
+
+    def member(name: str) -> np.ndarray:
+        return _read_array(file, lambda: archive.open(f"{name}.npy"), writer)
+
+    with archive:
+        heights, pitch = member("heights_um"), member("pitch_um")
+        history = member("history") if "history.npy" in archive.namelist() else np.zeros(0, dtype=np.str_)
     if history.ndim != 1 or history.dtype.kind != "U":
         raise refusal(
             file, f"must have a list of sentences as history, got shape {history.shape} of type {history.dtype}"
         )
     return FileContent(heights, pitch.tolist(), is_known_scale=True, notes=tuple(history.tolist()))
-
-
-def _member(file: Path, name: str) -> np.ndarray:
-    """Read the array with the given name in a ``.npz`` file."""
-    return _read_array(file, functools.partial(_opened_member, file, name), "HeightField.save")
-
-
-@contextlib.contextmanager
-def _opened_member(file: Path, name: str) -> Iterator[IO[bytes]]:
-    """Open the array with the given name in a ``.npz`` file as a stream."""
-    with zipfile.ZipFile(file) as archive, archive.open(f"{name}.npy") as stream:
-        yield stream
 
 
 def _read_array(file: Path, opened: Callable[[], AbstractContextManager[IO[bytes]]], writer: str) -> np.ndarray:
@@ -67,7 +60,7 @@ def _read_array(file: Path, opened: Callable[[], AbstractContextManager[IO[bytes
     """
     try:
         with opened() as stream:
-            shape = _shape_of_array(stream)
+            shape = files.shape_of_array(stream)
     except Exception as error:
         raise _unreadable(file, error, writer) from None
     require_memory(file, shape, _BYTES_PER_SAMPLE)
@@ -81,17 +74,3 @@ def _read_array(file: Path, opened: Callable[[], AbstractContextManager[IO[bytes
 def _unreadable(file: Path, error: Exception, writer: str) -> ArgumentValueError:
     """Return the error for a file that NumPy cannot read. NumPy's own exceptions for damaged files have many types."""
     return refusal(file, f"cannot be read as {file.suffix.lower()} ({error}); write it with {writer}")
-
-
-def _shape_of_array(stream: IO[bytes]) -> tuple[int, ...]:
-    """Return the shape in the header of a ``.npy`` file; () if the file is too short or its version is unknown."""
-    headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-    version = np.lib.format.read_magic(stream)
-    if version not in headers:
-        return ()
-    shape, _, dtype = headers[version](stream)
-    if dtype.itemsize == 0:
-        # Any number of texts without characters fits into a file, but not into a list.
-        raise ValueError(f"its elements have the type {dtype}, which has no bytes")
-    begin = stream.tell()
-    return shape if math.prod(shape) * dtype.itemsize <= stream.seek(0, os.SEEK_END) - begin else ()

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.core import memory
+from warpdiff.core.text_encodings import decoded
 from warpdiff.heightfield.readers import text_columns, text_facts, text_header, text_points, text_table
 from warpdiff.heightfield.readers.reader_registry import FileContent, refusal, register_reader
 from warpdiff.heightfield.readers.text_statements import Signs
@@ -48,7 +49,7 @@ def read_text(file: Path) -> FileContent | Channels:
     data = text_table.unpacked(file, most)
     if len(data) > most:
         raise refusal(file, f"has more than {most} bytes of text; save it as .npy")
-    lines = text_table.lines_of(text_table.decode(data))
+    lines = text_table.lines_of(decoded(data))
     form = text_table.form_of(lines)
     if form is None:
         raise refusal(file, "has no rows of numbers; give a text of heights, an image, .npy, .npz or .x3p")

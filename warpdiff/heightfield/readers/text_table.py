@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
 import csv
 import gzip
 import math
@@ -11,6 +10,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
+
+from warpdiff.core.text_encodings import decoded
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,10 +29,8 @@ _SAMPLE_LINES, _SAMPLE_CHARACTERS = 400, 200_000
 # Number of bytes at the beginning of a file that are read to find out whether the file is text.
 _HEAD_BYTES = 4096
 _GZIP = b"\x1f\x8b"
-_MARKS = (
-    (codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF32_BE, "utf-32"),
-    (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"),
-)  # fmt: skip
+# Characters of texts that are not printable. The C1 controls replace letters of encodings that are read as Latin-1.
+_CONTROLS = frozenset("\t\r\n\f\ufeff\x1a") | {chr(code) for code in range(0x80, 0xA0)}
 # Words that programs of instruments write for a missing sample.
 _GAPS = frozenset({
     "nan", "+nan", "-nan", "1.#qnan", "-1.#ind", "nan(ind)", "-nan(ind)", "1.#inf", "-1.#inf", "inf",
@@ -82,9 +81,9 @@ def is_text(file: Path) -> bool:
         head = stream.read(_HEAD_BYTES)
     if head.startswith(_GZIP):
         return False
-    text = decode(head[: len(head) // 4 * 4] if len(head) == _HEAD_BYTES else head)
+    text = decoded(head[: len(head) // 4 * 4] if len(head) == _HEAD_BYTES else head)
     return any(letter.isdigit() for letter in text) and all(
-        letter.isprintable() or letter in "\t\r\n\f\ufeff\x1a" for letter in text[:-1]
+        letter.isprintable() or letter in _CONTROLS for letter in text[:-1]
     )
 
 
@@ -104,24 +103,6 @@ def unpacked(file: Path, most: int) -> bytes:
                 return archive.read(most + 1)
         except Exception as error:
             raise ValueError(f"its compressed data are damaged: {error}") from None
-
-
-def decode(data: bytes) -> str:
-    """Decode the bytes of a text by its byte-order mark, or as UTF-16, UTF-8 or Windows-1252 by its content."""
-    for mark, name in _MARKS:
-        if data.startswith(mark):
-            return data.decode(name, errors="replace")
-    head = data[:400]
-    if head.count(0) > len(head) // 4:
-        # In UTF-16, one of the two bytes of a Latin letter is zero: the second byte in little-endian order, the first
-        # byte in big-endian order.
-        return data.decode("utf-16-le" if head[1::2].count(0) >= head[::2].count(0) else "utf-16-be", errors="replace")
-    try:
-        return data.decode("utf-8")
-    except UnicodeDecodeError:
-        # Text that is not UTF-8 is read as Windows-1252. This encoding contains all printable characters of Latin-1
-        # with the same codes.
-        return data.decode("cp1252", errors="replace")
 
 
 class Form(NamedTuple):
@@ -173,10 +154,13 @@ class Form(NamedTuple):
                 if fast and all(map(math.isfinite, fast)):
                     return fast
         cells = self.cells(line)
-        numbers = [self.number(cell) for cell in cells]
-        if None in numbers or not cells or (len(cells) == 1 and self._is_gap(cells[0])):
-            return None
-        return numbers  # type: ignore[return-value]
+        numbers = []
+        for cell in cells:
+            # Most lines that are no row of numbers end here at their first cell.
+            if (number := self.number(cell)) is None:
+                return None
+            numbers.append(number)
+        return None if not cells or (len(cells) == 1 and self._is_gap(cells[0])) else numbers
 
     def _is_gap(self, cell: str) -> bool:
         """Whether the text of a cell does not begin with a number."""

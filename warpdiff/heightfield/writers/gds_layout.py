@@ -6,15 +6,15 @@ The package gdstk (extra ``lithography``) writes and reads the files.
 from __future__ import annotations
 
 import datetime
-import warnings
 from collections import defaultdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.core import files, memory, validation
+from warpdiff.core import files, validation
 from warpdiff.core.table import Table
 from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.heightfield.writers import gds_records
 from warpdiff.heightfield.writers.height_levels import Levels, rectangles_of
 from warpdiff.heightfield.writers.layout_widths import Steps, measured, steps_of_polygon, steps_of_rectangles
 
@@ -39,9 +39,6 @@ _TIME = datetime.datetime(2000, 1, 1)
 _PER_UM = 10_000
 # Largest coordinate of a file that is measured [µm]. The value is limited by the integers of the measurement.
 _MOST_UM = 1e14
-# Measured peak memory while a layout is measured [bytes per polygon]. If doubled, layouts that fit into memory are
-# refused.
-_BYTES_PER_POLYGON = 2000.0
 
 
 def _gdstk() -> ModuleType:
@@ -106,8 +103,8 @@ def measure_layout(path: str | os.PathLike[str]) -> Table:
 
     Raises:
         FileNotFoundError: The file does not exist.
-        ValueError: The file is not a GDS file, has several top cells, no polygons, a sloped edge, or a reference to a
-            cell that it does not contain.
+        ValueError: The file is not a GDS file or damaged, has several top cells, no polygons, a sloped edge, or a
+            reference to a cell that it does not contain.
         MemoryError: The polygons of the layout, with all repetitions of its cells, do not fit into memory.
         ImportError: gdstk is not installed: ``pip install 'warpdiff[lithography]'``.
 
@@ -121,19 +118,14 @@ def measure_layout(path: str | os.PathLike[str]) -> Table:
     """
     file = validation.path(path, "path")
     gdstk = _gdstk()
-    files.check_file(file)
+    with files.naming_file(file):
+        gds_records.check(file)
     try:
-        # gdstk warns of references to missing cells, which are an error here.
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)
-            cells = gdstk.read_gds(str(file), unit=_UNIT).top_level()
+        cells = gdstk.read_gds(str(file), unit=_UNIT).top_level()
     except (OSError, RuntimeError, ValueError) as error:
         raise ArgumentValueError(f"{ref('path')}: {file.name!r} is not a GDS file: {error}") from None
-    count = _polygon_count(cells[0], file.name, {}) if len(cells) == 1 else 0
-    memory.require_memory(
-        _BYTES_PER_POLYGON * count, f"{file.name!r} with {count} polygons", "measure one of its cells in a file alone"
-    )
-    if not count or not (polygons := cells[0].get_polygons()):
+    polygons = cells[0].get_polygons() if len(cells) == 1 else []
+    if not polygons:
         raise ArgumentValueError(
             f"{ref('path')} must have one top cell with polygons, got {len(cells)} cells in {file.name!r}"
         )
@@ -163,29 +155,6 @@ def measure_layout(path: str | os.PathLike[str]) -> Table:
     )  # fmt: skip
     columns = dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True))
     return Table(columns)
-
-
-def _polygon_count(cell: Any, name: str, counts: dict[str, int | None]) -> int:
-    """Return the number of polygons and paths of a cell of gdstk, with those of its references.
-
-    ``name`` is the name of the file, and ``counts`` has the numbers of known cells, or None for a cell that is being
-    counted.
-    """
-    if isinstance(cell, str):
-        raise ArgumentValueError(
-            f"{ref('path')}: {name!r} has a reference to the cell {cell!r}, which it does not contain: export the "
-            "layout with all of its cells"
-        )
-    if cell.name in counts:
-        if (known := counts[cell.name]) is None:
-            raise ArgumentValueError(f"{ref('path')}: {name!r} has a cell that contains itself, {cell.name!r}")
-        return known
-    counts[cell.name] = None
-    total = len(cell.polygons) + len(cell.paths)
-    for reference in cell.references:
-        total += max(reference.repetition.size, 1) * _polygon_count(reference.cell, name, counts)
-    counts[cell.name] = total
-    return total
 
 
 def _check_slopes(corners: Points, lengths: NDArray[np.int64], name: str) -> None:

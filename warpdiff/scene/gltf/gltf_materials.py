@@ -99,7 +99,7 @@ class Materials:
             emission=cast("tuple[float, float, float]", tuple(emission.tolist())),
             emission_texture=self._texture(material, "emissiveTexture"),
             alpha_mode=cast("AlphaMode", alpha_mode.lower()), alpha_cutoff=material.number("alphaCutoff", 0.5),
-            is_double_sided=material.flag("doubleSided", default=False), not_rendered=_not_rendered(material),
+            not_rendered=_not_rendered(material),
         )  # fmt: skip
 
     def normal_uv_set(self, index: int) -> int:

@@ -6,8 +6,8 @@ import json
 import math
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from warpdiff.core.text_encodings import decoded
 from warpdiff.core.wording import ArgumentValueError, ref
-from warpdiff.scene.text_encodings import decoded
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
