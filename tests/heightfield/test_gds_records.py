@@ -9,7 +9,6 @@ import warpdiff as wd
 from bench.dev.fuzz_mutations import gds_content, gds_records
 from bench.dev.fuzz_targets import CORPUS
 from warpdiff.core import memory
-from warpdiff.heightfield.writers import gds_layout
 from warpdiff.heightfield.writers import gds_records as checked
 
 LAYOUT = gds_records((CORPUS / "gds" / "cells.gds").read_bytes())
@@ -103,15 +102,6 @@ def test_deep_references_are_refused(tmp_path):
 def test_layouts_that_exceed_memory_are_refused(monkeypatch):
     monkeypatch.setattr(memory, "available", lambda: 7000.0)
     with pytest.raises(MemoryError, match=r"'cells\.gds' of \d+ vertices .* take a part of the layout"):
-        wd.measure_layout(CORPUS / "gds" / "cells.gds")
-    monkeypatch.setattr(checked, "_BYTES_PER_VERTEX", 0.0)
-    with pytest.raises(MemoryError, match=r"'cells\.gds' of \d+ × \d+ coordinates .* take a part of the layout"):
-        wd.measure_layout(CORPUS / "gds" / "cells.gds")
-
-
-def test_polygons_that_cover_too_many_cells_are_refused(monkeypatch):
-    monkeypatch.setattr(gds_layout, "_MOST_CELLS", 5)
-    with pytest.raises(ValueError, match=r"'cells\.gds' must cover at most 5 cells .* take a part of the layout"):
         wd.measure_layout(CORPUS / "gds" / "cells.gds")
 
 

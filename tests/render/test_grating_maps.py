@@ -169,6 +169,7 @@ def test_the_device_algorithms_draw_the_same_picture(monkeypatch: pytest.MonkeyP
     ("mesh", "options", "message"),
     [
         (card(uvs=False), {"tangents": (1.0, 0.0, 0.0)}, "mesh must have texture coordinates for a GratingMap.*unwrap"),
+        (card(uvs=False), {}, "mesh must have texture coordinates for a GratingMap, but it has faces without: unwrap"),
         (card(), {"method": "direct"}, "method must not be 'direct' with a GratingMap.*give another method"),
         (card(), {"energy": "normalised"}, "energy must not be 'normalised' with a GratingMap.*give 'stam'"),
         (card(), {"wavelengths_nm": [500.0]}, "wavelengths_nm must not be given with a GratingMap.*omit it"),
@@ -186,6 +187,17 @@ def test_unsupported_options_have_one_clear_error(mesh: Any, options: dict[str, 
         wd.shade(mesh, grating_map, LIGHT, VIEW, **options)
 
 
+@pytest.mark.parametrize(
+    ("scale", "remedy"), [(100.0, "or give a larger tolerance"), (1000.0, "reduce it, or flatten the cell$")]
+)
+def test_errors_of_deep_dots_name_the_depth_scale(scale: float, remedy: str) -> None:
+    grating_map = wd.GratingMap(SINE, depth_scale=scale)
+    with pytest.raises(ValueError, match=f"depth_scale must be smaller.* got up to {scale:g} .*{remedy}") as error:
+        wd.shade(card(), grating_map, LIGHT, VIEW, tolerance=0.1)
+    assert "direct" not in str(error.value)
+    assert "levelled" not in str(error.value)
+
+
 def test_texture_coordinates_may_be_absent_where_there_is_no_map() -> None:
     scene = card(uvs=True, right=0.5).scene()
     scene.add_geometry(card(uvs=False, left=0.5), geom_name="plain", node_name="plain")
@@ -196,6 +208,8 @@ def test_texture_coordinates_may_be_absent_where_there_is_no_map() -> None:
     surfaces = {name: SINE, "plain": wd.GratingMap(SINE, turn_deg=90.0)}
     with pytest.raises(ValueError, match="2 faces of 'plain' have none"):
         wd.shade(scene, surfaces, LIGHT, VIEW, **options)
+    with pytest.raises(ValueError, match="parts with a GratingMap require texture coordinates: unwrap them"):
+        wd.shade(scene, surfaces, LIGHT, VIEW, **options | {"tangents": None})
 
 
 def test_metals_reflect_less_at_oblique_angles() -> None:
