@@ -93,9 +93,10 @@ def test_the_brdf_of_a_mirror_in_the_mirror_direction_is_4_pi_sigma_squared_over
 
 
 def test_pixels_of_a_map_are_means_of_directions_within_the_unit_disc(line):
-    """Each pixel of a map must be the mean over directions within the unit disc.
+    """Each pixel of a reflectance map must be the mean over those of its view directions that exist.
 
-    In a map, x increases from left to right, and y decreases from top to bottom.
+    The position in a map is the pair (x, y) of a view direction, within the unit disc. x increases from left to right,
+    and y decreases from top to bottom.
     """
     light = at_angle(20.0)
     plan = wd.plan(line, coherence=SHORT, tolerance=1e-1)
