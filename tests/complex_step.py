@@ -4,7 +4,7 @@ A real parameter p becomes p + i·STEP, and the derivative is the imaginary part
 rounding. Complex quantities of the physics are pairs of numbers (real part, imaginary part), because the imaginary unit
 belongs to the step.
 
-κ is w/λ, the normal component w of the scattering vector divided by the wavelength.
+(u, v, w) is the scattering vector. κ is w/λ, its normal component divided by the wavelength.
 """
 
 import numpy as np
@@ -123,7 +123,8 @@ def reflectance_of(optics, cosine, wavelength_nm):
 def spectral_reflectance(p, kind, wavelength_nm, *, masking, widths=11.0):
     """Return the relative reflectance ρ at one wavelength for the parameters ``p`` of the surface and the directions.
 
-    The result is a sum over all coefficients within ``widths`` standard deviations of the lobe around the direction.
+    The result is a sum over Fourier coefficients, each weighted by a Gaussian of its distance from (u, v)/λ. The sum
+    includes distances up to ``widths`` standard deviations of the Gaussian.
     """
     heights = p["heights_um"] * p.get("height_scale", 1.0)
     ny, nx = heights.shape
@@ -188,8 +189,9 @@ def rise(cosine):
 def order_efficiencies(p, orders, wavelength_nm, *, normalised):
     """Return the efficiencies of orders (m_y, m_x), all of which propagate.
 
-    Normalised efficiencies are computed by 3,000 alternate scalings of the rows and the columns of the matrix of
-    efficiencies.
+    Normalised efficiencies have prescribed sums. They are computed from a matrix of efficiencies with one row per
+    incident direction and one column per order. The rows and the columns are scaled alternately to their sums, 3,000
+    times.
     """
     heights = p["heights_um"] * p.get("height_scale", 1.0)
     ny, nx = heights.shape

@@ -37,7 +37,7 @@ def arrays():
 
 
 def image(path, kind, channels=1):
-    """Write an image of the waves."""
+    """Write the test heights ``WAVES`` as an image of one sample type."""
     output = oiio.ImageOutput.create(path)
     output.open(path, oiio.ImageSpec(6, 5, channels, kind))
     output.write_image(np.repeat(((WAVES + 3.0) / 6.0).astype(np.float32)[:, :, None], channels, axis=2))
@@ -45,7 +45,7 @@ def image(path, kind, channels=1):
 
 
 def images():
-    """Write grey images of heights, environments, and a picture of `Image.save`."""
+    """Write grey images of heights, images of environments, and a picture that `Image.save` writes."""
     for suffix, kind in (("png", "uint8"), ("png", "uint16"), ("tif", "uint16"), ("tif", "float"), ("exr", "float")):
         image(f"image/scan-{kind}.{suffix}", kind)
     for suffix in ("exr", "hdr"):

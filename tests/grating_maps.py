@@ -1,4 +1,4 @@
-"""Cards with a grating map, and the same cards made of one part of a mesh per dot."""
+"""Cards with a grating map, and the same cards without a map, with one mesh part per dot, as a reference."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def card(
 def parts_of(
     grating_map: wd.GratingMap, coherence: wd.Coherence
 ) -> tuple[trimesh.Scene, dict[str, wd.Surface], NDArray[np.float64]]:
-    """Return the card as one part per dot, with scaled height fields by part, and turned tangents by vertex."""
+    """Return a scene with one mesh part per dot, scaled height fields by part, and turned tangents by vertex."""
     rows, columns = grating_map.shape
     scene, surfaces, tangents = trimesh.Scene(), {}, []
     for row in range(rows):
@@ -55,7 +55,10 @@ def parts_of(
 
 
 def error_of(image: wd.Image, reference: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return relative errors ‖ΔXYZ‖ of illuminated pixels, with the floor of a picture's errors."""
+    """Return relative errors of the XYZ of illuminated pixels.
+
+    They are relative to the norm of XYZ, or to 0.001 of the 99th percentile of Y if that is larger.
+    """
     lit = image.illuminated & (image.coverage > 0.999)
     xyz, exact = image.xyz[lit].astype(np.float64), reference[lit].astype(np.float64)
     floor = 1e-3 * np.percentile(exact[:, 1], 99.0)

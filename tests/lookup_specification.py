@@ -5,6 +5,10 @@ pixels at once, with series instead of logarithms, exponentials and arc tangents
 
 (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
 light and to the viewer. w is its component along the normal.
+
+A colour table has rings of constant |(u, v)|, and equally spaced azimuth samples on each ring. A row of the table has
+the coefficients of one azimuth sample: XYZ is their sum, weighted by basis functions of w. Rows of higher mip levels
+are blurred along the rings, and have fewer azimuth samples.
 """
 
 import functools
@@ -344,8 +348,8 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         """Return whether the table cannot give the colour of a direction.
 
         It cannot if the direction is within the inner radius of the table, or if the footprint is narrower than the
-        blur that the line spectrum gives to the table. A footprint may be split into ``parts``. Each part has the share
-        ``within`` of the footprint's variance along the azimuth.
+        blur that the rows of the table already have. A footprint may be split along the azimuth into ``parts`` parts.
+        Each part has the share ``within`` of the footprint's variance along the azimuth.
         """
         octave = wp.int32(ring_of(table, u, v) * table.octaves_per_ring)
         octave = wp.clamp(octave, 0, table.azimuths.shape[1] - 1)

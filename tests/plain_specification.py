@@ -1,4 +1,7 @@
-"""Plain surfaces for tests: NumPy after the specification of glTF 2.0, appendix B, and scenes with a far grating."""
+"""Plain surfaces, which have no height field: the BRDF of glTF 2.0, appendix B, in NumPy, and objects for test scenes.
+
+The test scenes also have a grating, because a picture requires a height field. It is outside of the picture.
+"""
 
 import math
 
@@ -19,7 +22,11 @@ SURFACES = {"grating": WAVE, "*": None}
 
 
 def white_luminance():
-    """Return the luminance of a white matte surface facing a light of power 1: the mean of λ²/(4π²σ²) with S ȳ."""
+    """Return the luminance of a white matte surface that faces a light of power 1.
+
+    It is the mean of λ²/(4π²σ²), weighted by S ȳ: the spectrum S of the light times the curve ȳ of the CIE observer. σ
+    is the standard deviation of the coherence window.
+    """
     um = 1e-3 * colorimetry.VISIBLE_NM
     return float(um**2 @ colorimetry.colour_products("D65")[:, 1]) / (4.0 * math.pi**2 * SIGMA_UM**2)
 
@@ -28,7 +35,7 @@ LEAST_ALPHA = 0.5 * math.sqrt(white_luminance())
 
 
 def quad(x, own, bend=0.25, y=0.0):
-    """Return a quad with the width and height 2, whose normals are bent by ``bend``."""
+    """Return a quad with sides of 2 and the material ``own``. Its normals are tilted outwards by ``bend``."""
     corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     return trimesh.Trimesh(
         corners + np.array([x, y, 0.0]), [[0, 1, 2], [0, 2, 3]],
@@ -38,7 +45,7 @@ def quad(x, own, bend=0.25, y=0.0):
 
 
 def brdf(to_light, to_view, metallic, roughness, colour):
-    """Return f of glTF 2.0 in 1/sr, shape (n, 3), with the height-correlated masking of Heitz 2014."""
+    """Return the BRDF of glTF 2.0 in 1/sr, shape (n, 3), with the height-correlated masking of Heitz 2014."""
     alpha2 = max(roughness**2, LEAST_ALPHA) ** 2
     half = to_light + to_view
     half /= np.linalg.norm(half, axis=-1, keepdims=True)

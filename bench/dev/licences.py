@@ -17,23 +17,26 @@ if TYPE_CHECKING:
 # Licences under which a dependency may be used by a program of any licence. The list has SPDX identifiers and the names
 # of these licences in older metadata, in lower case.
 ACCEPTED = {
-    "0bsd", "apache-2.0", "bsd-2-clause", "bsd-3-clause", "cc0-1.0", "isc", "mit", "mit-cmu", "mpl-2.0", "ncsa",
+    "0bsd", "apache-2.0", "bsd-2-clause", "bsd-3-clause", "cc0-1.0", "isc", "mit", "mit-0", "mit-cmu", "mpl-2.0",
     "boost software license 1.0 (bsl-1.0)", "psf-2.0", "python-2.0", "unlicense", "zlib", "hpnd", "bsl-1.0",
-    "blueoak-1.0.0",
+    "blueoak-1.0.0", "ncsa", "3-clause bsd",
     "apache", "apache 2", "apache 2.0", "apache license 2.0", "apache license, version 2.0", "apache software license",
     "bsd", "bsd license", "bsd 3-clause", "new bsd", "modified bsd", "isc license", "isc license (iscl)", "mit license",
     "mozilla public license 2.0 (mpl 2.0)", "python software foundation license", "the unlicense (unlicense)",
     "historical permission notice and disclaimer (hpnd)", "cc0 1.0 universal (cc0 1.0) public domain dedication",
 }  # fmt: skip
-# Licences of packages whose metadata state no licence. They were read from the licence files of these packages.
-BY_FILE = {"meent": "MIT"}
+# Licences that replace those in the metadata. They were read from the licence files of the packages. The metadata of
+# meent state no licence. Those of docutils name the GPL of an Emacs mode, which its wheel does not contain.
+BY_FILE = {"docutils": "BSD-2-Clause", "meent": "MIT"}
 # Additions to a licence that only permit more.
 _EXCEPTIONS = re.compile(r" with [\w.-]+", re.IGNORECASE)
 
 
 def licence_of(package: metadata.Distribution) -> str:
-    """Return the licence that the metadata of a package state: expression, classifiers, or a short text."""
+    """Return the licence of a package: of its file, or an expression, classifiers or a short text of its metadata."""
     head = package.metadata
+    if by_file := BY_FILE.get(str(head["Name"]).lower()):
+        return by_file
     expression = head.get("License-Expression")
     if expression:
         return str(expression)
@@ -41,7 +44,7 @@ def licence_of(package: metadata.Distribution) -> str:
     names = [name for name in classifiers if name != "OSI Approved"]
     if names:
         return " AND ".join(names)
-    text = str(head.get("License") or "").strip() or BY_FILE.get(str(head["Name"]).lower(), "")
+    text = str(head.get("License") or "").strip()
     return text if len(text) < 60 else text.splitlines()[0].strip()
 
 

@@ -2,9 +2,9 @@
 EXR file with layers
 ====================
 
-Save linear values, normals, depth and the light of each light for a compositor, and read the file again. Linear values
-under a directional light are small: the exposure factor below makes them visible in a compositor. The sum of the layers
-of the lights is the picture, so that a compositor can balance them.
+Save linear colours, normals, depth and the contribution of each light for a compositor, and read the file again. Linear
+colours under a directional light are small: the exposure factor below makes them visible in a compositor. The picture
+is the sum of the contributions of the lights, so that a compositor can change the brightness of each light.
 """
 
 import warpdiff as wd

@@ -2,8 +2,8 @@
 Sensitivity of a colour to each height
 ======================================
 
-The luminance of one direction, and its gradient by all heights of the surface: red samples make the direction brighter
-if they rise, and blue ones darker. One call gives the whole map.
+The luminance of one direction, and its gradient with respect to all heights of the surface: red samples make the
+direction brighter if they rise, and blue ones darker. One call gives the whole map.
 """
 
 import matplotlib.pyplot as plt

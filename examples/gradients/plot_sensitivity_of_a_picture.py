@@ -2,8 +2,8 @@
 Sensitivity of a picture
 ========================
 
-The change of every pixel if the relief becomes 1 % deeper, and the gradient of the mean luminance by all heights. Both
-come from one call. Pixels that become brighter are red, and pixels that become darker are blue.
+The change of every pixel if the relief becomes 1 % deeper, and the gradient of the mean luminance with respect to all
+heights. Both come from one call. Pixels that become brighter are red, and pixels that become darker are blue.
 """
 
 import matplotlib.pyplot as plt

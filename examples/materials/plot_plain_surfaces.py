@@ -12,7 +12,7 @@ import warpdiff as wd
 
 
 def part(body, place, **values):
-    """Return a moved body with a material. The faces of a body of few faces have normals of their own."""
+    """Return a moved body with a material. A body of few faces, such as a box, gets sharp edges."""
     body.apply_translation(place)
     material, normals = trimesh.visual.material.PBRMaterial(**values), body.vertex_normals
     if len(body.faces) < 100:

@@ -129,7 +129,9 @@ def test_info_reads_a_text_by_its_unit_and_channel(tmp_path, capsys):
 
 
 def test_illuminants_whose_names_contain_a_full_stop_are_no_files(tmp_path, monkeypatch):
-    # All names of colour-science count, also those that end like a file name. Other texts with a suffix are files.
+    # Each illuminant and light source of colour-science must be accepted by its name, also by a name such as "FL3.1",
+    # which looks like the name of a file with a suffix. Any other text with a suffix must be read as the path of a
+    # file.
     names = [*colour_science().SDS_ILLUMINANTS, *colour_science().SDS_LIGHT_SOURCES]
     assert sum("." in name for name in names) >= 15
     for name in names:

@@ -46,9 +46,12 @@ def test_render_draws_a_map(tmp_path: Path) -> None:
         ("turn=3", "--map must be NAME=VALUE with a NAME of turn_deg, depth_scale, pitch_scale, got 'turn=3'; did you"),
         ("turn_deg", "--map must be NAME=VALUE"),
         ("turn_deg=missing.png", "--map turn_deg: there is no file 'missing.png'"),
-        ("pitch_scale=missing.png", "--map pitch_scale must state the values of black and white"),
+        ("pitch_scale=missing.png", "write pitch_scale=IMAGE,BLACK,WHITE, such as pitch_scale=dots.png,0.8,1.25"),
+        ("pitch_scale=g8.png,0.8", "--map must have two numbers after the image, the values of black and white, got"),
+        ("depth_scale=g8.png,0.8", "write depth_scale=IMAGE,BLACK,WHITE"),
+        ("turn_deg=", "--map must have a value after turn_deg=, got 'turn_deg=': a number, IMAGE or IMAGE,BLACK"),
         ("pitch_scale=missing.png,a,b", "--map must have two numbers after the image"),
-        ("pitch_scale=-1", "--map pitch_scale must be more than 0 and at most 1000, got -1"),
+        ("pitch_scale=-1", "--map pitch_scale must be at least 0.001 and at most 1000, got -1"),
     ],
 )
 def test_bad_maps_have_one_clear_error(value: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -22,7 +22,7 @@ def small_gratings(monkeypatch):
 
 
 def draw_roughly(monkeypatch, *names):
-    """Compute pictures and maps with a tolerance of 0.3 and a window of 2 µm, to make the demonstration fast."""
+    """Compute pictures and maps with a tolerance of 0.3 and a coherence window of 2 µm, to save time."""
     for name in names:
         monkeypatch.setattr(demo, name, rough(getattr(demo, name), tolerance=0.3, coherence=wd.Coherence(sigma_um=2.0)))
 
@@ -31,7 +31,7 @@ def draw_roughly(monkeypatch, *names):
 def test_without_the_data_the_demonstration_draws_synthetic_gratings(tmp_path, monkeypatch):
     empty = tmp_path / "data"
     empty.mkdir()
-    # A smaller grating, a shorter window and a larger tolerance make the demonstration several seconds faster.
+    # Smaller gratings, a shorter coherence window and a larger tolerance make the demonstration several seconds faster.
     small_gratings(monkeypatch)
     draw_roughly(monkeypatch, "shade", "reflectance_map")
     lines: list[str] = []

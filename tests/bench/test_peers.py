@@ -1,4 +1,8 @@
-"""Peers, the other programs in the benchmarks, must be correct, or comparisons with them would be meaningless."""
+"""Peers, the other programs in the benchmarks, must be correct, or comparisons with them would be meaningless.
+
+(u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
+light and to the viewer. λ is the wavelength.
+"""
 
 import numpy as np
 import pytest
@@ -39,8 +43,9 @@ def test_the_published_algorithm_converges_to_the_reference(name, kind, rng):
 
 @pytest.mark.parametrize("name", SERIES)
 def test_rounding_finds_the_nearest_coefficient_and_floor_does_not(name, rng):
-    # If the window is much larger than the patch, the coefficient nearest to (u, v)/λ contributes nearly all of the
-    # power.
+    # If the coherence window is much larger than the patch, the Fourier coefficient nearest to (u, v)/λ contributes
+    # nearly all of the power. Here the peers use only one coefficient. They must find its index by rounding, not by
+    # floor.
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08)
     scattering_vectors, gains, exact = called(heightfield, hemisphere(rng, 40), hemisphere(rng, 40), wd.Coherence())
     errors = []
@@ -61,14 +66,14 @@ def test_dr_jit_and_numpy_compute_the_same_at_the_published_setting(rng):
 
 
 def test_lines_of_a_grating_have_the_colours_of_the_reference():
-    # The spectrum of a regular grating has only narrow lines, 7 nm wide in the first order. The analytic model treats
-    # them as infinitely narrow.
+    # In each direction, a regular grating reflects only narrow spectral lines, one per order. They are 7 nm wide in the
+    # first order. The tested peer, an analytic model, treats them as infinitely narrow.
     heightfield, period = wd.gratings.lamellar(1.6, 0.126, duty=0.3), 1.6
     shade = runs(stam_analytic).prepare(heightfield, wd.Coherence(), colours="cie")
     angle = np.radians(np.linspace(-80.0, 80.0, 161))
     views = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=1)
-    # Every second light is moved out of the plane of incidence by half the width of a lobe, to test how colours depend
-    # on v.
+    # Every second light is moved out of the plane of incidence by half the angular width of an order, to test how
+    # colours depend on v.
     aside = 0.004 * (np.arange(161) % 2)
     lights = np.stack([np.full(161, 0.3), aside, np.sqrt(1.0 - 0.09 - aside**2)], axis=1)
     scattering_vectors, gains, exact = called(heightfield, lights, views, wd.Coherence())
@@ -87,8 +92,8 @@ def test_the_rainbow_follows_the_published_chapter():
     heightfield = wd.gratings.disc("CD", length_um=12.8)
     assert stam_analytic.grating_um(heightfield) == pytest.approx(1.6)
     shade = runs(stam_analytic).prepare(heightfield, wd.Coherence(), colours="rainbow")
-    # With this u, the model has lines at 0.75 µm (green in its colours) and at 0.375 µm. The latter is below its range
-    # of wavelengths, so only green remains.
+    # For the u of this test, the analytic model reflects the wavelengths 0.75 µm and 0.375 µm. Its rainbow colours show
+    # 0.75 µm as green. They do not include 0.375 µm, so that only green remains.
     scattering_vectors = np.array([[0.75 / 1.6, v, -1.5] for v in (0.0, 0.4)])
     red, green, blue = colorimetry.xyz_to_rgb(shade(scattering_vectors, np.ones(2), 1)).T
     assert np.all(green > 0.0)

@@ -101,8 +101,9 @@ def fingers(tmp_path_factory):
 
 
 def test_a_scene_is_charted_on_the_pixels_of_its_picture(fingers):
-    """The benchmark's chart of a scene must use the directions of the illuminated pixels of its picture, and have their
-    colours.
+    """The benchmark's chart of a scene must use the directions of the illuminated pixels of the scene's picture.
+
+    The colours of the reference in these directions must equal the colours of the pixels.
     """
     assert [coherence.kind for coherence in fingers.coherences] == ["averaged", "centred", "source"]
     window = fingers.coherences[0]

@@ -80,7 +80,7 @@ def test_the_light_of_the_page_about_lights_equals_many_point_lights(module_of, 
 
 
 def test_the_profile_of_the_page_about_lights_works_in_a_file_of_a_user(module_of, fingers):
-    """A profile from the page must dim the light by the sine of the angle between a direction and the axis of a tube.
+    """The emission profile on the page must dim the light by the sine of the angle to the axis of a tube.
 
     The tube is so short that it would give the picture of a point light if it had no profile. The ratio of the two
     pictures is therefore this sine, whose median must be clearly below 1.
@@ -103,11 +103,11 @@ def changed(code, *replacements):
     return code
 
 
-# Import statement in the code of the page. The library needs it, because kernel and profile are in two files of the
-# library. The test removes it, because it puts all code of the page into one file.
+# Import statement in the code of the page. It is needed if the page's kernel and its emission profile are in two files
+# of the library. The tests below that put all code of the page into one file remove it.
 IMPORT_OF_KERNEL = "        from warpdiff.kernels.tube_emission import emit_from_tube\n"
-# Pairs of a text in the page's code of the light, and its replacement. The replacements give the emission profile to
-# the lobes of the light.
+# Pairs of a text in the page's class of lights, and its replacement. After the replacements, each lobe of the light (a
+# Gaussian, by which the light is represented) has the emission profile of the page.
 WITH_PROFILE = (
     ("deviations, tuple(position))", "deviations, tuple(position), TubeProfile(axis))"),
     ("        along = np", "        axis = tuple((spacing / np.linalg.norm(spacing)).tolist())\n        along = np"),
@@ -117,8 +117,9 @@ WITH_PROFILE = (
 # This test compiles kernels in a copy of the package, which takes 15 s.
 @pytest.mark.slow
 def test_the_light_of_the_page_about_lights_can_be_added_to_the_library(tmp_path):
-    """In a copy of the package with the files of the page, imports must meet the rules, and the light must be found by
-    name.
+    """The files of the page are added to a copy of the package.
+
+    import-linter must find no broken rule, and the command line must accept the light by its name.
     """
     for folder in ("warpdiff", "kernels"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))

@@ -1,4 +1,4 @@
-"""Checks before a release, and the workflow files, whose steps are targets and modules that exist here."""
+"""Checks before a release, and the workflow files. Their steps must be make targets and Python modules that exist."""
 
 import re
 from pathlib import Path
@@ -36,7 +36,7 @@ def test_steps_of_workflows_are_targets_and_modules_that_exist(path):
             assert words[2] in ("pip", "pytest") or (ROOT / f"{words[2].replace('.', '/')}.py").is_file(), line
         for steps in re.findall(r'(?:STEPS="|--steps )([a-z -]+?)(?:"| --|$)', line):
             assert set(steps.split()) <= set(release_check.STEPS), line
-    # A job has a limit of time, and no permission that it does not need.
+    # Each job must have a time limit, and may only read the repository.
     assert text.count("runs-on:") == text.count("timeout-minutes:")
     assert re.search(r"^permissions:\n  contents: read$", text, re.MULTILINE)
     assert text.count("actions/checkout") == text.count("persist-credentials: false")

@@ -6,7 +6,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 SOURCES = sorted(path for folder in ("warpdiff", "kernels") for path in (ROOT / folder).rglob("*.py"))
-# Calls that execute code of a file or of a text. Workers of Dask unpickle what their own client sent.
+# Calls that may execute code which a file or a text contains. ``ALLOWED`` has the only exception: workers of Dask
+# unpickle data that their own client has sent.
 DANGEROUS = {"eval", "exec", "compile", "__import__"}
 DANGEROUS |= {"pickle.load", "pickle.loads", "marshal.loads", "yaml.load", "os.system"}
 MAY_UNPICKLE = ("np.load", "np.lib.format.read_array")
@@ -26,7 +27,8 @@ def dangerous_calls(text):
             result += [name] if is_dangerous else []
         elif isinstance(node, (ast.Import, ast.ImportFrom)):
             module = getattr(node, "module", None) or node.names[0].name
-            # The parsers of ``xml`` expand entities; only ``expat`` is used, which refuses document types here.
+            # Most XML parsers of Python expand entities. The library may use only ``expat``, and refuses document
+            # types.
             result += [module] if module.startswith(("xml.etree", "xml.dom", "xml.sax", "yaml")) else []
     return result
 

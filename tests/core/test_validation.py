@@ -52,3 +52,35 @@ def test_a_picture_that_no_light_reaches_is_warned_of():
         image = wd.shade(disc, GRATING, wd.DirectionalLight((0.0, -0.3, -1.0)), view, tolerance=0.3, pigment=0.0)
     assert image.mask.any()
     assert not image.xyz.any()
+
+
+@pytest.mark.parametrize("value", [True, [True, False], np.ones((2, 2), dtype=bool)])
+def test_flags_are_no_numbers_of_arrays(value):
+    calls = {
+        "turn_deg": lambda: wd.GratingMap(GRATING, turn_deg=value),
+        "heights_um": lambda: wd.HeightField([value], 0.1),
+        "efficiencies": lambda: wd.Target.orders({(0, 1): True, (0, 0): 0.0}, UP, 550.0),
+    }
+    for name, call in calls.items():
+        with pytest.raises(TypeError, match=f"{name} must be .*numbers, got True"):
+            call()
+    assert validation.finite_array(value, "pixels", flags=True).dtype == np.float64
+
+
+def test_huge_views_are_refused_before_they_are_copied():
+    for shape in ((40_000, 40_000), (10**6, 10**6)):
+        huge = np.broadcast_to(0.0, shape)
+        for call in (lambda view: validation.finite_array(view, "turn_deg", bytes_per_number=1e5),
+                     lambda view: wd.GratingMap(GRATING, turn_deg=view)):  # fmt: skip
+            with pytest.raises(
+                MemoryError, match=r"turn_deg of shape \(\d+, \d+\) requires about .*: take fewer numbers"
+            ):
+                call(huge)
+
+
+@pytest.mark.parametrize("order", [1, (0, 1, 2), "01", None, (0.5, 1), 0.5])
+@pytest.mark.parametrize("kind", [wd.OrderEfficiencies, wd.RigorousEfficiencies])
+def test_an_order_is_a_pair_of_integers(kind, order):
+    result = kind.__new__(kind)
+    with pytest.raises(TypeError, match=r"order must be a(n integer| pair of integers \(m_y, m_x\)), got"):
+        result[order]

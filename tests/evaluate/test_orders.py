@@ -249,9 +249,10 @@ def test_orders_do_not_jump_where_another_one_passes_the_horizon(period):
 def test_a_grazing_light_stays_in_its_mirror_order(angle):
     """Normalisation must leave most power of a grazing light in its mirror order, and move only a part to other orders.
 
-    The normalisation gives each direction a weight, which falls from 1 at a cosine of 0.1 to 0 at the horizon. The
-    moved part of the power must be at most the weight of the light's direction. The sum of all efficiencies must stay
-    1, and each order must have the same efficiency as its reversed path.
+    The normalisation gives each direction a weight that depends on the cosine of its angle from the normal. The weight
+    is 1 for cosines of at least 0.1, and falls to 0 at the horizon. The moved part of the power must be at most the
+    weight of the light's direction. The sum of all efficiencies must stay 1, and each order must have the same
+    efficiency as its reversed path.
     """
     grating, cosine = wd.gratings.blazed(1.7, 0.2), math.cos(math.radians(angle))
     orders = wd.order_efficiencies(grating, at_angle(angle), 600.0, ior=math.inf)

@@ -1,7 +1,7 @@
 """Reflectance by the direct sum, maps and the absolute BRDF, compared with references and closed forms.
 
-ωi and ωr are the unit vectors to the light and to the viewer, with the angles θi and θr from the normal. σ is the
-standard deviation of the coherence window.
+ωi and ωr are the unit vectors to the light and to the viewer, with the angles θi and θr from the normal. w is the
+normal component of the scattering vector −ωi − ωr. σ is the standard deviation of the coherence window.
 """
 
 import itertools
@@ -93,9 +93,10 @@ def test_the_brdf_of_a_mirror_in_the_mirror_direction_is_4_pi_sigma_squared_over
 
 
 def test_pixels_of_a_map_are_means_of_directions_within_the_unit_disc(line):
-    """Each pixel of a map must be the mean over directions within the unit disc.
+    """Each pixel of a reflectance map must be the mean over those of its view directions that exist.
 
-    In a map, x increases from left to right, and y decreases from top to bottom.
+    The position in a map is the pair (x, y) of a view direction, within the unit disc. x increases from left to right,
+    and y decreases from top to bottom.
     """
     light = at_angle(20.0)
     plan = wd.plan(line, coherence=SHORT, tolerance=1e-1)
@@ -112,7 +113,7 @@ def test_pixels_of_a_map_are_means_of_directions_within_the_unit_disc(line):
     np.testing.assert_array_equal(image.mask, share > 0.0)
     assert set(np.unique(share)) > {0.0, 1.0}
     # The largest estimated error of the pixels equals the error that the plan predicts for all directions. Errors are
-    # relative to a pixel's colour, or to the floor f if that is larger.
+    # relative to the norm of a pixel's XYZ, or to a thousandth of the reference luminance if that is larger.
     np.testing.assert_allclose(image.error[image.mask].max(), plan.error, rtol=1e-3)
     assert not image.error[~image.mask].any()
     assert image.report.refined_share == 0.0

@@ -51,7 +51,7 @@ def fit_with_warnings(guess, data, sd):
 def test_the_best_values_do_not_depend_on_the_size_of_sd(sd):
     """Fits must have the same best values for any common standard deviation ``sd``.
 
-    The minimiser once ended at the start for a large ``sd``, because it compared the gradient of χ² with a constant.
+    A minimiser that compares the gradient of χ² with a constant would end at the start for a large ``sd``.
     """
     expected = wd.fit(GUESS, measured(NOISY), sd=1e-3, starts=1)
     result, _ = fit_with_warnings(GUESS, measured(NOISY), sd)
@@ -61,7 +61,7 @@ def test_the_best_values_do_not_depend_on_the_size_of_sd(sd):
 
 @pytest.mark.parametrize("sd", [1e-4, 1e3])
 def test_the_best_start_does_not_depend_on_the_size_of_sd(sd):
-    """For a large ``sd``, all χ² are tiny. A constant in their comparison once made the earliest start the best."""
+    """For a large ``sd``, all χ² are tiny. If small differences did not count, the first start would be the best."""
     far = profile(*(TRUE * [2.2, 1.0, 1.0, 1.0]))
     one, _ = fit_with_warnings(far, measured(NOISY), sd)
     with warnings.catch_warnings():
@@ -74,7 +74,7 @@ def test_the_best_start_does_not_depend_on_the_size_of_sd(sd):
 
 
 def test_warnings_about_starts_are_not_shown(monkeypatch):
-    """A random start may have an order at the horizon, which does not concern the result."""
+    """A fit must not show warnings about its starts, such as one about an order at the horizon."""
     predict, starts = wd.Measured.predict, []
 
     def warning(data, surface, wrt=()):
@@ -127,7 +127,7 @@ def test_fewer_values_than_parameters_give_a_warning():
 def test_a_change_of_all_pixels_is_not_determined():
     """If all pixels change by the same height, no colour changes. All standard errors must therefore be NaN.
 
-    Truncation errors of colours once made this change seem to be determined, with standard errors of a millimetre.
+    Truncation errors of colours can make this change seem to be determined, with standard errors of a millimetre.
     """
     rng = np.random.default_rng(1)
     pixels = wd.profiles.Pixels(0.5, rng.uniform(0.0, 0.1, (1, 3)), samples=2)
@@ -182,7 +182,7 @@ def test_percent_gives_a_warning():
 def test_parameters_without_a_surface_are_refused():
     """Parameters whose vertices are beyond the period, or not in order, must raise an error.
 
-    Such vertices were once moved into the period without a notice, and the gradient did not include the move.
+    If such vertices were moved into the period instead, the gradient would be wrong, because it excludes the move.
     """
     for x in ([0.14, 1.4, 0.04, 2.0], [0.14, 0.42, 0.9, 2.0], [0.14, -0.1, 0.0, 2.0]):
         with pytest.raises(ValueError, match="vertices in increasing order within one period"):

@@ -60,7 +60,7 @@ def test_images_are_linear_between_black_and_white(tmp_path: Path) -> None:
         ({"turn_deg": [0.0, 1.0]}, r"turn_deg must be one number, or have shape \(rows, columns\).*got shape \(2,\)"),
         ({"turn_deg": np.zeros((0, 3))}, "at least one dot"),
         ({"depth_scale": [[1.0, -0.5]]}, "depth_scale must be at least 0 and at most 1000, got -0.5 at 1 of 2 dots"),
-        ({"pitch_scale": [[1.0, 0.0]]}, "pitch_scale must be more than 0 and at most 1000, got 0 at 1 of 2 dots"),
+        ({"pitch_scale": [[1.0, 0.0]]}, "pitch_scale must be at least 0.001 and at most 1000, got 0 at 1 of 2 dots"),
         ({"pitch_scale": [[1.0, 5.0]]}, "at most 4 times the smallest one, got 1 to 5: split the map"),
         ({"turn_deg": np.zeros((2, 3)), "depth_scale": np.ones((3, 2))}, r"same shape .*\(2, 3\).*\(3, 2\): resample"),
         ({"pitch_scale": "pitch.png"}, "pitch_scale must state the values of black and white"),
@@ -79,6 +79,44 @@ def test_bad_images_have_one_clear_error(tmp_path: Path) -> None:
     Image.fromarray(np.zeros((2, 2, 3), np.uint8)).save(tmp_path / "colour.png")
     with pytest.raises(ValueError, match=r"turn_deg: .*is a colour image"):
         wd.GratingMap(CELL, turn_deg=tmp_path / "colour.png")
+
+
+BAD_IMAGES = {
+    "folder": (None, "must be an image, got the folder .*: name a file in it"),
+    "text": ("no image", "has a format that is not read; save it as a grey image .* or give an array"),
+    "colour.png": (np.zeros((2, 2, 3), np.uint8), r"is a colour image \(3 channels\); save it as one grey channel"),
+    "deep.tif": (np.zeros((2, 2), np.int32), "must have unsigned integers of 8 or 16 bit, .* got (u?)int32 in"),
+    "floats.tif": (np.full((2, 2), 45.0, np.float32), r"must have floats from 0 \(black\) to 1 .*, got 45 to 45"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_IMAGES)
+def test_images_have_remedies_for_maps(name: str, tmp_path: Path) -> None:
+    """Errors about images of maps must not advise to give files of heights, which maps do not accept."""
+    content, message = BAD_IMAGES[name]
+    path = tmp_path / name
+    if content is None:
+        path.mkdir()
+    elif isinstance(content, str):
+        path.write_text(content)
+    else:
+        Image.fromarray(content).save(path)
+    picture = np.ones((2, 2))
+    light, cell = (0.0, 0.6, 0.8), wd.gratings.sinusoidal(1.3, 0.2)
+    calls = {
+        "turn_deg": lambda: wd.GratingMap(CELL, turn_deg=path),
+        "first": lambda: wd.hidden_pictures(path, picture, [(0, 0, 8), (5, 1, 6)], light, cell=cell),
+    }
+    for argument, call in calls.items():
+        with pytest.raises(ValueError, match=f"{argument}.*{message}") as error:
+            call()
+        assert not any(text in str(error.value) for text in ("heights", ".npz", ".x3p"))
+
+
+def test_pitches_of_dots_are_checked() -> None:
+    fine = wd.HeightField.of_known_scale(CELL.heights_um, 1e-14)
+    with pytest.raises(ValueError, match=r"pitch_scale must make a pitch of 1e-15 to 1e\+15 µm, got 0.01 to 0.01"):
+        wd.GratingMap(fine, pitch_scale=0.01)
 
 
 def test_the_cell_must_be_a_periodic_height_field() -> None:

@@ -78,6 +78,11 @@ def test_pictures_may_be_grey_images(tmp_path: Path) -> None:
         ({"to_light": (0.0, 1.0, -1.0)}, "to_light must be one direction with z above 0"),
         ({"eyes": [(0.0, -27.8, 40.0), (30.0, 0.0, 40.0)]}, "eyes must be away from the mirror direction of to_light"),
         ({"cell": wd.HeightField(np.zeros((1, 8)), 0.2)}, "cell must have heights that differ"),
+        ({"eyes": [(0.0, 0.0, 1e-12), (5.0, 1.0, 6.0)]}, "eyes must be visible from all dots, .* raise the eyes"),
+        ({"eyes": [(0.0, 0.0, 8.0), (1e300, 0.0, 1e300)]}, r"eyes must be two positions .* within ±1e\+15"),
+        ({"to_light": (1.0, 0.0, 1e-9)}, "to_light must be one direction with z above 0, and at least 1e-06"),
+        ({"cell": wd.gratings.sinusoidal(1.2, 1e-4)}, "cell must have a height range .* deepen the cell"),
+        ({"cell": wd.HeightField.of_known_scale(CELL.heights_um, 1e-7)}, "cell must have a period .* of about 0.806"),
         ({"wavelength_nm": 1000.0}, "wavelength_nm must be .* at most 780"),
     ],
 )

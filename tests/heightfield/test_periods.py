@@ -162,8 +162,9 @@ def test_whole_periods_match_at_the_edges(degrees, shape):
     np.testing.assert_array_equal(cut.heights_um, field.heights_um[: shape[0], : shape[1]])
     axis = int(degrees == 0.0)
 
-    # The cropped field ends before line 173 of the original field, and contains a whole number of periods. Line 173
-    # therefore nearly equals line 0. The last line of the original field does not.
+    # Lines are rows or columns of samples along the grooves. The cropped field ends before line 173 of the original
+    # field, and contains a whole number of periods. Line 173 therefore nearly equals line 0. The last line of the
+    # original field does not.
     lines = np.moveaxis(field.heights_um, axis, 0)
     assert np.abs(lines[173] - lines[0]).max() < 0.01
     assert np.abs(lines[199] - lines[0]).max() > 0.1

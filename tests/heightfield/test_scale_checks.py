@@ -1,4 +1,4 @@
-"""Units other than µm, codes for missing data, and reliefs that are large but right."""
+"""Warnings about heights in a wrong unit and about codes for missing data, and large reliefs that cause no warning."""
 
 import math
 import re

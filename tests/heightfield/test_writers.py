@@ -83,11 +83,13 @@ def test_layout_measures_features_in_the_file(tmp_path):
     assert row["layer"] == 1
     assert row["most_vertices"] == 4
     np.testing.assert_allclose(row["area_um2"], 9 * 0.125)
-    # The least feature is one sample, that at the corner. The least gaps are beside the large feature.
+    # The smallest feature is the single sample that touches a corner. The narrowest gaps are those between the feature
+    # of 2 × 3 samples and its own periodic copies.
     np.testing.assert_allclose([row["least_width_x_um"], row["least_gap_x_um"]], [0.25, 1.75])
     np.testing.assert_allclose([row["least_width_y_um"], row["least_gap_y_um"]], [0.5, 2.0])
     assert row["touching_corners"] == 1
-    # A ring as one polygon with a keyhole, as other programs write it, has a hole.
+    # Other programs write a ring as one polygon with a keyhole: a slit from the outer edge to the hole. The hole must
+    # be measured as a gap.
     cell = gdstk.Cell("TOP")
     ring = gdstk.boolean(gdstk.rectangle((0, 0), (3, 3)), gdstk.rectangle((1, 1), (2, 1.5)), "not", layer=7)
     cell.add(*ring)
@@ -120,6 +122,8 @@ def test_dose_follows_the_curve_of_the_resist(tmp_path):
     with Image.open(path) as image:
         samples = np.asarray(image, dtype=float)[0] / 65535
     np.testing.assert_allclose(samples, [0.1, 0.3, 0.5, 0.55], atol=1e-5)
+    # The difference of these heights is 0.30000000000000004.
+    wd.HeightField([[0.1, 0.4]], 1.0).save(tmp_path / "rounded.png", dose=[(0.0, 0.1), (0.3, 1.0)])
 
 
 @pytest.mark.parametrize("relief", [RELIEF, wd.gratings.sinusoidal(2.0, 0.1, samples=16)], ids=["steps", "row"])
@@ -136,7 +140,8 @@ def test_stl_is_a_closed_solid_with_the_heights(relief, tmp_path):
     mean = np.pad(relief.heights_um, ((0, 1), (0, 1)), mode="wrap") - base
     mean = (mean[1:, 1:] + mean[:-1, 1:] + mean[1:, :-1] + mean[:-1, :-1]).mean() / 4.0
     assert solid.volume > 0.0
-    # Two triangles of a quadrilateral differ from its mean by a part of the height range.
+    # The solid has two triangles per cell of four samples. The mean height of the two triangles differs from the mean
+    # of the four samples, by at most a part of the height range.
     np.testing.assert_allclose(solid.volume, mean * nx * dx * ny * dy, rtol=0.3 * relief.height_range_um / mean)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import warpdiff as wd
+from warpdiff.core import memory
 from warpdiff.inverse_design import design_search, pixel_exchange, rigorous_check
 from warpdiff.inverse_design.design_result import achieved_values, uniformity_error
 from warpdiff.inverse_design.first_heights import first_heights
@@ -251,6 +252,9 @@ def test_refused_before_the_search(options, error, message):
         (lambda: wd.Target.equal([(0, 1), (0, 1)], UP, 550.0), ValueError, "orders must be different orders"),
         (lambda: wd.Target.equal([], UP, 550.0), ValueError, "orders must be 1 to 100000 pairs"),
         (lambda: wd.Target.equal(ORDERS, UP, 550.0, energy="no"), ValueError, "energy must be one of"),
+        (lambda: wd.Target.orders({(0, 1e300): 0.1}, UP, 550.0), ValueError, "efficiencies must lie within ±1e\\+09"),
+        (lambda: wd.Target.equal([(0, 10**19)], UP, 550.0), ValueError, "orders must lie within ±1e\\+09, got 1e\\+19"),
+        (lambda: wd.Target.colour((1e300, 0.5, 0.5), UP, UP), ValueError, "X and Z of at most 200, got .*divide"),
     ],
 )  # fmt: skip
 def test_refused_targets(make, error, message):
@@ -302,3 +306,37 @@ def test_least_features_hold_after_the_exchange():
         row = result.parameters
         row = np.roll(row, -int(np.flatnonzero(np.diff(row))[0]) - 1)
         assert np.diff(np.flatnonzero(np.append(True, np.append(np.diff(row) != 0, True)))).min() >= 4
+
+
+@pytest.mark.parametrize("width", [1e-5, 1e-7, 1e-320])
+def test_edges_far_below_a_sample_are_refused(width, monkeypatch):
+    target = wd.Target.equal(ORDERS, UP, 632.8, **MIRROR)
+    result = wd.design(pixels(), target, starts=1)
+    with pytest.raises(ValueError, match=r"edge_widths_um must be 0, or at least 0\.002 µm, .* give 0 for sharp edges"):
+        result.robustness(edge_widths_um=[width])
+    monkeypatch.setattr(memory, "available", lambda: 1e5)
+    with pytest.raises(MemoryError, match=r"edge_widths_um of 0\.002 µm with 9600 samples requires about"):
+        result.robustness(edge_widths_um=[0.002])
+
+
+def test_columns_are_designed_like_rows():
+    """A grating along y must have the results of the same grating along x, with exchanged orders."""
+    options = {"levels": 4, "starts": 1, "least_feature_um": 0.8}
+    row = wd.design(pixels(), wd.Target.equal(ORDERS, UP, 632.8, **MIRROR), **options)
+    column = wd.profiles.Pixels(0.4, np.zeros((24, 1)), samples=2)
+    result = wd.design(column, wd.Target.equal([(m, 0) for _, m in ORDERS], UP, 632.8, **MIRROR), **options)
+    assert result.heightfield.shape == (48, 1)
+    np.testing.assert_array_equal(result.heightfield.heights_um.T, row.heightfield.heights_um)
+    for own, other in zip(*(each.robustness(tilts_deg=[]) for each in (result, row)), strict=True):
+        assert own[:2] == other[:2]
+        assert own[2] == pytest.approx(other[2], abs=1e-9)
+    tilted = wd.design(column, wd.Target.equal([(0, 0)], (0.0, 0.1, 1.0), 632.8, **MIRROR), starts=1)
+    oblique = wd.design(column, wd.Target.equal([(0, 0)], (0.1, 0.0, 1.0), 632.8, **MIRROR), starts=1)
+    with pytest.raises(ValueError, match=r"targets\[0\] must have directions perpendicular to the grooves \(x = 0\)"):
+        oblique.check_rigorously()
+    solve = mock.Mock(side_effect=LookupError)
+    with mock.patch.object(rigorous_check, "rigorous_order_efficiencies", solve), pytest.raises(LookupError):
+        tilted.check_rigorously()
+    surface, light = solve.call_args.args[:2]
+    assert surface.shape == (1, 48)
+    np.testing.assert_allclose(light, wd.Target.equal([(0, 0)], (0.1, 0.0, 1.0), 500.0).to_light)

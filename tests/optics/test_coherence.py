@@ -130,8 +130,10 @@ def tangent_frame(to_light):
 
 @pytest.mark.parametrize("theta", INCIDENCES)
 def test_the_covariance_of_a_source_is_its_projected_spread(theta):
-    """The tangential components of the directions to a source must have the covariance s² (1 − ωi ωiᵀ), with the spread
-    s.
+    """The tangential components of the directions to a source must have the covariance s² (1 − ωi ωiᵀ).
+
+    s is the spread of the source: the standard deviation of its directions along each axis. 1 is the unit matrix, and
+    ωi has two components here.
     """
     to_light, s = inclined(theta), 1e-4
     first, second = tangent_frame(to_light)
@@ -151,11 +153,11 @@ def test_the_covariance_of_a_source_is_its_projected_spread(theta):
 
 @pytest.mark.parametrize("theta", INCIDENCES)
 def test_every_order_shows_the_radiance_of_the_source(small, theta, rng):
-    """Each order must show an image of the source: its power is proportional to the radiance of one point of the
-    source.
+    """Each order must show an image of the source.
 
-    The points (a, b) lie on a plane tangent to the sky, in units of the source's spread. Their radiance is exp(−(a² +
-    b²)/2). The proportionality is exact in the limit of a small source.
+    In a view direction, the power of an order must be proportional to the radiance of that point of the source whose
+    light the order diffracts into this direction. The points (a, b) lie on a plane tangent to the sky, in units of the
+    source's spread. Their radiance is exp(−(a² + b²)/2). The proportionality is exact in the limit of a small source.
     """
     to_light, wavelength = inclined(theta), 0.5
     first, second = tangent_frame(to_light)
@@ -219,8 +221,8 @@ def test_the_solid_angle_is_the_integral_of_a_mirrors_lobe(coherence):
     """
     flat, wavelength, to_light = HeightField(np.zeros((4, 5)), (0.12, 0.1)), 0.5, inclined(60.0)
     area = math.prod(flat.size_um)
-    # The lobes of replicas are wide. Their integral therefore covers one period of the spectrum, which repeats because
-    # the surface is sampled.
+    # For a few periods (kind "replicas"), the lobe is wide. The integral therefore covers one whole period of the power
+    # spectrum along u and v. The power spectrum is periodic because the surface is sampled.
     ends = (wavelength / 0.1, wavelength / 0.12) if coherence.kind == "replicas" else (0.5, 0.5)
     count = 60
     u, v = (end * ((np.arange(count) + 0.5) / count - 0.5) for end in ends)

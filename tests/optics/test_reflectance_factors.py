@@ -1,4 +1,8 @@
-"""Factors of the reflectance: reflectance at normal incidence, and gains of flat mirrors and of any two directions."""
+"""Factors of the relative reflectance: reflectance R(0) at normal incidence, and gains of pairs of directions.
+
+A gain is the factor between the diffracted power and the relative reflectance. R(θ) is the reflectance of a flat
+surface at the angle θ by Schlick's formula.
+"""
 
 import math
 
@@ -44,6 +48,7 @@ def test_a_flat_mirror_shows_the_radiance_of_a_source(masking, normal):
 
 
 def test_gains_follow_equation_3_15_and_the_masking_of_cook_and_torrance(rng):
+    """Gains must equal equation 3.15 of Single (2014), times the masking of Cook and Torrance if it is enabled."""
     lights, views = hemisphere(rng, 200), hemisphere(rng, 200)
     half = (lights + views) / np.linalg.norm(lights + views, axis=1, keepdims=True)
     cos_i, cos_r, cos_h = lights[:, 2], views[:, 2], half[:, 2]

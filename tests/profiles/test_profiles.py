@@ -71,6 +71,7 @@ def test_equivalent_trapezoids_have_the_same_orders():
         (lambda: wd.profiles.Polygon([0.0, 1.0], 2.0), "vertices"),
         (lambda: wd.profiles.Polygon([(0.0, 0.0, 0.0)] * 2, 2.0), r"shape \(k, 2\)"),
         (lambda: wd.profiles.Pixels(0.5, [0.0, 1.0]), "levels"),
+        (lambda: wd.profiles.Pixels(0.5, np.zeros((0, 4))), "levels must have at least one pixel"),
         (lambda: wd.profiles.Samples(wd.gratings.bumps()).surface([1.0]), "one number per parameter"),
         (lambda: wd.profiles.ScanModes(wd.gratings.bumps(), 20.0), "scale must lie within 0 to 10"),
     ],

@@ -77,7 +77,7 @@ def kernel_gain(lights, views, normal, masking, device):
 
 
 def power_width(coherence):
-    """Return the standard deviation [1/µm] of the Gaussian over which a window spreads the power of a coefficient."""
+    """Return the width (standard deviation) [1/µm] of the Gaussian over which a coherence window spreads an order."""
     return 1.0 / (2.0 * math.sqrt(2.0) * math.pi * coherence.sigma_um)
 
 
@@ -171,7 +171,7 @@ def projected_disc(centre, radius, count):
 def test_flat_mirror_reflects_all(sigma_um, theta_deg):
     """Check that ∫ BRDF cos θr dω = 1 within 1 %.
 
-    At 75° the lobe of the shortest window extends to the horizon, where the formula of the BRDF itself is inexact. Its
+    At 75° the lobe of the shortest window extends to the horizon, where the formula of the BRDF itself is inexact. The
     integral is 1.007 at the tested wavelength of 550 nm, but 1.017 at 450 nm and 0.957 at 780 nm.
     """
     assert mirror_power(sigma_um, theta_deg, math.inf) == pytest.approx(1.0, rel=1e-2)
@@ -198,8 +198,8 @@ def test_the_excess_energy_of_a_shallow_sine_follows_its_formula(period_um):
     """The total power that a mirror with a shallow sine profile reflects must follow a formula of scalar theory.
 
     Scalar theory violates the conservation of energy. For a profile of amplitude a, the reflected power is
-    1 + (2πa/λ)² (1 − c)²/(2c) times the incident power, where c is the cosine of the first order. The excess is about a
-    millionth. Measuring it requires float64, a shallow profile and narrow lobes.
+    1 + (2πa/λ)² (1 − c)²/(2c) times the incident power. c is the cosine of the angle between the first order and the
+    normal. The excess is about a millionth. Measuring it requires float64, a shallow profile and narrow lobes.
     """
     wavelength = 0.55
     amplitude = 0.001 * wavelength
@@ -296,7 +296,7 @@ def test_calls_without_directions_return_empty_arrays(rough, method):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_threads_and_repetition_do_not_change_a_bit(rough, kind, rng):
-    # The directions fill several slices of 512, which are distributed over the threads.
+    # The directions fill several slices of 512 directions, which are distributed over the threads.
     count = {"averaged": 5000, "source": 800}.get(kind, 1500)
     # Directions near the horizon are excluded, because a source there requires thousands of wavelengths per direction.
     lowest = 0.3 if kind == "source" else 0.05

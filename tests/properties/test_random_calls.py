@@ -25,8 +25,8 @@ def log_uniform(low, high):
 def height_fields(draw):
     """Return a random height field: rough, smooth or flat, at most 0.6 µm high, with 1 to 24 samples per axis.
 
-    Higher fields would require more terms, and each number of terms compiles another kernel. They are tested in
-    tests/planner/test_regimes.py.
+    Higher fields would require more terms of the series, and each number of terms compiles another kernel. They are
+    tested in tests/planner/test_regimes.py.
     """
     ny, nx = draw(st.one_of(
         st.sampled_from([(1, 1), (1, 2), (2, 1), (1, 24), (24, 1), (2, 2)]),
@@ -179,16 +179,17 @@ def test_mirroring_surface_and_directions_changes_nothing(data):
     # Mirroring x → −x keeps the position of the first sample, and reverses the order of the others.
     flipped = wd.HeightField.of_known_scale(np.roll(heightfield.heights_um[:, ::-1], 1, axis=1), heightfield.pitch_um)
     if coherence.kind == "centred":
-        # The window is centred on a sample. For a centre between samples, coefficients at and beyond the Nyquist limit
-        # have phases that depend on the sign of the frequency, so that mirroring would change the result.
+        # The coherence window is centred on a sample. For a centre between samples, Fourier coefficients at and beyond
+        # the Nyquist limit have phases that depend on the sign of the frequency, so that mirroring would change the
+        # result.
         centre = tuple((n // 3) * pitch for n, pitch in zip(heightfield.shape, heightfield.pitch_um, strict=True))
         coherence = wd.Coherence("centred", coherence.sigma_um, centre_um=centre)
         mirrored = wd.Coherence("centred", coherence.sigma_um, centre_um=(centre[0], -centre[1]))
     else:
         mirrored = coherence
     if coherence.kind == "replicas":
-        # Replicas consist of whole periods. Mirroring moves each period by one sample, which changes only the phase of
-        # the reflected wave.
+        # The kind "replicas" sums over whole periods. This mirroring also moves each period by one sample, which
+        # changes only the phase of the reflected wave.
         flipped = wd.HeightField.of_known_scale(heightfield.heights_um[:, ::-1], heightfield.pitch_um)
     mirror = np.array([-1.0, 1.0, 1.0])
     here = computed(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import pickle
 from typing import Any
 
@@ -86,6 +87,18 @@ def test_refinement_finds_the_edges_of_dots(
     assert np.mean(errors <= image.error[inside] + 1e-3) > 0.9
 
 
+def test_bright_dots_beside_dark_ones_are_found() -> None:
+    """The filter of a pixel extends beyond the next pixel, so that bright dots there contribute to dark pixels."""
+    rng = np.random.default_rng(2)
+    turns, depths = rng.uniform(0.0, 360.0, (6, 8)), rng.choice([0.0, 1.0], (6, 8), p=[0.7, 0.3])
+    grating_map = wd.GratingMap(FINGERS, turn_deg=turns, depth_scale=depths)
+    options: dict[str, Any] = {"coherence": wd.Coherence(sigma_um=5.0), "strict": False}
+    view = dataclasses.replace(VIEW, width=40, height=30)
+    image = wd.shade(card(), grating_map, LIGHT, view, tolerance=0.05, **options)
+    exact = wd.shade(card(), grating_map, LIGHT, view, tolerance=1e-2, samples_per_pixel=256, **options)
+    assert np.percentile(error_of(image, exact.xyz), 97.0) < 0.05
+
+
 def test_default_coherence_of_maps_is_a_source() -> None:
     options: dict[str, Any] = {"tolerance": 0.1, "strict": False, "footprint": False}
     grating_map = wd.GratingMap(SINE, turn_deg=90.0)
@@ -156,6 +169,7 @@ def test_the_device_algorithms_draw_the_same_picture(monkeypatch: pytest.MonkeyP
     ("mesh", "options", "message"),
     [
         (card(uvs=False), {"tangents": (1.0, 0.0, 0.0)}, "mesh must have texture coordinates for a GratingMap.*unwrap"),
+        (card(uvs=False), {}, "mesh must have texture coordinates for a GratingMap, but it has faces without: unwrap"),
         (card(), {"method": "direct"}, "method must not be 'direct' with a GratingMap.*give another method"),
         (card(), {"energy": "normalised"}, "energy must not be 'normalised' with a GratingMap.*give 'stam'"),
         (card(), {"wavelengths_nm": [500.0]}, "wavelengths_nm must not be given with a GratingMap.*omit it"),
@@ -173,6 +187,17 @@ def test_unsupported_options_have_one_clear_error(mesh: Any, options: dict[str, 
         wd.shade(mesh, grating_map, LIGHT, VIEW, **options)
 
 
+@pytest.mark.parametrize(
+    ("scale", "remedy"), [(100.0, "or give a larger tolerance"), (1000.0, "reduce it, or flatten the cell$")]
+)
+def test_errors_of_deep_dots_name_the_depth_scale(scale: float, remedy: str) -> None:
+    grating_map = wd.GratingMap(SINE, depth_scale=scale)
+    with pytest.raises(ValueError, match=f"depth_scale must be smaller.* got up to {scale:g} .*{remedy}") as error:
+        wd.shade(card(), grating_map, LIGHT, VIEW, tolerance=0.1)
+    assert "direct" not in str(error.value)
+    assert "levelled" not in str(error.value)
+
+
 def test_texture_coordinates_may_be_absent_where_there_is_no_map() -> None:
     scene = card(uvs=True, right=0.5).scene()
     scene.add_geometry(card(uvs=False, left=0.5), geom_name="plain", node_name="plain")
@@ -183,6 +208,8 @@ def test_texture_coordinates_may_be_absent_where_there_is_no_map() -> None:
     surfaces = {name: SINE, "plain": wd.GratingMap(SINE, turn_deg=90.0)}
     with pytest.raises(ValueError, match="2 faces of 'plain' have none"):
         wd.shade(scene, surfaces, LIGHT, VIEW, **options)
+    with pytest.raises(ValueError, match="parts with a GratingMap require texture coordinates: unwrap them"):
+        wd.shade(scene, surfaces, LIGHT, VIEW, **options | {"tangents": None})
 
 
 def test_metals_reflect_less_at_oblique_angles() -> None:

@@ -282,7 +282,7 @@ def test_one_row_is_constant_along_y():
 def test_results_of_an_explicit_plan_do_not_depend_on_other_directions(rough, rng):
     """Results of an explicit plan must not depend on the other directions of the call.
 
-    They do not, because a fitted basis depends only on the range of its plan.
+    The basis of functions, which is fitted to the height field, must therefore depend only on the range of the plan.
     """
     lights, views = hemisphere(rng, 60), hemisphere(rng, 60)
     plan = wd.plan(rough, lights, views)

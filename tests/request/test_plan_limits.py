@@ -1,4 +1,8 @@
-"""Limits of plans: height ranges, windows, directions and pitches that are refused, or used with a warning."""
+"""Limits of plans: height ranges, coherence windows, directions and pitches are refused, or used with a warning.
+
+The order rate of a direction is the speed at which orders pass the direction as 1/λ changes. It grows with
+|(u, v)|, the tangential part of the scattering vector.
+"""
 
 import dataclasses
 import warnings

@@ -110,7 +110,11 @@ def test_not_converged_is_a_result():
 
 
 def test_solutions_without_a_doubling_are_named_as_such():
-    """A change of infinity is no change in a doubling. It must not hide the changes at other wavelengths."""
+    """If the number of harmonics was never doubled at a wavelength, the stored change is infinite.
+
+    The warning must not report it as a change in the last doubling, and must still report the changes at other
+    wavelengths.
+    """
     long = wd.gratings.lamellar(8.0, 0.05, samples=16)
     with pytest.warns(wd.WarpdiffWarning, match="not converged: 1 were computed once, with 22 harmonics: .* least 44$"):
         result = wd.rigorous_order_efficiencies(long, UP, 600.0, material=ALUMINIUM, max_harmonics=40)
@@ -162,7 +166,8 @@ def test_designs_are_checked_rigorously():
     np.testing.assert_allclose(check.achieved["achieved"], [direct[0, m][0] for m in (-1, 0, 1)])
     assert check.converged == 1.0
     assert check.uniformity_errors[0] < 0.25
-    # Shallow grooves of a long period are described well by scalar diffraction: their colour hardly changes.
+    # Scalar diffraction is accurate for shallow grooves with a long period. Its colour must nearly equal the rigorous
+    # one.
     grooves = wd.gratings.lamellar(5.0, 0.05, samples=40)
     coherence = wd.Coherence(sigma_um=3.0)
     target = wd.Target.colour((0.3, 0.5, 0.1), UP, wd.direction(5.0), material=ALUMINIUM, coherence=coherence)

@@ -1,6 +1,6 @@
 """Damaged files are read, or refused with their name; no other files are opened. Each reader has valid files to damage.
 
-The tests run few mutations of ``bench/dev/fuzz.py``, a soak test many.
+The files are damaged by the mutations of ``bench/dev/fuzz.py``: few in the default tests, and many in a soak test.
 """
 
 import contextlib
@@ -69,7 +69,7 @@ def test_the_valid_files_of_each_reader_are_small_and_are_read(target, recwarn):
 
 def test_every_registered_and_public_reader_has_a_corpus():
     tested = {title for target in fuzz_targets.TARGETS for title in target.reads}
-    # Files of instruments are read by SurfaceTopography, whose files cannot be made here.
+    # Formats that the optional package SurfaceTopography reads are excluded, because the tests cannot write such files.
     formats = {entry.title for entry in reader_registry.registered() if not entry.extra}
     assert len(formats) >= 5
     assert not formats - tested
@@ -127,7 +127,7 @@ def test_a_formula_of_a_constant_has_an_index_at_all_wavelengths(tmp_path):
 
 
 def _faulty(fault):
-    """Return a reader of text files with a fault that some damage triggers."""
+    """Return a reader that refuses all text files, and calls ``fault`` if damage has changed the word "Wavelength"."""
 
     def read(path):
         text = path.read_bytes()
@@ -213,5 +213,5 @@ def test_structured_mutations_keep_sizes_and_checksums(file, least, is_valid):
     for damaged in data:
         with contextlib.suppress(Exception):
             valid += is_valid(damaged)
-    # A third of the mutations damage bytes without regard of the structure.
+    # A third of the mutations damage bytes without regard to the structure of the file.
     assert valid > least

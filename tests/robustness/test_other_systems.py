@@ -46,7 +46,8 @@ for module, names in {POSIX_NAMES!r}.items():
     for name in names:
         vars(sys.modules[module]).pop(name, None)
 """
-# Modules that import a package of the same name, which is an extra, and ``__init__.py``, which is imported anyway.
+# Files that the test does not import by name: adapters to the optional packages of the same name, and ``__init__.py``,
+# which Python imports with its package.
 ADAPTERS = ("__init__.py", "jax.py", "torch.py")
 MODULES = [
     ".".join(("warpdiff", *path.relative_to(ROOT).with_suffix("").parts)).replace("warpdiff.warpdiff", "warpdiff")

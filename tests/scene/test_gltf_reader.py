@@ -23,7 +23,7 @@ QUARTER = math.pi / 2
 
 
 def corners(surface, digits=4):
-    """Return position, normal, tangent and texture coordinates at the corners of faces: different rows, sorted."""
+    """Return the distinct rows of position, normal, tangent and texture coordinates at corners of faces, sorted."""
     world = surface.vertices * surface.radius + surface.centre
     rows = np.concatenate([world, surface.normals, surface.tangents, surface.uvs], axis=1)[surface.faces]
     return np.unique(np.round(rows.reshape(-1, 11), digits) + 0.0, axis=0)

@@ -213,7 +213,7 @@ def quad(x, material):
 
 
 def metal(name, **values):
-    """Return a rough metal of trimesh."""
+    """Return a material of trimesh for a rough metal."""
     return PBRMaterial(name=name, metallicFactor=1.0, roughnessFactor=0.4, **values)
 
 
@@ -232,8 +232,8 @@ def test_materials_without_metallic_and_roughness_are_matte_beside_glossy_ones()
     surfaces = {"grating": WAVE, "*": None}
     alone = wd.shade(trimesh.Scene(bodies), surfaces, LIGHT, VIEW, **OPTIONS, footprint=False)
     together = wd.shade(trimesh.Scene(bodies | {"gold": gold}), surfaces, LIGHT, VIEW, **OPTIONS, footprint=False)
-    # The ball around all parts is larger than the ball around a single part. Positions and normals are relative to it
-    # and are therefore rounded differently.
+    # Positions and normals are stored relative to the bounding sphere of the mesh. With the part "gold" the sphere is
+    # larger, so that positions and normals are rounded differently.
     np.testing.assert_allclose(together.xyz[:, 9:], alone.xyz[:, 9:], rtol=1e-5, atol=1e-9)
     assert np.all(alone.xyz[:, :7] == 0.0)
     assert np.all(together.xyz[1:-1, 1:7, 1] > 0.0)

@@ -200,7 +200,7 @@ def test_objects_and_materials_of_obj_files_keep_their_names(library, tmp_path):
 @pytest.mark.parametrize("indent", ["", "  ", "\t"])
 @pytest.mark.parametrize("between", [" ", "\t"])
 def test_obj_files_may_have_tabs_and_indented_lines(indent, keyword_end, between, tmp_path):
-    # The name of the library has a space and a tab, which belong to the name.
+    # The name of the material library has a space and a tab, which belong to the name.
     (tmp_path / "two \t a.mtl").write_text("newmtl gold\nKd 1 0 0\nnewmtl silver\nKd 0 0 1\n")
     lines = []
     for line in TWO.replace("2/2 3/3", "-3/-2 -2/-1").splitlines():

@@ -54,7 +54,7 @@ def random_material(rng, file):
 def expected_of(material, sets, vertex_colour):
     """Return the base colour or None, the visibility, metallic and roughness, and the emission of a part.
 
-    The values follow from the rules of the format. ``sets`` are the sets of texture coordinates that the part has.
+    The values follow from the rules of the format. ``sets`` are the numbers of the part's sets of texture coordinates.
     """
     values, textures, is_mask = material or ({}, {}, False)
     texel, number = textures.get("baseColorTexture", (None, 0))

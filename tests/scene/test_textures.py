@@ -19,7 +19,7 @@ from warpdiff.scene.textures import TextureImages
 
 
 def by_overlaps(lines, size):
-    """Return means over ``size`` equal parts of axis 0, weighted by the overlap of each part with each texel."""
+    """Return means of texels over ``size`` equal intervals of axis 0, weighted by overlap."""
     edges, whole = np.linspace(0.0, len(lines), size + 1), np.arange(len(lines))
     overlaps = np.minimum(edges[1:, None], whole + 1.0) - np.maximum(edges[:-1, None], whole)
     weights = np.clip(overlaps, 0.0, None) * size / len(lines)

@@ -156,33 +156,38 @@ def map_of(cell: wd.HeightField, texts: list[str] | None) -> wd.HeightField | wd
     values: dict[str, Any] = {}
     for text in texts:
         name, equals, value = text.partition("=")
-        if not equals or name not in _MAPPED or not value:
+        if not equals or name not in _MAPPED:
+            near = "" if name in _MAPPED else did_you_mean(name, _MAPPED)
             raise ArgumentValueError(
-                f"{ref('map')} must be NAME=VALUE with a NAME of {', '.join(_MAPPED)}, got {text!r}"
-                f"{did_you_mean(name, _MAPPED)}"
+                f"{ref('map')} must be NAME=VALUE with a NAME of {', '.join(_MAPPED)}, got {text!r}{near}"
+            )
+        if not value:
+            raise ArgumentValueError(
+                f"{ref('map')} must have a value after {name}=, got {text!r}: a number, IMAGE or IMAGE,BLACK,WHITE"
             )
         if name in values:
             raise ArgumentValueError(f"{ref('map')} must give each value once, got {name!r} twice")
-        values[name] = _dot_value(text, value)
+        values[name] = _dot_value(text, name, value)
     with renaming({name: f"--map {name}" for name in _MAPPED} | {"cell": "--heightfield"}):
         return wd.GratingMap(cell, **values)
 
 
-def _dot_value(text: str, value: str) -> Any:
+def _dot_value(text: str, name: str, value: str) -> Any:
     """Return a number, the path of an image, or a tuple of a path and the values of black and white."""
     number = _value(value)
     if not isinstance(number, str):
         return number
     path, *ends = value.rsplit(",", 2)
-    if len(ends) < 2:
-        return value
-    try:
-        black, white = map(float, ends)
-    except ValueError:
+    numbers = [_value(end) for end in ends]
+    if len(ends) == 2 and all(isinstance(number, (int, float)) for number in numbers):
+        return path, *numbers
+    # The name of a file may contain a comma, but does not end in a number.
+    if len(ends) == 2 or (ends and isinstance(numbers[-1], (int, float))) or name == "pitch_scale":
         raise ArgumentValueError(
-            f"{ref('map')} must have two numbers after the image, the values of black and white, got {text!r}"
-        ) from None
-    return path, black, white
+            f"{ref('map')} must have two numbers after the image, the values of black and white, got {text!r}: write "
+            f"{name}=IMAGE,BLACK,WHITE, such as {name}=dots.png,0.8,1.25"
+        )
+    return value
 
 
 def _height_field(text: str, flag: str, options: argparse.Namespace) -> wd.HeightField:

@@ -131,8 +131,8 @@ def bake(
     evaluation = Evaluation.of(heightfield, settings, illuminants=(illuminant,))
     if material is not None and not material.is_opaque:
         raise ArgumentValueError(
-            f"{ref('material')} must be opaque, got {material}: bake without a material, and set the index of "
-            "refraction in the renderer"
+            f"{ref('material')} must be opaque, got {material}: leave it out, and set the index of refraction where "
+            "the lobes are rendered, for web pages by ior= or --ior"
         )
     if not evaluation.coherence.adds_powers:
         raise ArgumentValueError(

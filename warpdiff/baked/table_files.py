@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 
 from warpdiff.core import files, memory, validation
+from warpdiff.core.read_only import ReadOnlyArrays
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-class SavedTable:
+class SavedTable(ReadOnlyArrays):
     """Base class of tables that can be saved in a file.
 
     By default, the file contains all attributes by name. A subclass that stores other arrays overrides ``_arrays`` and

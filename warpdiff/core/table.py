@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol, overload
 import numpy as np
 
 from warpdiff.core import files
+from warpdiff.core.read_only import ReadOnlyArrays
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, did_you_mean, ref
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ def save_table(self: Table | Tabular, path: str | os.PathLike[str]) -> Path:  # 
     return target
 
 
-class Table:
+class Table(ReadOnlyArrays):
     """Table of a result with named columns; ``print`` shows the table, `save` writes it to a CSV file.
 
     The name of a column ends in its unit, as in ``wavelength_nm``; a column without a unit holds ratios, counts or

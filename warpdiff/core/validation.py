@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeGuard, TypeVar, cast
 
 import numpy as np
 
+from warpdiff.core import memory
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, did_you_mean, ref
 
@@ -24,6 +25,13 @@ _Choice = TypeVar("_Choice", bound=str | int)
 MOST, LEAST = 1e15, 1e-15
 # Largest accepted integer, which is the largest number of the type int64; larger integers would overflow.
 MOST_COUNT = 2**63 - 1
+# Memory that the checks of an array require [bytes per number]: the copy, and masks. If doubled, arrays are refused
+# that would fit into memory.
+_BYTES_PER_NUMBER = 12.0
+# Largest size of an array whose memory is not compared with the free memory. Limit: the comparison takes 0.1 ms.
+_MOST_UNCHECKED = 1_000_000
+# Largest magnitude of the number of a diffraction order. No period of a grating has so many orders.
+_MOST_ORDER = 2**31
 # Vectors that look like angles in degrees cause a warning. They look so if three conditions are met. Each component of
 # all vectors is ±1 or a multiple of `_ROUND_DEGREES`. The largest magnitude of all components is from `_LEAST_DEGREES`
 # to `_MOST_DEGREES`. At least one vector has two components that are not 0. The numbers were chosen because vectors of
@@ -32,8 +40,9 @@ _ROUND_DEGREES, _LEAST_DEGREES, _MOST_DEGREES = 5.0, 10.0, 360.0
 
 
 def finite_array(
-    value: object, name: str, *, ndim: int | None = None, gaps: bool = False, most: float = math.inf
-) -> NDArray[np.float64]:
+    value: object, name: str, *, ndim: int | None = None, gaps: bool = False, most: float = math.inf,
+    flags: bool = False, bytes_per_number: float = _BYTES_PER_NUMBER,
+) -> NDArray[np.float64]:  # fmt: skip
     """Return a value as a new float64 array after checks. Masked elements become NaN.
 
     Args:
@@ -42,13 +51,22 @@ def finite_array(
         ndim: Required number of dimensions; None accepts any.
         gaps: Whether NaN is accepted.
         most: Largest accepted magnitude.
+        flags: Whether True and False are accepted, as 1 and 0.
+        bytes_per_number: Memory that the caller requires [bytes per number], which must be free.
     """
     try:
         numbers = np.asarray(value)
     except (TypeError, ValueError):
         numbers = None  # NumPy raises an error for rows of different lengths
+    if numbers is not None and numbers.dtype.kind == "b" and not flags:
+        raise ArgumentTypeError(f"{ref(name)} must be an array of real numbers, got True or False")
     if numbers is None or numbers.dtype.kind not in "biuf":
         raise ArgumentTypeError(f"{ref(name)} must be an array of real numbers, got {type(value).__name__}")
+    if numbers.size > _MOST_UNCHECKED:
+        # Views such as those of ``numpy.broadcast_to`` require less memory than the copy.
+        memory.require_memory(
+            bytes_per_number * numbers.size, f"{ref(name)} of shape {numbers.shape}", "take fewer numbers"
+        )
     array = np.array(numbers, dtype=np.float64)
     if isinstance(value, np.ma.MaskedArray):
         # The array may contain any number at a masked element, for example an instrument's code for "no signal".
@@ -134,6 +152,13 @@ def pair(value: object, name: str) -> tuple[float, float]:
         return positive(value[0], f"{name}[0]"), positive(value[1], f"{name}[1]")
     single = positive(value, name)
     return single, single
+
+
+def order(value: object) -> tuple[int, int]:
+    """Return a diffraction order (m_y, m_x) as a pair of integers."""
+    if not is_sequence(value) or len(value) != 2:
+        raise ArgumentTypeError(f"{ref('order')} must be a pair of integers (m_y, m_x), got {described(value)}")
+    return count(value[0], "order", least=-_MOST_ORDER), count(value[1], "order", least=-_MOST_ORDER)
 
 
 def vector(value: object, name: str) -> NDArray[np.float64]:

@@ -103,7 +103,7 @@ class OrderEfficiencies:
 
         The efficiency is 0 where the order is evanescent.
         """
-        pair = [validation.count(m, "order", least=-(2**31)) for m in order]
+        pair = validation.order(order)
         return np.asarray(self.efficiencies[..., np.all(self.orders == pair, axis=1)].sum(axis=-1))
 
     def table(self, count: int | None = None) -> Table:

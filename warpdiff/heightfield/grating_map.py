@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from warpdiff.core import forks, memory, validation
+from warpdiff.core.read_only import ReadOnlyArrays
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref, renaming
 from warpdiff.heightfield.edge_checks import check_periodic
 from warpdiff.heightfield.field import HeightField, check_whole
-from warpdiff.heightfield.readers.image_reader import grey_levels
+from warpdiff.heightfield.grey_levels import grey_levels
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -29,9 +30,11 @@ if TYPE_CHECKING:
     # white.
     DotValues = ArrayLike | os.PathLike[str] | tuple[str | os.PathLike[str], float, float]
 
-# Largest turn [degrees], depth scale and pitch scale that a map accepts. Turns are limited because kernels store their
-# sine and cosine in float32, and larger turns would be rounded before. Larger scales probably have a wrong unit.
-_MOST_TURN_DEG, _MOST_SCALE = 36_000.0, 1000.0
+# Largest turn [degrees] that a map accepts. Turns are limited because kernels store their sine and cosine in float32,
+# and larger turns would be rounded before.
+_MOST_TURN_DEG = 36_000.0
+# Range of the scales of a map; depth scales may also be 0. Scales beyond it probably have a wrong unit.
+LEAST_SCALE, MOST_SCALE = 1e-3, 1000.0
 # Largest ratio of the pitch scales of a map. The ratio is limited by memory. The table of a map resolves the smallest
 # pitch scale, and its number of azimuth samples is proportional to the ratio.
 MOST_PITCH_RATIO = 4.0
@@ -57,7 +60,7 @@ class Dot(NamedTuple):
     pitch_scale: float
 
 
-class GratingMap:
+class GratingMap(ReadOnlyArrays):
     """Grating whose direction, depth and pitch differ from dot to dot of a surface, for pictures of a mesh.
 
     The dots are a matrix over the texture coordinates of the mesh. Row 0 is at v = 1 and column 0 at u = 0, as in an
@@ -67,19 +70,21 @@ class GratingMap:
 
     Each of the three values is a number for all dots, an array with one number per dot, or a grey image. An image is
     the path of a file, or a tuple ``(path, black, white)`` of the path and the values of black and of full white. Grey
-    levels are linear in between, without gamma. A path alone stands for 0° to 180° of ``turn_deg`` and for 0 to 1 of
-    ``depth_scale``; ``pitch_scale`` requires the tuple.
+    levels are linear in between, without gamma. An image has unsigned integers of 8 or 16 bit, or floats from 0 to 1. A
+    path alone stands for 0° to 180° of ``turn_deg`` and for 0 to 1 of ``depth_scale``; ``pitch_scale`` requires the
+    tuple.
 
     Pictures use ``Coherence("source")`` for a map, unless the surface or the call has a coherence. If the pitch scale
     differs between dots, no other coherence is supported.
 
     Args:
         cell: Height field of a dot with turn 0 and both scales 1. It is one patch or period whose opposite edges match.
-        turn_deg: Counter-clockwise turn of the cell from its tangent towards its bitangent, as viewed from outside
-            [degrees], −36,000 to 36,000, shape (rows, columns) or one number, default 0.
+        turn_deg: Turn of the cell from its tangent towards its bitangent [degrees], −36,000 to 36,000, shape (rows,
+            columns) or one number, default 0. As viewed from outside, it is counter-clockwise, and clockwise where the
+            texture is mirrored.
         depth_scale: Factor of the heights, 0 to 1000, shape (rows, columns) or one number, default 1.
-        pitch_scale: Factor of all lengths in the surface, more than 0 and at most 1000, shape (rows, columns) or one
-            number, default 1. The largest one is at most 4 times the smallest one.
+        pitch_scale: Factor of all lengths in the surface, 0.001 to 1000, shape (rows, columns) or one number, default
+            1. The largest one is at most 4 times the smallest one.
 
     Raises:
         TypeError: The cell is not a height field, or a value is neither a number, an array nor an image.
@@ -104,8 +109,8 @@ class GratingMap:
         self._cell = cell
         values = {
             "turn_deg": _checked(turn_deg, "turn_deg", least=-_MOST_TURN_DEG, most=_MOST_TURN_DEG),
-            "depth_scale": _checked(depth_scale, "depth_scale", least=0.0, most=_MOST_SCALE),
-            "pitch_scale": _checked(pitch_scale, "pitch_scale", above=0.0, most=_MOST_SCALE),
+            "depth_scale": _checked(depth_scale, "depth_scale", least=0.0, most=MOST_SCALE),
+            "pitch_scale": _checked(pitch_scale, "pitch_scale", least=LEAST_SCALE, most=MOST_SCALE),
         }
         shapes = {name: value.shape for name, value in values.items() if value.ndim}
         if len(set(shapes.values())) > 1:
@@ -125,6 +130,12 @@ class GratingMap:
             raise ArgumentValueError(
                 f"{ref('pitch_scale')} must have a largest value of at most {MOST_PITCH_RATIO:g} times the smallest "
                 f"one, got {least:g} to {most:g}: split the map into parts of the mesh, each with a map of its own"
+            )
+        shortest, longest = least * min(cell.pitch_um), most * max(cell.pitch_um)
+        if not (shortest >= validation.LEAST and longest <= validation.MOST):
+            raise ArgumentValueError(
+                f"{ref('pitch_scale')} must make a pitch of {validation.LEAST:g} to {validation.MOST:g} µm, got "
+                f"{least:g} to {most:g} for a cell with a pitch of {cell.pitch_um[0]:g} × {cell.pitch_um[1]:g} µm"
             )
 
     def __repr__(self) -> str:
@@ -237,20 +248,21 @@ class GratingMap:
 
 
 def _checked(
-    value: object, name: str, *, above: float = -np.inf, least: float = -np.inf, most: float
-) -> NDArray[np.float64]:
+    value: object, name: str, *, least: float, most: float
+) -> NDArray[np.float64]:  # fmt: skip
     """Return the values of the dots from a number, an array or an image: shape (rows, columns), or () for a number."""
-    numbers = _from_image(value, name) if _is_image(value) else validation.finite_array(value, name, most=1e9)
+    if _is_image(value):
+        numbers = _from_image(value, name)
+    else:
+        numbers = validation.finite_array(value, name, most=1e9, bytes_per_number=_BYTES_PER_DOT)
     if numbers.ndim not in (0, 2) or numbers.size == 0:
         raise ArgumentValueError(
             f"{ref(name)} must be one number, or have shape (rows, columns) with at least one dot, got shape "
             f"{numbers.shape}"
         )
-    bad = ~((numbers > above) & (numbers >= least) & (numbers <= most))
+    bad = ~((numbers >= least) & (numbers <= most))
     if bad.any():
-        bounds = validation.range_text(
-            above if np.isfinite(above) else None, least if np.isfinite(least) else None, most
-        )
+        bounds = validation.range_text(None, least, most)
         raise ArgumentValueError(
             f"{ref(name)} must be {bounds}, got {numbers[bad][0]:g} at {int(np.count_nonzero(bad))} of {bad.size} dots"
         )

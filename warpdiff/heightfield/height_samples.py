@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from warpdiff.core import forks, memory, validation
+from warpdiff.core.read_only import ReadOnlyArrays
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.heightfield import diagnostics, scale_checks
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 _BYTES_MADE = 13.0
 
 
-class HeightSamples:
+class HeightSamples(ReadOnlyArrays):
     """Heights on a regular grid with their pitch, source and history; the base of `HeightField`.
 
     The array is read-only. Methods that change heights make a new object.

@@ -10,8 +10,8 @@ import numpy as np
 from warpdiff.core import validation
 from warpdiff.core.wording import ArgumentValueError, ref, renaming
 from warpdiff.heightfield.field import HeightField, check_whole
-from warpdiff.heightfield.grating_map import MOST_PITCH_RATIO, GratingMap
-from warpdiff.heightfield.readers.image_reader import grey_levels
+from warpdiff.heightfield.grating_map import LEAST_SCALE, MOST_PITCH_RATIO, MOST_SCALE, GratingMap
+from warpdiff.heightfield.grey_levels import grey_levels
 from warpdiff.optics import colorimetry, reflectance_factors
 
 if TYPE_CHECKING:
@@ -25,6 +25,9 @@ _DEPTHS = 513
 # Smallest angle between the directions to both eyes, as viewed from the middle of the card [degrees]. Limit: the sun's
 # diameter of 0.53° blurs orders, and with half the angle each eye also sees the dots of the other picture.
 _LEAST_ANGLE_DEG = 2.0
+# Smallest component along the normal of the card of unit vectors to eyes and light. Limit: kernels treat directions
+# below it as directions below the horizon, which are black.
+_LEAST_ELEVATION = 1e-6
 
 
 def hidden_pictures(
@@ -81,13 +84,17 @@ def hidden_pictures(
     shortest, longest = colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM
     wavelength_um = 1e-3 * validation.number(wavelength_nm, "wavelength_nm", least=shortest, most=longest)
     places = np.asarray(eyes, dtype=np.float64) if _is_numeric(eyes) else np.zeros(0)
-    if places.shape != (2, 3) or not np.isfinite(places).all() or places[:, 2].min() <= 0.0:
+    if places.shape != (2, 3) or not (np.abs(places) <= validation.MOST).all() or places[:, 2].min() <= 0.0:
         raise ArgumentValueError(
-            f"{ref('eyes')} must be two positions (x, y, z) with z above 0, in front of the card, got {eyes!r:.80}"
+            f"{ref('eyes')} must be two positions (x, y, z) within ±{validation.MOST:g} with z above 0, in front of "
+            f"the card, got {eyes!r:.80}"
         )
     directions, _ = validation.unit_directions(to_light, "to_light")
-    if directions.shape != (1, 3) or directions[0, 2] <= 0.0:
-        raise ArgumentValueError(f"{ref('to_light')} must be one direction with z above 0, got {to_light!r:.80}")
+    if directions.shape != (1, 3) or directions[0, 2] <= _LEAST_ELEVATION:
+        raise ArgumentValueError(
+            f"{ref('to_light')} must be one direction with z above 0, and at least {_LEAST_ELEVATION:g} of its length, "
+            f"got {to_light!r:.80}"
+        )
     towards = places / np.linalg.norm(places, axis=1)[:, None]
     angle = float(np.degrees(np.arccos(np.clip(towards[0] @ towards[1], -1.0, 1.0))))
     if angle < _LEAST_ANGLE_DEG:
@@ -110,6 +117,11 @@ def _aimed(
     places = np.stack([(column + 0.5 - columns / 2.0) * side, (rows / 2.0 - row - 0.5) * side, 0.0 * row], axis=-1)
     to_eye = eyes[of_dot] - places
     to_eye /= np.linalg.norm(to_eye, axis=-1, keepdims=True)
+    if not to_eye[..., 2].min() > _LEAST_ELEVATION:
+        raise ArgumentValueError(
+            f"{ref('eyes')} must be visible from all dots, at least {np.degrees(_LEAST_ELEVATION):.1g}° above the "
+            f"card, got {eyes.tolist()} for a {ref('width')} of {width:g}: raise the eyes, or give a smaller width"
+        )
     # The scattering vector of the order with the frequency q is λ q. It is −(ωi + ωr) for light that arrives at the
     # eye; the sign does not matter for a symmetric cell.
     vector = to_light + to_eye
@@ -117,14 +129,25 @@ def _aimed(
     period = cell.size_um[1]
     with np.errstate(divide="ignore"):
         pitch = wavelength_um / (lateral * period)
-    if not pitch.max() <= MOST_PITCH_RATIO * pitch.min():
+    if not (np.isfinite(pitch).all() and pitch.max() <= MOST_PITCH_RATIO * pitch.min()):
         raise ArgumentValueError(
             f"{ref('eyes')} must be away from the mirror direction of {ref('to_light')}, got pitch scales from "
             f"{pitch.min():.3g} to {pitch.max():.3g}: move an eye or the light"
         )
+    if not (pitch.min() >= LEAST_SCALE and pitch.max() <= MOST_SCALE):
+        raise ArgumentValueError(
+            f"{ref('cell')} must have a period that pitch scales of {LEAST_SCALE:g} to {MOST_SCALE:g} aim at the eyes, "
+            f"got {period:g} µm, which requires {pitch.min():.3g} to {pitch.max():.3g}: give a cell with a period of "
+            f"about {period * float(np.median(pitch)):.3g} µm"
+        )
     turn = np.degrees(np.arctan2(-vector[..., 1], -vector[..., 0])) % 360.0
     power = brightness / _largest_luminance(to_light, to_eye, vector, lateral)
     depth = _depth_scales(cell, power / power.max() * brightness.max(), vector[..., 2] / wavelength_um)
+    if not depth.max() <= MOST_SCALE:
+        raise ArgumentValueError(
+            f"{ref('cell')} must have a height range that depth scales of at most {MOST_SCALE:g} suffice for, got "
+            f"{cell.height_range_um:.3g} µm, which requires {depth.max():.3g}: deepen the cell"
+        )
     return GratingMap(cell, turn_deg=turn, depth_scale=depth, pitch_scale=pitch)
 
 

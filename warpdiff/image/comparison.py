@@ -110,7 +110,7 @@ def compare(
     tolerance = validation.positive(tolerance, "tolerance")
     compared: NDArray[np.bool_] = np.asarray(exact.any(axis=2))
     if pixels is not None:
-        compared = validation.finite_array(pixels, "pixels") != 0.0
+        compared = validation.finite_array(pixels, "pixels", flags=True) != 0.0
         if compared.shape != exact.shape[:2]:
             raise ArgumentValueError(f"{ref('pixels')} must have the shape {exact.shape[:2]}, got {compared.shape}")
     if not compared.any():

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.core import validation
+from warpdiff.core import memory, validation
 from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.table import Table
 from warpdiff.core.wording import ArgumentValueError, ref
@@ -33,6 +33,12 @@ if TYPE_CHECKING:
 
 # Number of samples per standard deviation of rounded edges, at least.
 _PER_EDGE = 2.0
+# Least standard deviation of rounded edges, relative to the distance of samples. Limit: time and memory. The number of
+# samples along an axis is proportional to the reciprocal, and 200 times that of the design at this width.
+_SHARPEST_EDGE = 0.01
+# Measured peak memory while edges are rounded and orders computed [bytes per sample]. If doubled, edges are refused
+# that would fit into memory.
+_BYTES_PER_SAMPLE = 100.0
 # Standard deviations of rounded edges for which the robustness is computed by default [µm], and the largest standard
 # deviation relative to the period. Limit: wider Gaussians leave little of the relief.
 _EDGE_WIDTHS_UM, _WIDEST_EDGE = (0.05, 0.1), 0.1
@@ -128,8 +134,8 @@ class Design:
     ) -> RigorousCheck:  # fmt: skip
         """Evaluate the targets by rigorous solutions for unpolarised light (extra ``rigorous``).
 
-        The height field must have a single row, and all directions must be perpendicular to the grooves. Scalar
-        diffraction is an approximation, so that a real foil differs from its design.
+        The height field must have a single row or column, and all directions must be perpendicular to the grooves.
+        Scalar diffraction is an approximation, so that a real foil differs from its design.
 
         Args:
             material: Material of the foil without a film; None is that of the targets, or aluminium if they are perfect
@@ -189,8 +195,9 @@ class Design:
 
         Args:
             depth_scales: Factors of all heights, 0.1 to 10.
-            edge_widths_um: Standard deviations of the Gaussian that rounds all edges [µm], 0 to a tenth of the
-                shorter period. None is those of 0.05 and 0.1 that are within this range.
+            edge_widths_um: Standard deviations of the Gaussian that rounds all edges [µm], 0, or from a hundredth of
+                the distance of samples to a tenth of the shorter period. None is those of 0.05 and 0.1 that are within
+                this range.
             tilts_deg: Angles by which the surface is turned about the y axis [degrees], −20 to 20. All lights and
                 viewers must remain above the horizon.
 
@@ -201,6 +208,7 @@ class Design:
 
         Raises:
             ValueError: A number is out of its range, or a direction leaves the upper hemisphere.
+            MemoryError: Samples that resolve an edge do not fit into memory.
 
         Examples:
             >>> import math
@@ -222,9 +230,11 @@ class Design:
             changes.append(("depth", scale, scaled, 0.0))
         widest = _WIDEST_EDGE * least
         if edge_widths_um is None:
-            widths = [width for width in _EDGE_WIDTHS_UM if width <= widest]
+            widths = [width for width in _EDGE_WIDTHS_UM if _sharpest_um(surface) <= width <= widest]
         else:
             widths = _numbers(edge_widths_um, "edge_widths_um", 0.0, widest, " µm, a tenth of the period")
+        for width in widths:
+            _check_edge(surface, width)
         changes += [("edges", width, _rounded(surface, width), 0.0) for width in widths]
         changes += [("tilt", angle, surface, angle) for angle in _numbers(tilts_deg, "tilts_deg", -20.0, 20.0)]
         rows = []
@@ -334,6 +344,29 @@ def _numbers(values: ArrayLike, name: str, low: float, high: float, origin: str 
     if array.size and (array.min() < low or array.max() > high):
         raise ArgumentValueError(f"{ref(name)} must lie within {low:g} to {high:g}{origin}, got {array.tolist()!s:.60}")
     return [float(value) for value in array]
+
+
+def _sharpest_um(surface: HeightField) -> float:
+    """Return the least standard deviation of rounded edges [µm]."""
+    pitches = [pitch for n, pitch in zip(surface.shape, surface.pitch_um, strict=True) if n > 1]
+    return _SHARPEST_EDGE * max(pitches, default=0.0)
+
+
+def _check_edge(surface: HeightField, width_um: float) -> None:
+    """Raise an error for edges that are too sharp for the samples of a surface, or whose samples exceed memory."""
+    if width_um == 0.0:
+        return
+    if width_um < (least := _sharpest_um(surface)):
+        raise ArgumentValueError(
+            f"{ref('edge_widths_um')} must be 0, or at least {least:g} µm, a hundredth of the distance of samples, got "
+            f"{width_um:g}: give 0 for sharp edges"
+        )
+    pairs = zip(surface.shape, surface.pitch_um, strict=True)
+    count = math.prod(n * max(math.ceil(_PER_EDGE * pitch / width_um), 1) for n, pitch in pairs if n > 1)
+    memory.require_memory(
+        _BYTES_PER_SAMPLE * count, f"{ref('edge_widths_um')} of {width_um:g} µm with {count} samples",
+        "give wider edges, or a profile with fewer pixels",
+    )  # fmt: skip
 
 
 def _rounded(surface: HeightField, width_um: float) -> HeightField:

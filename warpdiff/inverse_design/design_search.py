@@ -18,6 +18,7 @@ from warpdiff.inverse_design.first_heights import first_heights
 from warpdiff.inverse_design.goal import Goal, places_of, silenced
 from warpdiff.inverse_design.pixel_exchange import PixelExchange, edge_moves
 from warpdiff.inverse_design.targets import Target
+from warpdiff.inverse_design.transposition import is_column, transposed_column, transposed_targets
 from warpdiff.profiles.profile_base import Profile
 from warpdiff.profiles.sampled_profiles import Pixels
 
@@ -125,7 +126,7 @@ def design(
     rng = np.random.default_rng(validation.count(seed, "seed", least=0))
     count = validation.count(starts, "starts", most=_MOST_STARTS)
     report = reporter(progress, "design")
-    search = _Search(profile, requested, limits)
+    search = _search_of(profile, requested, limits)
     continued = min(_CONTINUED, count)
     with silenced():
         firsts = []
@@ -199,12 +200,23 @@ def _limits(
             )
         feature = math.ceil(width / profile.pixel_um - 1e-9)
         ny, nx = profile.pixels
-        if nx % feature or (ny > 1 and ny % feature):
+        if any(n > 1 and n % feature for n in (ny, nx)) or max(ny, nx) < feature:
             raise ArgumentValueError(
                 f"{ref('least_feature_um')} is {feature} pixels, which must divide the numbers of pixels, {ny} × {nx} "
                 f"(y × x), got {width:g} µm: change the number of pixels"
             )
     return Limits(count, depths, feature)
+
+
+def _search_of(profile: Profile, targets: list[Target], limits: Limits) -> _Search:
+    """Return the search of a design. A single column of pixels is searched as a row, with x and y exchanged."""
+    surface = profile.surface(profile.start)
+    for target in targets:
+        if target.kind != "colour":
+            places_of(target, surface)
+    if isinstance(profile, Pixels) and is_column(profile):
+        return _Search(transposed_column(profile), transposed_targets(targets), limits)
+    return _Search(profile, targets, limits)
 
 
 class _Search:
@@ -222,10 +234,6 @@ class _Search:
             samples = self._pixels.samples * limits.feature
             self._blocks = Pixels(self._pixels.pixel_um * limits.feature, np.zeros(shape), samples)
         self._rows: list[tuple[int, str, int, float]] = []
-        surface = profile.surface(profile.start)
-        for target in targets:
-            if target.kind != "colour":
-                places_of(target, surface)
 
     def history(self) -> Table:
         """Return a row per stage and start."""

@@ -12,6 +12,7 @@ from warpdiff.adjoint.reflection import index_of
 from warpdiff.adjoint.spectral_model import Illumination
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.inverse_design.goal import SEARCH_TRUNCATION, silenced
+from warpdiff.inverse_design.transposition import transposed_field, transposed_targets
 from warpdiff.optics import colorimetry
 from warpdiff.rigorous.rigorous_orders import ACROSS, rigorous_order_efficiencies
 
@@ -59,12 +60,18 @@ def rigorous_values(
     surface: HeightField, targets: Sequence[Target], material: Material, count: int, max_harmonics: int,
     report: Callable[[float], None] | None,
 ) -> tuple[list[Array], float, float]:  # fmt: skip
-    """Return rigorous XYZ or efficiencies of each target, the share that has converged, and the largest change."""
+    """Return rigorous XYZ or efficiencies of each target, the share that has converged, and the largest change.
+
+    A surface with a single column is solved with x and y exchanged.
+    """
+    along = "y"
+    if surface.shape[1] == 1 < surface.shape[0]:
+        surface, targets, along = transposed_field(surface), transposed_targets(targets), "x"
     for k, target in enumerate(targets):
         if max(abs(target.to_light[1]), abs(target.to_view[1])) > ACROSS:
             raise ArgumentValueError(
-                f"{ref(f'targets[{k}]')} must have directions perpendicular to the grooves (y = 0), "
-                f"got {target.to_light.tolist()} and {target.to_view.tolist()}"
+                f"{ref(f'targets[{k}]')} must have directions perpendicular to the grooves ({along} = 0), got a "
+                f"component {along} of {target.to_light[1]:g} to the light and {target.to_view[1]:g} to the viewer"
             )
     # Targets of colours with the same direction to the light share their solutions.
     nodes = np.linspace(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, count)

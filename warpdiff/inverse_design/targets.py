@@ -29,6 +29,10 @@ if TYPE_CHECKING:
 
 # Largest number of orders of a target. Limit: computing time of the exchange of pixels is proportional to it.
 _MOST_ORDERS = 100_000
+# Largest magnitude of the number of an order. Limit: no period has so many propagating orders.
+_LARGEST_ORDER = 1e9
+# Largest X and Z of a colour. No spectrum has X or Z above 200 times Y.
+_MOST_XYZ = 200.0
 # Wavelength at which the depth of a relief for colours is chosen [nm]. Choice: the middle of the visible range, rather
 # towards red, so that the relief also modulates red light fully.
 _COLOUR_NM = 600.0
@@ -103,7 +107,7 @@ class Target:
         of the light into each direction, so that only the ratios of the colours of a design are absolute.
 
         Args:
-            xyz: CIE XYZ, positive, relative to a white of Y = 1, shape (3,).
+            xyz: CIE XYZ, positive, relative to a white of Y = 1, X and Z up to 200, shape (3,).
             to_light: Direction to the light, shape (3,).
             to_view: Direction to the viewer, shape (3,).
             illuminant: Name in colour-science's ``SDS_ILLUMINANTS``, or a ``Spectrum``.
@@ -117,9 +121,10 @@ class Target:
                 speckle (``"centred"``, ``"replicas"``).
         """
         colour = validation.vector(xyz, "xyz")
-        if colour.min() <= 0.0 or colour[1] > 1.0:
+        if colour.min() <= 0.0 or colour[1] > 1.0 or colour.max() > _MOST_XYZ:
             raise ArgumentValueError(
-                f"{ref('xyz')} must be positive and have Y of at most 1, the white, got {colour.tolist()}"
+                f"{ref('xyz')} must be positive, have Y of at most 1, the white, and X and Z of at most {_MOST_XYZ:g}, "
+                f"got {colour.tolist()}: divide it by Y of the white"
             )
         validation.instance(coherence, Coherence, "coherence", optional=True)
         form = Coherence() if coherence is None else coherence
@@ -166,6 +171,9 @@ class Target:
             raise ArgumentTypeError(
                 f"{ref('efficiencies')} must be a dictionary by order (m_y, m_x), got {type(efficiencies).__name__}"
             )
+        for order, value in efficiencies.items():
+            if isinstance(value, (bool, np.bool_)):
+                raise ArgumentTypeError(f"{ref('efficiencies')} must be numbers, got {value!r} for the order {order!r}")
         values = validation.finite_array(list(efficiencies.values()), "efficiencies")
         target = cls._of_orders(
             "orders", efficiencies, values, to_light, wavelength_nm, Optics(ior, material), energy, "efficiencies"
@@ -206,7 +214,7 @@ class Target:
         wavelength_nm: float, optics: Optics, energy: Energy | None, name: str,
     ) -> Target:  # fmt: skip
         """Return a target of orders after checks; ``name`` is the argument with the orders."""
-        pairs = validation.finite_array(_listed(orders, name), name)
+        pairs = validation.finite_array(_listed(orders, name), name, most=_LARGEST_ORDER)
         if pairs.ndim != 2 or pairs.shape[1] != 2 or np.any(pairs != np.rint(pairs)) or len(pairs) > _MOST_ORDERS:
             raise ArgumentValueError(
                 f"{ref(name)} must be 1 to {_MOST_ORDERS} pairs of integers (m_y, m_x), got shape {pairs.shape}"

@@ -14,6 +14,7 @@ from annotated_types import Interval, Unit
 from warpdiff.core import files, forks, memory, openimageio, validation
 from warpdiff.core.caching import LruCache
 from warpdiff.core.options import Checked
+from warpdiff.core.read_only import ReadOnlyArrays
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.lights.base import MOST_POWER, Light, LightPart, Lobe, LobeSet, orthonormal_pair
 from warpdiff.lights.clear_sky import SUN_AZIMUTH, clear_sky_radiance
@@ -57,7 +58,7 @@ _MOST_PARTS = 4
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Environment(Checked, Light):
+class Environment(ReadOnlyArrays, Checked, Light):
     """Light from all directions, described by a latitude-longitude image, with +y up.
 
     The middle column points towards −z, and azimuth increases to the right, towards +x; the first row is at +y. A

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 import numpy as np
 
 from warpdiff.core import validation
+from warpdiff.core.read_only import ReadOnlyArrays
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.optics import colorimetry, refractive_index_files
 from warpdiff.optics.reflectance_factors import normal_reflectance, schlick
@@ -49,7 +50,7 @@ DEFAULT_IOR = 1.5
 
 
 @dataclass(frozen=True, eq=False)
-class Material:
+class Material(ReadOnlyArrays):
     """Material with a complex index of refraction n + ik, interpolated linearly, and at most one thin film.
 
     Two materials are equal if their numbers are equal.

@@ -11,6 +11,7 @@ import numpy as np
 
 from warpdiff.core import validation
 from warpdiff.core.files import read_text
+from warpdiff.core.read_only import ReadOnlyArrays
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ def colour_science() -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class Spectrum:
+class Spectrum(ReadOnlyArrays):
     """Relative spectral power distribution for ``illuminant=``, interpolated linearly.
 
     Two spectra are equal if their numbers are equal. Lines narrower than 1 nm keep their power in colours. Wavelengths

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.core import validation
+from warpdiff.core.read_only import ReadOnlyArrays
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.heightfield.field import HeightField
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 
-class Outline:
+class Outline(ReadOnlyArrays):
     """One period of a grating along x as a polygon of straight segments; immutable.
 
     A height field represents the position of a vertical wall only to within a sample. An outline has exact Fourier

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpdiff.core import validation
+from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.heightfield.field import HeightField, check_whole
 from warpdiff.profiles.profile_base import HEIGHT_MARGIN_UM, Profile
 
@@ -92,13 +93,18 @@ class Samples(_SampledProfile):
 
 
 class Pixels(_SampledProfile):
-    """Heights of square pixels as parameters, row by row. A single row is a grating that is constant along y.
+    """Heights of square pixels as parameters, row by row.
+
+    A single row is a grating that is constant along y, and a single column one that is constant along x.
 
     Args:
         pixel_um: Size of a pixel [µm].
         levels: Heights of the pixels [µm], the start values, shape (ny, nx).
         samples: Number of samples along each side of a pixel, at least 1, by default 4; a single row has one sample
-            along y.
+            along y, and a single column one along x.
+
+    Raises:
+        ValueError: The pixels are not a matrix with at least one pixel, or a number is out of its range.
 
     Attributes:
         pixel_um: Size of a pixel [µm].
@@ -114,21 +120,25 @@ class Pixels(_SampledProfile):
 
     def __init__(self, pixel_um: float, levels: ArrayLike, samples: int = 4) -> None:
         heights = validation.finite_array(levels, "levels", ndim=2, most=validation.MOST)
+        if not heights.size:
+            raise ArgumentValueError(f"{ref('levels')} must have at least one pixel, got shape {heights.shape}")
         self.samples, self.pixels = validation.count(samples, "samples"), heights.shape
         self.pixel_um = validation.positive(pixel_um, "pixel_um")
-        self._along_y = self.samples if heights.shape[0] > 1 else 1
+        ny, nx = heights.shape
+        self._along_y = self.samples if ny > 1 else 1
+        self._along_x = self.samples if nx > 1 or ny == 1 else 1
         names = tuple(f"level_um[{j}, {i}]" for j, i in np.ndindex(heights.shape))
         flat = heights.ravel()
         bounds = np.stack([flat - HEIGHT_MARGIN_UM, flat + HEIGHT_MARGIN_UM], axis=1)
-        super().__init__(names, flat, bounds, (self.pixel_um / self._along_y, self.pixel_um / self.samples))
+        super().__init__(names, flat, bounds, (self.pixel_um / self._along_y, self.pixel_um / self._along_x))
 
     def _heights(self, x: Array) -> Array:
         rows = np.repeat(x.reshape(self.pixels), self._along_y, axis=0)
-        return np.asarray(np.repeat(rows, self.samples, axis=1))
+        return np.asarray(np.repeat(rows, self._along_x, axis=1))
 
     def _transposed(self, heights: Array) -> Array:
         ny, nx = self.pixels
-        return np.asarray(heights.reshape(ny, self._along_y, nx, self.samples).sum(axis=(1, 3)).ravel())
+        return np.asarray(heights.reshape(ny, self._along_y, nx, self._along_x).sum(axis=(1, 3)).ravel())
 
 
 class ScanModes(_SampledProfile):

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpdiff.core.wording import ArgumentValueError, ref
+from warpdiff.core.wording import ArgumentValueError, ToleranceError, ref
 from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.fixed_reflectance import spectral_change
 from warpdiff.optics.materials import Material
 from warpdiff.request.plan import Plan
+from warpdiff.scene.mesh_import import HOW_TO_GET_TANGENTS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Collection, Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -101,3 +103,42 @@ def check_texture_coordinates(
                 f"{ref('mesh')} must have texture coordinates for a GratingMap, but {int(np.count_nonzero(faces))} "
                 f"faces of {name!r} have none: unwrap the mesh, or give one height field instead of a map"
             )
+
+
+@contextlib.contextmanager
+def naming_depth_scale(grating_map: GratingMap | None) -> Iterator[None]:
+    """Context in which errors about the height range of a map's deepest dot name ``depth_scale``."""
+    try:
+        yield
+    except ArgumentValueError as error:
+        if grating_map is None or "height range" not in str(error):
+            raise
+        depth, range_um = float(grating_map.depth_scale.max()), grating_map.cell.height_range_um
+        limit, remedy = "", ""
+        if isinstance(error, ToleranceError):
+            limit, remedy = f" for this {ref('tolerance')}", f", or give a larger {ref('tolerance')}"
+        raise type(error)(
+            f"{ref('depth_scale')} must be smaller{limit}, got up to {depth:g} for a cell with a height range of "
+            f"{range_um:.3g} µm, which makes dots of {depth * range_um:.3g} µm: reduce it, or flatten the cell{remedy}"
+        ) from None
+
+
+@contextlib.contextmanager
+def naming_texture_coordinates(has_map: Collection[bool]) -> Iterator[None]:
+    """Context in which errors about a mesh without tangents state that maps require texture coordinates.
+
+    ``has_map`` states for each surface of the mesh whether it has a map.
+    """
+    try:
+        yield
+    except ArgumentValueError as error:
+        if HOW_TO_GET_TANGENTS not in error.marked or not any(has_map):
+            raise
+        if all(has_map):
+            raise ArgumentValueError(
+                f"{ref('mesh')} must have texture coordinates for a GratingMap, but it has faces without: unwrap the "
+                "mesh, or give one height field instead of a map"
+            ) from None
+        raise ArgumentValueError(
+            f"{error.marked}; parts with a GratingMap require texture coordinates: unwrap them"
+        ) from None

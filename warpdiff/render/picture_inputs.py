@@ -22,7 +22,7 @@ from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.planner.refusals import warn_outside
 from warpdiff.planner.strategy import directions_of, plan_for
 from warpdiff.render.light_parts import parts_of
-from warpdiff.render.map_inputs import check_texture_coordinates, settings_of_map
+from warpdiff.render.map_inputs import check_texture_coordinates, naming_depth_scale, settings_of_map
 from warpdiff.render.picture import Picture
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.plan import AUTOMATIC, Plan, has_table
@@ -230,6 +230,11 @@ class PictureInputs:
         return [None if own.is_plain else own.evaluation.heightfield for own in self.surfaces.values()]
 
     @property
+    def has_map(self) -> list[bool]:
+        """Whether each surface has a grating map."""
+        return [own.grating_map is not None for own in self.surfaces.values()]
+
+    @property
     def plain(self) -> dict[str, bool] | None:
         """Whether each surface is plain, by the key of its part; None if the mesh has one height field."""
         if not isinstance(self.heightfield, Mapping):
@@ -266,7 +271,8 @@ class PictureInputs:
                 lookups.append(None)
                 continue
             direction_range, sample, count = directions_of(own.evaluation) if measured is None else next(measured)
-            plans.append(own.planned(direction_range, sample, count))
+            with naming_depth_scale(own.grating_map):
+                plans.append(own.planned(direction_range, sample, count))
             lookups.append(own.lookup(plans[-1], direction_range))
         return plans, Lookups(lookups)
 

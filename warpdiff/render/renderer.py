@@ -16,6 +16,7 @@ from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref
 from warpdiff.device.devices import resolve_threads
 from warpdiff.lights.base import listed
+from warpdiff.render.map_inputs import naming_texture_coordinates
 from warpdiff.render.picture import load_kernels
 from warpdiff.render.picture_inputs import PictureInputs, picture_memory, require_picture_memory
 from warpdiff.render.shade import warn_unconverged
@@ -94,7 +95,7 @@ class Renderer:
             )
         inputs = PictureInputs.of(heightfield, lights, view, checked)
         load_kernels(inputs.evaluation.device)
-        with picture_memory(view):
+        with picture_memory(view), naming_texture_coordinates(inputs.has_map):
             surface = prepare_surface(mesh, tangents=checked.tangents, plain=inputs.plain)
         self._begin(inputs, surface, view)
         self.draw()

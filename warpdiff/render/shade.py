@@ -12,6 +12,7 @@ from warpdiff.core.threads import subprogress
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.render.layers import LIGHT, directed, expanded, layers_of, lights_of, names_of
+from warpdiff.render.map_inputs import naming_texture_coordinates
 from warpdiff.render.picture import load_kernels
 from warpdiff.render.picture_inputs import PictureInputs, picture_memory
 from warpdiff.render.spectral_pictures import check_pigment, check_spectral, spectra_of
@@ -90,7 +91,8 @@ def shade(
     progress = reporter(progress, "shade")
     load_kernels(inputs.evaluation.device)
     with picture_memory(view):
-        surface = prepare_surface(mesh, tangents=checked.tangents, plain=inputs.plain)
+        with naming_texture_coordinates(inputs.has_map):
+            surface = prepare_surface(mesh, tangents=checked.tangents, plain=inputs.plain)
         if spectral is not None:
             (own,) = inputs.surfaces.values()
             check_pigment(own.settings.pigment, has_base_colour=surface.has_base_colour)

@@ -90,7 +90,7 @@ class RigorousEfficiencies:
 
     def __getitem__(self, order: tuple[int, int]) -> Array:
         """Return the efficiency of order (m_y, m_x) for unpolarised light, shape (m,); 0 where it is evanescent."""
-        pair = [validation.count(m, "order", least=-(2**31)) for m in order]
+        pair = validation.order(order)
         return np.asarray(self.efficiencies[:, np.all(self.orders == pair, axis=1)].sum(axis=-1))
 
     def table(self) -> Table:

@@ -12,6 +12,7 @@ from annotated_types import Ge, Gt, Interval, Unit
 from warpdiff.core import forks, validation
 from warpdiff.core.memory import MOST_ELEMENTS
 from warpdiff.core.options import Checked
+from warpdiff.core.read_only import ReadOnlyArrays
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.scene.mesh_import import normalised_positions
 
@@ -59,7 +60,7 @@ class ViewFrame(NamedTuple):
 
 
 @dataclass(frozen=True)
-class View(Checked):
+class View(ReadOnlyArrays, Checked):
     """Camera: right-handed, it looks along its −z axis from ``eye`` to ``target``, with its +y axis up.
 
     Pixels are square. The centre of the pixel (row, column) is at (row + 0.5, column + 0.5), and row 0 is at the top.

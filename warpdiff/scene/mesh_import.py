@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from warpdiff.scene.textures import MaterialMaps, Texture
 
 # Remedy in the messages about a mesh that has neither tangents nor texture coordinates.
-_HOW_TO_GET_TANGENTS = (
+HOW_TO_GET_TANGENTS = (
     f"give {ref('tangents', 'smooth')}, another rule ({', '.join(TANGENT_RULES[:-1])}) or directions of the height "
     "field's x axis, one for all or one per vertex, or a mesh with texture coordinates, whose u axis is then the "
     "direction"
@@ -481,13 +481,11 @@ def _check_tangents(part: SceneArrays, tangents: Any, is_plain: NDArray[np.bool_
     if tangents is not None or is_plain.all():
         return
     if part.uvs is None and part.tangents is None:
-        raise ArgumentValueError(f"{ref('mesh')} has neither texture coordinates nor tangents; {_HOW_TO_GET_TANGENTS}")
+        raise ArgumentValueError(f"{ref('mesh')} has neither texture coordinates nor tangents; {HOW_TO_GET_TANGENTS}")
     missing = np.ones(len(part.vertices), np.bool_)
     for values in (part.uvs, part.tangents):
         if values is not None:
             missing &= np.isnan(values).any(axis=1)
     if (faces := np.flatnonzero(missing[part.faces].any(axis=1) & ~is_plain)).size:
         name = part.geometry_names[part.geometries[faces[0]]]
-        raise ArgumentValueError(
-            f"{ref('mesh')}'s geometry {name!r} has no texture coordinates; {_HOW_TO_GET_TANGENTS}"
-        )
+        raise ArgumentValueError(f"{ref('mesh')}'s geometry {name!r} has no texture coordinates; {HOW_TO_GET_TANGENTS}")

@@ -52,8 +52,8 @@ def test_a_turntable_turns_once_about_the_target():
     assert {each.lights for each in around} == {(LIGHT,)}
     # In frame 4 of the half turn, the camera has rotated by a quarter turn, counter-clockwise as seen from above.
     np.testing.assert_allclose(around[4].view.eye, (3.1, 2.0, 0.1))
-    # A camera fitted with ``turning=True`` shows the whole mesh in all frames of a turntable, here around one end of
-    # the mesh.
+    # A camera fitted with ``turning=True`` shows the whole mesh in all frames of a turntable. Here the camera moves
+    # around one end of the mesh.
     body = wd.meshes.tube()
     for shot in wd.turntable(
         LIGHT, wd.View.fit(body, target=body.vertices[0], width=40, height=30, turning=True), count=7

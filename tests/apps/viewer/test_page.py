@@ -203,7 +203,7 @@ def test_the_picture_follows_the_settings_and_is_restored_with_them(page):
     ):
         page.set(name, value)
         pixels = page.rest()
-        # The pigment only changes meshes with a base colour. The test mesh has none, so its picture must not change.
+        # The pigment changes only meshes with a base colour. The test mesh has none: its picture must stay the same.
         assert (changed(pixels, first) > 2e-3) == (name != "pigment"), name
         page.set(name, back)
         np.testing.assert_array_equal(page.rest(), first, err_msg=name)

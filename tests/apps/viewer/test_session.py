@@ -115,7 +115,8 @@ def test_environments_illuminate_a_body_and_fill_its_background(sky, monkeypatch
         pixels = np.asarray(Image.open(io.BytesIO(data))).astype(int)
         assert np.abs(pixels - np.round(255.0 * made["shown"])).max() <= 1
         assert made["environment"].rotation_deg == 90.0
-        # The saved file equals the picture on the page. The command makes its own plan, so its picture is only similar.
+        # The saved file must equal the picture on the page. The command line that the page shows makes a plan of its
+        # own, so that its picture is only similar.
         saved = Image.open(io.BytesIO(studio.saved(page.session, "png")))
         assert np.abs(np.asarray(saved)[..., :3].astype(int) - pixels).max() <= 1
         monkeypatch.chdir(tmp_path)
@@ -230,9 +231,9 @@ def test_previews_are_rendered_no_faster_than_shown_and_refined_after_the_moveme
 def test_previews_have_as_many_pixels_as_the_frame_rate_allows():
     studio = object.__new__(Studio)
     full = wd.View((0, 1, 3), (0, 0, 0), width=640, height=480)
-    # Each case has two times in seconds and the expected width of previews in pixels. A picture requires the first time
-    # for any size, and a part of the second time in proportion to its number of pixels. Widths below 320 are expected
-    # only if a machine draws fewer than 12 pictures of 320 × 240 pixels per second.
+    # Each case has two times in seconds, ``fixed`` and ``of_all``, and the expected width of previews in pixels. A
+    # picture of n pixels requires ``fixed`` plus ``of_all`` times n/(640 × 480). Widths below 320 are expected only if
+    # a machine draws fewer than 12 pictures of 320 × 240 pixels per second.
     for fixed, of_all, expected in ((0.01, 0.03, 640), (0.02, 0.06, 480), (0.04, 0.14, 320), (0.04, 0.3, 240)):
         studio._times, studio._last_pixels, sizes = deque(maxlen=5), math.inf, []
         for index in range(16):

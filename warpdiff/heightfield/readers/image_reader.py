@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from warpdiff.core import openimageio, validation
-from warpdiff.core.wording import marked, ref, renaming
+from warpdiff.core import openimageio
 from warpdiff.heightfield.readers.reader_registry import FileContent, refusal, register_reader, require_memory
 
 if TYPE_CHECKING:
-    import os
     from pathlib import Path
 
-    from numpy.typing import NDArray
 
 # Measured peak memory while an image is read [bytes per sample]. Images that need more than the free memory are
 # refused. If doubled, images are refused that would fit into memory.
@@ -29,9 +26,30 @@ _SUFFIXES = (
     ".png", ".tif", ".tiff", ".exr", ".bmp", ".tga", ".pgm", ".pfm", ".pnm", ".jpg", ".jpeg", ".jp2", ".webp", ".hdr",
     ".dpx", ".fits", ".gif", ".psd",
 )  # fmt: skip
-_OTHER_FORMAT = (
+
+
+class ImageRemedies(NamedTuple):
+    """Texts of errors about a file, which depend on the use of the samples.
+
+    Attributes:
+        other_format: Message about a file of another format.
+        unreadable: Remedy for a file that cannot be read.
+        channels: Remedy for several channels.
+        images: Remedy for several images.
+    """
+
+    other_format: str
+    unreadable: str
+    channels: str
+    images: str
+
+
+_OF_HEIGHTS = ImageRemedies(
     "has a format that is not read; export it as .x3p, as text, or as a grey image of 16 bit or of floats, or see the "
-    "table of formats in the documentation"
+    "table of formats in the documentation",
+    "give a grey image, .npy, .npz, .x3p or a text",
+    "save its heights as one grey channel, 8-bit, 16-bit or float",
+    "save the one with the heights alone",
 )
 
 
@@ -44,27 +62,7 @@ def read_image(file: Path) -> FileContent:
     return FileContent(image_samples(file))
 
 
-def grey_levels(value: str | os.PathLike[str], name: str) -> NDArray[np.float64]:
-    """Return the levels of a grey image, 0 to 1 for integers, shape (rows, columns).
-
-    Args:
-        value: Path of the image.
-        name: Argument that has the path, which errors name.
-
-    Raises:
-        FileNotFoundError: The file does not exist.
-        ValueError: The file is not a grey image, or has samples that are not finite.
-    """
-    file = validation.path(value, name)
-    if not file.is_file():
-        raise marked(FileNotFoundError, f"{ref(name)}: there is no file {str(file)!r}")
-    with renaming({"path": name}):
-        samples = image_samples(file)
-    full = float(np.iinfo(samples.dtype).max) if samples.dtype.kind in "iu" else 1.0
-    return validation.finite_array(samples, name, ndim=2) / full
-
-
-def image_samples(file: Path) -> np.ndarray:
+def image_samples(file: Path, remedies: ImageRemedies = _OF_HEIGHTS) -> np.ndarray:
     """Return the samples of a grey image as the file has them, shape (rows, columns)."""
     with openimageio.in_use() as oiio:
         # Files in the format PFM store the bottom row first. This attribute makes OpenImageIO return the top row first;
@@ -75,33 +73,28 @@ def image_samples(file: Path) -> np.ndarray:
         if image is None:
             # The error message is read even if it is not used, because OpenImageIO prints unread messages when the
             # process ends.
-            reason = _unknown(openimageio.error_text(oiio))
-            raise refusal(file, reason if file.suffix.lower() in _SUFFIXES else _OTHER_FORMAT)
+            reason = f"cannot be read as an image ({openimageio.error_text(oiio)}); {remedies.unreadable}"
+            raise refusal(file, reason if file.suffix.lower() in _SUFFIXES else remedies.other_format)
         try:
-            return _samples_of(image, file)
+            return _samples_of(image, file, remedies)
         finally:
             image.close()
 
 
-def _unknown(reason: str) -> str:
-    """Return the error message for a file that OpenImageIO cannot open, which includes OpenImageIO's own message."""
-    return f"cannot be read as an image ({reason}); give a grey image, .npy, .npz, .x3p or a text"
-
-
-def _samples_of(image: Any, file: Path) -> np.ndarray:
+def _samples_of(image: Any, file: Path, remedies: ImageRemedies) -> np.ndarray:
     """Return the samples of an open image file; raise an error if the file has several images or several channels."""
     spec = image.spec()
     channels = spec.nchannels
     if channels != 1:
         kind = "a grey image with alpha" if channels == 2 else f"a colour image ({channels} channels)"
-        raise refusal(file, f"is {kind}; save its heights as one grey channel, 8-bit, 16-bit or float")
+        raise refusal(file, f"is {kind}; {remedies.channels}")
     require_memory(file, (spec.height, spec.width), _BYTES_PER_SAMPLE)
     # The type "unknown" means the type of the samples in the file, so that OpenImageIO does not convert them.
     samples = image.read_image("unknown")
     if samples is None or image.has_error:
         raise refusal(file, f"is damaged ({openimageio.error_text(image)}); export the image again")
     if image.seek_subimage(1, 0):
-        raise refusal(file, "contains several images; save the one with the heights alone")
+        raise refusal(file, f"contains several images; {remedies.images}")
     return _upright(np.asarray(samples)[..., 0], spec.getattribute("Orientation"))
 
 
