@@ -173,7 +173,10 @@ def map_of(cell: wd.HeightField, texts: list[str] | None) -> wd.HeightField | wd
 
 
 def _dot_value(text: str, name: str, value: str) -> Any:
-    """Return a number, the path of an image, or a tuple of a path and the values of black and white."""
+    """Return the values of the dots of a grating map: a number, or the path of an image with a pixel per dot.
+
+    The path may be in a tuple with the values for which black and white in the image stand.
+    """
     number = _value(value)
     if not isinstance(number, str):
         return number
