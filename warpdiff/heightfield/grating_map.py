@@ -1,9 +1,10 @@
 """``GratingMap``: one grating whose direction, depth and pitch differ from dot to dot of a surface.
 
-A map is a matrix of dots over the texture coordinates of a mesh, as on a dot-matrix foil. The field of a dot is the
-cell turned by φ, with heights times the depth scale d and lengths times the pitch scale p. Its power spectrum at the
-scattering vector (u, v, w) is therefore that of the cell at (p R(−φ) (u, v), d w), where R(−φ) turns by −φ. One table
-of the cell serves all dots.
+A map is a matrix of dots over the texture coordinates of a mesh, as on a dot-matrix foil. All dots have the same
+grating, the cell, but each dot has its own turn φ, depth scale d and pitch scale p. In a dot, the cell is turned by φ,
+its heights are multiplied by d, and its lengths by p. The power spectrum of a dot at the scattering vector (u, v, w) is
+therefore that of the cell at (p R(−φ) (u, v), d w), where R(−φ) turns by −φ. One table of the power spectrum of the
+cell serves all dots.
 """
 
 from __future__ import annotations
@@ -65,8 +66,7 @@ class GratingMap(ReadOnlyArrays):
 
     The dots are a matrix over the texture coordinates of the mesh. Row 0 is at v = 1 and column 0 at u = 0, as in an
     image. A ray has the grating of the dot that contains its hit. Dots have sharp edges, and the matrix is repeated
-    beyond 0 to 1.
-    The edges of dots and the phase between dots do not diffract light.
+    beyond the texture coordinates 0 to 1. The edges of dots and the phase between dots do not diffract light.
 
     Each of the three values is a number for all dots, an array with one number per dot, or a grey image. An image is
     the path of a file, or a tuple ``(path, black, white)`` of the path and the values of black and of full white. Grey
@@ -74,8 +74,8 @@ class GratingMap(ReadOnlyArrays):
     path alone stands for 0° to 180° of ``turn_deg`` and for 0 to 1 of ``depth_scale``; ``pitch_scale`` requires the
     tuple.
 
-    Pictures use ``Coherence("source")`` for a map, unless the surface or the call has a coherence. If the pitch scale
-    differs between dots, no other coherence is supported.
+    Pictures use ``Coherence("source")`` for a map, unless a coherence is stated for the surface or for the picture. If
+    the pitch scale differs between dots, no other coherence is supported.
 
     Args:
         cell: Height field of a dot with turn 0 and both scales 1. It is one patch or period whose opposite edges match.
@@ -221,9 +221,9 @@ class GratingMap(ReadOnlyArrays):
     def table_coherence(self, coherence: Coherence) -> Coherence:
         """Return the coherence of the table of :attr:`reference`.
 
-        A source of the spread s blurs the scattering vectors of a dot by p s, where p is the pitch scale of the dot
-        relative to :attr:`reference`. The table of a source is made for the smallest p. Look-ups add the rest of the
-        blur, see :attr:`transforms`.
+        A source of the angular spread s blurs the scattering vectors of a dot by p s, where p is the pitch scale of the
+        dot relative to :attr:`reference`. The table for a source is made with the blur of the smallest p. Look-ups for
+        dots with a larger p add the rest of the blur, see :attr:`transforms`.
         """
         least, most = self._pitch_range
         if coherence.angular_diameter_deg is None or least == most:

@@ -19,14 +19,15 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-# Number of depth scales at which the power of the first order is tabulated. Choice: linear interpolation between them
-# has an error below 1e-4 of the largest power.
+# Number of depth scales at which the power of the first order is tabulated. The value was chosen so that the error of
+# linear interpolation between them is below 1e-4 of the largest power.
 _DEPTHS = 513
-# Smallest angle between the directions to both eyes, as viewed from the middle of the card [degrees]. Limit: the sun's
-# diameter of 0.53° blurs orders, and with half the angle each eye also sees the dots of the other picture.
+# Smallest angle between the directions to both eyes, as viewed from the middle of the card [degrees]. The value is
+# limited by the blur of orders, which the diameter of the sun of 0.53° causes. With half of this angle, each eye would
+# also see the dots of the other picture.
 _LEAST_ANGLE_DEG = 2.0
-# Smallest component along the normal of the card of unit vectors to eyes and light. Limit: kernels treat directions
-# below it as directions below the horizon, which are black.
+# Smallest component along the normal of the card, for unit vectors to the eyes and to the light. The value is limited
+# because kernels treat directions with a smaller component as below the horizon, where dots are black.
 _LEAST_ELEVATION = 1e-6
 
 
@@ -157,11 +158,12 @@ def _largest_luminance(
     vector: NDArray[np.float64],
     lateral: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the luminances of dots of equal order efficiency |H|², up to a factor, shape (rows, columns).
+    """Return the luminances of dots whose first order has the same |H|², up to a factor, shape (rows, columns).
 
-    A source of the covariance Σ of (u, v) shows an order with the frequency q over a range of wavelengths that is
-    proportional to 1/√(qᵀ Σ⁻¹ q), where Σ⁻¹ is proportional to 1 + t tᵀ/cos²θ and t is the tangential part of the
-    direction to the light.
+    H is the Fourier coefficient of the order. Under an extended source, an eye sees the order of the frequency q in a
+    range of wavelengths that is proportional to 1/√(qᵀ Σ⁻¹ q). Σ is the covariance of the scattering vectors (u, v) of
+    the source. Its inverse is proportional to 1 + t tᵀ/cos²θ, where t is the tangential part of the unit vector to the
+    light, and θ is the angle of the light from the normal.
     """
     lights = np.broadcast_to(to_light, to_eye.shape)
     gains = reflectance_factors.gain(
@@ -174,7 +176,7 @@ def _largest_luminance(
 def _depth_scales(
     cell: HeightField, power: NDArray[np.float64], kappa: NDArray[np.float64]
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return the smallest depth scales with which the first order has given shares of its largest power.
+    """Return the smallest depth scales for which the first order has the fractions ``power`` of its largest power.
 
     The power of the first order depends on the product of depth scale and κ = |w|/λ [1/µm]. It increases from 0 to its
     first maximum.
@@ -183,8 +185,8 @@ def _depth_scales(
     range_um = cell.height_range_um
     if not range_um > 0.0:
         raise ArgumentValueError(f"{ref('cell')} must have heights that differ, got a flat field")
-    # The phase 2πκ (height range) of the first maximum is 1.17π for a sine and π for a lamellar grating. A blazed
-    # grating has it at 2π.
+    # The first maximum of the power is at the phase 2πκ · (height range): 1.17π for a sine, π for a lamellar grating,
+    # and 2π for a blazed grating.
     products = np.linspace(0.0, 1.1 / range_um, _DEPTHS)
     order = np.exp(-2j * np.pi * np.arange(len(heights)) / len(heights))
     powers = np.abs(np.exp(2j * np.pi * products[:, None] * heights) @ order / len(heights)) ** 2

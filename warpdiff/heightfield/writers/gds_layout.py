@@ -99,7 +99,7 @@ def measure_layout(path: str | os.PathLike[str]) -> Table:
     Returns:
         A row per layer and datatype, with both numbers, the number of polygons, the largest number of vertices of a
         polygon, the covered area [µm²], the least width of a feature and of a gap along x and y [µm], and the number of
-        corners at which two features touch. Widths of layers that cover a whole line are NaN.
+        corners at which two features touch. A width is NaN if no feature or gap has an end along this axis.
 
     Raises:
         FileNotFoundError: The file does not exist.
@@ -170,7 +170,7 @@ def _check_slopes(corners: Points, lengths: NDArray[np.int64], name: str) -> Non
 
 
 def _steps(polygons: list[Points]) -> Steps:
-    """Return the steps of polygons with horizontal and vertical edges."""
+    """Return the steps (horizontal edges) of polygons that have horizontal and vertical edges only."""
     fours = [points for points in polygons if len(points) == 4]
     boxes = np.array(fours, dtype=np.int64).reshape(-1, 4, 2)
     low, high = boxes.min(axis=1), boxes.max(axis=1)

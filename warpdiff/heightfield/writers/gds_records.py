@@ -38,7 +38,7 @@ _TABLE = (
 )  # fmt: skip
 _RECORDS = {code: (name, kind, size) for code, name, kind, size in _TABLE}
 _CODES = {name: code for code, name, _, _ in _TABLE}
-# Smallest and largest number of points of the elements.
+# Smallest and largest number of points of each kind of element; None is no limit.
 _POINTS = {
     "BOUNDARY": (4, None), "BOX": (4, None), "PATH": (2, None), "SREF": (1, 1), "AREF": (3, 3), "TEXT": (1, 1),
     "NODE": (1, 50),
@@ -53,12 +53,12 @@ _MOST_COPIES = 10**6
 _BYTES_PER_VERTEX = 760.0
 # Accepted range of the resolution [m], and of the magnification of a reference.
 _RESOLUTIONS, _MAGNIFICATIONS = (1e-15, 1.0), (1e-6, 1e6)
-# Code of a record as a letter of the regular expressions below.
+# In the regular expressions below, a record is one character, whose number is this number plus the code of the record.
 _FIRST_LETTER = 0x100
 
 
 def _expression(text: str) -> re.Pattern[str]:
-    """Return a regular expression of letters from one of the names of records."""
+    """Return the regular expression of characters that stand for records, from one with the names of records."""
     return re.compile(re.sub(r"[A-Z][A-Z0-9]+", lambda name: chr(_FIRST_LETTER + _CODES[name[0]]), text), re.VERBOSE)
 
 
@@ -92,7 +92,7 @@ class _Layout:
         data: Content of the file.
         name: Name of the file, for messages.
         begins: Position of each record.
-        letters: Code of each record as a letter.
+        letters: Text with one character per record, see `_FIRST_LETTER`.
     """
 
     def __init__(self, data: bytes, name: str) -> None:

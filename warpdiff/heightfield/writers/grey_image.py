@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Relative amount by which depths may exceed a dose curve. Limit: rounding errors of differences of heights.
+# Relative amount by which depths may exceed the largest depth of a dose curve. The value is limited by the rounding
+# errors of differences of heights.
 _DEPTH_TOLERANCE = 1e-9
 # Largest sample of a 16-bit image.
 _WHITE = 65535

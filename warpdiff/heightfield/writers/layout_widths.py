@@ -1,7 +1,9 @@
-"""Least widths and gaps of rectilinear polygons, on a grid or by lines that sweep over their edges.
+"""Least widths of features and gaps of rectilinear polygons, on a grid or by a sweep.
 
-All coordinates are integers. A step is an interval of x at a height y where the layout changes from covered to not
-covered, or the reverse: a horizontal edge of the layout.
+All coordinates are integers. A feature is an interval of a line that polygons cover, and a gap is an interval between
+two features. A step is a horizontal edge of the layout: an interval of x at a height y. A small layout is measured on
+the grid through the coordinates of its vertices. Over a larger layout a line is swept, and the ends of features along
+the line are updated at each edge of the layout.
 """
 
 from __future__ import annotations
@@ -17,13 +19,20 @@ if TYPE_CHECKING:
     Indices = NDArray[np.int64]
 
 
-# Largest number of cells of the grid between the coordinates of a layout that is measured on this grid. If doubled, the
-# memory of the grid doubles to 100 MB. The lines that sweep over larger layouts are 50 times slower per edge.
+# Largest number of cells of the grid through the coordinates of a layout. A layout with more cells is measured by a
+# sweep, which is 50 times slower per edge. If doubled, the memory of the grid doubles to 100 MB.
 _MOST_CELLS = 2**22
 
 
 class Steps(NamedTuple):
-    """Horizontal edges of a layout: height, ends along x, and change of the coverage above them, each of shape (n,)."""
+    """Horizontal edges of a layout, each attribute of shape (n,).
+
+    Attributes:
+        y: Height of each edge.
+        left: End of each edge with the smaller x.
+        right: End of each edge with the larger x.
+        change: Change of the number of polygons that cover the layout, from below to above each edge.
+    """
 
     y: Indices
     left: Indices
@@ -32,7 +41,10 @@ class Steps(NamedTuple):
 
 
 class Measures(NamedTuple):
-    """Covered area, least widths of features and gaps along x and y (None if there are none), and touching corners."""
+    """Covered area, least widths of features and gaps along x and y, and number of corners at which two features touch.
+
+    A width is None if no feature or gap has an end along the axis.
+    """
 
     area: int
     width_x: int | None
@@ -43,7 +55,7 @@ class Measures(NamedTuple):
 
 
 class _Widths(NamedTuple):
-    """Least width of a feature and least gap along a line, and the number of touching corners."""
+    """Least width of a feature and of a gap along one axis, and number of corners at which two features touch."""
 
     feature: int | None
     gap: int | None
@@ -51,7 +63,7 @@ class _Widths(NamedTuple):
 
 
 def measured(steps: Steps, size: tuple[int, int]) -> Measures:
-    """Measure the union of polygons that is repeated with the periods (x, y) of ``size``, from the steps of all."""
+    """Measure the union of polygons from the steps of all polygons; the layout has the periods ``size`` (x, y)."""
     lines = np.unique(np.concatenate([steps.left, steps.right, [0, size[0]]]))
     rows = np.unique(np.append(steps.y, [0, size[1]]))
     if (len(lines) - 1) * (len(rows) - 1) <= _MOST_CELLS:
@@ -85,7 +97,8 @@ def _least_runs(covered: NDArray[np.bool_], edges: Indices) -> tuple[int | None,
     row, start = np.nonzero(covered != np.roll(covered, 1, axis=1))
     if not len(row):
         return None, None
-    # A run ends where the next one of its row starts. The last run of a row ends where the first one starts.
+    # A run is a group of neighbouring cells that are all covered, or all uncovered. It ends where the next run of its
+    # row starts. The last run of a row ends where the first one starts.
     is_last = np.append(row[1:] != row[:-1], True)
     begins = np.append(0, np.flatnonzero(is_last)[:-1] + 1)
     ends = np.append(edges[start[1:]], 0)
@@ -105,14 +118,14 @@ def steps_of_polygon(x: list[int], y: list[int]) -> list[tuple[int, int, int, in
     """Return the steps (y, left, right, change) of a polygon with horizontal and vertical edges, by the even-odd rule.
 
     Args:
-        x: Coordinates of the vertices in order, shape (n,).
-        y: The same along y.
+        x: Coordinates x of the vertices in their order around the polygon, n numbers.
+        y: Coordinates y of the vertices.
     """
     edges = sorted(
         (y[k], min(x[k - 1], x[k]), max(x[k - 1], x[k])) for k in range(len(x)) if y[k - 1] == y[k] and x[k - 1] != x[k]
     )
-    # Places where a horizontal line enters or leaves the polygon, increasing. An edge reverses the coverage between its
-    # ends.
+    # Positions x at which a horizontal line enters or leaves the polygon, in increasing order. When the line moves up
+    # over an edge, its part between the ends of the edge changes from covered to not covered, or the reverse.
     places: list[int] = []
     steps = []
     for height, left, right in edges:
@@ -137,12 +150,13 @@ def _united(steps: Steps) -> Steps:
     first, after = columns[: len(y)][order], columns[len(y) :][order]
     if not len(y):
         return Steps(y, left, right, change)
-    # Steps at one height that overlap or touch change the coverage together, as a group.
+    # Steps at one height that overlap or touch form a group. Their changes of the coverage are added.
     row = np.cumsum(np.append(0, np.diff(y) != 0)) * (len(lines) + 1)
     reach = np.maximum.accumulate(row + after)
     begins = np.flatnonzero(np.append(True, row[1:] + first[1:] > reach[:-1]))
     ends = np.append(begins[1:], len(y))
-    # Number of polygons that cover each interval between neighbouring lines, at the height of the sweep.
+    # Number of polygons that cover each interval between neighbouring coordinates x, below the height of the next
+    # group.
     counts = np.zeros(len(lines), dtype=np.int32)
     parts: list[tuple[Indices, Indices, Indices, Indices]] = []
     for begin, end, low, high in zip(
@@ -154,7 +168,7 @@ def _united(steps: Steps) -> Steps:
         np.add.at(jumps, after[of_group] - low, -change[of_group])
         before = counts[low:high]
         above = before + np.cumsum(jumps[:-1], dtype=np.int32)
-        # The change is 1 where the union begins, −1 where it ends, and 0 elsewhere.
+        # For each interval, the change is 1 if the union begins at this height, −1 if it ends there, and otherwise 0.
         changes = np.zeros(high - low + 2, dtype=np.int8)
         np.subtract(above > 0, before > 0, out=changes[1:-1], dtype=np.int8)
         counts[low:high] = above
@@ -181,7 +195,7 @@ def _area(steps: Steps) -> int:
 
 def _along_x(steps: Steps, size: tuple[int, int]) -> _Widths:
     """Return the least widths along x of a layout that is repeated with the periods (x, y) of ``size``, from 0."""
-    # The last line repeats the first one, so that corners at the edge of the layout are counted.
+    # The steps at y = 0 are repeated at the end of the period, so that corners at the edge of the layout are counted.
     again = steps.y == 0
     rows = np.concatenate([steps.y, np.full(int(again.sum()), size[1])])
     left, right = (np.concatenate([part, part[again]]) for part in (steps.left, steps.right))
@@ -189,17 +203,20 @@ def _along_x(steps: Steps, size: tuple[int, int]) -> _Widths:
 
 
 def _along_y(steps: Steps, size: tuple[int, int]) -> _Widths:
-    """Return the least widths along y, without a count of corners."""
+    """Return the least widths along y of a layout. The number of corners is 0, because `_along_x` counts them."""
     rows = np.concatenate([steps.left, steps.right])
     return _swept(rows, np.concatenate([steps.y, steps.y]), size[1])._replace(corners=0)
 
 
 def _swept(rows: Indices, places: Indices, period: int) -> _Widths:
-    """Sweep a line over a periodic layout, and measure the intervals that begin or end at changed places.
+    """Sweep a line over a periodic layout, and return the least widths along the line.
+
+    At some positions of the line, places along it become ends of features, or cease to be ends. Only the features and
+    gaps that begin or end at such a place are measured.
 
     Args:
-        rows: Position of the line at which a place begins or ceases to be an end of a feature, shape (n,).
-        places: The place along the line, 0 to ``period``, shape (n,).
+        rows: Position of the line at each change of a place, shape (n,).
+        places: Place along the line that changes, 0 to ``period``, shape (n,).
         period: Length of the line.
     """
     if not len(rows):
@@ -211,7 +228,7 @@ def _swept(rows: Indices, places: Indices, period: int) -> _Widths:
     is_odd = (np.diff(np.append(starts, len(rows))) % 2 == 1).tolist()
     begins = np.flatnonzero(np.append(True, np.diff(rows[starts]) != 0)).tolist()
     values = places[starts].tolist()
-    # Whether the place 0 is covered from the left, that is, by a feature at the end of the line.
+    # Whether (1 or 0) a feature reaches the end of the line, which is also its beginning, the place 0.
     base = 0
     line: list[int] = []
     least: list[int | None] = [None, None]
@@ -224,7 +241,7 @@ def _swept(rows: Indices, places: Indices, period: int) -> _Widths:
             both = touched[0] == 0
             is_reversed = odd[-1] != (both and odd[0])
             touched, odd = [0, *touched[int(both) : -1]], [is_reversed, *odd[int(both) : -1]]
-        # Places that are an end of a feature on both sides of the row.
+        # Places with an even number of changes. If a feature has an end there, it has one before and after the change.
         kinds = [(place, _kind(line, base, place)) for place, is_end in zip(touched, odd, strict=True) if not is_end]
         for place, is_end in zip(touched, odd, strict=True):
             if is_end:
