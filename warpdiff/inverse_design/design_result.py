@@ -31,18 +31,21 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Number of samples per standard deviation of rounded edges, at least.
+# Least number of samples per standard deviation of the Gaussian that rounds edges.
 _PER_EDGE = 2.0
-# Least standard deviation of rounded edges, relative to the distance of samples. Limit: time and memory. The number of
-# samples along an axis is proportional to the reciprocal, and 200 times that of the design at this width.
+# Least standard deviation of the Gaussian that rounds edges, relative to the distance of samples. The value is limited
+# by time and memory: the number of samples along an axis is proportional to its reciprocal. At this value, the number
+# is 200 times that of the design.
 _SHARPEST_EDGE = 0.01
-# Measured peak memory while edges are rounded and orders computed [bytes per sample]. If doubled, edges are refused
-# that would fit into memory.
+# Measured peak memory while edges are rounded and efficiencies are computed [bytes per sample]. If doubled, sharp edges
+# are refused whose samples would fit into memory.
 _BYTES_PER_SAMPLE = 100.0
-# Standard deviations of rounded edges for which the robustness is computed by default [µm], and the largest standard
-# deviation relative to the period. Limit: wider Gaussians leave little of the relief.
+# Standard deviations of the Gaussian that rounds edges: those for which the robustness is computed by default [µm], and
+# the largest accepted one, relative to the period. The latter is limited because wider Gaussians leave little of the
+# relief.
 _EDGE_WIDTHS_UM, _WIDEST_EDGE = (0.05, 0.1), 0.1
-# Largest number of wavelengths of a rigorous colour. Limit: computing time is proportional to it.
+# Largest number of wavelengths at which a colour is solved rigorously. The value is limited by the computing time,
+# which is proportional to it.
 _MOST_WAVELENGTHS = 401
 
 
@@ -60,7 +63,7 @@ class Design:
             the mean of equal orders, or the difference of efficiencies.
         exposure: Common factor of all colours, which makes the sum of the squares of ΔE2000 least; 1 without colours.
         history: Table with the number of evaluations and the loss after each stage of each start.
-        loss: Loss of the result.
+        loss: Loss of the design, the weighted sum of all errors that the search has minimised.
 
     Examples:
         >>> import math
@@ -142,11 +145,11 @@ class Design:
                 mirrors, which have no rigorous solution here.
             wavelengths: Number of wavelengths of a colour, 5 to 401, by default 21. Efficiencies are interpolated
                 between them.
-            max_harmonics: Largest order of the expansion of the fields, 8 to 2000, by default 256.
-            progress: Function that is called with the finished share, 0 to 1; True shows a progress bar.
+            max_harmonics: Largest order N of the Fourier series of the fields, 8 to 2000, by default 256.
+            progress: Function that is called with the finished fraction, 0 to 1; True shows a progress bar.
 
         Returns:
-            Rigorous values compared with the requested ones, and the share of the solutions that have converged.
+            Rigorous values compared with the requested ones, and the fraction of the solutions that have converged.
 
         Raises:
             ValueError: The surface or a direction has no rigorous solution here, or an argument is out of
@@ -191,7 +194,7 @@ class Design:
         self, *, depth_scales: Sequence[float] = (0.95, 1.05), edge_widths_um: Sequence[float] | None = None,
         tilts_deg: Sequence[float] = (0.25, 1.0),
     ) -> Table:  # fmt: skip
-        """Return the errors after changes of the depth, of the edges and of the angle.
+        """Return the errors of the design after changes of its depth, its edges and its angle.
 
         Args:
             depth_scales: Factors of all heights, 0.1 to 10.
@@ -310,7 +313,7 @@ def uniformity_error(efficiencies: Array) -> float:
 
 
 def _errors(targets: Sequence[Target], values: list[Array], exposure: float) -> tuple[float, float]:
-    """Return the largest ΔE2000, and the largest deviation of an order; NaN without such a target."""
+    """Return the largest ΔE2000, and the largest deviation of an order; NaN if there is no colour, or no order."""
     table = _table(targets, values, exposure)
     is_order = np.array([targets[k].kind != "colour" for k in table["target"]])
     parts = table["error"][~is_order], np.abs(table["error"][is_order])
@@ -339,7 +342,10 @@ def _table(targets: Sequence[Target], values: list[Array], exposure: float) -> T
 
 
 def _numbers(values: ArrayLike, name: str, low: float, high: float, origin: str = "") -> list[float]:
-    """Return the values of an argument after a check of their range; ``origin`` is the unit and reason of ``high``."""
+    """Return the values of an argument after a check of their range.
+
+    ``origin`` is the unit of the limit ``high`` and the reason for it, for the error message.
+    """
     array = validation.finite_array(values, name, ndim=1)
     if array.size and (array.min() < low or array.max() > high):
         raise ArgumentValueError(f"{ref(name)} must lie within {low:g} to {high:g}{origin}, got {array.tolist()!s:.60}")
@@ -370,7 +376,10 @@ def _check_edge(surface: HeightField, width_um: float) -> None:
 
 
 def _rounded(surface: HeightField, width_um: float) -> HeightField:
-    """Return a periodic surface convolved with a Gaussian of a standard deviation, at a pitch that resolves it."""
+    """Return a periodic surface convolved with a Gaussian, at a pitch that resolves the Gaussian.
+
+    ``width_um`` is the standard deviation of the Gaussian [µm].
+    """
     if width_um == 0.0:
         return surface
     heights, pitches = surface.heights_um, []

@@ -31,28 +31,38 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Largest number of starts. Limit: computing time is proportional to it.
+# Largest number of starts of a search. The value is limited by the computing time, which is proportional to it.
 _MOST_STARTS = 1000
-# Largest numbers of iterations of the minimiser: for each start, for the best starts, and for each weight of the
-# penalty. Choice: the order of the starts rarely changes after the first number, and the loss after the second.
+# Largest numbers of iterations of the minimiser: first for each start, then for the best starts, and for each weight of
+# the penalty that draws heights to levels. The first number was chosen because the order of the starts by their loss
+# rarely changes afterwards. The second number was chosen because the loss rarely changes afterwards.
 _MOST_FIRST, _MOST_ITERATIONS, _MOST_PENALISED = 60, 300, 50
-# Number of earlier gradients that the minimiser stores. Choice: more do not reduce the number of iterations.
+# Number of earlier gradients that the minimiser L-BFGS-B stores. The value was chosen because more gradients do not
+# reduce the number of iterations.
 _MEMORY = 20
-# Weights of the mean of sin²(πh/step), which is 0 at levels. Choice: at the last one, the exchange of pixels regains
-# what rounding loses.
+# Weights of the penalty that draws heights h to levels, in the order of their use. The penalty is the mean of
+# sin²(πh/step) over all heights, where step is the distance of two levels. It is 0 if all heights are levels. The last
+# weight was chosen because the exchange of pixels then makes up for the loss that rounding to levels causes.
 _PENALTIES = (10.0, 100.0, 1000.0, 10_000.0)
-# Number of best starts that get levels. Choice: a third one is hardly ever the best.
+# Number of starts that are continued after the first iterations, those with the least loss. The value was chosen
+# because a third start hardly ever gives the best design.
 _CONTINUED = 2
-# Range of the default depth, relative to a full cycle of the phase. Choice: at 0.8 and 1.2 the loss is larger already.
+# Range within which the default depth of pixels with levels is adjusted, relative to the depth at which the levels
+# divide a full cycle of the phase. The range was chosen because the loss at 0.8 and at 1.2 is already larger.
 _DEPTH_RANGE = 0.8, 1.2
-# Largest depth [µm]. Limit: scalar diffraction describes no deeper pixels.
+# Largest depth of pixels [µm]. The value is limited because scalar diffraction does not describe deeper pixels.
 _DEEPEST_UM = 10.0
 
 
 class Limits(NamedTuple):
-    """Limits of manufacture of pixels: number of levels or None, range of the depth [µm], least feature [pixels].
+    """Limits of manufacture of the pixels of a design.
 
-    Other profiles have no such limits, and their bounds instead.
+    Profiles of other classes than `Pixels` have no such limits; their parameters have bounds instead.
+
+    Attributes:
+        levels: Number of levels; None if the heights are not restricted to levels.
+        depths_um: Least and largest depth [µm].
+        feature: Least width of a feature [pixels].
     """
 
     levels: int | None
@@ -61,7 +71,14 @@ class Limits(NamedTuple):
 
 
 class _Candidate(NamedTuple):
-    """Heights of a start with their loss."""
+    """Result of a stage of the search for one start.
+
+    Attributes:
+        start: Number of the start.
+        loss: Loss of the parameters.
+        x: Parameters of the profile, for pixels the heights of blocks of pixels [µm].
+        log_exposure: Logarithm of the exposure, the common factor of all colours.
+    """
 
     start: int
     loss: float
@@ -77,24 +94,26 @@ def design(
 ) -> Design:  # fmt: skip
     """Find a surface with requested colours and order efficiencies.
 
-    The search has four stages. Pixels start from iterative Fourier transforms (Wyrowski and Bryngdahl 1988) or from
-    waves. L-BFGS-B (Byrd et al. 1995) minimises the loss with its exact gradient. With ``levels``, a penalty draws the
-    heights of the best starts to levels. Then single pixels are exchanged, and the depth is adjusted, until no change
-    improves the design. Colours are compared in CIE Lab at one common exposure, which is fitted, and a brighter design
-    is better. The theory is scalar: confirm a design of one-dimensional pixels by ``check_rigorously()`` of the result.
+    The search has four stages. First heights of pixels come from iterative Fourier transforms (Wyrowski and Bryngdahl
+    1988) for orders, and from a sum of waves for colours. L-BFGS-B (Byrd et al. 1995) minimises the loss, which is the
+    weighted sum of all errors, with its exact gradient. With ``levels``, a penalty draws the heights of the best starts
+    to levels. Then the levels of single pixels are changed, and the depth is adjusted, until no change improves the
+    design. Colours are compared in CIE Lab at one common exposure, which is fitted, and a brighter design is better.
+    The theory is scalar: confirm a design of one-dimensional pixels by ``check_rigorously()`` of the result.
 
     Args:
         profile: Profile from ``warpdiff.profiles``. The number and the size of ``Pixels`` determine the period.
         targets: One target or more from ``Target.colour``, ``Target.orders`` and ``Target.equal``.
         levels: Number of equally spaced levels of ``Pixels``, 2 to 256; None, the default, does not restrict heights.
-        depth_um: Depth of ``Pixels`` [µm], more than 0 and at most 10: with ``levels``, that of the highest level, or a
-            range within which it is adjusted; otherwise the largest height, of a range its upper end. None is a full
-            cycle of the phase, times 1 − 1/levels and adjusted by up to 20 %.
+        depth_um: Depth of ``Pixels`` [µm], more than 0 and at most 10, one number or a range (least, largest). With
+            ``levels``, it is the height of the highest level, which is adjusted within a range. Without ``levels``, it
+            is the largest height, and only the upper end of a range is used. None, the default, is a full cycle of the
+            phase; with ``levels``, it is multiplied by 1 − 1/levels and adjusted by up to 20 %.
         least_feature_um: Least width of a feature of ``Pixels`` along x and y [µm], at least the size of a pixel. It is
             rounded up to whole pixels. Features of two-dimensional pixels may touch at corners. None is one pixel.
         seed: Seed of the random starts, by default 0. Equal arguments give equal designs.
         starts: Number of starts, 1 to 1000, by default 6.
-        progress: Function that is called with the finished share, 0 to 1; True shows a progress bar.
+        progress: Function that is called with the finished fraction, 0 to 1; True shows a progress bar.
 
     Returns:
         The height field, with requested and achieved values, history and robustness.
@@ -104,8 +123,8 @@ def design(
 
     Raises:
         TypeError: An argument has a wrong type.
-        ValueError: An argument is out of its range, an order does not propagate, or pixels are restricted that the
-            profile does not have.
+        ValueError: An argument is out of its range, an order does not propagate, or ``levels``, ``depth_um`` or
+            ``least_feature_um`` is given for a profile without pixels.
 
     Examples:
         >>> import math
@@ -150,7 +169,7 @@ def design(
 
 
 def _checked_targets(targets: Sequence[Target]) -> list[Target]:
-    """Return the targets as a list of at least one."""
+    """Return the targets as a list; raise an error for an empty list and for other objects than targets."""
     if not isinstance(targets, (Target, list, tuple)):
         raise ArgumentTypeError(f"{ref('targets')} must be a list of warpdiff.Target, got {type(targets).__name__}")
     result: list[Target] = [targets] if isinstance(targets, Target) else list(targets)
@@ -165,7 +184,7 @@ def _checked_targets(targets: Sequence[Target]) -> list[Target]:
 def _limits(
     profile: Profile, targets: list[Target], levels: object, depth_um: object, least_feature_um: object
 ) -> Limits:
-    """Check the limits of manufacture."""
+    """Return the limits of manufacture, after a check of the arguments of `design`."""
     restricted = {"levels": levels, "depth_um": depth_um, "least_feature_um": least_feature_um}
     if not isinstance(profile, Pixels):
         for name, value in restricted.items():
@@ -220,13 +239,14 @@ def _search_of(profile: Profile, targets: list[Target], limits: Limits) -> _Sear
 
 
 class _Search:
-    """Stages of a search, with the history of their losses."""
+    """Search for a design in stages, with the history of the loss after each stage."""
 
     def __init__(self, profile: Profile, targets: list[Target], limits: Limits) -> None:
         self._profile, self._targets, self._limits = profile, targets, limits
         self._goal = Goal(targets)
         self._pixels = profile if isinstance(profile, Pixels) else None
-        # Blocks of pixels, which have at least the least width.
+        # The heights of blocks of pixels are searched instead of the heights of pixels. A block has the least width of
+        # a feature as its side, so that no feature is narrower.
         self._blocks: Profile = profile
         if self._pixels is not None and limits.feature > 1:
             ny, nx = self._pixels.pixels
@@ -236,16 +256,17 @@ class _Search:
         self._rows: list[tuple[int, str, int, float]] = []
 
     def history(self) -> Table:
-        """Return a row per stage and start."""
+        """Return a table with a row per stage of each start: the number of evaluations, and the loss."""
         names = ("start", "stage", "evaluations", "loss")
         return Table(dict(zip(names, map(np.array, zip(*self._rows, strict=True)), strict=True)))
 
     @property
     def _wraps(self) -> bool:
-        """Whether heights are equivalent that differ by a cycle of the phase, and levels divide a cycle.
+        """Whether heights that differ by a full cycle of the phase are equivalent for all targets.
 
-        Colours have no common cycle. With another depth than the default, the level above the highest one may differ
-        from the lowest one by another phase than a cycle.
+        The cycle is the height that changes the phase of the reflected light by 2π. Colours have no common cycle,
+        because they are sums over wavelengths. With levels, the levels must also divide the cycle, so that the level
+        above the highest one would be equivalent to the lowest one. This requires about the default depth.
         """
         if self._pixels is None or self._goal.has_colours:
             return False
@@ -263,7 +284,10 @@ class _Search:
 
     @property
     def _top_um(self) -> float:
-        """Largest height of pixels before they get levels [µm]; with levels that divide a cycle, a step above them."""
+        """Largest height of pixels before heights are rounded to levels [µm].
+
+        If the levels divide a cycle of the phase, this height is one step above the highest level.
+        """
         levels, (_, depth) = self._limits.levels, self._limits.depths_um
         return depth * levels / (levels - 1) if levels and self._wraps else depth
 
@@ -285,18 +309,19 @@ class _Search:
         return free._replace(x=np.minimum(free.x % cycle, top))
 
     def refined(self, candidate: _Candidate) -> _Candidate:
-        """Minimise the loss without levels to the end, with efficiencies that are normalised if requested."""
+        """Continue the minimisation of a start, without levels; efficiencies are normalised if a target requests it."""
         blocks = self._blocks
         bounds = np.tile([0.0, self._top_um], (len(candidate.x), 1)) if isinstance(blocks, Pixels) else blocks.bounds
         most = _MOST_FIRST if self._limits.levels else _MOST_ITERATIONS
-        # Factors of normalised efficiencies are those of the first heights, and then those of the result.
+        # A minimisation uses constant factors from Stam's efficiencies to normalised ones. The first minimisation uses
+        # the factors of the heights at its begin, and a second one uses the factors of the first result.
         for _ in range(2 if self._is_normalised and not self._limits.levels else 1):
             self._goal.update_factors(blocks.surface(candidate.x))
             candidate = self._minimised(candidate.x, bounds, candidate.start, "refined", most)
         return candidate
 
     def _means(self, heights: Array) -> Array:
-        """Return the mean heights of the blocks of pixels."""
+        """Return the mean height of each block of pixels [µm] from the heights of all pixels."""
         assert self._pixels is not None  # noqa: S101 (blocks are pixels)
         ny, nx = self._pixels.pixels
         n = self._limits.feature
@@ -331,7 +356,10 @@ class _Search:
         return _Candidate(start, loss, result.x[:-1], float(result.x[-1]))
 
     def stepped(self, candidate: _Candidate, rng: np.random.Generator) -> tuple[_Candidate, float]:
-        """Draw heights to levels, round them, and exchange pixels; return the result and its depth [µm]."""
+        """Draw heights to levels by a penalty, round them to levels, and change the levels of single pixels.
+
+        Return the result and its depth [µm].
+        """
         count, (low, high) = self._limits.levels, self._limits.depths_um
         assert count is not None  # noqa: S101 (called only with levels)
         assert self._pixels is not None  # noqa: S101 (only pixels have levels)
@@ -364,7 +392,8 @@ class _Search:
         rules: list[tuple[Pixels, Rule | None]] = [(self._blocks, None)]
         if self._limits.feature > 1 and self._pixels.pixels[0] == 1:
             rules.append((self._pixels, edge_moves(self._limits.feature)))
-        # Normalised efficiencies change with the exchange, which is therefore repeated.
+        # The exchange changes the factors from Stam's efficiencies to normalised ones. It is therefore repeated with
+        # the new factors.
         if self._is_normalised:
             rules.append(rules[-1])
         for pixels, rule in rules:

@@ -19,23 +19,26 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Number of iterations. Choice: amplitudes no longer change visibly after 200.
+# Number of iterations of the Fourier transforms. The value was chosen because the amplitudes of the orders no longer
+# change visibly after 200 iterations.
 _ITERATIONS = 200
-# Exponent of the feedback of amplitudes. Choice: with 1, amplitudes oscillate.
+# Exponent of the feedback. In each iteration, the amplitude with which an order enters is multiplied by the ratio of
+# its requested to its reached amplitude, to this power. The value was chosen because amplitudes oscillate with 1.
 _FEEDBACK = 0.5
-# Amplitude of the waves, and standard deviation of the noise, relative to the depth. Choice: the sum of two waves has
-# half of the depth as its standard deviation, and the noise makes starts differ.
+# Amplitude of a wave for designs with two colours, and standard deviation of the noise, relative to the depth. With
+# this amplitude, the sum of two waves extends over the whole depth. The noise makes the starts differ.
 _WAVE, _NOISE = 0.25, 0.04
-# Range of wavelengths in which the dominant one of a colour is searched [nm]: those that change the hue.
+# Wavelengths [nm] among which the dominant wavelength of a colour is searched. Beyond this range, the hue of light
+# hardly changes with the wavelength.
 _HUES_NM = np.arange(430.0, 651.0, 5.0)
 
 
 def first_heights(profile: Pixels, targets: list[Target], depth_um: float, rng: np.random.Generator) -> Array:
     """Return random first heights of pixels [µm], from 0 to the depth, shape (ny · nx,).
 
-    Orders start from iterative Fourier transforms (Gerchberg and Saxton 1972; Wyrowski and Bryngdahl 1988) for the
-    first target of orders; colours start from a sum of waves that diffract the dominant wavelength of each colour in
-    its direction.
+    For orders, the heights come from iterative Fourier transforms (Gerchberg and Saxton 1972; Wyrowski and Bryngdahl
+    1988) for the first target. For colours, the heights are a sum of waves, one per colour, which diffracts the
+    dominant wavelength of the colour in the direction of its target.
     """
     colours = [target for target in targets if target.kind == "colour"]
     if colours:
@@ -50,7 +53,8 @@ def _fourier(profile: Pixels, target: Target, rng: np.random.Generator) -> Array
     orders, views = propagating(surface, target.to_light[None], np.array([target.wavelength_nm]))
     view = views[0, 0, places_of(target, surface)]
     del orders
-    # A pixel of finite size weakens high orders, and |H|² is multiplied by about 1/cos θ.
+    # The requested amplitude |H| of the Fourier coefficient of each order. The efficiency of an order at the angle θ
+    # from the normal is about |H|²/cos θ. Pixels of finite size weaken high orders by the factor `size`.
     shares = np.where(np.isnan(target.requested), 1.0, target.requested)
     size = np.prod([np.sinc(target.pairs[:, axis] / n) for axis, n in enumerate((ny, nx))], axis=0)
     goal = np.sqrt(shares * np.maximum(view[:, 2], HORIZON)) / np.maximum(np.abs(size), 0.1)
@@ -66,7 +70,7 @@ def _fourier(profile: Pixels, target: Target, rng: np.random.Generator) -> Array
         powers = np.abs(reached) / max(float(np.linalg.norm(reached)), 1e-12)
         amplitudes = amplitudes * (np.maximum(goal, 1e-6) / np.maximum(powers, 1e-6)) ** _FEEDBACK
         amplitudes /= np.linalg.norm(amplitudes)
-    # The reflected wave of a height h is exp(−2πi|κ|h).
+    # A surface of the height h reflects the wave exp(−2πi|κ|h) with |κ| = |w|/λ.
     return np.asarray((-np.angle(wave) % (2.0 * np.pi)) / (2.0 * np.pi) * target.cycle_um)
 
 

@@ -1,4 +1,9 @@
-"""Loss of all targets of a design, with its exact gradient by the parameters of a profile."""
+"""Loss of all targets of a design, with its exact gradient by the parameters of a profile.
+
+A group is a list of targets that are evaluated together: all colours with equal optics, or one target of orders. The
+values of a group are the XYZ of its colours, shape (n, 3), or the efficiencies of its orders, shape (n,). The exposure
+is the common factor of all colours. The adjoint of a quantity is the derivative of the loss with respect to it.
+"""
 
 from __future__ import annotations
 
@@ -27,27 +32,34 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Weight of squared relative deviations of efficiencies: a deviation of 1 % counts as much as a colour difference of 1.
+# Weight of squared relative deviations of efficiencies in the loss. With this weight, a deviation of 1 % counts as much
+# as a colour difference of 1 in CIE Lab.
 _PER_DEVIATION = 1e4
-# Weight of the power that equal orders lack. Choice: raising the share by 1 % is worth a deviation of 2.2 % of all
-# orders; larger weights make orders less equal.
+# Weight of the power that a target of equal orders lacks, relative to the power that a flat surface reflects. The value
+# was chosen so that 1 % more power is worth a deviation of 2.2 % of all orders. Larger weights make orders less equal.
 _PER_LOST_SHARE = 500.0
-# Weight of the logarithm of the exposure of colours. Choice: colours that are twice as bright are worth a colour
-# difference of 4.6; larger weights make colours wrong.
+# Weight of the logarithm of the exposure of colours. The value was chosen so that colours that are twice as bright are
+# worth a colour difference of 4.6. Larger weights make colours wrong.
 _PER_EXPOSURE = 30.0
-# Sum of efficiencies up to which all orders of a target count as dark. Limit: rounding errors of powers, about 1e-16
-# for each order, must not count as equal orders. If doubled, no design changes.
+# Sum of the efficiencies of a target up to which all of its orders count as dark. The value is far above the rounding
+# errors of powers, about 1e-16 per order, which must not count as equal orders. If doubled, no design changes.
 LEAST_POWER = 1e-12
-# Linear part of Lab's function of XYZ, below this ratio to white (CIE 15).
+# Constant δ of CIE Lab (CIE 15). Lab's function of X, Y and Z is linear where their ratio to the white is at most δ³.
 _DELTA = 6.0 / 29.0
-# Truncation error of colours during the search, and of the result.
+# Accepted relative error of computed colours during the search, and for the result.
 SEARCH_TRUNCATION, TRUNCATION = 1e-3, 1e-4
-# Range of the logarithm of the exposure, and the number of values that are tried for a first estimate.
+# Logarithms of the exposure that are tried for a first estimate.
 _LOG_EXPOSURES = np.linspace(-4.0, 14.0, 181)
 
 
 class Loss(NamedTuple):
-    """Loss and its derivatives by the values of all groups, and by the logarithm of the exposure."""
+    """Loss and its derivatives.
+
+    Attributes:
+        value: The loss.
+        adjoints: Derivatives of the loss by the values of each group.
+        of_exposure: Derivative of the loss by the logarithm of the exposure.
+    """
 
     value: float
     adjoints: list[Array]
@@ -71,8 +83,8 @@ class Goal:
 
     Attributes:
         groups: Targets of each group.
-        factors: Normalised efficiencies divided by Stam's, for the orders of each target of orders. They change slowly
-            with the surface. The search treats them as constants.
+        factors: Ratios of normalised efficiencies to Stam's efficiencies for each group of orders, shape (n,). They
+            change slowly with the surface, so that the search treats them as constants.
         has_colours: Whether there is a target of a colour.
     """
 
@@ -87,9 +99,10 @@ class Goal:
     def values(
         self, surface: HeightField | Outline, wrt: tuple[str, ...] = (), *, truncation: float = SEARCH_TRUNCATION
     ) -> tuple[list[Array], Callable[[list[Array]], dict[str, Array]]]:
-        """Return XYZ (n, 3) or efficiencies (n,) of each group, and the function from their adjoints to those of wrt.
+        """Return the values of each group, and a function that converts their adjoints.
 
-        Efficiencies are Stam's times the factors.
+        The function returns the adjoints of the variables ``wrt`` of the surface. Efficiencies are Stam's efficiencies
+        times ``factors``.
         """
         values: list[Array] = []
         pulls: list[Callable[[Array], dict[str, Array]]] = []
@@ -129,7 +142,7 @@ class Goal:
         return values, pullback
 
     def update_factors(self, surface: HeightField | Outline) -> None:
-        """Set the factors to those of a surface."""
+        """Set ``factors`` to the ratios of normalised efficiencies to Stam's efficiencies of a surface."""
         for k, group in enumerate(self.groups):
             optics = group[0].optics
             if group[0].kind == "colour" or optics.energy == "stam":
@@ -151,7 +164,11 @@ class Goal:
         return np.asarray(result.value[0])
 
     def costs(self, values: list[Array], log_exposure: float) -> Array:
-        """Return the loss of values of the groups with leading axes of candidates, shapes (..., n) or (..., n, 3)."""
+        """Return the loss for the values of all groups.
+
+        The values may be those of several candidate surfaces, along leading axes: shapes (..., n) or (..., n, 3). The
+        loss then has the shape (...).
+        """
         total = np.asarray(_PER_EXPOSURE * log_exposure if self.has_colours else 0.0)
         for group, value in zip(self.groups, values, strict=True):
             if group[0].kind == "colour":
@@ -162,8 +179,9 @@ class Goal:
                 scale = _PER_DEVIATION / (value.shape[-1] * float(group[0].requested.mean()) ** 2)
                 total = total + scale * ((value - group[0].requested) ** 2).sum(axis=-1)
             else:
-                # The mean of (η/mean − 1)² follows from two sums. It is at most n − 1, if all power is in one of n
-                # orders. Dark orders have no mean; they must not count as equal.
+                # The mean squared deviation of n efficiencies η from their mean, relative to the mean, is
+                # n Σ η² / (Σ η)² − 1. It is at most n − 1, if all power is in one order. If all orders are dark, the
+                # mean is 0. The deviation is then set to n, so that dark orders do not count as equal.
                 count, power = value.shape[-1], value.sum(axis=-1)
                 ratio = count * (value * value).sum(axis=-1) / np.maximum(power, LEAST_POWER) ** 2
                 deviation = np.where(power > LEAST_POWER, ratio - 1.0, count)
@@ -171,7 +189,7 @@ class Goal:
         return np.asarray(total)
 
     def loss(self, values: list[Array], log_exposure: float) -> Loss:
-        """Return the loss of values of the groups, shapes (n,) or (n, 3), with its derivatives."""
+        """Return the loss for the values of all groups, with its derivatives."""
         adjoints, of_exposure = [], 0.0
         for group, value in zip(self.groups, values, strict=True):
             if group[0].kind == "colour":
@@ -185,14 +203,18 @@ class Goal:
         return Loss(float(self.costs(values, log_exposure)), adjoints, of_exposure)
 
     def best_log_exposure(self, values: list[Array]) -> float:
-        """Return the logarithm of the exposure with the least loss, to 0.1."""
+        """Return the logarithm of the exposure with the least loss, with an accuracy of 0.1."""
         if not self.has_colours:
             return 0.0
         losses = [self.costs(values, log_exposure) for log_exposure in _LOG_EXPOSURES.tolist()]
         return float(_LOG_EXPOSURES[int(np.argmin(losses))])
 
     def objective(self, profile: Profile) -> Callable[[Array], tuple[float, Array]]:
-        """Return the loss and its gradient by the parameters of a profile and the logarithm of the exposure."""
+        """Return a function that computes the loss and its gradient for a profile.
+
+        The argument of the function contains the parameters of the profile and, as its last element, the logarithm of
+        the exposure.
+        """
 
         def function(z: Array) -> tuple[float, Array]:
             values, pullback = self.values(profile.surface(z[:-1]), profile.wrt)
@@ -203,7 +225,10 @@ class Goal:
 
 
 def _colour_adjoint(group: list[Target], xyz: Array, log_exposure: float) -> tuple[Array, float]:
-    """Return the derivatives of the squared distances in Lab by XYZ, shape (n, 3), and by the log exposure."""
+    """Return the derivatives of the sum of squared distances in CIE Lab.
+
+    The first result is the derivatives by XYZ, shape (n, 3), and the second is that by the logarithm of the exposure.
+    """
     exposure = math.exp(log_exposure)
     requested = lab(np.stack([target.requested for target in group]))[0]
     labs, slopes = lab(exposure * xyz)
@@ -212,7 +237,7 @@ def _colour_adjoint(group: list[Target], xyz: Array, log_exposure: float) -> tup
 
 
 def _order_adjoint(target: Target, efficiencies: Array) -> Array:
-    """Return the derivatives of the loss of efficiencies by them, shape (n,)."""
+    """Return the derivatives of the loss of a target of orders by its efficiencies, shape (n,)."""
     count = len(efficiencies)
     if target.kind == "orders":
         scale = _PER_DEVIATION / (count * float(target.requested.mean()) ** 2)

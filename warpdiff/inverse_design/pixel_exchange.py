@@ -1,8 +1,10 @@
 """Exchange of pixels: a design with few levels is improved by changes of single pixels and of the depth.
 
-All values of a design are linear in powers |H|² of Fourier coefficients at given κ. A coefficient is a sum over pixels
-of ``basis · exp(−2πi|κ|h)``. If a pixel changes its level, one term of each sum changes, so that a trial of all levels
-of a pixel costs one product of matrices.
+The values of a design are the XYZ of its colours and the efficiencies of its orders. They are linear in powers |H|².
+Here H is a Fourier coefficient of exp(−2πi|κ|h) for heights h and a given κ. It is a sum over pixels of
+``basis`` · exp(−2πi|κ|h), where ``basis`` depends on the indices of H and on the position of the pixel. If a pixel
+changes its level, one summand of each coefficient changes, so that a trial of all levels of a pixel requires one
+product of matrices.
 """
 
 from __future__ import annotations
@@ -36,29 +38,33 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
     Indices = NDArray[np.int64]
-    # Function of levels and the place (y, x) of a pixel that returns the levels to which it may change.
+    # Function of the levels of all pixels and of the row and column of one pixel. It returns the levels to which this
+    # pixel may change.
     Rule = Callable[[Indices, int, int], list[int]]
 
-# Largest number of passes over all pixels. Limit: computing time; a seventh pass lowers the loss by less than 1 %.
+# Largest number of passes over all pixels. The value is limited by computing time: a seventh pass would lower the loss
+# by less than 1 %.
 _MOST_SWEEPS = 6
-# Decrease of the loss for which a pixel is exchanged. Limit: rounding errors.
+# Least decrease of the loss for which a pixel changes its level. The value is limited by rounding errors.
 _LEAST_GAIN = 1e-9
-# Largest number of products of complex numbers of an exchange. Limit: about a minute.
+# Largest number of products of complex numbers in a pass over all pixels; pixels of larger designs are not exchanged.
+# The value is limited by the computing time of an exchange, about a minute.
 _MOST_PRODUCTS = 2e10
-# Number of depths that are tried in a pass, and number of passes; each one after the first covers two steps around the
-# best. Choice: three passes find the depth to 1/2000 of its range. If doubled, the depth does not change visibly.
+# The best depth is searched in `_REFINEMENTS` passes, each of which tries `_DEPTHS` depths with equal steps. A pass
+# after the first one covers one step of the previous pass on both sides of the best depth. Both numbers were chosen
+# because they find the depth to 1/2000 of its range. If doubled, the depth does not change visibly.
 _DEPTHS, _REFINEMENTS = 21, 3
 
 
 @dataclass(frozen=True)
 class Coefficients:
-    """Coefficients of one group of targets.
+    """Fourier coefficients H on which the values of one group of targets depend.
 
     Attributes:
-        orders: Indices (s, r), shape (p, 2).
-        kappas: |κ| [1/µm], shape (p,).
-        weights: Values per power, shape (n, p), where n is the number of values of the group. Shape (p,) if each value
-            is that of one power.
+        orders: Indices (s, r) of the p coefficients along y and x, shape (p, 2).
+        kappas: |κ| of the coefficients [1/µm], shape (p,).
+        weights: Factors from the powers |H|² to the n values of the group, shape (n, p). The shape is (p,) if each
+            value depends on one power only.
         shape: Shape of the values of the group.
     """
 
@@ -69,7 +75,7 @@ class Coefficients:
 
 
 def coefficients_of(group: list[Target], factors: Array, surface: HeightField) -> Coefficients:
-    """Return the coefficients of a group and their weights; those of orders include the factors."""
+    """Return the Fourier coefficients of a group and their weights; the weights of orders include ``factors``."""
     return _of_colours(group, surface) if group[0].kind == "colour" else _of_orders(group[0], factors, surface)
 
 
@@ -136,7 +142,7 @@ class PixelExchange:
         """Compute the sums over the samples of a pixel.
 
         Args:
-            goal: Loss of the targets, with its factors.
+            goal: Loss of the targets, with the factors from Stam's efficiencies to normalised ones.
             profile: Profile whose pixels are exchanged.
             count: Number of levels.
         """
@@ -160,7 +166,7 @@ class PixelExchange:
         self.is_affordable = len(orders) * np.prod(self._shape) * count < _MOST_PRODUCTS
 
     def values(self, powers: Array) -> list[Array]:
-        """Return the values of all groups from powers, shape (p,) or (p, candidates)."""
+        """Return the values of all groups from the powers |H|², shape (p,), or (p, candidates) for several designs."""
         parts = np.split(powers, self._ends)
         return [
             (power.T @ part.weights.T if part.weights.ndim > 1 else power.T * part.weights).reshape(
@@ -174,7 +180,7 @@ class PixelExchange:
         return np.asarray(np.exp(-2j * np.pi * np.outer(self._kappas, heights)))
 
     def by_level(self, levels: Indices) -> NDArray[np.complex128]:
-        """Return the sum of the basis over the pixels of each level, shape (p, levels)."""
+        """Return, for each coefficient, the sum of ``basis`` over the pixels of each level, shape (p, levels)."""
         result = np.empty((len(self._kappas), self._count), dtype=np.complex128)
         for level in range(self._count):
             mask = (levels == level).astype(np.complex128)
@@ -182,7 +188,10 @@ class PixelExchange:
         return result
 
     def best_depth(self, levels: Indices, log_exposure: float, depths_um: tuple[float, float]) -> tuple[float, float]:
-        """Return the depth and the logarithm of the exposure with the least loss."""
+        """Return the depth [µm] and the logarithm of the exposure with the least loss, for given levels of the pixels.
+
+        ``depths_um`` is the least and the largest accepted depth [µm].
+        """
         sums = self.by_level(levels)
         low, high = depths_um
         best = np.inf, high, log_exposure
@@ -212,15 +221,15 @@ class PixelExchange:
         self, levels: Indices, log_exposure: float, depths_um: tuple[float, float], rng: np.random.Generator,
         allowed: Rule | None = None,
     ) -> tuple[Indices, float, float]:  # fmt: skip
-        """Exchange pixels until none improves the design.
+        """Change the levels of single pixels until no change improves the design.
 
         Args:
             levels: Level of each pixel, shape (ny, nx).
             log_exposure: Logarithm of the exposure.
             depths_um: Least and largest depth [µm].
-            rng: Generator of the sequence of the pixels.
-            allowed: Function of the levels and the place (y, x) of a pixel that returns the levels to which it may
-                change; None allows all.
+            rng: Random generator of the sequence in which pixels are tried.
+            allowed: Function of the levels of all pixels and of the row and column of one pixel, which returns the
+                levels to which this pixel may change; None allows all levels.
 
         Returns:
             Levels, depth [µm] and the logarithm of the exposure.
@@ -253,12 +262,15 @@ class PixelExchange:
 
 
 def _powers(amplitudes: NDArray[np.complex128]) -> Array:
-    """Return |H|²; the sum of squares is faster than a square root and its square."""
+    """Return the powers |H|² of ``amplitudes`` H, as sums of two squares, which are faster than squares of |H|."""
     return np.asarray(amplitudes.real**2 + amplitudes.imag**2)
 
 
 def _sums(orders: Indices, pixels: int, samples: int) -> NDArray[np.complex128]:
-    """Return the sums of exp(2πi·order·place) over the samples of each pixel, over all samples, shape (p, pixels)."""
+    """Return the sums of exp(2πi·order·place) over the samples of each pixel along an axis, shape (p, pixels).
+
+    The place of a sample is its position in periods. The sums are divided by the number of all samples.
+    """
     places = np.arange(samples) / samples
     distinct, which = np.unique(orders, return_inverse=True)
     waves = np.exp(2j * np.pi * np.outer(distinct, places)).reshape(len(distinct), pixels, -1).mean(axis=2) / pixels
@@ -266,9 +278,10 @@ def _sums(orders: Indices, pixels: int, samples: int) -> NDArray[np.complex128]:
 
 
 def edge_moves(least: int) -> Rule:
-    """Return the rule by which a pixel of a single row may change: no run of equal levels becomes shorter than least.
+    """Return the rule by which a pixel of a single row may change its level.
 
-    Only pixels at the ends of runs change, to the level of the neighbouring run, so that an edge moves by a pixel.
+    A run is a group of neighbouring pixels of equal level. No run becomes shorter than ``least`` pixels. Only pixels at
+    the ends of runs change, to the level of the neighbouring run, so that an edge moves by a pixel.
     """
 
     def allowed(levels: Indices, j: int, i: int) -> list[int]:

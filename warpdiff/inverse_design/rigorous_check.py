@@ -38,9 +38,9 @@ class RigorousCheck:
         exposure: Common factor of the colours.
         delta_e: ΔE2000 of the colours, shape (number of colours,).
         uniformity_errors: (largest − least)/(largest + least) of each target of equal orders.
-        converged: Share of the rigorous solutions that have converged, 0 to 1.
-        change: Largest change of an order in the last doubling of the harmonics; infinite if ``max_harmonics`` permits
-            no doubling at a wavelength.
+        converged: Fraction of the rigorous solutions that have converged, 0 to 1.
+        change: Largest change of an efficiency in the last doubling of the number of harmonics; infinite if
+            ``max_harmonics`` permits no doubling at a wavelength.
     """
 
     achieved: Table
@@ -60,7 +60,9 @@ def rigorous_values(
     surface: HeightField, targets: Sequence[Target], material: Material, count: int, max_harmonics: int,
     report: Callable[[float], None] | None,
 ) -> tuple[list[Array], float, float]:  # fmt: skip
-    """Return rigorous XYZ or efficiencies of each target, the share that has converged, and the largest change.
+    """Return rigorous XYZ or efficiencies of each target, the fraction of converged solutions, and the largest change.
+
+    The change is that of an efficiency in the last doubling of the number of harmonics.
 
     A surface with a single column is solved with x and y exchanged.
     """
@@ -73,7 +75,8 @@ def rigorous_values(
                 f"{ref(f'targets[{k}]')} must have directions perpendicular to the grooves ({along} = 0), got a "
                 f"component {along} of {target.to_light[1]:g} to the light and {target.to_view[1]:g} to the viewer"
             )
-    # Targets of colours with the same direction to the light share their solutions.
+    # Colours are solved at the wavelengths `nodes`. Targets of colours with the same direction to the light share their
+    # solutions.
     nodes = np.linspace(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, count)
     keys = [(*t.to_light, *(nodes if t.kind == "colour" else [t.wavelength_nm])) for t in targets]
     solved, flags, changes = {}, [], []
@@ -103,12 +106,15 @@ def _part(report: Callable[[float], None], number: int, count: int) -> Callable[
 def _colour(
     target: Target, size_um: tuple[float, float], nodes: Array, orders: NDArray[np.int64], efficiencies: Array
 ) -> Array:
-    """Return XYZ of a target from efficiencies of orders at wavelengths, shape (m, n).
+    """Return XYZ of a target from rigorous efficiencies of n orders at the m wavelengths ``nodes``, shape (m, n).
 
-    ρ is the sum of R|H|² over orders, times their Gaussian weights and the geometry factor C of Stam's theory. The
-    efficiency of an order is R|H|² C/cos θi in this theory, so that C R|H|² is replaced by the rigorous efficiency
-    times cos θi, and by the efficiency itself for a source. Efficiencies are smooth over the wavelength except where
-    orders begin to propagate. Their weights are not: a long coherence requires many wavelengths.
+    In Stam's theory, the reflectance ρ is the sum over orders of C R|H|², times Gaussian weights. C is the geometry
+    factor, R is the reflectance of a flat surface, and |H|² is the power of a Fourier coefficient. The efficiency of an
+    order in this theory is C R|H|²/cos θi. C R|H|² is therefore replaced by the rigorous efficiency times cos θi, or
+    for a source by the rigorous efficiency alone.
+
+    Efficiencies are interpolated between few wavelengths, because they are smooth except where orders begin to
+    propagate. The Gaussian weights are not smooth: a long coherence requires many wavelengths.
     """
     from scipy.interpolate import PchipInterpolator
 
@@ -123,7 +129,7 @@ def _colour(
     )
     at = np.clip(wavelengths, nodes[0], nodes[-1])
     powers = np.maximum(PchipInterpolator(nodes, efficiencies, axis=0)(at), 0.0)
-    # The order m has the coefficient r = −m at r/L.
+    # The order m belongs to the Fourier coefficient of index r = −m, whose frequency is r/L for the period L.
     distance = pairs.centres[:, :1] + orders / size_um[1]
     rho = (powers * np.exp(-pairs.forms[:, :1] * distance**2)).sum(axis=1)
     return np.asarray((1.0 if is_source else target.to_light[2]) * rho @ quadrature)

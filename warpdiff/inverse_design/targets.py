@@ -27,14 +27,15 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Largest number of orders of a target. Limit: computing time of the exchange of pixels is proportional to it.
+# Largest number of orders of a target. The value is limited by the computing time of the exchange of pixels, which is
+# proportional to it.
 _MOST_ORDERS = 100_000
-# Largest magnitude of the number of an order. Limit: no period has so many propagating orders.
+# Largest magnitude of the number of an order. The value is far above the orders that propagate for any period.
 _LARGEST_ORDER = 1e9
-# Largest X and Z of a colour. No spectrum has X or Z above 200 times Y.
+# Largest accepted X and Z of a requested colour, whose Y is at most 1. No spectrum has X or Z above 200 times Y.
 _MOST_XYZ = 200.0
-# Wavelength at which the depth of a relief for colours is chosen [nm]. Choice: the middle of the visible range, rather
-# towards red, so that the relief also modulates red light fully.
+# Wavelength for which the default depth of a relief for colours is computed [nm]. The value was chosen near the middle
+# of the visible range, but towards red, so that the phase of red light also varies by nearly a full cycle.
 _COLOUR_NM = 600.0
 
 
@@ -70,7 +71,7 @@ class Target:
         to_view: Unit vector to the viewer of a colour, shape (3,).
         pairs: Orders (m_y, m_x), shape (n, 2).
         wavelength_nm: Wavelength of the orders [nm].
-        optics: Optics.
+        optics: Material, illuminant and coherence of the target.
 
     Examples:
         >>> import math
