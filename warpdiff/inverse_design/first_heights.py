@@ -53,8 +53,8 @@ def _fourier(profile: Pixels, target: Target, rng: np.random.Generator) -> Array
     orders, views = propagating(surface, target.to_light[None], np.array([target.wavelength_nm]))
     view = views[0, 0, places_of(target, surface)]
     del orders
-    # The requested amplitude |H| of the Fourier coefficient of each order. The efficiency of an order at the angle θ
-    # from the normal is about |H|²/cos θ. Pixels of finite size weaken high orders by the factor `size`.
+    # The variable `goal` is the requested amplitude |H| of the Fourier coefficient of each order. The efficiency of an
+    # order at the angle θ from the normal is about |H|²/cos θ. Pixels of finite size weaken high orders by `size`.
     shares = np.where(np.isnan(target.requested), 1.0, target.requested)
     size = np.prod([np.sinc(target.pairs[:, axis] / n) for axis, n in enumerate((ny, nx))], axis=0)
     goal = np.sqrt(shares * np.maximum(view[:, 2], HORIZON)) / np.maximum(np.abs(size), 0.1)
