@@ -176,10 +176,12 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         window = Window()
         window.share = 1.0
         if wp.static(form == "source"):
-            # The covariance of (u, v) over a source of the spread s is s² (p² − t tᵀ). Here, t is the tangential part
-            # of the vector to the light, and p is its length: 1, or the pitch scale of a dot. The vectors f and g are
-            # the changes of (u, v) over the footprint, divided by s. They add f fᵀ + g gᵀ to the covariance in units
-            # of s², whose elements are xx, xy and yy. No difference of nearly equal numbers is computed.
+            # Let s be the standard deviation of the directions of a source. The covariance of (u, v) over the source is
+            # s² (p² I − t tᵀ), where I is the unit matrix. The vector t is the tangential part of the vector to the
+            # light, and p is the length of this vector. The length is 1, or the factor by which a grating map scales
+            # the pitch. The vectors f and g are the changes of (u, v) over the footprint, divided by s. They add
+            # f fᵀ + g gᵀ to the covariance in units of s², whose elements are xx, xy and yy. No difference of nearly
+            # equal numbers is computed.
             p2 = wp.float32(1.0)
             if table.has_pitch_scales:
                 p2 = wp.length_sq(to_light)

@@ -59,8 +59,8 @@ class Gloss:
 def metallic_roughness_at(materials: PlainMaterials, pixels: Pixels, ray: wp.int32, deviations: wp.float32) -> wp.vec2f:
     """Return metallic and perceptual roughness at the hit of a ray; a matte material has a negative roughness.
 
-    The roughness is the mean of the texture over the footprint plus ``deviations`` standard deviations. Metallic is
-    changed in proportion, by the covariance of metallic and roughness.
+    The roughness is the mean of the texture over the area of the pixel in the texture, plus ``deviations`` standard
+    deviations. Metallic is the value of its linear regression on roughness at this roughness.
     """
     result = materials.metallic_roughness[materials.rows[pixels.face[ray]]]
     # A matte material is marked by a negative roughness, which must not be multiplied by a texture.

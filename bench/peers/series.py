@@ -5,7 +5,9 @@ equally spaced. At each wavelength the series is evaluated for a square block of
 frequency (u, v)/λ. A Gaussian weights these coefficients. The integral over λ is a rectangle rule.
 
 (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
-light and to the viewer.
+light and to the viewer. w is the component along the normal. An averaged window is a Gaussian coherence window whose
+results are averaged over all its positions, so that the powers of coefficients add. A centred window has one position,
+so that the amplitudes add.
 """
 
 from __future__ import annotations

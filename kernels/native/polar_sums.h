@@ -4,7 +4,8 @@
 // frequency along an azimuth. A block of rings has equally many azimuth samples on each ring. The spectrum is also
 // sampled between rings: a sample contributes to three rings, with the weights of a quadratic B-spline in ln t. Along a
 // ring, values are the coefficients of a cubic B-spline over the azimuth. κ is w/λ, for the wavelength λ and the
-// scattering vector (u, v, w). The adjoint of a quantity is the derivative of a scalar loss with respect to it.
+// scattering vector (u, v, w). The power |H|² of each Fourier coefficient of the surface is a Chebyshev series in κ.
+// The adjoint of a quantity is the derivative of a scalar loss with respect to it.
 
 #pragma once
 
@@ -101,8 +102,8 @@ WARPDIFF_INLINE void sample_azimuth_rings(const Table& table, const Grid& grid, 
     }
 }
 
-// Add the contributions of nearby samples of the spectrum to the adjoint of a coefficient's series: the transpose of
-// `sample_azimuth_rings`.
+// Add the contributions of nearby samples of the spectrum to the adjoint of the series of one Fourier coefficient. This
+// is the transpose of `sample_azimuth_rings`.
 template <int BLOCK_RINGS, class Table, class Grid, class Values, class Rows>
 WARPDIFF_INLINE void spread_rings(const Table& table, const Grid& grid, const Values& values, int cell, Rows& rows_out)
 {
@@ -252,10 +253,11 @@ WARPDIFF_INLINE void polynomials_at(
 
 // Compute the colour of one direction.
 //
-// The weight c of a ring is that of a quadratic spline in a fit of the colour curves. The value at the ring is the
-// integral of the spectrum over this spline. The polynomials times the reflectance, T, change within the spline. A
-// spline in a fit of the product of colour curve and T therefore has the weight c T − (c₊ (T₊ − T) + c₋ (T₋ − T))/8, to
-// second order. Here c₋ and T₋ belong to the ring before, and c₊ and T₊ to the ring after.
+// A colour curve is the illuminant times x̄, ȳ or z̄. It is fitted by quadratic splines, one for each ring, with the
+// weights c. The value at a ring is the integral of the spectrum over the spline of this ring. The Chebyshev
+// polynomials in κ times the reflectance of the material, T, change within a spline. In a fit of the product of colour
+// curve and T, the spline therefore has the weight c T − (c₊ (T₊ − T) + c₋ (T₋ − T))/8, to second order. Here c₋ and T₋
+// belong to the ring before, and c₊ and T₊ to the ring after.
 template <int BLOCK_RINGS, int MOST_TERMS, class Grid, class Values, class Pixels, class Colours>
 WARPDIFF_INLINE void sum_rings(
     const Grid& grid, const Values& values, const Pixels& pixels, int pixel, Colours& xyz_out)

@@ -65,7 +65,8 @@ def test_standard_errors_cover_the_true_parameters(count, rng):
         off = np.minimum(*(np.abs(result.values - other) for other in (TRUE, profile().equivalents(TRUE)[0])))
         within += (off <= 2.0 * result.standard_errors).tolist()
         chi2.append(result.chi2 / result.degrees_of_freedom)
-    # With few fits, the limits are those of a binomial distribution at 99.9 %. With many fits, they are closer.
+    # The fraction of values within two standard errors is compared with two limits. For few fits, the limits are those
+    # of a binomial distribution at 99.9 %. For many fits, they are the targets of the project, around 95 %.
     least, most = (0.93, 0.98) if count > 100 else (0.75, 1.0)
     assert least <= np.mean(within) <= most
     assert (0.95 if count > 100 else 0.6) <= np.mean(chi2) <= (1.05 if count > 100 else 1.5)

@@ -8,7 +8,7 @@ import pytest
 
 import warpdiff as wd
 from warpdiff.core import memory
-from warpdiff.inverse_design import design_search, pixel_exchange, rigorous_check
+from warpdiff.inverse_design import design_result, design_search, pixel_exchange, rigorous_check
 from warpdiff.inverse_design.design_result import achieved_values, uniformity_error
 from warpdiff.inverse_design.first_heights import first_heights
 from warpdiff.inverse_design.goal import Goal, lab
@@ -163,6 +163,16 @@ def test_american_spellings_are_converted():
         wd.Target.orders({(0, 1): 0.3}, UP, 550.0, energy="normalized", **MIRROR),
     ):
         assert target.optics.energy == "normalised"
+
+
+@pytest.mark.parametrize(("change", "reason"), [(0.02, "changed by up to 2.0e-02"), (np.inf, "could not be doubled")])
+def test_rigorous_checks_warn_if_solutions_have_not_converged(change, reason):
+    target = wd.Target.orders({(0, 0): 0.3}, UP, 632.8, **MIRROR)
+    result = wd.design(wd.profiles.Pixels(0.2, np.zeros((1, 8))), target, starts=1)
+    with mock.patch.object(design_result, "rigorous_values", return_value=([np.array([0.3])], 0.75, change)):
+        with pytest.warns(wd.WarpdiffWarning, match=f"25% of the rigorous solutions have not converged: .*{reason}"):
+            check = result.check_rigorously()
+    assert check.converged == 0.75
 
 
 def test_default_widths_of_edges_are_those_that_the_period_permits():

@@ -204,8 +204,8 @@ def test_results_use_the_number_of_terms_of_the_plan(rough, kind):
     plan = dataclasses.replace(full, terms=5)
     u, v, w = -(light + view)
 
-    # The expected value is computed in float64. It is the series of the plan with its five terms, summed over all
-    # coefficients of the patch.
+    # The expected reflectance is computed in float64. Each Fourier coefficient is the series in κ = w/λ that the plan
+    # (the numbers of a computation) selects, with five terms. All coefficients of the patch are summed.
     block = fourier_coefficients.Block(rough.shape, (0, 0), rough.shape)
     expansion = EXPANSIONS[plan.method]
     series = fourier_coefficients.series_coefficients(rough, expansion, plan.terms, block)

@@ -41,7 +41,8 @@ class LobePyramid:
         """Set the orders and the levels of the pyramid.
 
         Args:
-            series: Chebyshev series of the powers, with their block of orders.
+            series: Chebyshev series in κ of the powers |H|² of Fourier coefficients, and the rectangle (block) of the
+                orders (r, s) of these coefficients.
             size_um: Size of the patch (y, x) [µm].
             exponent: Coefficients with weights below e^−exponent are neglected.
         """

@@ -11,6 +11,7 @@ import numpy as np
 from warpdiff.core import memory, validation
 from warpdiff.core.progress import Progress, reporter
 from warpdiff.core.table import Table
+from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.evaluate.orders import order_efficiencies
 from warpdiff.evaluate.reflectance import reflectance
@@ -151,6 +152,9 @@ class Design:
         Returns:
             Rigorous values compared with the requested ones, and the fraction of the solutions that have converged.
 
+        Warns:
+            WarpdiffWarning: Some solutions have not converged.
+
         Raises:
             ValueError: The surface or a direction has no rigorous solution here, or an argument is out of
                 its range.
@@ -175,6 +179,13 @@ class Design:
         uniform = [uniformity_error(v) for v, t in zip(values, self.targets, strict=True) if t.kind == "equal"]
         if report is not None:
             report(1.0)
+        if converged < 1.0:
+            last = f"efficiencies changed by up to {change:.1e} of the incident power in the last doubling of harmonics"
+            warn(
+                f"{1.0 - converged:.0%} of the rigorous solutions have not converged: "
+                f"{last if change < math.inf else 'harmonics could not be doubled'}; increase {ref('max_harmonics')}, "
+                f"got {max_harmonics}"
+            )
         return RigorousCheck(table, exposure, table["error"][shown], np.array(uniform), converged, change)
 
     def _substance(self, material: Material | None) -> Material:

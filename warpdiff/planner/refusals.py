@@ -32,8 +32,9 @@ if TYPE_CHECKING:
 # direction is refused. Such a call indicates a wrong unit, or a patch that is much larger than the coherence window.
 _MOST_NEIGHBOURS = 40_000
 # Size to which an error message recommends to crop a patch, in standard deviations σ of the coherence window. The
-# number was derived from an averaged window: points at half this distance interfere with the weight
-# exp(−r²/4σ²) = 1e-11.
+# number was derived from a window whose results are averaged over its positions. Two points at the distance r then
+# interfere with the weight exp(−r²/4σ²). It is 1e-11 at r = 10σ, half of the size, beyond which the repeated patch is
+# nearer.
 _PATCH_IN_SIGMAS = 20.0
 # Largest number of wavelengths times subdivisions for replicated patches. The value is limited by the memory of the
 # integral over wavelengths, which is proportional to it.

@@ -23,11 +23,12 @@ if TYPE_CHECKING:
     from warpdiff.lights.light_pass import LightPass, PassContext
     from warpdiff.render.accumulators import Accumulators
 
-# Before a plan is chosen, rays are traced to measure the range of the scattering vectors. If pixels show points, there
-# are at most `_SAMPLES_MEASURED` rays per pixel. If pixels show means over footprints, there are about
-# `_CELLS_MEASURED` rays in total, and at most `_MOST_SAMPLES_MEASURED` per pixel. Their positions in the pixel vary,
-# because subpixel cells have directions that do not occur at pixel centres. The numbers are limited by time, which is
-# proportional to them.
+# Before a plan (the numbers of a computation) is chosen, rays are traced to measure the range of the scattering
+# vectors. If a pixel shows the colours of single directions, there are at most `_SAMPLES_MEASURED` rays per pixel. If a
+# pixel shows means over footprints, the ranges of directions of its subpixel cells, there are about `_CELLS_MEASURED`
+# rays in total, and at most `_MOST_SAMPLES_MEASURED` per pixel. The positions of these rays in the pixel vary, because
+# subpixel cells, into which a pixel is divided, have directions that do not occur at pixel centres. The numbers are
+# limited by time, which is proportional to them.
 _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 
 

@@ -83,7 +83,7 @@ class _ShadedTiles:
         return ~is_known
 
     def store(self, level: int, group: HostTileGroup, tiles: NDArray[np.int32], *, is_base: bool) -> None:
-        """Store copies of the sums over the cells of some tiles at a level."""
+        """Store copies of the summed colours of the subpixel cells of some tiles at a level."""
         ranks = group.ranks[tiles]
         self._by_level[level] = tiles, [values[ranks] for values in group.results(is_base=is_base)]
 

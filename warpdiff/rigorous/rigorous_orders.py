@@ -130,8 +130,8 @@ def rigorous_order_efficiencies(
     no efficiency changes by more than 5e-3 of the incident power, or 1e-2 for periods above 20 wavelengths. A result
     that has not converged is returned with a warning.
 
-    The time is proportional to the number of layers and to the cube of N: a second for a period of three wavelengths,
-    and a minute for a period of fifty wavelengths.
+    The time of each wavelength is proportional to the number of layers and to the cube of N: a second for a period of
+    three wavelengths, and one to two minutes for a period of fifty wavelengths.
 
     Args:
         heightfield: One period with a single row of samples, constant along y. The height is constant from each sample

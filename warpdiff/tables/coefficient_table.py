@@ -418,9 +418,10 @@ def _rotated(rows: NDArray[np.float32], phase: NDArray[np.complex128]) -> NDArra
 
 
 def _centre_phase(heightfield: HeightField, coherence: Coherence, block: Block) -> NDArray[np.complex128]:
-    """Return exp(−2πi q_rs·x_c), a factor of each coefficient that moves the window from a corner to its centre x_c.
+    """Return exp(−2πi q_rs·x_c), a factor of each Fourier coefficient that moves the origin to x_c.
 
-    q_rs is the frequency of the coefficient (r, s).
+    The origin is the corner of the patch before, and the centre x_c of the coherence window afterwards. q_rs is the
+    frequency of the coefficient (r, s).
     """
     middle = [n // 2 * pitch for n, pitch in zip(heightfield.shape, heightfield.pitch_um, strict=True)]
     centre = coherence.centre_um or middle
