@@ -169,9 +169,10 @@ def test_american_spellings_are_converted():
 def test_rigorous_checks_warn_if_solutions_have_not_converged(change, reason):
     target = wd.Target.orders({(0, 0): 0.3}, UP, 632.8, **MIRROR)
     result = wd.design(wd.profiles.Pixels(0.2, np.zeros((1, 8))), target, starts=1)
-    with mock.patch.object(design_result, "rigorous_values", return_value=([np.array([0.3])], 0.75, change)):
-        with pytest.warns(wd.WarpdiffWarning, match=f"25% of the rigorous solutions have not converged: .*{reason}"):
-            check = result.check_rigorously()
+    message = f"25% of the rigorous solutions have not converged: .*{reason}"
+    values = mock.patch.object(design_result, "rigorous_values", return_value=([np.array([0.3])], 0.75, change))
+    with values, pytest.warns(wd.WarpdiffWarning, match=message):
+        check = result.check_rigorously()
     assert check.converged == 0.75
 
 
