@@ -219,6 +219,7 @@ SAVES = [
     ("old.png", {"background": "white"}, TypeError, "background must be an array of real numbers, got str"),
     ("old.png", {"background": (255, 255, 255)}, ValueError, "background must be a colour of components from 0 to 1"),
     ("old.exr", {"background": (1, 1, 1)}, ValueError, "background must be None for .exr files"),
+    ("old.exr", {"bits": 16}, ValueError, r"bits is for \.png files, got 16 for an \.exr file"),
 ]
 
 

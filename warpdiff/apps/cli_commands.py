@@ -88,8 +88,9 @@ def sequence(options: argparse.Namespace) -> None:
     saving = given(options, describe(wd.sequence))
     if "frames_per_second" in saving and "animation" not in saving:
         raise ArgumentValueError("--frames-per-second requires --animation: give both")
-    if "background" in saving and ".png" not in saving.get("formats", FORMATS[:1]):
-        raise ArgumentValueError(f"--background is for .png files, got --formats {' '.join(saving['formats'])}")
+    for name in ("background", "bits"):
+        if name in saving and ".png" not in saving.get("formats", FORMATS[:1]):
+            raise ArgumentValueError(f"--{name} is for .png files, got --formats {' '.join(saving['formats'])}")
     # Files are checked here, because a ``Renderer`` is made before ``warpdiff.sequence`` checks the files. A new
     # renderer already draws a picture, for which an error about files should not wait.
     check_files(tuple(saving.get("formats", FORMATS[:1])), saving.get("animation"))

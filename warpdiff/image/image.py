@@ -287,6 +287,10 @@ class Image:
             raise ArgumentValueError(
                 f"{ref('background')} must be None for .exr files, which hold alpha; composite the background yourself"
             )
+        if shown.bits != DisplaySettings.bits:
+            raise ArgumentValueError(
+                f"{ref('bits')} is for .png files, got {shown.bits} for an .exr file, which holds float32: leave it out"
+            )
         factor = self._exposure(shown, exposure_from, scales=False)
         write_exr(self, target, shown, factor=factor, preview=self._exposure(shown, exposure_from))
         return target
