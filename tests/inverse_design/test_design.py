@@ -142,6 +142,7 @@ def test_splitter_meets_its_limits_and_repeats():
     assert np.all(table["order_error"][1:] > table["order_error"][0])
     assert "delta_e" not in table.columns
     assert "share of the reflected power" in result.report()
+    assert f"scalar diffraction: {result.heightfield.summary().verdict}" in result.report()
 
 
 @pytest.mark.parametrize("levels", [2, 4])

@@ -16,6 +16,7 @@ from warpdiff.core.wording import ArgumentValueError, ref
 from warpdiff.evaluate.orders import order_efficiencies
 from warpdiff.evaluate.reflectance import reflectance
 from warpdiff.heightfield.field import HeightField
+from warpdiff.heightfield.theory_verdict import verdict_on
 from warpdiff.inverse_design.goal import LEAST_POWER, TRUNCATION, Goal, silenced
 from warpdiff.inverse_design.rigorous_check import RigorousCheck, rigorous_values
 from warpdiff.optics import colorimetry
@@ -124,12 +125,13 @@ class Design:
         return np.asarray(self.achieved["achieved"][self.achieved["target"] == number])
 
     def report(self) -> str:
-        """Return the requested and achieved values, uniformity errors, shares and the exposure as text."""
+        """Return the requested and achieved values, their errors, and the verdict on scalar diffraction as text."""
         lines = [str(self), str(self.achieved)]
         if len(self.delta_e):
             lines.append(f"common exposure {self.exposure:.3g}; ΔE2000 {', '.join(f'{d:.2f}' for d in self.delta_e)}")
         lines += [f"uniformity error {value:.4f}" for value in self.uniformity_errors]
         lines += [f"share of the reflected power {value:.4f}" for value in self.shares]
+        lines.append(f"scalar diffraction: {verdict_on(self.heightfield)}")
         return "\n".join(lines)
 
     def check_rigorously(
