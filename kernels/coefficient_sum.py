@@ -26,8 +26,9 @@ FORMS = ("averaged", "centred", "source", "replicas")
 # Number of Fourier coefficients along an axis from which the amplitude at a frequency is interpolated. The value is
 # limited by computing time, which is proportional to the square of this number.
 TAPS = 8
-# A footprint widens the Gaussian of a source to at most this multiple of its area. Choice: it limits computing time,
-# which is proportional to the area. Pixels with wider footprints are reported as inaccurate, or are refined.
+# Under a source, the weights of Fourier coefficients are a Gaussian of (u, v). The footprint of a pixel widens this
+# Gaussian to at most this multiple of its area. The limit was chosen, because the computing time is proportional to the
+# area. Pixels with wider footprints are reported as inaccurate, or are refined.
 MOST_WIDENED = 16.0
 # The interference factor of N periods, [sin(πNt) / (N sin(πt))]², is 0/0 at its maximum, t = 0. Here t is the distance
 # from the nearest Fourier coefficient of the patch, in spacings of the coefficients. If |N t| is below this number, a
@@ -95,7 +96,8 @@ class Window:
     # wavelengths.
     shrink_y: wp.float32
     shrink_x: wp.float32
-    # Factor that makes a sum over a source and a footprint the mean over the footprint; 1 without a footprint.
+    # Area of the Gaussian of the source, divided by the area of the Gaussian that the footprint has widened. Sums are
+    # multiplied by it, so that the result is the mean over the footprint. Without a footprint, it is 1.
     share: wp.float32
 
 
@@ -178,10 +180,11 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         if wp.static(form == "source"):
             # Let s be the standard deviation of the directions of a source. The covariance of (u, v) over the source is
             # s² (p² I − t tᵀ), where I is the unit matrix. The vector t is the tangential part of the vector to the
-            # light, and p is the length of this vector. The length is 1, or the factor by which a grating map scales
-            # the pitch. The vectors f and g are the changes of (u, v) over the footprint, divided by s. They add
-            # f fᵀ + g gᵀ to the covariance in units of s², whose elements are xx, xy and yy. No difference of nearly
-            # equal numbers is computed.
+            # light, and p is the length of the whole vector to the light: 1, or the factor by which a grating map
+            # scales the pitch. Let f and g be the changes of (u, v) over one standard deviation of the pixel filter,
+            # along rows and columns of the picture, divided by s. The sum p² I − t tᵀ + f fᵀ + g gᵀ is the covariance
+            # of source and footprint together, divided by s². Its determinant is computed as a sum of positive terms,
+            # in which z2 is p² − |t|².
             p2 = wp.float32(1.0)
             if table.has_pitch_scales:
                 p2 = wp.length_sq(to_light)
@@ -190,17 +193,17 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
             g = wp.vec2f(footprint[2], footprint[3]) / table.spread
             along_f = to_light[0] * f[0] + to_light[1] * f[1]
             along_g = to_light[0] * g[0] + to_light[1] * g[1]
-            area2 = f[0] * g[1] - f[1] * g[0]
-            area2 = area2 * area2
+            area = f[0] * g[1] - f[1] * g[0]
+            of_footprint = area * area
             of_source = p2 * z2
             of_both = z2 * (wp.length_sq(f) + wp.length_sq(g)) + along_f * along_f + along_g * along_g
             # ``k`` reduces the squared lengths of f and g, so that the determinant is at most MOST_WIDENED² times that
             # of the source.
             most = of_source * wp.static(MOST_WIDENED * MOST_WIDENED - 1.0)
             k = wp.float32(1.0)
-            if of_both + area2 > most:
-                k = 2.0 * most / (of_both + wp.sqrt(of_both * of_both + 4.0 * area2 * most))
-            determinant = of_source + k * (of_both + k * area2)
+            if of_both + of_footprint > most:
+                k = 2.0 * most / (of_both + wp.sqrt(of_both * of_both + 4.0 * of_footprint * most))
+            determinant = of_source + k * (of_both + k * of_footprint)
             yy = z2 + to_light[0] * to_light[0] + k * (f[1] * f[1] + g[1] * g[1])
             xy = k * (f[0] * f[1] + g[0] * g[1]) - to_light[0] * to_light[1]
             window.along = table.along * (yy / determinant)

@@ -41,6 +41,8 @@ def mutated(content: bytes, others: Sequence[bytes], rng: random.Random) -> byte
     """
     structured = next((damage for start, damage in _STRUCTURES if content.startswith(start)), None)
     if structured is not None and rng.random() < 2.0 / 3.0:
+        # Damaged files cannot always be taken apart. These are the errors of the modules that do this: zipfile raises
+        # NotImplementedError for a compression that it does not know.
         with contextlib.suppress(
             ValueError, zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSError, RecursionError,
             NotImplementedError,

@@ -104,8 +104,8 @@ def test_weighted_directions_are_uniform_over_the_disc(diameter, towards_mirror)
     if towards_mirror is None:
         np.testing.assert_array_equal(weights, 1.0)
     else:
-        # Of the directions drawn around the mirror direction, 39 % are within one standard deviation of the zeroth
-        # order's lobe. These are 12 % of all directions.
+        # A direction that is drawn around the mirror direction is within one standard deviation of the zeroth order's
+        # lobe with a probability of 39 %. Such directions are 12 % of all directions.
         away = towards[:, :3] - mirror
         away -= (away @ normal)[:, None] * normal
         assert np.mean(np.linalg.norm(away, axis=1) < lobe) > 0.1

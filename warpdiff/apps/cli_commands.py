@@ -215,9 +215,9 @@ def view(options: argparse.Namespace) -> None:
         for path in paths:
             if not validation.path(path, name).is_file():
                 raise marked(FileNotFoundError, f"{ref(name)}: there is no file {path!r}")
-    if not options.heightfield:
-        for name in (*loading, *(f"{method}()" for method, _ in cli_inputs.cleaning_of(options))):
-            raise ArgumentValueError(f"{ref(name)} requires {ref('heightfield')}: give both")
+    of_files = [*loading, *(f"{method}()" for method, _ in cli_inputs.cleaning_of(options))]
+    if of_files and not options.heightfield:
+        raise ArgumentValueError(f"{ref(of_files[0])} requires {ref('heightfield')}: give both")
     # Each file is loaded once before the server starts, so that the terminal shows the errors of unreadable files.
     for path in options.heightfield:
         cli_inputs.cleaned_of(cli_inputs.scan_of(path, options), options)
