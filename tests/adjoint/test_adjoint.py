@@ -277,7 +277,7 @@ def picture():
     visual = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [1, 1], [0, 1]])
     mesh = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False)
     view, light = wd.View((0.0, 0.0, 3.0), (0.0, 0.0, 0.0), width=4, height=3), wd.DirectionalLight((0.0, 0.1, 1.0))
-    return wd.Renderer(mesh, noise((8, 9), (0.09, 0.09)), light, view, footprint=False, refine=False)
+    return wd.Renderer(mesh, noise((8, 9), (0.09, 0.09)), light, view, footprint=False, refine=False, tolerance=0.1)
 
 
 @pytest.mark.parametrize("name", variables.VARIABLES)

@@ -87,7 +87,7 @@ def reflected(renderer, surface, wrt=(), light=LIGHT, **options):
 
 MEANS = {"footprint": True, "integration": "table", "tolerance": 0.05}
 OPTIONS = {
-    "points": {}, "footprints": MEANS, "source": {"coherence": SOURCE},
+    "points": {}, "footprints": MEANS, "source": {"coherence": SOURCE, "tolerance": 0.05},
     "footprints of a source": {"coherence": SOURCE, **MEANS}, "ior": {"ior": 1.4},
     "material": {"ior": None, "material": wd.Material.metal("Au"), "tolerance": 1e-2}, "no masking": {"masking": False},
 }  # fmt: skip

@@ -66,7 +66,7 @@ def test_the_best_start_does_not_depend_on_the_size_of_sd(sd):
     one, _ = fit_with_warnings(far, measured(NOISY), sd)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        result = wd.fit(far, measured(NOISY), sd=sd, starts=8)
+        result = wd.fit(far, measured(NOISY), sd=sd, starts=2, seed=2)
     assert result.chi2 < 0.1 * one.chi2
     np.testing.assert_allclose(result.values[[0, 3]], TRUE[[0, 3]], rtol=0.02)
     minima = [least_squares.Minimum(TRUE, chi2 * sd**-2, has_converged=True) for chi2 in (85e-6, 1.000_000_1e-6, 1e-6)]

@@ -174,7 +174,7 @@ def test_all_calls_warn_in_the_words_of_the_verdict(call):
 
     Each call must warn of it with grade, wavelength, error and reason.
     """
-    heightfield = wd.gratings.sinusoidal(1.0, 5.0)
+    heightfield = wd.gratings.sinusoidal(1.0, 2.0, samples=16)
     tube = wd.meshes.tube(segments_along=12, segments_around=12)
     light, view = wd.DirectionalLight((0.1, 0.9, 1.2)), wd.View.fit(tube, width=8, height=6)
     calls = {
