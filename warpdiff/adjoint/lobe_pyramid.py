@@ -26,16 +26,17 @@ if TYPE_CHECKING:
 
     from warpdiff.adjoint.coefficient_series import CoefficientSeries
 
-# Smallest standard deviation of a lobe at a level, in distances of nodes. With 2, the weight of a coefficient differs
-# by up to 1/(12 · 2²) = 2 %, because the variance of its position differs by up to 1/6 from the mean variance. Errors
-# of single coefficients cancel in the sum.
+# Smallest standard deviation of a lobe that a level may compute, in distances between neighbouring nodes of the level.
+# With 2, the weight of a coefficient has an error of up to 1/(12 · 2²) = 2 %, because the variance of its position
+# differs by up to 1/6 from the mean variance. Errors of single coefficients cancel in the sum.
 _LEAST_DEVIATION = 2.0
-# Highest level of the pyramid. At this level, the widest lobe is as wide as all orders of a large block.
+# Highest level of the pyramid. A lobe at this level has a standard deviation of at least 2 · 2¹⁰ orders, so that it
+# covers all orders of a large block.
 _MOST_LEVEL = 10
 
 
 class LobePyramid:
-    """Sums of the powers of a block of orders under lobes of any width, and the transposed sums."""
+    """Sums of the powers of a block of orders with Gaussian weights of any width, and the transpose of these sums."""
 
     def __init__(self, series: CoefficientSeries, size_um: tuple[float, float], exponent: float) -> None:
         """Set the orders and the levels of the pyramid.
@@ -68,7 +69,10 @@ class LobePyramid:
         return rows, columns
 
     def sums_of(self, coefficients: NDArray[np.float64]) -> Callable[[Pairs], NDArray[np.float64]]:
-        """Return a function that computes the sums of p pairs, shape (p,), for series of the powers."""
+        """Return a function that computes the sums of p pairs (a direction and a wavelength), shape (p,).
+
+        ``coefficients`` has the Chebyshev series of the powers.
+        """
 
         @functools.cache
         def joined(level: int) -> NDArray[np.float64]:
@@ -134,9 +138,10 @@ class LobePyramid:
         return np.sqrt(np.maximum(middle - half, 0.0)) if all(self._is_axis) else largest, largest
 
     def _at_level(self, pairs: Pairs, variances: NDArray[np.float64], level: int) -> tuple[Pairs, NDArray[np.float64]]:
-        """Return pairs for the nodes of a level, with centres relative to the block's first order, and factors of sums.
+        """Return pairs that sum the nodes of a level, and factors by which these sums are multiplied.
 
-        The factors correct the sums for the reduced variance of the lobes.
+        The centres of the new pairs are relative to the first order of the block. Their lobes have a smaller variance,
+        because the nodes already spread each coefficient. The factors correct the sums for it.
         """
         centres, reduced = pairs.centres.copy(), variances.copy()
         for axis, column, entry in ((0, 1, 2), (1, 0, 0)):
@@ -164,7 +169,7 @@ class LobePyramid:
         return np.ascontiguousarray(fine)
 
     def _add_divided(self, coarse: NDArray[np.float64], fine: NDArray[np.float64]) -> None:
-        """Add the values of a level's nodes to those of the level below: the transpose of ``_joined``."""
+        """Add the values of the nodes of a level to the nodes of the finer level: the transpose of ``_joined``."""
         for axis in (1, 0):
             if fine.shape[axis] > 1:
                 nodes = np.moveaxis(coarse, axis, 0)

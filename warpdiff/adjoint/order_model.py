@@ -38,8 +38,9 @@ class OrderModel:
     """Orders of one light at one wavelength, whose efficiencies are elements of a matrix.
 
     Attributes:
-        indices: Pair (s, r) of the frequency of each matrix element's Fourier coefficient, shape (rows · columns, 2).
-        kappas: |κ| of each matrix element [1/µm], shape (rows · columns,).
+        indices: Frequency (s, r) of the Fourier coefficient of each matrix element [cycles per period], shape
+            (rows · columns, 2).
+        kappas: |κ| = |w|/λ of each matrix element [1/µm], shape (rows · columns,).
     """
 
     def __init__(
@@ -184,7 +185,10 @@ class OrderModel:
 
 
 def _rise(cosine: Jet) -> Jet:
-    """Return the prescribed sum of a row or column, ``energy_normalisation.rise`` of its cosine, as a jet."""
+    """Return the sum that a row or column must have, as a jet (value and derivatives).
+
+    The sum is the function ``energy_normalisation.rise`` of the cosine of the angle from the normal.
+    """
     share = np.minimum(cosine.value / energy_normalisation.RISEN, 1.0)
     slope = 6.0 * share * (1.0 - share) / energy_normalisation.RISEN
     return Jet(energy_normalisation.rise(cosine.value), slope * cosine.partials)

@@ -51,7 +51,10 @@ class PeriodSums:
 
     @single_threaded_blas()
     def derivatives(self, pairs: Pairs) -> NDArray[np.float64]:
-        """Return |P|² and its derivatives for each of the p pairs, in the columns ``Q_X`` to ``VALUE``, (p, 9)."""
+        """Return |P|² and its derivatives for each of the p pairs, shape (p, 9).
+
+        The columns are ``Q_X`` to ``VALUE`` of ``power_sums``; those of the Gaussian weights remain 0.
+        """
         of_y, of_x = self._interference(pairs)
         result = np.zeros((len(pairs), 9))
         for k in range(len(pairs)):

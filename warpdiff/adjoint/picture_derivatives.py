@@ -113,7 +113,10 @@ class _PictureCall:
         return result
 
     def _of_pixels(self, colours: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return the colours of the illuminated pixels, shape (n, 3): sums over the groups of samples."""
+        """Return the colours of the n illuminated pixels, shape (n, 3).
+
+        ``colours`` has the XYZ of the samples of each group. All samples of a pixel are added.
+        """
         result = np.zeros_like(self._pigment)
         for pixels, xyz in zip(self._pixels, colours, strict=True):
             for channel in range(3):
@@ -122,7 +125,7 @@ class _PictureCall:
 
 
 def _joined(lobes: list[LitPixels]) -> list[LitPixels]:
-    """Join the samples of all lobes that have the same illuminant and material to one group."""
+    """Join the samples of all lobes (parts of lights) that have the same illuminant and material to one group."""
     kinds = dict.fromkeys(lobe.illuminated for lobe in lobes)
     return [LitPixels.joined([lobe for lobe in lobes if lobe.illuminated == kind]) for kind in kinds]
 

@@ -66,7 +66,11 @@ class PowerSums(Protocol):
 
 
 class LobeSums:
-    """Sums with Gaussian weights: of powers for averaged windows and light sources, of amplitudes for centred ones."""
+    """⟨|P|²⟩ from Fourier coefficients with Gaussian weights, for one coherence of the light.
+
+    For averaged coherence windows and light sources, powers are summed. For centred windows, amplitudes are summed, and
+    the sum is squared.
+    """
 
     def __init__(
         self, terms: SurfaceTerms, rows: CoefficientRows, block: Block, sites: Sites,
@@ -79,11 +83,12 @@ class LobeSums:
             terms: Fourier coefficients of the surface.
             rows: Chebyshev series, which are computed here. They are series of powers or of amplitudes.
             block: Rectangle of orders that have coefficients.
-            sites: Indices of the series of the orders of the block.
+            sites: Frequencies that have a series, and for each order of the block the index of its series.
             size_um: Size of the patch (y, x) [µm].
             exponent: Coefficients with weights below e^−exponent are neglected.
             centre: Centre of the coherence window (y, x), relative to the size of the patch; only for amplitudes.
-            moving_um: Coordinates (y, x) of the centre [µm] that do not change if the size of the patch changes.
+            moving_um: Coordinates (y, x) of the centre [µm] if the caller has fixed them. (0, 0) states that the centre
+                moves in proportion to the size of the patch.
         """
         self._terms, self._rows, self._block, self._sites = terms, rows, block, sites
         self._size_um, self._moving_um = size_um, moving_um
@@ -109,8 +114,8 @@ class LobeSums:
         if self._rows.powers:
             return slopes[0][:, [*range(VALUE), _SUM]]
         slope = slopes[0] + 1j * slopes[1]
-        # The coefficient of order r has the phase −2πrc/L, where c is the centre of the coherence window and L is the
-        # length of the patch. If c is constant, this phase also changes with L.
+        # The centre c of the coherence window adds the phase −2πrc/L to the coefficient of order r, for a patch of the
+        # length L. If c is fixed, this phase changes with L, and the derivative by L has a further term.
         for column, along, axis in ((L_X, 8, 1), (L_Y, 9, 0)):
             slope[:, column] += 2j * np.pi * self._moving_um[axis] / self._size_um[axis] ** 2 * slope[:, along]
         amplitude = slope[:, _SUM]
@@ -154,7 +159,7 @@ class LobeSums:
         return [self._lobes.sums(pairs, row) for row in rows]
 
     def _shifted(self, rows: Rows) -> Rows:
-        """Return the amplitudes of all orders of the block, with the phases that the window's centre causes."""
+        """Return the amplitudes of all orders of the block, with the phases that the centre of the window causes."""
         return _parts_of((rows[0][self._sites.places] + 1j * rows[1][self._sites.places]) * self._phases)
 
 

@@ -38,7 +38,8 @@ PAIRS_TOGETHER = 1 << 18
 # Largest number of pairs whose derivatives are stored after the value has been computed. The value is limited by
 # memory: a pair requires 72 bytes.
 MOST_KEPT = 1 << 23
-# Names of the variables that are the surface itself. Their adjoint and tangent are computed for all pairs in one step.
+# Names of the variables that are the surface itself: heights of a height field, or vertices of an outline (polygon).
+# Their adjoint and tangent are computed for all pairs in one step.
 SURFACE = ("heights_um", "vertices")
 
 
@@ -80,7 +81,8 @@ class Illumination:
     def shapes(self, part: slice) -> NDArray[np.float64]:
         """Return the elements Q_xx, Q_xy and Q_yy of the matrix Q of the weights for each direction, shape (n, 3).
 
-        For a source, the foreshortening of the source determines Q.
+        For a light source of finite size, its foreshortening on the surface determines Q. For a coherence window, Q is
+        the unit matrix.
         """
         if self.coherence.kind != "source":
             return np.tile([1.0, 0.0, 1.0], (len(self.lights[part]), 1))
@@ -101,14 +103,17 @@ class Illumination:
         return Pairs(centres.reshape(-1, 2), forms.reshape(-1, 3), np.outer(half[:, 2], per_um).ravel())
 
     def gains(self, part: slice) -> tuple[Jet, Jet]:
-        """Return g and cos θd of the directions ``part``, as jets of the components of both directions."""
+        """Return g and cos θd of the directions ``part``, with derivatives by the components of both directions."""
         return reflection.geometry(
             self.lights[part], self.views[part], masking=self.masking,
             per_light_cosine=self.coherence.kind == "source",
         )  # fmt: skip
 
     def reflectances(self, cosines: NDArray[np.float64]) -> Jet:
-        """Return R at n values of cos θd as a jet, shape (n, m) for m wavelengths, or (n, 1) without a material."""
+        """Return R and its derivatives at n values of cos θd, shape (n, m) for m wavelengths.
+
+        Without a material, R does not depend on the wavelength, and the shape is (n, 1).
+        """
         if self.material is None:
             return reflection.schlick(cosines[:, None], self.ior, relative=True)
         grid = np.repeat(cosines[:, None], len(self.wavelengths_nm), axis=1)
@@ -123,11 +128,12 @@ class SpectralModel:
 
         Args:
             illumination: Directions, wavelengths and optics.
-            sums: Function object that computes ⟨|P|²⟩ of the surface.
+            sums: Object that computes ⟨|P|²⟩ of the surface.
             samples: Numbers of samples (y, x). The size of the surface is the pitch times these numbers.
         """
         self._illumination, self._sums, self._samples = illumination, sums, samples
-        # Stored sums and derivatives of the pairs, by the first direction of a part of the directions; see `value`.
+        # Stored sums ⟨|P|²⟩ and their derivatives. The directions are processed in parts. A key is the index of the
+        # first direction of a part.
         self._columns: dict[int, NDArray[np.float64]] = {}
 
     def value(self, *, with_slopes: bool) -> NDArray[np.float64]:
@@ -244,12 +250,15 @@ class SpectralModel:
         return reflection.IOR_VARIABLES if material is None else reflection.MATERIAL_VARIABLES
 
     def _along(self, slopes: NDArray[np.float64], shapes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the change of ρ, shape (n, m), for a change ``shapes`` of the elements of Q, shape (n, 3)."""
+        """Return the change of ρ, (n, m), for a change ``shapes`` of the matrix Q of the Gaussian weights, (n, 3)."""
         by_form = slopes[[M_XX, M_XY, M_YY]]
         return np.asarray(np.einsum("pnm,np->nm", by_form, shapes) * self._illumination.falloffs)
 
     def _through_source(self, part: slice, slopes: NDArray[np.float64]) -> NDArray[np.float64] | float:
-        """Return the derivatives of ρ by the direction to the light through the foreshortening of a source in Q."""
+        """Return the part of the derivatives of ρ by the direction to the light that the matrix Q causes.
+
+        Q describes the foreshortening of a source, which changes with the direction. Without a source, the part is 0.
+        """
         if self._illumination.coherence.kind != "source":
             return 0.0
         light = self._illumination.lights[part]

@@ -46,8 +46,8 @@ MOST_EXACT = 600
 # Number of elevations and of azimuths of the grid of directions, on which energy factors are computed and between which
 # they are interpolated. A finer grid has smaller errors and requires more time.
 _ELEVATIONS, _AZIMUTHS = 16, 16
-# Width of the bins in which the powers of neighbouring orders are summed, to save time [units of (u, v)]. The value is
-# about the distance between two nodes of the grid of directions.
+# Width of the bins in which the powers of neighbouring orders are summed, to save time [units of (u, v), the tangential
+# components of ωi + ωr]. The value is about the distance between two nodes of the grid of directions.
 _BIN = 0.08
 # Number of sweeps of Sinkhorn's iteration before Newton's method starts. Sweeps always converge towards the balanced
 # factors. Newton's method is faster, but must start near the solution. Measurements show that Newton's method needs one
@@ -187,7 +187,7 @@ def stam(
 
 @dataclass(frozen=True)
 class EnergyFactors:
-    """Energy factor a as a function of direction and wavelength, on a grid.
+    """Energy factor a, by which efficiencies are multiplied, as a function of direction and wavelength, on a grid.
 
     Attributes:
         wavelengths_nm: Wavelengths [nm], increasing, shape (k,).
@@ -413,8 +413,8 @@ def balance_response(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the changes x, y of the logarithms of the factors that change the sums of a balanced matrix P.
 
-    They solve diag(P1) x + P y = ``rows`` and Pᵀ x + diag(Pᵀ1) y = ``columns``. The matrix of these equations is
-    symmetric, so that the function also serves as its own adjoint.
+    They solve diag(P1) x + P y = ``rows`` and Pᵀ x + diag(Pᵀ1) y = ``columns``, where 1 is a vector of ones. The matrix
+    of these equations is symmetric, so that the function is also its own transpose, which derivatives require.
 
     Args:
         shares: Balanced matrix P, shape (n, m).

@@ -101,7 +101,7 @@ class Block:
 
     @classmethod
     def covering(cls, grid: Grid, frequency: float, neighbour_extent: tuple[int, int]) -> Block:
-        """Return the block of all frequencies up to ``frequency`` [1/µm] and of ``neighbour_extent`` more frequencies.
+        """Return the block of all frequencies up to ``frequency`` [1/µm], and ``neighbour_extent`` more on each side.
 
         If the grid has fewer frequencies, the block contains all of them, and look-ups repeat the coefficients
         periodically.

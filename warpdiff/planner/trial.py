@@ -1,6 +1,7 @@
 """Trial of plans: errors on a training set and on a validation set, against a reference plan.
 
-A search may try any number of plans on the training set. The validation set judges only the result of the search.
+A plan holds the method and the numbers of a computation. A search may try any number of plans on the training set. The
+validation set judges only the result of the search. Both sets are samples of the directions of a call.
 
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
 light and to the viewer. The component w is along the normal. The floor is the smallest number by which an error is
@@ -222,7 +223,7 @@ class Trial:
         self._floors = np.maximum(FLOOR * np.asarray(bright), DARK)
 
     def refine_reference(self, plan: Plan) -> None:
-        """Set the wavelengths of the reference plan to twice those of ``plan``, and discard the reference values."""
+        """Set the reference plan to twice the number of wavelengths of ``plan``, and discard its computed values."""
         if plan.coherence.adds_powers:
             # All directions of a call may be much darker than the zeroth order, which has the power 1. The reference
             # plan therefore includes Fourier coefficients up to a large distance from each direction. At this distance,
@@ -295,7 +296,7 @@ class Trial:
         return self._series_terms if plan.method in EXPANSIONS else self.fitted(plan).terms
 
     def fitted(self, plan: Plan) -> coefficient_basis.Coefficients:
-        """Return the Fourier coefficients of the height field, in the basis that is fitted for a plan."""
+        """Return the Fourier coefficients of the height field in basis functions of κ = w/λ, fitted for a plan."""
         extent = coefficient_table.neighbour_extent(plan, self.heightfield)
         coefficients, _, _ = coefficient_table.coefficients_for(
             self.heightfield, plan.method, plan.coherence, self._range, extent, terms=plan.terms, threads=self._threads
@@ -357,6 +358,7 @@ def _percentile(values: NDArray[np.float64], weights: NDArray[np.float64], share
 def worst_percentile(errors: NDArray[np.float64], group: Group, included: NDArray[np.bool_] | None = None) -> float:
     """Return the larger of the 99.5th percentiles of the errors of bright and of dim directions.
 
+    A direction is bright if its luminance is at least the floor of relative errors, and otherwise dim.
     ``errors`` has the shape (rows, n), with one row for each pair of illuminant and floor of relative errors. The
     result is the largest percentile of all rows. Only the directions in the mask ``included`` count.
     """

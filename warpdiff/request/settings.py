@@ -52,7 +52,7 @@ MOST_STOPS = 30.0
 
 
 def check_energy(energy: str) -> Energy:
-    """Return an energy of orders in British spelling; raise an error if it is no energy."""
+    """Return a value of the option ``energy`` in British spelling; raise an error for any other value."""
     spelling = SPELLINGS.get(energy, energy) if isinstance(energy, str) else energy
     return cast("Energy", validation.choice(spelling, "energy", choices_of(Energy)))
 
@@ -61,7 +61,7 @@ _Tangents = TypeVar("_Tangents")
 
 
 def check_tangents(tangents: _Tangents) -> _Tangents:
-    """Return ``tangents`` unchanged; raise an error for a text that names no rule."""
+    """Return ``tangents`` unchanged; raise an error for a text that is not in ``TANGENT_RULES``."""
     if isinstance(tangents, str):
         validation.choice(tangents, "tangents", TANGENT_RULES)
     return tangents
