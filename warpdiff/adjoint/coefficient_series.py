@@ -83,7 +83,7 @@ class CoefficientSeries:
 
     @single_threaded_blas()
     def tangent(self, change: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the change of the series of the powers, to first order, for a change of the surface."""
+        """Return the change of the series of the powers, to first order, for a change of the heights or vertices."""
         return self.rows.tangent(self.terms, self.terms.tangent(change))[0]
 
     @single_threaded_blas()

@@ -120,9 +120,9 @@ class GaussianLobes:
         return self._rows
 
     def table(self, coefficients: NDArray[np.float64]) -> lobe_sums.LobeTable:
-        """Return the struct of the kernels, for coefficients whose series are rows of ``coefficients``.
+        """Return the struct that passes coefficients to the kernels; it shares the memory of ``coefficients``.
 
-        The struct shares the memory of the coefficients.
+        Each row of ``coefficients`` is the series of one coefficient.
         """
         self._table.coefficients = wp.array(coefficients.ravel(), dtype=wp.float64, device="cpu", copy=False)
         return self._table
@@ -137,9 +137,9 @@ class GaussianLobes:
         return result
 
     def derivatives(self, pairs: Pairs, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sums and their derivatives, shape (p, 11), in the columns that ``lobe_sums.DERIVATIVES`` lists.
+        """Return the sums of p pairs and their derivatives, shape (p, 11).
 
-        The derivative in column ``X`` is with respect to |κ|.
+        The comment of ``lobe_sums.DERIVATIVES`` lists the columns. Column ``X`` is the derivative with respect to |κ|.
         """
         result = np.empty((len(pairs), lobe_sums.DERIVATIVES))
         self._launch(lobe_sums.differentiate_lobes, len(pairs), coefficients, self._of(pairs), result)

@@ -81,7 +81,7 @@ class HeightTerms:
         return self._sums(self.terms, part)
 
     def tangent(self, change_um: NDArray[np.float64]) -> HeightTangent:
-        """Return the change of the Fourier coefficients for a change of the heights [µm], shape (ny, nx)."""
+        """Return the change of the Fourier coefficients, to first order, for a change of the heights [µm], (ny, nx)."""
         terms = np.zeros_like(self.terms)
         for n, slopes in zip(range(1, len(terms)), _slopes(self._g), strict=False):
             terms[n] = self._sites.transform(slopes * change_um) * (n / self._scale)

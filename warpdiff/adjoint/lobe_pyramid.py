@@ -110,14 +110,18 @@ class LobePyramid:
             self._add_divided(coarse, nodes[level - 1].reshape(*self._shape(level - 1), -1))
 
     def _split(self, pairs: Pairs) -> Iterator[tuple[int, NDArray[np.int64], Pairs, NDArray[np.float64]]]:
-        """Group the pairs by level: yield the level, its pairs with their indices, and factors of their sums."""
+        """Group the pairs by the level that computes their sums.
+
+        Each item is the level, the indices of its pairs, these pairs for the nodes of the level, and factors by which
+        their sums are multiplied.
+        """
         xx, xy, yy = pairs.forms.T
         scale = 0.5 / (xx * yy - xy * xy)
         variances = np.stack([scale * yy, -scale * xy, scale * xx], axis=1)
         least, largest = self._deviations(variances)
         levels = np.clip(np.floor(np.log2(np.maximum(least, 1.0) / _LEAST_DEVIATION)), 0, _MOST_LEVEL).astype(np.int64)
-        # Long lobes are processed separately from short lobes, because the transposed sum searches around each node as
-        # far as its longest lobe extends.
+        # Long lobes are processed separately from short lobes. The transposed sum searches for pairs around each node
+        # up to the length of the longest lobe, which would take too long for short lobes.
         lengths = np.floor(np.log2(np.maximum(largest, 1.0))).astype(np.int64)
         for level, length in np.unique(np.stack([levels, lengths], axis=1), axis=0).tolist():
             chosen = np.flatnonzero((levels == level) & (lengths == length))

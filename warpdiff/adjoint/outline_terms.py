@@ -38,7 +38,7 @@ class OutlineTerms:
         self._positions = np.append(outline.positions, outline.positions[0] + 1.0)
         heights = outline.heights_um - (outline.heights_um.max() + outline.heights_um.min()) / 2.0
         self._heights = np.append(heights, heights[0])
-        # κ is negative, and `kappas` has its magnitude.
+        # κ = w/λ is negative, and `kappas` has its magnitude.
         self._kappas, self._orders = -kappas, sites.columns.astype(np.float64)
 
     def at(self, part: slice) -> tuple[Complex, Complex]:
@@ -84,7 +84,7 @@ class OutlineTerms:
         return np.asarray(result.sum(axis=2))
 
     def changes(self, part: slice, change: NDArray[np.float64]) -> tuple[Complex, Complex]:
-        """Return the changes of the two results of ``at`` for a change of the vertices."""
+        """Return the changes of the two results of ``at``, to first order, for a change of the vertices."""
         plus, minus = (self.change(sign * self._orders[part], change) for sign in (1.0, -1.0))
         return plus, np.conj(minus)
 
@@ -112,5 +112,5 @@ class OutlineTangent:
         self._origin, self._change = origin, change
 
     def at(self, part: slice) -> tuple[Complex, Complex]:
-        """Return the changes of the two results of ``OutlineTerms.at``."""
+        """Return the changes of the two results of ``OutlineTerms.at``, to first order."""
         return self._origin.changes(part, self._change)

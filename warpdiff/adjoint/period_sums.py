@@ -107,7 +107,7 @@ class PeriodSums:
         return changes
 
     def _field(self, pairs: Pairs, k: int) -> tuple[Complex, Complex, Complex]:
-        """Return exp(2πiκh) of all samples, and the factors exp(2πi q·x) along y and along x, for pair number k."""
+        """Return exp(2πiκh) of all samples with heights h, and the factors exp(2πi q·x) along y and x, for pair k."""
         qx, qy = pairs.centres[k]
         # κ = w/λ is negative, and `pairs.kappas` has its magnitude.
         phases = -2.0 * math.pi * pairs.kappas[k] * self._heights

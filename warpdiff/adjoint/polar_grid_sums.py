@@ -131,7 +131,7 @@ class RingGrid:
         return np.asarray((np.log(radii / _RED_UM) - self.log_first) / self.sizes.step)
 
     def _mark(self, group: LitPixels, places: NDArray[np.float64]) -> None:
-        """Mark the azimuths that the directions of a group use, and the neighbours that the cubic splines require."""
+        """Mark the azimuths that the directions of a group use, and the neighbours that the splines require."""
         first = np.ceil(places).astype(np.int64) - 2
         turns, count = turns_of(group), ring_count(self.sizes.rings_per_octave)
         for block, azimuths in enumerate(self.azimuths.tolist()):
@@ -147,7 +147,7 @@ class RingGrid:
 
     @property
     def groups(self) -> int:
-        """Number of groups of consecutive rings; one thread of a transposed sum processes one group."""
+        """Number of groups of consecutive rings; one thread sums the adjoints of the rings of one group."""
         return int(self._blocks * BLOCK_RINGS // TOGETHER)
 
     def _radii(self, block: int) -> NDArray[np.float64]:

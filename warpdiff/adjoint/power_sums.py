@@ -29,8 +29,9 @@ if TYPE_CHECKING:
     from warpdiff.adjoint.sites import Block, Sites
     from warpdiff.adjoint.surface_terms import SurfaceTerms
 
-# Columns of the results of ``derivatives``: derivatives of ⟨|P|²⟩ with respect to the components of q, the elements of
-# the symmetric matrix M, |κ|, and the lengths of the patch. The last column is ⟨|P|²⟩ itself.
+# Columns of the results of ``derivatives``: derivatives of ⟨|P|²⟩ with respect to the components of the frequency q,
+# the elements of the matrix M of the Gaussian weights, |κ|, and the lengths of the patch. The last column is ⟨|P|²⟩
+# itself.
 Q_X, Q_Y, M_XX, M_XY, M_YY, KAPPA, L_X, L_Y, VALUE = range(9)
 
 # Index of the column with the sum itself in the result of ``GaussianLobes.derivatives``.
@@ -38,7 +39,7 @@ _SUM = lobe_sums.DERIVATIVES - 1
 
 
 class TangentSums(Protocol):
-    """Function that computes the change of ⟨|P|²⟩ of pairs, for one change of the surface."""
+    """Function that computes the changes of ⟨|P|²⟩ of pairs (direction, wavelength), for one change of the surface."""
 
     def __call__(self, pairs: Pairs) -> NDArray[np.float64]:
         """Return the change of ⟨|P|²⟩ of each of the p pairs, shape (p,)."""
@@ -46,7 +47,7 @@ class TangentSums(Protocol):
 
 
 class PowerSums(Protocol):
-    """Diffracted power ⟨|P|²⟩ of a surface, for one coherence of the light."""
+    """Object that computes the diffracted power ⟨|P|²⟩ of a surface, for one coherence of the light."""
 
     def sums(self, pairs: Pairs) -> NDArray[np.float64]:
         """Return ⟨|P|²⟩ of each of the p pairs, shape (p,)."""
@@ -57,7 +58,10 @@ class PowerSums(Protocol):
         ...
 
     def adjoint(self, parts: Iterable[tuple[Pairs, NDArray[np.float64]]]) -> NDArray[np.float64]:
-        """Return the adjoint of the surface. ``parts`` has groups of pairs, each with the adjoints of their ⟨|P|²⟩."""
+        """Return the adjoint of the surface (the derivative of a loss by its heights or vertices).
+
+        ``parts`` has groups of pairs, each with the adjoints of their ⟨|P|²⟩.
+        """
         ...
 
     def tangent(self, change: NDArray[np.float64]) -> TangentSums:
@@ -124,7 +128,10 @@ class LobeSums:
 
     @single_threaded_blas()
     def adjoint(self, parts: Iterable[tuple[Pairs, NDArray[np.float64]]]) -> NDArray[np.float64]:
-        """Return the adjoint of the surface. ``parts`` has groups of pairs, each with the adjoints of their ⟨|P|²⟩."""
+        """Return the adjoint of the surface (the derivative of a loss by its heights or vertices).
+
+        ``parts`` has groups of pairs, each with the adjoints of their ⟨|P|²⟩.
+        """
         blocks = [np.zeros((self._block.size, self._rows.terms)) for _ in self._rows.rows]
         for pairs, adjoints in parts:
             factors = [adjoints]

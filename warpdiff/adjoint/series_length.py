@@ -27,8 +27,8 @@ _ROUNDING = 4e-15
 # the phase over the width, for a height of half of the height range [radians]. The smaller of both widths is used. If
 # both numbers are doubled, series need one more term.
 _LEAST_RANGE, _LEAST_PHASE = 0.1, 1.0
-# Fraction of its width by which a range is widened. Without this margin, rounding errors would place some |κ| outside
-# of the range.
+# Fraction of its width by which a range of |κ| = |w|/λ is widened. Without this margin, rounding errors would place
+# some |κ| outside of the range.
 _MARGIN_OF_RANGE = 1e-6
 
 

@@ -78,7 +78,7 @@ class Sites:
         return np.asarray(self._flat // self._shape[0])
 
     def transform(self, values: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """Return the inverse Fourier transform (ifft2) of a real array (ny, nx) at the p sites, shape (p,)."""
+        """Return the inverse Fourier transform (ifft2) of a real array (ny, nx) at the p sites (frequencies), (p,)."""
         half = np.ascontiguousarray(np.fft.rfft(values, axis=1)[:, : self._columns].T)
         return np.asarray(np.conj(np.fft.fft(half, axis=1).ravel()[self._flat]) / values.size)
 

@@ -45,7 +45,7 @@ SURFACE = ("heights_um", "vertices")
 
 @dataclass(frozen=True)
 class Illumination:
-    """Pairs of directions above the horizon, wavelengths, and optical settings of a call.
+    """Pairs of directions to light and viewer above the horizon, wavelengths, and optical settings of a call.
 
     Attributes:
         lights: Unit vectors to the light, shape (n, 3).
@@ -140,7 +140,8 @@ class SpectralModel:
         """Return ρ of the n pairs of directions at the m wavelengths, shape (n, m).
 
         ``with_slopes`` states whether derivatives with respect to numbers or directions will be requested later. The
-        sums and their derivatives are then computed together, and are stored for the first ``MOST_KEPT`` pairs.
+        sums ⟨|P|²⟩ and their derivatives are then computed together, and are stored for the first ``MOST_KEPT`` pairs
+        of a direction and a wavelength.
         """
         illumination = self._illumination
         result = np.empty((len(illumination.lights), len(illumination.wavelengths_nm)))

@@ -139,8 +139,8 @@ class WavelengthSums:
         if group.footprints is not None:
             of_uv += group.footprints
         if self._is_source:
-            # A source of the spread s has the covariance s² (I − t tᵀ), where t is the (x, y) of the direction to the
-            # light.
+            # A source of finite size has the covariance s² (I − t tᵀ) of (u, v). s is its radius over √2 [radians], and
+            # t is the vector of the x and y components of the direction to the light.
             x, y = group.to_lights[:, 0], group.to_lights[:, 1]
             longest = np.minimum(1.0, math.sqrt(1.0 - lowest**2) / np.maximum(np.hypot(x, y), TINY))
             x, y = longest * x, longest * y
@@ -150,7 +150,7 @@ class WavelengthSums:
         return of_q, of_uv
 
     def _rates(self, group: LitPixels, height_range_um: float) -> NDArray[np.float64]:
-        """Return angular frequencies of the directions' spectra over 1/λ, or over ln λ for a light source."""
+        """Return the largest angular frequency of each direction's spectrum over 1/λ, or over ln λ for a source."""
         u, v, w = group.scattering_vectors.T
         # For a light near the horizon, the source is foreshortened to 0, and the result would become infinite. The
         # limit `LOWEST` prevents this.
@@ -165,7 +165,7 @@ class WavelengthSums:
         return np.asarray(phase + OF_GAUSSIAN * crossing / LOW)
 
     def _pairs(self, group: LitPixels, wavenumbers: NDArray[np.float64]) -> tuple[Pairs, NDArray[np.float64]]:
-        """Return the pairs of the directions with all wavelengths, and the factors of their sums, shape (n, m)."""
+        """Return the pairs of n directions with m wavelengths, and the factors of the sums of these pairs, (n, m)."""
         vectors = group.scattering_vectors
         of_q, of_uv = self._variances(group)
         xx, xy, yy = np.moveaxis(of_q[:, None] + of_uv[:, None] * wavenumbers[:, None] ** 2, 2, 0)

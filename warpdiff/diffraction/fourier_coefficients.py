@@ -44,7 +44,7 @@ class Grid:
     Attributes:
         shape: Number of distinct frequencies (ny, nx).
         lengths_um: Inverse of the distance of neighbouring frequencies along (y, x) [µm]. This is the size of the
-            patch, or twice the size if half orders are included.
+            patch, or twice the size if the grid includes frequencies halfway between the orders.
         taper: Factors by which the rows and columns of the samples of exp(2πiκh), with κ = w/λ, are multiplied before
             the Fourier transform, shapes (hy,) and (hx,). The origin of x and y is then the middle sample. None means
             no factors; the origin is then the first sample.

@@ -252,7 +252,7 @@ def order_efficiencies(
 
 
 class Periodic(Protocol):
-    """Properties of a surface on which the directions of its orders depend."""
+    """Periodic surface, with the properties from which ``propagating`` computes the directions of its orders."""
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -42,7 +42,7 @@ class FixedReflectance(Material):
 
     @classmethod
     def of(cls, material: Material) -> FixedReflectance:
-        """Return the material of normal incidence for a material."""
+        """Return a material that has, at all angles, the reflectance of ``material`` at normal incidence."""
         fixed = cls(
             material.wavelengths_nm, material.n, material.k, material.name, material.source, material.film,
             material.film_nm,

@@ -398,9 +398,9 @@ def check_materials(
 ) -> tuple[float, dict[str, Material | None]]:
     """Return R(0) as `check_reflection` does, and the materials by name.
 
-    A name is that of the geometry of a mesh that has the material; a single material has the name ``""``. With
-    ``by_geometry`` the argument ``material`` may be a mapping from such names to materials. Each material must be
-    tabulated at all wavelengths of ``band_nm``, the shortest and the longest wavelength of the call.
+    A name is that of a geometry (part of a mesh) that has the material; a single material has the name ``""``. With
+    ``by_geometry`` the argument ``material`` may be a mapping from such names to materials. The table of each material
+    must cover ``band_nm``, from the shortest to the longest wavelength of the call.
     """
     if not (by_geometry and isinstance(material, Mapping)):
         normal, one = check_reflection(ior, material)

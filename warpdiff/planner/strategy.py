@@ -264,7 +264,7 @@ def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: Di
 
 
 def _with_basis(plan: Plan, request: Evaluation, direction_range: DirectionRange) -> Plan:
-    """Return the plan with its number of terms, and with the power that aliases beyond the Nyquist limit.
+    """Return the plan with its number of terms, and with the share of power that aliases (``Plan.aliasing``).
 
     If the method of the plan fits basis functions of κ = w/λ to the coefficients, the terms are these functions.
     """

@@ -95,6 +95,7 @@ def sample_ranks(count: int, parts: int = 1) -> NDArray[np.int64]:
     pass has ``count`` illuminated directions.
     """
     # The sample of a call is divided equally among the ``parts`` passes. Each pass contributes at least one direction.
+    # If the call has few directions, all of them are used.
     most = max(min(MOST_SAMPLED // parts, count // 2), 1)
     return np.arange(count) if count * parts < _SAMPLED_FROM else stratified(count, most)
 
@@ -117,7 +118,7 @@ class DirectionRange:
 
     Attributes:
         max_uv: Largest |(u, v)|.
-        max_order_rate: Largest order rate, as :func:`order_rate` defines it.
+        max_order_rate: Largest order rate: how fast orders pass a direction as 1/λ changes, see :func:`order_rate`.
         min_w: Smallest |w|.
         max_w: Largest |w|.
         lambda_min_nm: Shortest wavelength [nm].
@@ -137,7 +138,10 @@ class DirectionRange:
         to_lights: NDArray[np.floating], illuminated: NDArray[np.bool_],
         wavelengths_nm: NDArray[np.float64] | None = None,
     ) -> DirectionRange:  # fmt: skip
-        """Return the range of the directions for which the mask ``illuminated`` is True."""
+        """Return the range of the directions for which the mask ``illuminated`` is True, and of the wavelengths.
+
+        Without ``wavelengths_nm``, the range is that of visible wavelengths.
+        """
         band = (float(LAMBDA_MIN_NM), float(LAMBDA_MAX_NM))
         if wavelengths_nm is not None:
             band = (float(wavelengths_nm.min()), float(wavelengths_nm.max()))

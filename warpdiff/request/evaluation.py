@@ -131,7 +131,10 @@ class Evaluation:
         return None if self.energy == "stam" else energy_normalisation.achromatic_factors(self.heightfield)
 
     def with_energy(self, plan: Plan) -> Plan:
-        """Return a copy of a plan whose field ``energy_spread`` is set from the energy factors of this evaluation."""
+        """Return a copy of a plan with the field ``energy_spread`` of this evaluation.
+
+        It states by how much the reflected power of single wavelengths deviates if energy is normalised.
+        """
         spread = 0.0 if self.energy_factors is None else self.energy_factors.spread
         return plan if plan.energy_spread == spread else replace(plan, energy_spread=spread)
 

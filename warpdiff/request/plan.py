@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 # Format of saved plans, written to each file. The number increases when a field of a plan changes its name or meaning.
 _FORMAT = "warpdiff plan 2"
 # Largest size of a file that is read as a plan [bytes]. A plan has about 1 kB. A much larger file is therefore not a
-# plan, and is refused.
+# plan, and raises an error.
 _MOST_BYTES = 1 << 20
 METHODS = ("auto", *EXPANDED, "direct")
 AUTOMATIC = "low-rank"
@@ -245,7 +245,7 @@ class Plan:
 
     @property
     def theory(self) -> TheoryVerdict:
-        """Verdict on scalar diffraction for the height field of the plan."""
+        """Verdict on how wrong scalar diffraction may be for the height field of the plan."""
         wavelength_nm = theory_wavelength_nm(self.lambda_min_nm, self.lambda_max_nm)
         return TheoryVerdict(self.scalar_error, self.scalar_reason, wavelength_nm)
 

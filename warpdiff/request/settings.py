@@ -147,7 +147,7 @@ class PlannedSettings(CommonSettings):
 
     @property
     def effective_coherence(self) -> Coherence:
-        """Coherence of the explicit plan. Without a plan, coherence of the settings. Without both, the default."""
+        """Coherence of the caller's plan. Without a plan, coherence of the settings. Without both, the default."""
         return self.plan.coherence if isinstance(self.plan, Plan) else super().effective_coherence
 
 
@@ -221,7 +221,7 @@ class PictureSettings(EvaluationSettings):
 
     @property
     def effective_footprint(self) -> bool:
-        """Whether pixels show means over the pixel filter."""
+        """Whether pixels show means over the pixel filter (a Gaussian), and not the colours of single directions."""
         if self.footprint is not None:
             return self.footprint
         if isinstance(self.plan, Plan):
