@@ -62,7 +62,7 @@ class LobePyramid:
             )
 
     def _shape(self, level: int) -> tuple[int, int]:
-        """Return the number of nodes (y, x) of a level."""
+        """Return the number of nodes (sums of neighbouring coefficients) of a level along (y, x)."""
         rows, columns = self._block.shape
         for _ in range(level):
             rows, columns = (rows // 2 + 1 if rows > 1 else 1), (columns // 2 + 1 if columns > 1 else 1)

@@ -35,7 +35,10 @@ GEOMETRY = ("light_x", "light_y", "length_x", "length_y", "wavelength_um", "heig
 
 
 class OrderModel:
-    """Orders of one light at one wavelength, whose efficiencies are elements of a matrix.
+    """Orders of one light at one wavelength; their efficiencies are one row of a matrix.
+
+    The matrix has a row per direction to the light and a column per order. Without energy normalisation, it has only
+    the row of this light.
 
     Attributes:
         indices: Frequency (s, r) of the Fourier coefficient of each matrix element [cycles per period], shape

@@ -94,13 +94,13 @@ class PictureModel:
         self.values = self._colours.sums(self._coefficients)
 
     def adjoint(self, adjoints: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return the adjoint of the heights from the adjoints of XYZ of each group, shape (n, 3)."""
+        """Return the adjoint of the heights from the adjoints of XYZ of the samples of each group, shape (n, 3)."""
         rows = np.zeros((self._series.block.size, self._series.rows.terms))
         self._colours.spread(adjoints, rows)
         return self._series.adjoint(rows)
 
     def tangent(self, change: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return the change of XYZ of each group, shape (n, 3), for a change of the heights [µm]."""
+        """Return the change of XYZ of the samples of each group, shape (n, 3), for a change of the heights [µm]."""
         return self._colours.sums(self._series.tangent(change))
 
     def _size_of_rings(self, sizes: RingSizes) -> SeriesSize | None:

@@ -90,7 +90,10 @@ class Illumination:
         return np.stack([1.0 + x * x, x * y, 1.0 + y * y], axis=1)
 
     def parts(self) -> Iterator[slice]:
-        """Yield slices of the directions, which have at most ``PAIRS_TOGETHER`` pairs each, or a single direction."""
+        """Yield slices of the directions that have at most ``PAIRS_TOGETHER`` pairs of a direction and a wavelength.
+
+        A slice has at least one direction.
+        """
         size = max(PAIRS_TOGETHER // len(self.wavelengths_nm), 1)
         for first in range(0, len(self.lights), size):
             yield slice(first, min(first + size, len(self.lights)))

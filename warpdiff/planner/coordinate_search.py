@@ -146,7 +146,8 @@ def refine(plan: Plan, trial: Trial, coordinates: Sequence[Coordinate], target: 
         else:
             least, best = min(tried, key=lambda entry: entry[0])
         if best == plan:
-            # If no single refined coordinate reduces the error, all coordinates are refined together.
+            # If no coordinate (parameter of the plan) reduces the error when it alone is refined, all coordinates are
+            # refined together.
             for coordinate in coordinates:
                 best = coordinate.coarser(best, -steps)
             least = trial.validation_error(best)
@@ -218,7 +219,10 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
 
 
 def _coarsened(plan: Plan, error: float, trial: Trial, coordinate: Coordinate) -> tuple[Plan, float]:
-    """Coarsen a coordinate as far as its budget permits, by bisection; return the coarsened plan and its error."""
+    """Coarsen a coordinate (parameter) of a plan by bisection, as far as its error budget permits.
+
+    Return the coarsened plan and its error on the training set.
+    """
     best, low, high = plan, 0, coordinate.most + 1
     middle = coordinate.most
     while high - low > 1:

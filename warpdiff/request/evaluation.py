@@ -127,7 +127,7 @@ class Evaluation:
 
     @forks.cached_property
     def energy_factors(self) -> energy_normalisation.AchromaticFactors | None:
-        """Factors that multiply colours for ``energy="normalised"``; None for ``energy="stam"``."""
+        """Factors that multiply colours so that orders sum to the reflected power; None for ``energy="stam"``."""
         return None if self.energy == "stam" else energy_normalisation.achromatic_factors(self.heightfield)
 
     def with_energy(self, plan: Plan) -> Plan:
