@@ -26,10 +26,13 @@ if TYPE_CHECKING:
 
 
 class Amplitudes(Protocol):
-    """Provider of Fourier coefficients: heights on a grid, an outline, or a change of heights or outline."""
+    """Object that computes Fourier coefficients of a height field or outline (polygon), or of a change of it."""
 
     def at(self, part: slice) -> tuple[Complex, Complex]:
-        """Return H at p sites, and the complex conjugates of H at their opposites, for k values of |κ|: (k, p) each."""
+        """Return coefficients H at p frequencies, and the conjugates of H at the negative frequencies, (k, p) each.
+
+        k is the number of values of |κ| = |w|/λ at which the coefficients are computed.
+        """
         ...
 
 
@@ -37,17 +40,17 @@ class CoefficientRows:
     """Chebyshev series in |κ| of the Fourier coefficients at sites (frequencies) and at the opposite frequencies.
 
     Attributes:
-        rows: Coefficients of the Chebyshev series. For powers, it is one array of shape (2 p, k). For amplitudes, it is
-            two arrays of this shape, of the real and of the imaginary parts. The first p rows of an array belong to the
-            p sites, and the other rows to the opposites of the sites.
+        rows: Coefficients of the Chebyshev series, one row per frequency. Powers have one array of shape (2 p, k), for
+            p sites and k terms. Amplitudes have two arrays of this shape: the real and the imaginary parts. The first p
+            rows of an array belong to the p sites, and the other rows to the opposite frequencies.
     """
 
     def __init__(self, count: int, kappas: tuple[float, float], terms: int, *, powers: bool, together: int) -> None:
-        """Set the size of the series of 2 · ``count`` Fourier coefficients; ``fill`` computes the series.
+        """Set the size of the series; ``fill`` computes the series.
 
         Args:
-            count: Number of sites p.
-            kappas: Smallest and largest |κ| [1/µm].
+            count: Number of sites p. Each site has two series: that of its frequency and that of the opposite one.
+            kappas: Smallest and largest |κ| = |w|/λ [1/µm].
             terms: Number k of terms of a series.
             powers: Whether the series are those of powers; otherwise they are those of amplitudes.
             together: Number of sites that are computed at once; a smaller number requires less memory.
@@ -73,7 +76,7 @@ class CoefficientRows:
                 self._put(self.rows, part, [plus, np.conj(minus)])
 
     def tangent(self, amplitudes: Amplitudes, change: Amplitudes) -> Rows:
-        """Return the change of the series for the change ``change`` of the Fourier coefficients ``amplitudes``."""
+        """Return the change of the series, to first order, if the Fourier coefficients change by ``change``."""
         result = self.empty()
         for part in self._parts():
             plus, minus = change.at(part)
@@ -86,10 +89,10 @@ class CoefficientRows:
         return result
 
     def adjoint(self, amplitudes: Amplitudes, rows: Rows) -> Iterator[tuple[slice, Complex, Complex]]:
-        """Yield the adjoints of the two results of ``amplitudes.at``, for one slice of the sites after the other.
+        """Yield the adjoints (derivatives of a loss) of the two results of ``amplitudes.at``, slice by slice.
 
-        ``rows`` are the adjoints of the series. Each result is a slice of the sites and the two adjoints at these
-        sites.
+        ``rows`` has the adjoints of the series. Each item is a slice of the sites (frequencies), and the adjoints of
+        both results at these sites.
         """
         for part in self._parts():
             opposite = slice(part.start + self._count, part.stop + self._count)
@@ -107,7 +110,8 @@ class CoefficientRows:
     def slopes(self, kappas: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the derivatives of the Chebyshev polynomials with respect to |κ| [µm], shape (n, k).
 
-        The derivative of the polynomial of degree n is proportional to n U_{n−1}.
+        The derivative of the polynomial T_n with respect to its argument is n U_{n−1}. U_n are Chebyshev polynomials of
+        the second kind.
         """
         values = _recurrence(self.places(kappas), self.terms, np.zeros(len(kappas)), np.ones(len(kappas)))
         return values * (self.places_per_kappa * np.arange(self.terms))
@@ -127,7 +131,7 @@ class CoefficientRows:
             yield slice(first, min(first + self._together, self._count))
 
     def empty(self, *, zero: bool = False) -> Rows:
-        """Return new arrays of the shape of ``self.rows``; with ``zero``, all elements are 0."""
+        """Return new arrays of the shape of ``self.rows``, without defined values, or with zeros for ``zero``."""
         make = np.zeros if zero else np.empty
         return [make((2 * self._count, self.terms)) for _ in range(1 if self.powers else 2)]
 
@@ -139,7 +143,10 @@ class CoefficientRows:
 
 
 def sum_of(rows: Rows, place: slice) -> NDArray[np.float64] | Complex:
-    """Return the series with the indices ``place``: real series of powers, or complex series of amplitudes."""
+    """Return the series with the indices ``place``, real for powers, or complex for amplitudes.
+
+    ``rows`` has one array for powers. For amplitudes it has two: the real and the imaginary parts, which are combined.
+    """
     return rows[0][place] if len(rows) == 1 else rows[0][place] + 1j * rows[1][place]
 
 
@@ -148,7 +155,7 @@ def _recurrence(
 ) -> NDArray[np.float64]:
     """Return the terms of the recurrence y_{k+1} = 2 x y_k − y_{k−1} of Chebyshev polynomials, shape (n, count).
 
-    ``first`` and ``second`` are the first two terms at the arguments ``x``.
+    ``first`` and ``second`` are the first two terms at the n arguments ``x``.
     """
     result = np.empty((count, len(x)))
     result[0], result[1] = first, second
@@ -160,7 +167,7 @@ def _recurrence(
 def add_rows(
     places: NDArray[np.int32], rows: NDArray[np.float64], rows_out: NDArray[np.float64], *, are_distinct: bool = False
 ) -> None:
-    """Add each row of ``rows`` to the row of ``rows_out`` whose index is in ``places``.
+    """Add row i of ``rows`` to row ``places[i]`` of ``rows_out``, for every i.
 
     An index may occur several times in ``places``; all rows with this index are then added. ``are_distinct`` states
     that no index occurs twice, which permits a faster addition.

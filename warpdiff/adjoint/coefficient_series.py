@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SeriesSize:
-    """Range of |κ| and numbers of terms of the series of Fourier coefficients.
+    """Range of |κ| = |w|/λ, and numbers of terms of the series of Fourier coefficients.
 
     Attributes:
         kappas: Smallest and largest |κ| [1/µm].
@@ -43,11 +43,12 @@ class SeriesSize:
 
     @classmethod
     def of(cls, relief: Relief, kappas: tuple[float, float], truncation: float, *, powers: bool) -> SeriesSize:
-        """Return the numbers of terms at which the truncated terms have the relative size ``truncation``."""
+        """Return the numbers of terms with which the neglected terms have at most the relative size ``truncation``."""
         low, high = kappa_range(*kappas, relief.scale_um)
         terms = term_count(2.0 * math.pi * high * relief.scale_um, truncation)
-        # As a function of κ, a power oscillates with the phase of the whole height range. An amplitude oscillates with
-        # the phase of half of the range, because the phase of the middle height is omitted.
+        # The number of terms in κ grows with the largest phase. An amplitude H is a sum of phases of heights from the
+        # middle of the range, so that the largest phase is that of half of the range. A power |H|² has phases of
+        # differences of two heights, up to the whole range.
         count = term_count(math.pi * (high - low) * relief.scale_um * (2.0 if powers else 1.0), truncation)
         return cls((low, high), terms, count)
 
@@ -57,8 +58,8 @@ class CoefficientSeries:
 
     Attributes:
         rows: Chebyshev series in |κ|; they are empty until :meth:`powers` computes them.
-        terms: Fourier coefficients of the surface at nodes of |κ|.
-        sites: Indices of the series of the orders of the block.
+        terms: Fourier coefficients of the surface at nodes (selected values) of |κ|.
+        sites: Frequencies that have a series, and for each order of the block the index of its series.
         block: Rectangle of orders that have coefficients.
     """
 
@@ -71,23 +72,26 @@ class CoefficientSeries:
         self._size_um = relief.size_um
 
     def lobes(self, exponent: float) -> GaussianLobes:
-        """Return the Gaussian sums of the powers; coefficients with weights below e^−exponent are neglected."""
+        """Return the object that sums powers with Gaussian weights; weights below e^−exponent are neglected."""
         return GaussianLobes(self.rows, self.block, self.sites.places, self._size_um, exponent)
 
     @single_threaded_blas()
     def powers(self) -> NDArray[np.float64]:
-        """Compute and return the Chebyshev series of the powers, shape (2 p, k)."""
+        """Compute and return the Chebyshev series of the powers of p sites and their opposites, shape (2 p, k)."""
         self.rows.fill(self.terms)
         return self.rows.rows[0]
 
     @single_threaded_blas()
     def tangent(self, change: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the change of the series of the powers, to first order, for a change of the surface."""
+        """Return the change of the series of the powers, to first order, for a change of the heights or vertices."""
         return self.rows.tangent(self.terms, self.terms.tangent(change))[0]
 
     @single_threaded_blas()
     def adjoint(self, of_block: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the adjoint of the surface from the adjoints of the powers of the block's orders, shape (size, k)."""
+        """Return the adjoint of the surface (the derivative of a loss by its heights or vertices).
+
+        ``of_block`` has the adjoints of the series of the powers, one row per order of the block, shape (size, k).
+        """
         rows: Rows = self.rows.empty(zero=True)
         add_rows(self.sites.places, of_block, rows[0], are_distinct=self.sites.are_distinct)
         return self.terms.adjoint(self.rows.adjoint(self.terms, rows))

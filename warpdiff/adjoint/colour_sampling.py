@@ -31,28 +31,29 @@ if TYPE_CHECKING:
 # polynomials, which need six nodes (wavelengths). The largest number is limited by the computing time, which is
 # proportional to the number.
 LEAST_WAVELENGTHS, MOST_WAVELENGTHS = 12, 20_000
-# Error of the quintic interpolation of a sine wave, divided by (angular frequency × step)⁶. The value was derived from
-# the error formula of polynomial interpolation: the product of the distances of the middle of six nodes from these
-# nodes, divided by 6!.
+# Error of the quintic interpolation of a sine wave of amplitude 1, divided by (angular frequency × step)⁶. The value
+# was derived from the error formula of polynomial interpolation. At the middle of six nodes, the distances from the
+# nodes are 0.5, 1.5 and 2.5 steps to each side; their product is divided by 6!.
 _QUINTIC = (0.5 * 1.5 * 2.5) ** 2 / 720.0
-# Angular frequency of a sine wave that is interpolated with the same error as a Gaussian, times the standard deviation
-# of the Gaussian. The value was derived from the sixth derivative of a Gaussian, which is at most 15 times its maximum.
+# Angular frequency ω of a sine wave that is interpolated with the same error as a Gaussian of standard deviation 1. The
+# error is proportional to the sixth derivative. This derivative is at most ω⁶ for the sine wave, and at most 15 times
+# the maximum for the Gaussian.
 OF_GAUSSIAN = 15.0 ** (1.0 / 6.0)
-# Fraction of the truncation error that the colour of the flat material may have. The colour is computed at a few angles
-# only; the fraction leaves a margin of a factor of 2 for the angles between them.
+# Largest permitted error of the colour of the flat material, as a fraction of the truncation error. The error is
+# computed at three angles only. The fraction leaves a margin of a factor of 2 for the angles between them.
 _SHARE_OF_MATERIAL = 0.5
-# Number of points of the Gauss quadrature between two kinks of the integrand, which are at most 1 nm apart. With this
-# number, the error for thin films of up to 1 µm is a rounding error.
+# Number of points of the Gauss quadrature between two neighbouring kinks (jumps of the slope) of the integrand, which
+# are at most 1 nm apart. With this number, the error for thin films of up to 1 µm is a rounding error.
 _GAUSS_POINTS = 4
 
 
 def counts_of(rates: NDArray[np.float64], span: float, truncation: float) -> NDArray[np.int64]:
-    """Return numbers of equally spaced nodes between which a function is interpolated by quintic polynomials.
+    """Return how many equally spaced nodes quintic interpolation requires to meet an error, for each of n functions.
 
     Args:
-        rates: Angular frequencies of the function, shape (n,).
+        rates: Largest angular frequency of each function, shape (n,).
         span: Length of the range of the nodes.
-        truncation: Relative error.
+        truncation: Permitted relative error of the interpolation.
     """
     step = (truncation / _QUINTIC) ** (1.0 / 6.0) / np.maximum(rates, 1e-9)
     return np.asarray(np.maximum(np.ceil(span / step).astype(np.int64) + 1, LEAST_WAVELENGTHS))
@@ -96,7 +97,7 @@ def count_of_material(
     count: int, half: NDArray[np.float64], material: Material, illuminant: str | Spectrum, truncation: float, *,
     geometric: bool,
 ) -> int:  # fmt: skip
-    """Return ``count``, doubled until the colour of the flat material meets the truncation error.
+    """Return a number of wavelengths: ``count``, doubled until the colour of the flat material is accurate enough.
 
     The result may be larger than ``MOST_WAVELENGTHS``. ``half`` has the sums of the unit vectors to light and viewer,
     shape (n, 3).
@@ -129,8 +130,8 @@ def _count_of_surface(
         reach = math.hypot(*np.multiply(coherence.periods, size_um))
         span, rate = high - low, phase + 2.0 * math.pi * along * reach
     else:
-        # A Fourier coefficient at the distance d from q contributes its power with a Gaussian weight, whose standard
-        # deviation in d is 1/(√8 πσ).
+        # A Fourier coefficient at the distance d [1/µm] from q = (u, v)/λ has a Gaussian weight with the standard
+        # deviation 1/(√8 πσ). `sharpness` is the inverse of this number [µm].
         sharpness = math.sqrt(8.0) * math.pi * (coherence.sigma_um or 0.0)
         span, rate = high - low, phase + OF_GAUSSIAN * along * sharpness
     return int(counts_of(np.array([rate]), span, truncation)[0])
@@ -146,7 +147,8 @@ def _exact_colours(cosines: NDArray[np.float64], material: Material, illuminant:
     cuts = np.unique(np.clip(np.concatenate([grid, *entries]), grid[0], grid[-1]))
     gauss, measure = np.polynomial.legendre.leggauss(_GAUSS_POINTS)
     points = (cuts[:-1, None] + np.diff(cuts)[:, None] * (gauss + 1.0) / 2.0).ravel()
-    # The integral extends half a nanometre beyond each end of the range, as in `colorimetry.quadrature_weights`.
+    # Sums over whole nanometres give 380 and 780 nm the same weight as other wavelengths. The integral therefore
+    # extends half a nanometre beyond each end of the range, as in `colorimetry.quadrature_weights`.
     points = np.concatenate([points, grid[[0, -1]]])
     measures = np.concatenate([(np.diff(cuts)[:, None] * measure / 2.0).ravel(), [0.5, 0.5]])
     masses = measures[:, None] * np.stack([np.interp(points, grid, column) for column in products.T], axis=1)

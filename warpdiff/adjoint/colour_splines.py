@@ -1,4 +1,4 @@
-"""Splines that are fitted to colour curves, for any position of a colour between the rings of a polar grid.
+"""Weights with which values on the rings of a polar grid are summed to a colour: splines fitted to colour curves.
 
 λ is the wavelength. A ring of the grid is a circle of constant frequency |(u, v)|/λ, where (u, v) are the tangential
 components of the scattering vector. For one direction, a ring therefore stands for one wavelength. A colour curve is
@@ -21,9 +21,9 @@ from warpdiff.tables.colour_curves import spline
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Number of intervals between two neighbouring rings. The weights of rings in a colour are tabulated at the ends of
-# intervals and interpolated linearly in between. The error of this interpolation is 1/(8 · 64²) = 3e-5 of the second
-# difference of the weights.
+# Number of intervals into which the distance of two neighbouring rings is divided. The weights of the rings in a colour
+# depend on the position of the longest wavelength between two rings. They are tabulated at the ends of the intervals
+# and interpolated linearly. The error is 1/(8 · 64²) = 3e-5 of the second difference of the weights.
 _INTERVALS = 64
 # Number of samples of the colour curves in an interval.
 _SAMPLES = 4
@@ -32,7 +32,7 @@ _SPAN = math.log(colorimetry.LAMBDA_MAX_NM / colorimetry.LAMBDA_MIN_NM)
 
 
 def ring_count(rings_per_octave: int) -> int:
-    """Return the number of rings that contribute to one colour."""
+    """Return the number of rings that contribute to one colour: those of the visible range, and four more."""
     return math.ceil(_SPAN * rings_per_octave / math.log(2.0)) + 4
 
 

@@ -29,17 +29,18 @@ if TYPE_CHECKING:
 
     from warpdiff.adjoint.coefficient_rows import CoefficientRows
 
-# Weights below e^−x are neglected. This number is added to the x that the truncation error requires. It was derived
-# from the second derivatives of a lobe at its edge, which are larger than the lobe itself by a factor of about x².
+# Weights below e^−x are neglected. This number is added to the x that the truncation error requires, so that
+# derivatives also meet this error. It was derived from the second derivatives of a lobe at its edge, which are larger
+# than the lobe itself by a factor of about x².
 _FURTHER = 5.0
-# Number of cells (orders) of the transposed sum that a thread computes per launch. The value is limited by the overhead
-# of a launch, which is as long as the computation of hundreds of cells, because most cells have few pairs.
+# Number of cells (orders) for which a thread sums adjoints in one launch of the kernel. Smaller numbers would waste
+# time: a launch takes as long as the sums of hundreds of cells, because most cells are near few pairs only.
 _CELLS_OF_SLICE = 16_384
 # Largest distance of a lobe's centre from the middle of its cell, along an axis [cells]: one half, and a margin for
 # rounding errors.
 _HALF_CELL = 0.5 + 1e-9
-# Index of the column that has the derivative with respect to the argument of the Chebyshev polynomials. The method
-# `GaussianLobes.derivatives` converts it to the derivative with respect to |κ|.
+# Index of the column with the derivative of a sum with respect to the argument of the Chebyshev polynomials. The method
+# `GaussianLobes.derivatives` converts this derivative to that with respect to |κ|.
 X = 5
 
 
@@ -53,7 +54,7 @@ class Pairs:
     """Pairs of a direction and a wavelength.
 
     Attributes:
-        centres: Frequencies q = (u, v)/λ at which the lobes have their maxima [1/µm], shape (p, 2).
+        centres: Frequencies q = (u, v)/λ at which the Gaussian weights have their maxima [1/µm], shape (p, 2).
         forms: Elements M_xx, M_xy and M_yy of the matrix of the weights exp(−dᵀMd) [µm²], shape (p, 3).
         kappas: |κ| of each pair [1/µm], shape (p,).
     """
@@ -73,9 +74,10 @@ class Pairs:
 
 
 def block_of(pairs: Pairs, exponent: float, shape: tuple[int, int], size_um: tuple[float, float]) -> Block:
-    """Return the smallest block of orders that contains all coefficients of the sums of some pairs.
+    """Return the smallest rectangle of orders that contains all coefficients of the sums of some pairs.
 
-    Weights below e^−exponent are neglected. Along an axis with a single sample, the block has only order 0.
+    Coefficients with weights below e^−exponent are neglected. Along an axis with a single height sample, the surface is
+    constant, and the rectangle has only order 0.
     """
     first, counts = [], []
     for axis, samples, length in ((1, shape[0], size_um[0]), (0, shape[1], size_um[1])):
@@ -88,7 +90,7 @@ def block_of(pairs: Pairs, exponent: float, shape: tuple[int, int], size_um: tup
 
 
 class GaussianLobes:
-    """Sums of the Fourier coefficients of a block of orders, with Gaussian weights, and the transposed sums."""
+    """Sums of the Fourier coefficients of a block of orders with Gaussian weights, and the transpose of these sums."""
 
     def __init__(
         self, rows: CoefficientRows, block: Block, places: NDArray[np.int32], size_um: tuple[float, float],
@@ -118,23 +120,26 @@ class GaussianLobes:
         return self._rows
 
     def table(self, coefficients: NDArray[np.float64]) -> lobe_sums.LobeTable:
-        """Return the struct of the kernels, for coefficients whose series are rows of ``coefficients``.
+        """Return the struct that passes coefficients to the kernels; it shares the memory of ``coefficients``.
 
-        The struct shares the memory of the coefficients.
+        Each row of ``coefficients`` is the series of one coefficient.
         """
         self._table.coefficients = wp.array(coefficients.ravel(), dtype=wp.float64, device="cpu", copy=False)
         return self._table
 
     def sums(self, pairs: Pairs, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sum of each pair, shape (p,). Each row of ``coefficients`` is the series of one coefficient."""
+        """Return the sum of each of p pairs (a direction and a wavelength), shape (p,).
+
+        Each row of ``coefficients`` is the series of one coefficient.
+        """
         result = np.empty(len(pairs))
         self._launch(lobe_sums.sum_lobes, len(pairs), coefficients, self._of(pairs), result)
         return result
 
     def derivatives(self, pairs: Pairs, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sums and their derivatives, shape (p, 11), in the columns that ``lobe_sums.DERIVATIVES`` lists.
+        """Return the sums of p pairs and their derivatives, shape (p, 11).
 
-        The derivative in column ``X`` is with respect to |κ|.
+        The comment of ``lobe_sums.DERIVATIVES`` lists the columns. Column ``X`` is the derivative with respect to |κ|.
         """
         result = np.empty((len(pairs), lobe_sums.DERIVATIVES))
         self._launch(lobe_sums.differentiate_lobes, len(pairs), coefficients, self._of(pairs), result)
@@ -144,7 +149,8 @@ class GaussianLobes:
     def spread(self, pairs: Pairs, adjoints: NDArray[np.float64], rows: NDArray[np.float64]) -> None:
         """Add the adjoints of the coefficients of a block to ``rows``, shape (size, k): the transpose of ``sums``.
 
-        ``adjoints`` are those of the sums of the pairs, shape (p,).
+        ``adjoints`` has the derivatives of a loss with respect to the sums of the p pairs, shape (p,). ``rows`` has a
+        row of k terms for each order of the block.
         """
         cells, reach = [], []
         for axis, first, count, length in zip((1, 0), self._block.first, self._block.shape, self._size_um, strict=True):

@@ -46,6 +46,8 @@ def offset_and_scale(heights_um: NDArray[np.float64]) -> tuple[float, float]:
 class HeightTerms:
     """Fourier coefficients of heights: transforms X_n at the sites (frequencies), and factors b_n at nodes of |κ|.
 
+    A coefficient is the sum of b_n iⁿ X_n over n. The nodes are the values of |κ| = |w|/λ at which it is computed.
+
     Attributes:
         terms: X_n for n = 0 to t − 1 at p sites, shape (t, p).
     """
@@ -72,11 +74,14 @@ class HeightTerms:
             self.terms[n] = sites.transform(values)
 
     def at(self, part: slice) -> tuple[Complex, Complex]:
-        """Return H at p sites, and the complex conjugates of H at the opposite frequencies, for all κ, (k, p) each."""
+        """Return coefficients H at p frequencies, and the conjugates of H at the negative frequencies, (k, p) each.
+
+        k is the number of values of |κ|. ``part`` selects the frequencies.
+        """
         return self._sums(self.terms, part)
 
     def tangent(self, change_um: NDArray[np.float64]) -> HeightTangent:
-        """Return the change of the Fourier coefficients for a change of the heights [µm], shape (ny, nx)."""
+        """Return the change of the Fourier coefficients, to first order, for a change of the heights [µm], (ny, nx)."""
         terms = np.zeros_like(self.terms)
         for n, slopes in zip(range(1, len(terms)), _slopes(self._g), strict=False):
             terms[n] = self._sites.transform(slopes * change_um) * (n / self._scale)
@@ -110,7 +115,7 @@ class HeightTangent:
         self._origin, self._terms = origin, terms
 
     def at(self, part: slice) -> tuple[Complex, Complex]:
-        """Return the changes of the two results of ``HeightTerms.at``."""
+        """Return the changes of the two results of ``HeightTerms.at``, to first order."""
         return self._origin._sums(self._terms, part)
 
 
@@ -126,7 +131,10 @@ def _polynomials(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
 
 
 def _slopes(g: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    """Yield U_0(g), U_1(g), … without end, because n U_{n−1} is the derivative of T_n; see ``_sequence``."""
+    """Yield the Chebyshev polynomials of the second kind U_0(g), U_1(g), … without end.
+
+    The derivative of T_n is n U_{n−1}. ``_sequence`` reuses the yielded arrays.
+    """
     return _sequence(g, np.ones_like(g), 2.0 * g)
 
 

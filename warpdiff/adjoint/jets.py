@@ -33,7 +33,10 @@ class Jet:
 
     @classmethod
     def variables(cls, *values: NDArray[np.float64]) -> list[Jet]:
-        """Return a jet for each variable, whose derivative with respect to itself is 1. All values have one shape."""
+        """Return one jet per variable; its derivative is 1 by this variable, and 0 by the others.
+
+        All values have one shape.
+        """
         count = len(values)
         unit = np.eye(count).reshape(count, count, *(1,) * np.ndim(values[0]))
         return [cls(np.asarray(value), unit[k] + np.zeros(np.shape(value))) for k, value in enumerate(values)]

@@ -25,7 +25,7 @@ class LastCall:
     """Value and adjoints of a linearised function. For the same arrays, adjoints reuse the last value."""
 
     def __init__(self, function: Callable[..., Linearised], wrt: Sequence[str], shape: Sequence[int]) -> None:
-        """Check and store the arguments of an adapter.
+        """Check and store the arguments of an adapter to JAX or PyTorch.
 
         Args:
             function: Function of arrays, one per name in ``wrt``. It returns a ``Linearised`` value.

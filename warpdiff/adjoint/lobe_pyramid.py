@@ -26,16 +26,17 @@ if TYPE_CHECKING:
 
     from warpdiff.adjoint.coefficient_series import CoefficientSeries
 
-# Smallest standard deviation of a lobe at a level, in distances of nodes. With 2, the weight of a coefficient differs
-# by up to 1/(12 · 2²) = 2 %, because the variance of its position differs by up to 1/6 from the mean variance. Errors
-# of single coefficients cancel in the sum.
+# Smallest standard deviation of a lobe that a level may compute, in distances between neighbouring nodes of the level.
+# With 2, the weight of a coefficient has an error of up to 1/(12 · 2²) = 2 %, because the variance of its position
+# differs by up to 1/6 from the mean variance. Errors of single coefficients cancel in the sum.
 _LEAST_DEVIATION = 2.0
-# Highest level of the pyramid. At this level, the widest lobe is as wide as all orders of a large block.
+# Highest level of the pyramid. A lobe at this level has a standard deviation of at least 2 · 2¹⁰ orders, so that it
+# covers all orders of a large block.
 _MOST_LEVEL = 10
 
 
 class LobePyramid:
-    """Sums of the powers of a block of orders under lobes of any width, and the transposed sums."""
+    """Sums of the powers of a block of orders with Gaussian weights of any width, and the transpose of these sums."""
 
     def __init__(self, series: CoefficientSeries, size_um: tuple[float, float], exponent: float) -> None:
         """Set the orders and the levels of the pyramid.
@@ -61,14 +62,17 @@ class LobePyramid:
             )
 
     def _shape(self, level: int) -> tuple[int, int]:
-        """Return the number of nodes (y, x) of a level."""
+        """Return the number of nodes (sums of neighbouring coefficients) of a level along (y, x)."""
         rows, columns = self._block.shape
         for _ in range(level):
             rows, columns = (rows // 2 + 1 if rows > 1 else 1), (columns // 2 + 1 if columns > 1 else 1)
         return rows, columns
 
     def sums_of(self, coefficients: NDArray[np.float64]) -> Callable[[Pairs], NDArray[np.float64]]:
-        """Return a function that computes the sums of p pairs, shape (p,), for series of the powers."""
+        """Return a function that computes the sums of p pairs (a direction and a wavelength), shape (p,).
+
+        ``coefficients`` has the Chebyshev series of the powers.
+        """
 
         @functools.cache
         def joined(level: int) -> NDArray[np.float64]:
@@ -106,14 +110,18 @@ class LobePyramid:
             self._add_divided(coarse, nodes[level - 1].reshape(*self._shape(level - 1), -1))
 
     def _split(self, pairs: Pairs) -> Iterator[tuple[int, NDArray[np.int64], Pairs, NDArray[np.float64]]]:
-        """Group the pairs by level: yield the level, its pairs with their indices, and factors of their sums."""
+        """Group the pairs by the level that computes their sums.
+
+        Each item is the level, the indices of its pairs, these pairs for the nodes of the level, and factors by which
+        their sums are multiplied.
+        """
         xx, xy, yy = pairs.forms.T
         scale = 0.5 / (xx * yy - xy * xy)
         variances = np.stack([scale * yy, -scale * xy, scale * xx], axis=1)
         least, largest = self._deviations(variances)
         levels = np.clip(np.floor(np.log2(np.maximum(least, 1.0) / _LEAST_DEVIATION)), 0, _MOST_LEVEL).astype(np.int64)
-        # Long lobes are processed separately from short lobes, because the transposed sum searches around each node as
-        # far as its longest lobe extends.
+        # Long lobes are processed separately from short lobes. The transposed sum searches for pairs around each node
+        # up to the length of the longest lobe, which would take too long for short lobes.
         lengths = np.floor(np.log2(np.maximum(largest, 1.0))).astype(np.int64)
         for level, length in np.unique(np.stack([levels, lengths], axis=1), axis=0).tolist():
             chosen = np.flatnonzero((levels == level) & (lengths == length))
@@ -134,9 +142,10 @@ class LobePyramid:
         return np.sqrt(np.maximum(middle - half, 0.0)) if all(self._is_axis) else largest, largest
 
     def _at_level(self, pairs: Pairs, variances: NDArray[np.float64], level: int) -> tuple[Pairs, NDArray[np.float64]]:
-        """Return pairs for the nodes of a level, with centres relative to the block's first order, and factors of sums.
+        """Return pairs that sum the nodes of a level, and factors by which these sums are multiplied.
 
-        The factors correct the sums for the reduced variance of the lobes.
+        The centres of the new pairs are relative to the first order of the block. Their lobes have a smaller variance,
+        because the nodes already spread each coefficient. The factors correct the sums for it.
         """
         centres, reduced = pairs.centres.copy(), variances.copy()
         for axis, column, entry in ((0, 1, 2), (1, 0, 0)):
@@ -164,7 +173,7 @@ class LobePyramid:
         return np.ascontiguousarray(fine)
 
     def _add_divided(self, coarse: NDArray[np.float64], fine: NDArray[np.float64]) -> None:
-        """Add the values of a level's nodes to those of the level below: the transpose of ``_joined``."""
+        """Add the values of the nodes of a level to the nodes of the finer level: the transpose of ``_joined``."""
         for axis in (1, 0):
             if fine.shape[axis] > 1:
                 nodes = np.moveaxis(coarse, axis, 0)

@@ -45,14 +45,16 @@ if TYPE_CHECKING:
 
 # Truncation error of the series from which order efficiencies are computed. It equals the rounding errors of float64.
 _TRUNCATION = 1e-13
-# Cosine of the angle of an order below which the order counts as being at the horizon; it is then within 0.06° of the
-# horizon. The value is limited because efficiencies are proportional to 1/cos θ, and their derivatives to 1/cos³ θ.
+# Cosine of the angle θ of an order from the normal below which the order counts as being at the horizon; it is then
+# within 0.06° of the horizon, and the user is warned. Efficiencies are proportional to 1/cos θ there, and their
+# derivatives to 1/cos³ θ, so that derivatives are valid for tiny changes only.
 _AT_HORIZON = 1e-3
 # Names of the variables whose change moves orders across the horizon.
 _MOVING = ("pitch_um", "period_um", "to_light", "wavelengths_nm")
 # Names of the variables that have one element per wavelength.
 _PER_WAVELENGTH = ("wavelengths_nm", "n", "k")
-# Memory of a call [bytes]: per height sample, and per element of the matrices of efficiencies.
+# Memory of a call [bytes]: per height sample, and per element of the matrices of efficiencies. A matrix has one row per
+# direction to the light and one column per order.
 _BYTES_PER_SAMPLE, _BYTES_PER_ELEMENT = 120.0, 250.0
 
 
@@ -90,7 +92,7 @@ class _OrderCall:
         self._places = dict(zip(self._models, np.split(sites.places, ends), strict=True))
 
     def value(self) -> NDArray[np.float64]:
-        """Return the efficiencies, shape (lights, wavelengths, orders). They are 0 where an order is evanescent."""
+        """Return the efficiencies, shape (lights, wavelengths, orders); 0 where an order does not propagate."""
         result = np.zeros(self._lives.shape)
         for place, model in self._models.items():
             rows = self._rows.rows[0][self._places[place]]
@@ -121,7 +123,7 @@ class _OrderCall:
 
     @single_threaded_blas()
     def tangent(self, changes: Derivatives) -> NDArray[np.float64]:
-        """Return the changes of the efficiencies for changes of variables, by the names of the variables."""
+        """Return the changes of the efficiencies, to first order, for changes of variables by their names."""
         result = np.zeros(self._lives.shape)
         names = tuple(changes)
         rows = None

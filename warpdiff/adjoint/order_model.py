@@ -35,11 +35,15 @@ GEOMETRY = ("light_x", "light_y", "length_x", "length_y", "wavelength_um", "heig
 
 
 class OrderModel:
-    """Orders of one light at one wavelength, whose efficiencies are elements of a matrix.
+    """Orders of one light at one wavelength; their efficiencies are one row of a matrix.
+
+    The matrix has a row per direction to the light and a column per order. Without energy normalisation, it has only
+    the row of this light.
 
     Attributes:
-        indices: Pair (s, r) of the frequency of each matrix element's Fourier coefficient, shape (rows · columns, 2).
-        kappas: |κ| of each matrix element [1/µm], shape (rows · columns,).
+        indices: Frequency (s, r) of the Fourier coefficient of each matrix element [cycles per period], shape
+            (rows · columns, 2).
+        kappas: |κ| = |w|/λ of each matrix element [1/µm], shape (rows · columns,).
     """
 
     def __init__(
@@ -184,7 +188,10 @@ class OrderModel:
 
 
 def _rise(cosine: Jet) -> Jet:
-    """Return the prescribed sum of a row or column, ``energy_normalisation.rise`` of its cosine, as a jet."""
+    """Return the sum that a row or column must have, as a jet (value and derivatives).
+
+    The sum is the function ``energy_normalisation.rise`` of the cosine of the angle from the normal.
+    """
     share = np.minimum(cosine.value / energy_normalisation.RISEN, 1.0)
     slope = 6.0 * share * (1.0 - share) / energy_normalisation.RISEN
     return Jet(energy_normalisation.rise(cosine.value), slope * cosine.partials)

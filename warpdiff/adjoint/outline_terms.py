@@ -38,20 +38,23 @@ class OutlineTerms:
         self._positions = np.append(outline.positions, outline.positions[0] + 1.0)
         heights = outline.heights_um - (outline.heights_um.max() + outline.heights_um.min()) / 2.0
         self._heights = np.append(heights, heights[0])
-        # κ is negative, and `kappas` has its magnitude.
+        # κ = w/λ is negative, and `kappas` has its magnitude.
         self._kappas, self._orders = -kappas, sites.columns.astype(np.float64)
 
     def at(self, part: slice) -> tuple[Complex, Complex]:
-        """Return H at p orders r, and the complex conjugates of H at the orders −r, for all κ, shapes (k, p) each."""
+        """Return coefficients H at p orders r, and the conjugates of H at the orders −r, for k values of κ.
+
+        Both arrays have the shape (k, p). ``part`` selects the orders.
+        """
         plus, minus = (self._segments(sign * self._orders[part])[0].sum(axis=2) for sign in (1.0, -1.0))
         return plus, np.conj(minus)
 
     def tangent(self, change: NDArray[np.float64]) -> OutlineTangent:
-        """Return the change of the Fourier coefficients for a change of vertices (position and height), (k, 2)."""
+        """Return the change of the Fourier coefficients for a change of the position and height of each vertex."""
         return OutlineTangent(self, np.concatenate([change, change[:1]]))
 
     def adjoint(self, parts: Iterable[tuple[slice, Complex, Complex]]) -> NDArray[np.float64]:
-        """Return the adjoint of positions and heights of the vertices, shape (k, 2).
+        """Return the adjoint of the position and height of each vertex, shape (vertices, 2).
 
         ``parts`` has slices of the orders, each with the adjoints of the two results of ``at`` for this slice.
         """
@@ -81,7 +84,7 @@ class OutlineTerms:
         return np.asarray(result.sum(axis=2))
 
     def changes(self, part: slice, change: NDArray[np.float64]) -> tuple[Complex, Complex]:
-        """Return the changes of the two results of ``at`` for a change of the vertices."""
+        """Return the changes of the two results of ``at``, to first order, for a change of the vertices."""
         plus, minus = (self.change(sign * self._orders[part], change) for sign in (1.0, -1.0))
         return plus, np.conj(minus)
 
@@ -109,5 +112,5 @@ class OutlineTangent:
         self._origin, self._change = origin, change
 
     def at(self, part: slice) -> tuple[Complex, Complex]:
-        """Return the changes of the two results of ``OutlineTerms.at``."""
+        """Return the changes of the two results of ``OutlineTerms.at``, to first order."""
         return self._origin.changes(part, self._change)

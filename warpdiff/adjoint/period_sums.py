@@ -51,7 +51,10 @@ class PeriodSums:
 
     @single_threaded_blas()
     def derivatives(self, pairs: Pairs) -> NDArray[np.float64]:
-        """Return |P|² and its derivatives for each of the p pairs, in the columns ``Q_X`` to ``VALUE``, (p, 9)."""
+        """Return |P|² and its derivatives for each of the p pairs, shape (p, 9).
+
+        The columns are ``Q_X`` to ``VALUE`` of ``power_sums``; those of the Gaussian weights remain 0.
+        """
         of_y, of_x = self._interference(pairs)
         result = np.zeros((len(pairs), 9))
         for k in range(len(pairs)):
@@ -104,7 +107,7 @@ class PeriodSums:
         return changes
 
     def _field(self, pairs: Pairs, k: int) -> tuple[Complex, Complex, Complex]:
-        """Return exp(2πiκh) of all samples, and the factors exp(2πi q·x) along y and along x, for pair number k."""
+        """Return exp(2πiκh) of all samples with heights h, and the factors exp(2πi q·x) along y and x, for pair k."""
         qx, qy = pairs.centres[k]
         # κ = w/λ is negative, and `pairs.kappas` has its magnitude.
         phases = -2.0 * math.pi * pairs.kappas[k] * self._heights

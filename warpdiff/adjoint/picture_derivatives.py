@@ -61,7 +61,7 @@ class _PictureCall:
         return self._pigment + self._of_pixels(self._model.values)
 
     def adjoint(self, adjoints: NDArray[np.float64]) -> Derivatives:
-        """Return the adjoints of the variables from the adjoint of the value."""
+        """Return the adjoints of the requested variables from the adjoint of the value (XYZ of the pixels)."""
         result = {name: np.zeros(shape) for name, shape in self.shapes.items()}
         if self._model is None:
             return result
@@ -80,7 +80,7 @@ class _PictureCall:
         return result
 
     def tangent(self, changes: Derivatives) -> NDArray[np.float64]:
-        """Return the change of the value for changes of variables."""
+        """Return the change of the value (XYZ of the pixels), to first order, for changes of variables."""
         result = np.zeros_like(self._pigment)
         if self._model is None:
             return result
@@ -102,7 +102,7 @@ class _PictureCall:
         return heights
 
     def _by_ior(self) -> list[NDArray[np.float64]]:
-        """Return the derivatives of the colours of each group with respect to the index of refraction, shape (n, 3)."""
+        """Return the derivatives of XYZ by the index of refraction, for the n samples of each group, shape (n, 3)."""
         assert self._model is not None  # noqa: S101 (callers have checked it)
         result = []
         for group, xyz in zip(self._groups, self._model.values, strict=True):
@@ -113,7 +113,10 @@ class _PictureCall:
         return result
 
     def _of_pixels(self, colours: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return the colours of the illuminated pixels, shape (n, 3): sums over the groups of samples."""
+        """Return the colours of the n illuminated pixels, shape (n, 3).
+
+        ``colours`` has the XYZ of the samples of each group. All samples of a pixel are added.
+        """
         result = np.zeros_like(self._pigment)
         for pixels, xyz in zip(self._pixels, colours, strict=True):
             for channel in range(3):
@@ -122,7 +125,7 @@ class _PictureCall:
 
 
 def _joined(lobes: list[LitPixels]) -> list[LitPixels]:
-    """Join the samples of all lobes that have the same illuminant and material to one group."""
+    """Join the samples of all lobes (parts of lights) that have the same illuminant and material to one group."""
     kinds = dict.fromkeys(lobe.illuminated for lobe in lobes)
     return [LitPixels.joined([lobe for lobe in lobes if lobe.illuminated == kind]) for kind in kinds]
 

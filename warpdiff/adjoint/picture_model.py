@@ -1,10 +1,10 @@
 """Colours of the samples of a picture as a function of the heights, with adjoint and tangent.
 
-The colours are linear in the powers of the Fourier coefficients. If pixels show points under a coherence window, the
-colours are sums over the rings of a polar grid of the power spectrum (circles of constant frequency |(u, v)|/λ), and
-the zeroth order is a sum over wavelengths. In all other cases the colours are sums over wavelengths. For a test of the
-grid, some samples are computed in both ways: bright samples and random samples. The grid becomes finer until both
-results agree to the tolerance.
+The colours are linear in the powers of the Fourier coefficients. If the coherence is an averaged window, and pixels
+have no footprint (the range of (u, v) within a pixel), the colours are sums over the rings of a polar grid of the power
+spectrum. A ring is a circle of constant frequency |(u, v)|/λ. The zeroth order is then a sum over wavelengths. In all
+other cases, all colours are sums over wavelengths. As a test of the grid, the colours of bright samples and of random
+samples are also computed as sums over wavelengths. The grid becomes finer until both results agree to the tolerance.
 
 A group has the samples with one illuminant and material. κ = w/λ, where w is the normal component of the scattering
 vector and λ the wavelength. The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from warpdiff.optics.coherence import Coherence
     from warpdiff.render.picture_samples import LitPixels
 
-# Sizes of polar grids, from coarse to fine. The first grid whose error is within the tolerance is used.
+# Sizes of polar grids, from coarse to fine: number of rings per octave of the frequency, and number of azimuth samples
+# per standard deviation of a diffraction order. The first grid whose error is within the tolerance is used.
 _SIZES = (RingSizes(24, 1.3), RingSizes(32, 1.6), RingSizes(48, 2.0), RingSizes(96, 2.6))
 # The error of a grid is measured on `_CHECKED` bright samples and the same number of random samples of each group. For
 # at least the fraction `_SHARE` of these samples, the error must be within the tolerance.
@@ -43,7 +44,7 @@ _CHECKED, _SHARE = 64, 0.95
 # Relative size of the truncated terms of series and sums, divided by the tolerance.
 _TRUNCATION_SHARE = 1e-2
 # Memory of a call [bytes]: per height sample; per pair of a direction and a wavelength that is computed at once; and
-# per reflectance of a direction at a ring.
+# per reflectance of a material, which is stored for each direction at each ring (wavelength).
 _BYTES_PER_SAMPLE, _BYTES_PER_PAIR, _BYTES_PER_REFLECTANCE = 120.0, 700.0, 60.0
 _REMEDY = "take a smaller picture, {share} of the area of heightfield, or a larger tolerance"
 
@@ -56,7 +57,10 @@ class Colours(Protocol):
         ...
 
     def spread(self, adjoints: list[NDArray[np.float64]], rows: NDArray[np.float64]) -> None:
-        """Add the adjoints of the powers to ``rows``, shape (size, k): the transpose of ``sums``."""
+        """Add the adjoints of the powers to ``rows``, shape (orders, k), for series of k terms.
+
+        ``adjoints`` has those of XYZ of each group. The function is the transpose of ``sums``.
+        """
         ...
 
 
@@ -90,13 +94,13 @@ class PictureModel:
         self.values = self._colours.sums(self._coefficients)
 
     def adjoint(self, adjoints: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return the adjoint of the heights from the adjoints of XYZ of each group, shape (n, 3)."""
+        """Return the adjoint of the heights from the adjoints of XYZ of the samples of each group, shape (n, 3)."""
         rows = np.zeros((self._series.block.size, self._series.rows.terms))
         self._colours.spread(adjoints, rows)
         return self._series.adjoint(rows)
 
     def tangent(self, change: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return the change of XYZ of each group, shape (n, 3), for a change of the heights [µm]."""
+        """Return the change of XYZ of the samples of each group, shape (n, 3), for a change of the heights [µm]."""
         return self._colours.sums(self._series.tangent(change))
 
     def _size_of_rings(self, sizes: RingSizes) -> SeriesSize | None:
@@ -104,15 +108,16 @@ class PictureModel:
         margin = kappa_margin(sizes)
         low, high = self._kappas()
         kappas = low / margin, high * margin
-        # A series has more terms than its argument. Heights far beyond the limit of the kernels raise an error in
-        # `SeriesSize.of`, although sums over wavelengths may support them.
+        # A series has more terms than its argument, so that a larger argument exceeds the limit of the kernels. This is
+        # tested first, because `SeriesSize.of` raises an error for very large arguments. Sums over wavelengths have a
+        # smaller range of κ and may still be possible.
         if 2.0 * math.pi * (kappas[1] - kappas[0]) * self._relief.scale_um > MOST_TERMS:
             return None
         size = SeriesSize.of(self._relief, kappas, self._truncation, powers=True)
         return size if size.count <= MOST_TERMS else None
 
     def _by_rings(self, sizes: RingSizes, size: SeriesSize) -> Colours:
-        """Return colours by a polar grid of the given size, and compute the Fourier coefficients that they require."""
+        """Compute the Fourier coefficients for a polar grid, and return the object that sums them to colours."""
         relief, falloff = self._relief, 4.0 * (math.pi * (self._coherence.sigma_um or 1.0)) ** 2
         grid = RingGrid(self._groups, sizes, falloff)
         block = grid.block(self._exponent, relief.shape, relief.size_um)
@@ -130,7 +135,7 @@ class PictureModel:
         return _WithZeroth(rings, self._sums_over_wavelengths(chosen), central, near, zeroth)
 
     def _by_wavelengths(self) -> Colours:
-        """Return colours by sums over wavelengths, and compute the Fourier coefficients that they require."""
+        """Compute the Fourier coefficients for all wavelengths, and return the object that sums them to colours."""
         sums = self._sums_over_wavelengths(self._groups)
         block = None
         for _, _, pairs, _, _ in sums.parts():
@@ -170,7 +175,7 @@ class PictureModel:
         self._coefficients = self._series.powers()
 
     def _near_mirror(self, group: LitPixels, falloff: float) -> NDArray[np.int64]:
-        """Return the indices of the samples at which the zeroth order is not negligible."""
+        """Return the indices of the samples near the mirror direction, at which the zeroth order is not negligible."""
         u, v, _ = group.scattering_vectors.T
         return np.flatnonzero(falloff * (u * u + v * v) * LOW**2 < self._exponent)
 

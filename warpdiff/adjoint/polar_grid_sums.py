@@ -34,11 +34,11 @@ if TYPE_CHECKING:
     from warpdiff.adjoint.gaussian_lobes import GaussianLobes
     from warpdiff.render.picture_samples import LitPixels
 
-# Distance of the samples of the spectrum along the radius, in standard deviations of its lobes. With this distance, a
-# sum of equal Gaussians varies by only 2 exp(−2π²/1.5²) = 3e-4.
+# Distance of the samples of the spectrum along the radius, in standard deviations of its lobes. Each lobe is the
+# Gaussian peak of one coefficient. At this distance, a sum of equal Gaussians varies by only 2 exp(−2π²/1.5²) = 3e-4.
 _SAMPLE_SPACING_SIGMAS = 1.5
-# Radius around the origin within which the spectrum counts as constant, in standard deviations of its lobes. A Gaussian
-# changes by at most (1/50)²/2 = 2e-4 within this radius.
+# Radius around the origin of the frequency plane within which the spectrum counts as constant, in standard deviations
+# of its lobes (Gaussian peaks). A Gaussian changes by at most 0.02²/2 = 2e-4 within this radius of its centre.
 _FLAT_WITHIN_SIGMAS = 0.02
 # Smallest number of azimuth samples of a ring. With this number, the four samples between which a value is interpolated
 # are different.
@@ -46,14 +46,14 @@ _FEWEST_AZIMUTHS = 16
 # The spectrum is sampled at the azimuths that directions use, and at this number of azimuths on both sides of them. At
 # this distance, a value changes the coefficient of a cubic spline by only 0.27^16 = 8e-10 of itself.
 _NEIGHBOURS = 16
-# Number of cosines at which the reflectance of a material is tabulated, for all whole nanometres. For metals, the error
-# of linear interpolation is at most 1e-5. The test of the colours of a grid finds larger errors.
+# Number of cosines of angles at which the reflectance of a material is tabulated, for each whole nanometre. For metals,
+# the error of linear interpolation is at most 1e-5. If the error is larger, the comparison of colours in `PictureModel`
+# rejects the grid.
 _ANGLES = 513
 # Longest and shortest visible wavelength [µm].
 _RED_UM, _BLUE_UM = 1e-3 * colorimetry.LAMBDA_MAX_NM, 1e-3 * colorimetry.LAMBDA_MIN_NM
-# Numbers of azimuths, of cells and of directions that a thread processes per launch. The numbers are limited because
-# the elements of one launch require different times, so that large slices would distribute the work unevenly over
-# threads.
+# Numbers of azimuths, of cells (orders) and of directions that a thread processes together. Some of them require much
+# more time than others. Larger numbers would therefore distribute the work unevenly over threads.
 _AZIMUTHS_OF_SLICE, _CELLS_OF_SLICE, _PIXELS_OF_SLICE = 64, 1024, 512
 
 
@@ -62,8 +62,9 @@ class RingSizes:
     """Size of a polar grid.
 
     Attributes:
-        rings_per_octave: Number of rings per octave of the radius.
-        azimuths_per_sigma: Number of azimuth samples per standard deviation of the lobes of the spectrum.
+        rings_per_octave: Number of rings per octave (factor of 2) of the radius.
+        azimuths_per_sigma: Number of azimuth samples per standard deviation of the lobes (Gaussian peaks) of the
+            spectrum.
     """
 
     rings_per_octave: int
@@ -76,7 +77,7 @@ class RingSizes:
 
 
 def kappa_margin(sizes: RingSizes) -> float:
-    """Return the factor by which κ at the outermost rings of a colour exceeds the visible range of κ, at both ends."""
+    """Return the factor by which the range of κ must be widened at both ends, for rings beyond visible wavelengths."""
     return math.exp(4.0 * sizes.step)
 
 
@@ -96,7 +97,7 @@ class RingGrid:
         Args:
             groups: Directions by illuminant.
             sizes: Size of the grid.
-            falloff: Factor a [µm²] of the weights exp(−a d²) of coefficients.
+            falloff: Factor a [µm²] of the weights exp(−a d²) of coefficients at the distance d [1/µm].
         """
         self.sizes, self._falloff, self._sigma = sizes, falloff, 1.0 / math.sqrt(2.0 * falloff)
         step = sizes.step
@@ -118,7 +119,10 @@ class RingGrid:
             self._mark(group, self.places(part))
 
     def radii_of(self, group: LitPixels) -> NDArray[np.float64]:
-        """Return |(u, v)| of the directions of a group, replaced by a limit near the mirror direction, (n,)."""
+        """Return |(u, v)| of the n directions of a group, shape (n,).
+
+        Near the mirror direction, |(u, v)| is replaced by a lower limit, because a ring cannot have the radius 0.
+        """
         least = _FLAT_WITHIN_SIGMAS * self._sigma * _BLUE_UM
         return np.asarray(np.maximum(np.hypot(*group.scattering_vectors[:, :2].T), least))
 
@@ -127,7 +131,7 @@ class RingGrid:
         return np.asarray((np.log(radii / _RED_UM) - self.log_first) / self.sizes.step)
 
     def _mark(self, group: LitPixels, places: NDArray[np.float64]) -> None:
-        """Mark the azimuths that the directions of a group use, and the neighbours that the cubic splines require."""
+        """Mark the azimuths that the directions of a group use, and the neighbours that the splines require."""
         first = np.ceil(places).astype(np.int64) - 2
         turns, count = turns_of(group), ring_count(self.sizes.rings_per_octave)
         for block, azimuths in enumerate(self.azimuths.tolist()):
@@ -143,7 +147,7 @@ class RingGrid:
 
     @property
     def groups(self) -> int:
-        """Number of groups of consecutive rings; one thread of a transposed sum processes one group."""
+        """Number of groups of consecutive rings; one thread sums the adjoints of the rings of one group."""
         return int(self._blocks * BLOCK_RINGS // TOGETHER)
 
     def _radii(self, block: int) -> NDArray[np.float64]:
@@ -156,7 +160,10 @@ class RingGrid:
         return np.asarray(2.0 * math.pi * np.arange(self.azimuths[block]) / self.azimuths[block])
 
     def block(self, exponent: float, shape: tuple[int, int], size_um: tuple[float, float]) -> Block:
-        """Return the smallest block of orders with all coefficients of the sums; an axis of one sample has order 0."""
+        """Return the smallest rectangle of orders that contains all coefficients of the sums.
+
+        Weights below e^−exponent are neglected. Along an axis with a single height sample, the only order is 0.
+        """
         reach = math.sqrt(exponent / self._falloff)
         low, high = np.full(2, np.inf), np.full(2, -np.inf)
         for block, is_used in enumerate(self._is_used):
@@ -171,7 +178,10 @@ class RingGrid:
         return Block((int(first[0]), int(first[1])), (int(counts[0]), int(counts[1])))
 
     def struct(self, excluded: int) -> polar_sums.RingBlocks:
-        """Return the grid as the struct of the kernels. ``excluded`` is the cell of a coefficient to omit, or −1."""
+        """Return the grid as the struct of the kernels.
+
+        ``excluded`` is the index, in the block of orders, of a coefficient to omit; −1 omits none.
+        """
         blocks = range(self._blocks)
         radii, angles = [self._radii(block) for block in blocks], np.concatenate([self._angles(b) for b in blocks])
         grid = polar_sums.RingBlocks()
@@ -201,7 +211,7 @@ class PolarGridSums:
             grid: Polar grid that was chosen for these directions.
             lobes: Block of orders, and the series of their coefficients.
             groups: Groups of directions by illuminant and material.
-            excluded: Cell of the block whose coefficient is omitted from the sums, or −1.
+            excluded: Index, in the block of orders, of a coefficient that is omitted from the sums, or −1.
         """
         self._lobes, self._rings, self._struct = lobes, grid, grid.struct(excluded)
         self._where = {"device": resolve_device(None), "threads": resolve_threads(None)}
@@ -226,8 +236,8 @@ class PolarGridSums:
             reflectances = self._reflectances(group.among(order), curves.shape[1])
             pixels.reflectances = wp.array(reflectances, dtype=wp.float64, device="cpu")
         pixels.least_kappa, pixels.places_per_kappa = low, 2.0 / (high - low)
-        # A direction uses consecutive rings. For each group of rings, the directions that use a ring of this group are
-        # searched.
+        # A direction uses consecutive rings, and the directions are sorted by their first rings. The directions that
+        # use any ring of a group of rings are therefore consecutive; `begins` and `ends` are their limits.
         first = np.ceil(places[order]).astype(np.int64) - 2
         groups = TOGETHER * np.arange(self._rings.groups)
         begins = np.searchsorted(first, groups - curves.shape[1] + 1)
@@ -274,7 +284,10 @@ class PolarGridSums:
         return result
 
     def spread(self, adjoints: list[NDArray[np.float64]], rows: NDArray[np.float64]) -> None:
-        """Add the adjoints of the powers to ``rows``, shape (size, k): the transpose of ``sums``."""
+        """Add the adjoints of the powers to ``rows``, shape (orders, k): the transpose of ``sums``.
+
+        ``adjoints`` has the derivatives of a loss with respect to XYZ of each group, shape (n, 3).
+        """
         values = np.zeros((self._rings.rows, rows.shape[1]))
         for placed, adjoint in zip(self._pixels, adjoints, strict=True):
             placed.pixels.adjoints = wp.array(adjoint[placed.order], dtype=wp.float64, device="cpu")

@@ -29,8 +29,9 @@ if TYPE_CHECKING:
     from warpdiff.adjoint.sites import Block, Sites
     from warpdiff.adjoint.surface_terms import SurfaceTerms
 
-# Columns of the results of ``derivatives``: derivatives of ⟨|P|²⟩ with respect to the components of q, the elements of
-# the symmetric matrix M, |κ|, and the lengths of the patch. The last column is ⟨|P|²⟩ itself.
+# Columns of the results of ``derivatives``: derivatives of ⟨|P|²⟩ with respect to the components of the frequency q,
+# the elements of the matrix M of the Gaussian weights, |κ|, and the lengths of the patch. The last column is ⟨|P|²⟩
+# itself.
 Q_X, Q_Y, M_XX, M_XY, M_YY, KAPPA, L_X, L_Y, VALUE = range(9)
 
 # Index of the column with the sum itself in the result of ``GaussianLobes.derivatives``.
@@ -38,7 +39,7 @@ _SUM = lobe_sums.DERIVATIVES - 1
 
 
 class TangentSums(Protocol):
-    """Function that computes the change of ⟨|P|²⟩ of pairs, for one change of the surface."""
+    """Function that computes the changes of ⟨|P|²⟩ of pairs (direction, wavelength), for one change of the surface."""
 
     def __call__(self, pairs: Pairs) -> NDArray[np.float64]:
         """Return the change of ⟨|P|²⟩ of each of the p pairs, shape (p,)."""
@@ -46,7 +47,7 @@ class TangentSums(Protocol):
 
 
 class PowerSums(Protocol):
-    """Diffracted power ⟨|P|²⟩ of a surface, for one coherence of the light."""
+    """Object that computes the diffracted power ⟨|P|²⟩ of a surface, for one coherence of the light."""
 
     def sums(self, pairs: Pairs) -> NDArray[np.float64]:
         """Return ⟨|P|²⟩ of each of the p pairs, shape (p,)."""
@@ -57,7 +58,10 @@ class PowerSums(Protocol):
         ...
 
     def adjoint(self, parts: Iterable[tuple[Pairs, NDArray[np.float64]]]) -> NDArray[np.float64]:
-        """Return the adjoint of the surface. ``parts`` has groups of pairs, each with the adjoints of their ⟨|P|²⟩."""
+        """Return the adjoint of the surface (the derivative of a loss by its heights or vertices).
+
+        ``parts`` has groups of pairs, each with the adjoints of their ⟨|P|²⟩.
+        """
         ...
 
     def tangent(self, change: NDArray[np.float64]) -> TangentSums:
@@ -66,7 +70,11 @@ class PowerSums(Protocol):
 
 
 class LobeSums:
-    """Sums with Gaussian weights: of powers for averaged windows and light sources, of amplitudes for centred ones."""
+    """⟨|P|²⟩ from Fourier coefficients with Gaussian weights, for one coherence of the light.
+
+    For averaged coherence windows and light sources, powers are summed. For centred windows, amplitudes are summed, and
+    the sum is squared.
+    """
 
     def __init__(
         self, terms: SurfaceTerms, rows: CoefficientRows, block: Block, sites: Sites,
@@ -79,11 +87,12 @@ class LobeSums:
             terms: Fourier coefficients of the surface.
             rows: Chebyshev series, which are computed here. They are series of powers or of amplitudes.
             block: Rectangle of orders that have coefficients.
-            sites: Indices of the series of the orders of the block.
+            sites: Frequencies that have a series, and for each order of the block the index of its series.
             size_um: Size of the patch (y, x) [µm].
             exponent: Coefficients with weights below e^−exponent are neglected.
             centre: Centre of the coherence window (y, x), relative to the size of the patch; only for amplitudes.
-            moving_um: Coordinates (y, x) of the centre [µm] that do not change if the size of the patch changes.
+            moving_um: Coordinates (y, x) of the centre [µm] if the caller has fixed them. (0, 0) states that the centre
+                moves in proportion to the size of the patch.
         """
         self._terms, self._rows, self._block, self._sites = terms, rows, block, sites
         self._size_um, self._moving_um = size_um, moving_um
@@ -109,8 +118,8 @@ class LobeSums:
         if self._rows.powers:
             return slopes[0][:, [*range(VALUE), _SUM]]
         slope = slopes[0] + 1j * slopes[1]
-        # The coefficient of order r has the phase −2πrc/L, where c is the centre of the coherence window and L is the
-        # length of the patch. If c is constant, this phase also changes with L.
+        # The centre c of the coherence window adds the phase −2πrc/L to the coefficient of order r, for a patch of the
+        # length L. If c is fixed, this phase changes with L, and the derivative by L has a further term.
         for column, along, axis in ((L_X, 8, 1), (L_Y, 9, 0)):
             slope[:, column] += 2j * np.pi * self._moving_um[axis] / self._size_um[axis] ** 2 * slope[:, along]
         amplitude = slope[:, _SUM]
@@ -119,7 +128,10 @@ class LobeSums:
 
     @single_threaded_blas()
     def adjoint(self, parts: Iterable[tuple[Pairs, NDArray[np.float64]]]) -> NDArray[np.float64]:
-        """Return the adjoint of the surface. ``parts`` has groups of pairs, each with the adjoints of their ⟨|P|²⟩."""
+        """Return the adjoint of the surface (the derivative of a loss by its heights or vertices).
+
+        ``parts`` has groups of pairs, each with the adjoints of their ⟨|P|²⟩.
+        """
         blocks = [np.zeros((self._block.size, self._rows.terms)) for _ in self._rows.rows]
         for pairs, adjoints in parts:
             factors = [adjoints]
@@ -154,7 +166,7 @@ class LobeSums:
         return [self._lobes.sums(pairs, row) for row in rows]
 
     def _shifted(self, rows: Rows) -> Rows:
-        """Return the amplitudes of all orders of the block, with the phases that the window's centre causes."""
+        """Return the amplitudes of all orders of the block, with the phases that the centre of the window causes."""
         return _parts_of((rows[0][self._sites.places] + 1j * rows[1][self._sites.places]) * self._phases)
 
 

@@ -37,9 +37,9 @@ def geometry(
 ) -> tuple[Jet, Jet]:
     """Return C·M, and cos θd, for pairs of unit vectors above the horizon; see ``reflectance_factors.gain``.
 
-    Both results are jets of six variables: the components of the direction to the light, and then those of the
-    direction to the viewer. Their derivatives do not assume that the directions remain unit vectors. The caller must
-    therefore project them onto the sphere.
+    Both results are jets: values with their derivatives by six variables. The variables are the components of the
+    direction to the light, and then those of the direction to the viewer. The derivatives do not assume that the
+    directions remain unit vectors. The caller must therefore project the derivatives onto the sphere.
 
     Args:
         lights: Directions to the light, shape (n, 3).
@@ -64,7 +64,10 @@ def geometry(
 
 
 def kinks(lights: NDArray[np.float64], views: NDArray[np.float64]) -> int:
-    """Return the number of pairs at a kink of M: cosines of light and viewer are equal and M < 1, or M is just 1."""
+    """Return the number of pairs of directions at which the derivative of the masking M jumps.
+
+    This happens if the cosines of light and viewer are equal and M < 1, or if M reaches its limit of 1.
+    """
     overlap = 0.5 * np.sum((lights + views) ** 2, axis=1)
     total, smaller = lights[:, 2] + views[:, 2], np.minimum(lights[:, 2], views[:, 2])
     masking = 2.0 * total * smaller / np.maximum(overlap, TINY)
@@ -73,12 +76,15 @@ def kinks(lights: NDArray[np.float64], views: NDArray[np.float64]) -> int:
 
 
 def index_of(ior: float | None) -> float:
-    """Return the index of refraction of a surface without a material."""
+    """Return the index of refraction of a surface without a material; None is the default of 1.5."""
     return DEFAULT_IOR if ior is None else float(ior)
 
 
 def schlick(cosines: NDArray[np.float64], ior: float, *, relative: bool) -> Jet:
-    """Return Schlick's reflectance, divided by R(0) if ``relative``, as a jet of the variables ``IOR_VARIABLES``."""
+    """Return Schlick's reflectance as a jet: values with their derivatives by the variables ``IOR_VARIABLES``.
+
+    With ``relative``, the reflectance is divided by that at normal incidence.
+    """
     if ior == math.inf:
         return Jet(np.ones_like(cosines), np.zeros((2, *cosines.shape)))
     cosine, index = Jet.variables(cosines, np.full_like(cosines, ior))
@@ -88,7 +94,7 @@ def schlick(cosines: NDArray[np.float64], ior: float, *, relative: bool) -> Jet:
 
 
 def fresnel(cosines: NDArray[np.float64], material: Material, wavelengths_nm: NDArray[np.float64]) -> Jet:
-    """Return the unpolarised reflectance of a material as a jet of the variables ``MATERIAL_VARIABLES``.
+    """Return the unpolarised reflectance of a material as a jet, with derivatives by ``MATERIAL_VARIABLES``.
 
     n and k are those of the material below the film, if there is a film. They change linearly between the wavelengths
     of the material's table.
@@ -128,7 +134,7 @@ def fresnel(cosines: NDArray[np.float64], material: Material, wavelengths_nm: ND
 
 
 def _dispersion(material: Material, wavelength: Jet) -> Jet:
-    """Return a jet of the value 0, whose derivatives are those of n + ik with respect to the wavelength."""
+    """Return the derivatives of n + ik through the wavelength, as a jet of the value 0 that is added to n + ik."""
     table = np.asarray(material.wavelengths_nm)
     index = np.asarray(material.n) + 1j * np.asarray(material.k)
     if len(table) == 1:

@@ -33,7 +33,7 @@ class Block:
         return self.shape[0] * self.shape[1]
 
     def joined(self, other: Block) -> Block:
-        """Return the smallest block that contains both."""
+        """Return the smallest block that contains this block and another block."""
         first = np.minimum(self.first, other.first)
         beyond = np.maximum(np.add(self.first, self.shape), np.add(other.first, other.shape))
         return Block((int(first[0]), int(first[1])), (int(beyond[0] - first[0]), int(beyond[1] - first[1])))
@@ -45,7 +45,7 @@ class Block:
 
 
 class Sites:
-    """Distinct Fourier coefficients of real arrays. Their frequencies lie in half of the frequency plane.
+    """Frequencies of the distinct Fourier coefficients of real arrays; they lie in half of the frequency plane.
 
     The coefficient of a real array at (−s, −r) is the complex conjugate of the coefficient at (s, r), and coefficients
     are periodic in s and r. The coefficient of any order is therefore that of a site, or the complex conjugate of it.
@@ -68,7 +68,7 @@ class Sites:
         self.count = len(flat)
         self.places = (index + self.count * is_opposite).astype(np.int32)
         self.are_distinct = bool(np.bincount(self.places, minlength=1).max() <= 1)
-        # Only the columns from 0 to the largest column of a site are transformed along y.
+        # Only the columns from 0 to the largest column of a site are transformed along y, to save time.
         self._columns = int(column.max()) + 1
         self._flat = flat
 
@@ -78,7 +78,7 @@ class Sites:
         return np.asarray(self._flat // self._shape[0])
 
     def transform(self, values: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """Return the inverse Fourier transform (ifft2) of a real array (ny, nx) at the p sites, shape (p,)."""
+        """Return the inverse Fourier transform (ifft2) of a real array (ny, nx) at the p sites (frequencies), (p,)."""
         half = np.ascontiguousarray(np.fft.rfft(values, axis=1)[:, : self._columns].T)
         return np.asarray(np.conj(np.fft.fft(half, axis=1).ravel()[self._flat]) / values.size)
 

@@ -108,7 +108,10 @@ class SpectralCall:
         )  # fmt: skip
 
     def evaluate(self, wavelengths_nm: NDArray[np.float64], weights: NDArray[np.float64] | None = None) -> Linearised:
-        """Return ρ at m wavelengths, (n, m), or ρ @ ``weights`` for weights of shape (m, 3), with derivatives."""
+        """Return ρ of n pairs of directions at m wavelengths, shape (n, m), with derivatives.
+
+        With weights of shape (m, 3), the value is ρ @ ``weights``, which are colours.
+        """
         above = self._above
         illumination = Illumination(
             self._lights[above], self._views[above], wavelengths_nm, self._coherence, self._ior, self._material,
@@ -190,7 +193,8 @@ class SpectralCall:
     def _centre(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return the centre of a coherence window relative to the size of the patch, and its fixed coordinates [µm].
 
-        A centre that the caller states in µm is fixed. The default centre moves if the size of the patch changes.
+        A centre that the caller states in µm is fixed. The default centre moves if the size of the patch changes; its
+        fixed coordinates are (0, 0).
         """
         ny, nx = self._relief.shape
         if self._coherence.centre_um is None:

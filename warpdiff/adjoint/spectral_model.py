@@ -38,13 +38,14 @@ PAIRS_TOGETHER = 1 << 18
 # Largest number of pairs whose derivatives are stored after the value has been computed. The value is limited by
 # memory: a pair requires 72 bytes.
 MOST_KEPT = 1 << 23
-# Names of the variables that are the surface itself. Their adjoint and tangent are computed for all pairs in one step.
+# Names of the variables that are the surface itself: heights of a height field, or vertices of an outline (polygon).
+# Their adjoint and tangent are computed for all pairs in one step.
 SURFACE = ("heights_um", "vertices")
 
 
 @dataclass(frozen=True)
 class Illumination:
-    """Pairs of directions above the horizon, wavelengths, and optical settings of a call.
+    """Pairs of directions to light and viewer above the horizon, wavelengths, and optical settings of a call.
 
     Attributes:
         lights: Unit vectors to the light, shape (n, 3).
@@ -80,7 +81,8 @@ class Illumination:
     def shapes(self, part: slice) -> NDArray[np.float64]:
         """Return the elements Q_xx, Q_xy and Q_yy of the matrix Q of the weights for each direction, shape (n, 3).
 
-        For a source, the foreshortening of the source determines Q.
+        For a light source of finite size, its foreshortening on the surface determines Q. For a coherence window, Q is
+        the unit matrix.
         """
         if self.coherence.kind != "source":
             return np.tile([1.0, 0.0, 1.0], (len(self.lights[part]), 1))
@@ -88,7 +90,10 @@ class Illumination:
         return np.stack([1.0 + x * x, x * y, 1.0 + y * y], axis=1)
 
     def parts(self) -> Iterator[slice]:
-        """Yield slices of the directions, which have at most ``PAIRS_TOGETHER`` pairs each, or a single direction."""
+        """Yield slices of the directions that have at most ``PAIRS_TOGETHER`` pairs of a direction and a wavelength.
+
+        A slice has at least one direction.
+        """
         size = max(PAIRS_TOGETHER // len(self.wavelengths_nm), 1)
         for first in range(0, len(self.lights), size):
             yield slice(first, min(first + size, len(self.lights)))
@@ -101,14 +106,17 @@ class Illumination:
         return Pairs(centres.reshape(-1, 2), forms.reshape(-1, 3), np.outer(half[:, 2], per_um).ravel())
 
     def gains(self, part: slice) -> tuple[Jet, Jet]:
-        """Return g and cos θd of the directions ``part``, as jets of the components of both directions."""
+        """Return g and cos θd of the directions ``part``, with derivatives by the components of both directions."""
         return reflection.geometry(
             self.lights[part], self.views[part], masking=self.masking,
             per_light_cosine=self.coherence.kind == "source",
         )  # fmt: skip
 
     def reflectances(self, cosines: NDArray[np.float64]) -> Jet:
-        """Return R at n values of cos θd as a jet, shape (n, m) for m wavelengths, or (n, 1) without a material."""
+        """Return R and its derivatives at n values of cos θd, shape (n, m) for m wavelengths.
+
+        Without a material, R does not depend on the wavelength, and the shape is (n, 1).
+        """
         if self.material is None:
             return reflection.schlick(cosines[:, None], self.ior, relative=True)
         grid = np.repeat(cosines[:, None], len(self.wavelengths_nm), axis=1)
@@ -123,18 +131,20 @@ class SpectralModel:
 
         Args:
             illumination: Directions, wavelengths and optics.
-            sums: Function object that computes ⟨|P|²⟩ of the surface.
+            sums: Object that computes ⟨|P|²⟩ of the surface.
             samples: Numbers of samples (y, x). The size of the surface is the pitch times these numbers.
         """
         self._illumination, self._sums, self._samples = illumination, sums, samples
-        # Stored sums and derivatives of the pairs, by the first direction of a part of the directions; see `value`.
+        # Stored sums ⟨|P|²⟩ and their derivatives. The directions are processed in parts. A key is the index of the
+        # first direction of a part.
         self._columns: dict[int, NDArray[np.float64]] = {}
 
     def value(self, *, with_slopes: bool) -> NDArray[np.float64]:
         """Return ρ of the n pairs of directions at the m wavelengths, shape (n, m).
 
         ``with_slopes`` states whether derivatives with respect to numbers or directions will be requested later. The
-        sums and their derivatives are then computed together, and are stored for the first ``MOST_KEPT`` pairs.
+        sums ⟨|P|²⟩ and their derivatives are then computed together, and are stored for the first ``MOST_KEPT`` pairs
+        of a direction and a wavelength.
         """
         illumination = self._illumination
         result = np.empty((len(illumination.lights), len(illumination.wavelengths_nm)))
@@ -244,12 +254,15 @@ class SpectralModel:
         return reflection.IOR_VARIABLES if material is None else reflection.MATERIAL_VARIABLES
 
     def _along(self, slopes: NDArray[np.float64], shapes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the change of ρ, shape (n, m), for a change ``shapes`` of the elements of Q, shape (n, 3)."""
+        """Return the change of ρ, (n, m), for a change ``shapes`` of the matrix Q of the Gaussian weights, (n, 3)."""
         by_form = slopes[[M_XX, M_XY, M_YY]]
         return np.asarray(np.einsum("pnm,np->nm", by_form, shapes) * self._illumination.falloffs)
 
     def _through_source(self, part: slice, slopes: NDArray[np.float64]) -> NDArray[np.float64] | float:
-        """Return the derivatives of ρ by the direction to the light through the foreshortening of a source in Q."""
+        """Return the part of the derivatives of ρ by the direction to the light that the matrix Q causes.
+
+        Q describes the foreshortening of a source, which changes with the direction. Without a source, the part is 0.
+        """
         if self._illumination.coherence.kind != "source":
             return 0.0
         light = self._illumination.lights[part]

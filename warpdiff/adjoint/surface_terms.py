@@ -24,7 +24,10 @@ class SurfaceTerms(Protocol):
     """Fourier coefficients of a surface at p sites (frequencies) and k values of |κ|, with adjoint and tangent."""
 
     def at(self, part: slice) -> tuple[Complex, Complex]:
-        """Return H at the sites ``part``, and the complex conjugates of H at their opposites, shapes (k, p) each."""
+        """Return coefficients H at p frequencies, and the conjugates of H at the negative frequencies, (k, p) each.
+
+        k is the number of values of |κ|. ``part`` selects the frequencies.
+        """
         ...
 
     def tangent(self, change: NDArray[np.float64]) -> Amplitudes:

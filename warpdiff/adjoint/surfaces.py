@@ -29,7 +29,7 @@ _SITES_TOGETHER = 8192
 
 @dataclass(frozen=True)
 class _Lattice:
-    """Shape and size of one period of an outline, as the protocol ``Periodic`` requires them."""
+    """Shape and size of one period of an outline, with the attributes of the protocol ``Periodic``."""
 
     shape: tuple[int, int]
     size_um: tuple[float, float]

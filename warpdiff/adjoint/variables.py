@@ -52,7 +52,8 @@ _WITHOUT = {
     "missing": "missing samples have no height",
     "masking": "masking is on or off",
 }
-# Arguments of the functions without derivatives that the functions of this package refuse, with the reason.
+# Arguments of the ordinary functions, such as `warpdiff.reflectance`, for which the functions with derivatives raise an
+# error, with the reason.
 _ARGUMENTS = {
     "method": "adjoints have one method of their own; use truncation",
     "integration": "adjoints integrate over sampled wavelengths; use truncation",
@@ -63,7 +64,7 @@ _ARGUMENTS = {
 
 
 def differentiable(function: Function) -> Function:
-    """Decorate a function: arguments without a derivative are refused, others are checked by annotations."""
+    """Decorate a function so that it checks arguments; arguments in ``_ARGUMENTS`` raise an error with the reason."""
     inner, name = checked(function), function.__name__
 
     @functools.wraps(function)

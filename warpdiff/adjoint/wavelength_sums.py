@@ -40,11 +40,12 @@ LOW, HIGH = 1e3 / colorimetry.LAMBDA_MAX_NM, 1e3 / colorimetry.LAMBDA_MIN_NM
 
 
 class WavelengthSums:
-    """Colours of directions as sums over sampled wavelengths, with Gaussian lobes that pixel footprints widen.
+    """Colours of directions as sums over sampled wavelengths, with Gaussian weights (lobes) of coefficients.
 
-    Directions with similar |(u, v)| use the same wavelengths, whose number is determined by the truncation error. For a
-    light less than 2° above the horizon, the number of wavelengths is that for 2°. One warning states how many
-    directions require more wavelengths than ``MOST_WAVELENGTHS``.
+    Footprints widen the lobes; a footprint is the change of (u, v) over a pixel. The truncation error determines the
+    number of wavelengths; directions with similar numbers use the same wavelengths. For a light less than 2° above the
+    horizon, the number of wavelengths is that for 2°. One warning states how many directions require more wavelengths
+    than ``MOST_WAVELENGTHS``.
     """
 
     def __init__(
@@ -95,7 +96,11 @@ class WavelengthSums:
         return sum(len(chosen) * count for classes in self._classes for chosen, count in classes)
 
     def parts(self) -> Iterator[tuple[int, NDArray[np.int64], Pairs, NDArray[np.float64], NDArray[np.float64]]]:
-        """Yield the pairs in parts: index of the group, directions, pairs, factors (n, m) and weights of XYZ (m, 3)."""
+        """Yield the pairs of n directions and m wavelengths, in parts that fit into memory.
+
+        Each item is the index of the group, the indices of the directions, the pairs, factors of the sums, shape
+        (n, m), and the weights that sum them to XYZ, shape (m, 3).
+        """
         for index, (group, classes) in enumerate(zip(self._groups, self._classes, strict=True)):
             for chosen, count in classes:
                 wavenumbers, weights = colorimetry.uniform_quadrature(
@@ -108,7 +113,10 @@ class WavelengthSums:
                     yield index, part, pairs, factors, weights
 
     def colours(self, sums: Callable[[Pairs], NDArray[np.float64]]) -> list[NDArray[np.float64]]:
-        """Return XYZ of the directions of each group, shape (n, 3). ``sums`` computes powers of pairs under lobes."""
+        """Return XYZ of the directions of each group, shape (n, 3).
+
+        ``sums`` is a function of pairs that computes the sum of the weighted powers of each pair.
+        """
         result = [np.zeros((len(group.gains), 3)) for group in self._groups]
         for index, part, pairs, factors, weights in self.parts():
             result[index][part] = (sums(pairs).reshape(factors.shape) * factors) @ weights
@@ -131,8 +139,8 @@ class WavelengthSums:
         if group.footprints is not None:
             of_uv += group.footprints
         if self._is_source:
-            # A source of the spread s has the covariance s² (I − t tᵀ), where t is the (x, y) of the direction to the
-            # light.
+            # A source of finite size has the covariance s² (I − t tᵀ) of (u, v). s is its radius over √2 [radians], and
+            # t is the vector of the x and y components of the direction to the light.
             x, y = group.to_lights[:, 0], group.to_lights[:, 1]
             longest = np.minimum(1.0, math.sqrt(1.0 - lowest**2) / np.maximum(np.hypot(x, y), TINY))
             x, y = longest * x, longest * y
@@ -142,12 +150,14 @@ class WavelengthSums:
         return of_q, of_uv
 
     def _rates(self, group: LitPixels, height_range_um: float) -> NDArray[np.float64]:
-        """Return angular frequencies of the directions' spectra over 1/λ, or over ln λ for a light source."""
+        """Return the largest angular frequency of each direction's spectrum over 1/λ, or over ln λ for a source."""
         u, v, w = group.scattering_vectors.T
-        # Near the horizon, the extent of a source is foreshortened to 0, and the frequency would become infinite.
+        # For a light near the horizon, the source is foreshortened to 0, and the result would become infinite. The
+        # limit `LOWEST` prevents this.
         of_q, of_uv = self._variances(group, LOWEST)
         phase = -2.0 * math.pi * w * height_range_um
-        # At the longest wavelength, the variances in q are smallest, and the oscillation of the spectrum is fastest.
+        # At the longest wavelength, the variance of q = (u, v)/λ is smallest. The diffraction orders are then
+        # narrowest, and the spectrum oscillates fastest.
         xx, xy, yy = (of_q / LOW**2 + of_uv).T
         crossing = np.sqrt((yy * u * u - 2.0 * xy * u * v + xx * v * v) / (xx * yy - xy * xy))
         if self._is_source:
@@ -155,7 +165,7 @@ class WavelengthSums:
         return np.asarray(phase + OF_GAUSSIAN * crossing / LOW)
 
     def _pairs(self, group: LitPixels, wavenumbers: NDArray[np.float64]) -> tuple[Pairs, NDArray[np.float64]]:
-        """Return the pairs of the directions with all wavelengths, and the factors of their sums, shape (n, m)."""
+        """Return the pairs of n directions with m wavelengths, and the factors of the sums of these pairs, (n, m)."""
         vectors = group.scattering_vectors
         of_q, of_uv = self._variances(group)
         xx, xy, yy = np.moveaxis(of_q[:, None] + of_uv[:, None] * wavenumbers[:, None] ** 2, 2, 0)

@@ -49,12 +49,12 @@ _FEWEST_STEPS = 64
 # Largest truncation error of the Jacobi-Anger series to which other bases are fitted. The value was chosen as about the
 # rounding error of float32.
 _SERIES_TOLERANCE = 1e-7
-# Truncation error below which a fitted basis gets no further terms. The value was chosen as about the rounding error of
-# float32.
+# Truncation error below which no further functions are added to a fitted basis (the functions of κ = w/λ that all
+# coefficients share). The value was chosen as about the rounding error of float32.
 _LEAST_TRUNCATION_ERROR = 1e-7
-# In the fit of a basis, this number of the largest Fourier coefficients has a special weight: their total weight equals
-# that of all coefficients together. Without this weight, the specular reflection, which is only one of a million
-# coefficients, would hardly affect the fit.
+# In the fit of a basis (functions of κ = w/λ), this number of the largest Fourier coefficients has a special weight:
+# their total weight equals that of all coefficients together. Without this weight, the specular reflection, which is
+# only one of a million coefficients, would hardly affect the fit.
 _STRONGEST_ROWS = 64
 # Number of Fourier coefficients of a height field on which the truncation error of a fitted basis is measured.
 _SAMPLED_ROWS = 20_000
@@ -127,13 +127,16 @@ class Coefficients:
         return places, powers.ravel()[places].astype(np.float64)
 
     def terms_within(self, tolerance: float) -> int:
-        """Return the smallest number of basis functions whose truncation error is within a tolerance; at most all."""
+        """Return the smallest number of basis functions with a truncation error within a tolerance.
+
+        If no number suffices, return the number of all basis functions.
+        """
         enough = np.flatnonzero(self.truncation_errors <= tolerance)
         return max(1, int(enough[0])) if enough.size else self.terms
 
 
 def holds_powers(method: str, *, adds_powers: bool) -> bool:
-    """Whether the rows of a method expand powers |H|² of Fourier coefficients. Otherwise they expand amplitudes H."""
+    """Whether the rows (weights of basis functions) of a method expand powers |H|², and not amplitudes H."""
     return method == "power" or (method == "low-rank" and adds_powers)
 
 

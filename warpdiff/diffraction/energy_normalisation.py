@@ -46,8 +46,8 @@ MOST_EXACT = 600
 # Number of elevations and of azimuths of the grid of directions, on which energy factors are computed and between which
 # they are interpolated. A finer grid has smaller errors and requires more time.
 _ELEVATIONS, _AZIMUTHS = 16, 16
-# Width of the bins in which the powers of neighbouring orders are summed, to save time [units of (u, v)]. The value is
-# about the distance between two nodes of the grid of directions.
+# Width of the bins in which the powers of neighbouring orders are summed, to save time [units of (u, v), the tangential
+# components of ωi + ωr]. The value is about the distance between two nodes of the grid of directions.
 _BIN = 0.08
 # Number of sweeps of Sinkhorn's iteration before Newton's method starts. Sweeps always converge towards the balanced
 # factors. Newton's method is faster, but must start near the solution. Measurements show that Newton's method needs one
@@ -55,13 +55,13 @@ _BIN = 0.08
 # order. If the number was doubled, only computing time would be lost.
 _SWEEPS = 20
 # Largest number of steps of Newton's method. If the method has not converged after this number of steps, it never
-# converges, because the prescribed sums contradict the zeros of the matrix.
+# converges: too many elements of the matrix are 0, so that no factors give the prescribed sums.
 _MOST_STEPS = 60
 # The factors count as converged if no sum over orders deviates from its prescribed value by more than this number,
 # relative to the value. The number is about the rounding error of a sum over `MOST_EXACT` orders.
 _CONVERGED = 2e-13
-# Largest change of the logarithm of a factor in one step of Newton's method. The value was chosen because the quadratic
-# model of a step is not valid for larger changes.
+# Largest change of the logarithm of a factor in one step of Newton's method. The value was chosen because the linear
+# equations of a step are not a good approximation for larger changes.
 _LONGEST_STEP = 1.0
 # Number that is added to the diagonal of Newton's equations, relative to the largest element of the diagonal. Without
 # it, the equations would have no unique solution: in each group of orders that exchange no power with other orders, all
@@ -105,7 +105,7 @@ _LEAST_SUM = 1e-12
 
 
 class Powers:
-    """Powers |H_q(κ)|² of a height field, summed over bins of neighbouring orders, with fast interpolation over |κ|.
+    """Powers |H_q(κ)|² of the orders of a height field, added in bins of neighbouring orders, for any |κ| = |w|/λ.
 
     Attributes:
         frequencies: Centres of the bins of orders, (u, v)/λ [1/µm], shape (p, 2).
@@ -187,7 +187,7 @@ def stam(
 
 @dataclass(frozen=True)
 class EnergyFactors:
-    """Energy factor a as a function of direction and wavelength, on a grid.
+    """Energy factor a, by which efficiencies are multiplied, as a function of direction and wavelength, on a grid.
 
     Attributes:
         wavelengths_nm: Wavelengths [nm], increasing, shape (k,).
@@ -413,8 +413,8 @@ def balance_response(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the changes x, y of the logarithms of the factors that change the sums of a balanced matrix P.
 
-    They solve diag(P1) x + P y = ``rows`` and Pᵀ x + diag(Pᵀ1) y = ``columns``. The matrix of these equations is
-    symmetric, so that the function also serves as its own adjoint.
+    They solve diag(P1) x + P y = ``rows`` and Pᵀ x + diag(Pᵀ1) y = ``columns``, where 1 is a vector of ones. The matrix
+    of these equations is symmetric, so that the function is also its own transpose, which derivatives require.
 
     Args:
         shares: Balanced matrix P, shape (n, m).
@@ -460,7 +460,7 @@ def _balanced(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 def sums_from(
     factors: EnergyFactors, powers: Powers, lights: NDArray[np.float64], wavelength_nm: float
 ) -> NDArray[np.float64]:
-    """Return the sum of K a(ωr) over all orders of each light, shape (n,).
+    """Return the sum of K a(ωr) over all orders of each light, shape (n,). K is the efficiency, a the energy factor.
 
     ``powers`` must have a separate bin for each order.
     """

@@ -44,7 +44,7 @@ class Grid:
     Attributes:
         shape: Number of distinct frequencies (ny, nx).
         lengths_um: Inverse of the distance of neighbouring frequencies along (y, x) [µm]. This is the size of the
-            patch, or twice the size if half orders are included.
+            patch, or twice the size if the grid includes frequencies halfway between the orders.
         taper: Factors by which the rows and columns of the samples of exp(2πiκh), with κ = w/λ, are multiplied before
             the Fourier transform, shapes (hy,) and (hx,). The origin of x and y is then the middle sample. None means
             no factors; the origin is then the first sample.
@@ -101,7 +101,7 @@ class Block:
 
     @classmethod
     def covering(cls, grid: Grid, frequency: float, neighbour_extent: tuple[int, int]) -> Block:
-        """Return the block of all frequencies up to ``frequency`` [1/µm] and of ``neighbour_extent`` more frequencies.
+        """Return the block of all frequencies up to ``frequency`` [1/µm], and ``neighbour_extent`` more on each side.
 
         If the grid has fewer frequencies, the block contains all of them, and look-ups repeat the coefficients
         periodically.

@@ -1,4 +1,4 @@
-"""Gridding kernel: Kaiser-Bessel interpolation of the spectrum of a patch between half orders.
+"""Gridding kernel: Kaiser-Bessel interpolation of the spectrum of a patch between the frequencies of a grid.
 
 The spectrum of a patch is a smooth function of frequency, because the patch has a finite length. First, the samples of
 exp(2πiκh) at the heights h are divided by the Fourier transform of the kernel. Then the spectrum is computed at twice

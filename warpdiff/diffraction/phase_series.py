@@ -37,7 +37,8 @@ _LARGEST_EXPONENT = 700.0
 def check_cycles(heightfield: HeightField, kappa: float) -> None:
     """Raise an error for a height range far beyond what ``MAX_TERMS`` terms can expand, for |κ| up to ``kappa``.
 
-    κ is w/λ, and the unit of ``kappa`` is 1/µm. The direct sum has no such limit.
+    κ is w/λ, and the unit of ``kappa`` is 1/µm. The direct sum (``method="direct"``) uses no series and has no such
+    limit.
     """
     cycles = kappa * heightfield.height_range_um
     if cycles > _MOST_CYCLES:
@@ -79,7 +80,10 @@ class Expansion:
 
     @functools.lru_cache(maxsize=256)  # noqa: B019 (expansions are few and live as long as the module)
     def term_count(self, argument: float, tolerance: float) -> int:
-        """Return the number of terms, at most ``MAX_TERMS``, with which the error at ``argument`` is small enough."""
+        """Return the number of terms with which the truncation error is at most ``tolerance``, up to ``MAX_TERMS``.
+
+        ``argument`` is the largest |x| of the series.
+        """
         terms = 1
         while terms < MAX_TERMS and self.remainder(argument, terms) > tolerance:
             terms += 1

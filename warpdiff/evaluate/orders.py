@@ -252,7 +252,7 @@ def order_efficiencies(
 
 
 class Periodic(Protocol):
-    """Properties of a surface on which the directions of its orders depend."""
+    """Periodic surface, with the properties from which ``propagating`` computes the directions of its orders."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -271,9 +271,9 @@ class Periodic(Protocol):
 
 
 def energy_or_default(energy: Energy | None, normal: float, material: Material | None) -> Energy:
-    """Return the energy of orders; None is replaced by ``"normalised"`` for an opaque surface, else by ``"stam"``.
+    """Return the option ``energy``; None is replaced by ``"normalised"`` for an opaque surface, else by ``"stam"``.
 
-    A surface is opaque if its material is, or, without a material, if ``normal``, R(0) of Schlick's formula, is 1.
+    Without a material, a surface is opaque if ``normal``, its reflectance at normal incidence, is 1.
     """
     if energy is not None:
         return energy

@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     from warpdiff.request.keywords import BrdfKeywords, EvaluationKeywords, PlannedKeywords, SpectralKeywords
     from warpdiff.request.plan import Plan
 
-# The direct method halves the step between wavelengths until XYZ has converged: the change of XYZ, relative to XYZ, is
-# at most this share of the tolerance.
+# The direct method (sums over all height samples) halves the step between wavelengths until XYZ has converged. This
+# means that the change of XYZ, relative to XYZ, is at most this share of the tolerance.
 _DIRECT_SETTLED = 0.05
 # Maximum number of wavelengths of the direct method. The value is limited by computing time, which is proportional to
 # it; one direction with so many wavelengths requires several seconds.
@@ -294,7 +294,10 @@ def brdf(
 
 
 class _Call:
-    """Pairs of a light and a view direction of one call, with geometry factors (gains) and the plan for all pairs."""
+    """Pairs of a light and a view direction of one call, with geometry factors (gains) and one plan for all pairs.
+
+    The plan holds the numbers of the computation, such as the number of wavelengths.
+    """
 
     def __init__(self, request: Evaluation, to_light: ArrayLike, to_view: ArrayLike) -> None:
         self._lights, self._views, self._is_single = validation.light_and_view(to_light, to_view)
@@ -371,8 +374,8 @@ def direct_colour(
 ) -> NDArray[np.float64]:  # fmt: skip
     """Return XYZ by the direct sum over height samples; the number of wavelengths increases until XYZ converges.
 
-    The first number of wavelengths is taken from the upper-bound plan. It is so large that no diffraction order falls
-    between two wavelengths. The step in 1/λ is then halved repeatedly.
+    The first number of wavelengths is that of ``plan``, which suffices for any surface with these directions. It is so
+    large that no diffraction order falls between two wavelengths. The step in 1/λ is then halved repeatedly.
     """
     result = np.zeros((len(gains), 3))
     illuminated = np.flatnonzero(gains > 0.0)

@@ -1,5 +1,8 @@
 """Reflectance spectra of many directions by one plan: sums over Fourier coefficients on a device, or the direct sum.
 
+A plan holds the method and the numbers of a computation, such as the number of terms of a series. The direct sum adds
+all height samples in float64.
+
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
 light and to the viewer. The component w is along the normal.
 """
@@ -27,13 +30,13 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Number of values, directions (or pixels) times wavelengths, that are computed together. The number is limited by
-# memory: a value requires at most 32 bytes.
+# Number of values that are computed together: the number of directions (or pixels) times the number of wavelengths. It
+# is limited by memory: a value requires at most 32 bytes.
 _VALUES_TOGETHER = 1 << 20
 
 
 class SpectralSum:
-    """Sum over the Fourier coefficients or over the samples of a height field, at fixed wavelengths.
+    """Sum over the Fourier coefficients or over the samples of a height field, at the wavelengths of a spectrum.
 
     Attributes:
         wavelengths_nm: Wavelengths [nm], shape (m,).
@@ -44,7 +47,7 @@ class SpectralSum:
         self, heightfield: HeightField, plan: Plan, direction_range: DirectionRange,
         wavelengths_nm: NDArray[np.float64], *, device: wp.Device, threads: int,
     ) -> None:  # fmt: skip
-        """Prepare the table of Fourier coefficients of a plan, for the directions and wavelengths of a range."""
+        """Compute the Fourier coefficients that a range of directions requires, with the method and terms of a plan."""
         self._heightfield, self._plan = heightfield, plan
         self.wavelengths_nm = wavelengths_nm
         self._where: dict[str, Any] = {"device": device, "threads": threads}
@@ -57,12 +60,12 @@ class SpectralSum:
         self, scattering_vectors: NDArray[np.float64], to_lights: NDArray[np.floating], gains: NDArray[np.floating],
         material: Material | None, *, progress: Callable[[float], None] | None = None,
     ) -> NDArray[Any]:  # fmt: skip
-        """Return the relative reflectance ρ of n directions at m wavelengths, shape (n, m); 0 where the gain is 0.
+        """Return the relative reflectance ρ of n directions at m wavelengths, shape (n, m).
 
         Args:
             scattering_vectors: Scattering vectors (u, v, w), shape (n, 3).
             to_lights: Unit vectors to the light in the local frame, shape (n, 3).
-            gains: Geometry factors by which the powers are multiplied, shape (n,).
+            gains: Geometry factors by which the powers are multiplied, shape (n,); 0 for dark directions, where ρ is 0.
             material: Material of the surface; None if the gains include its reflectance.
             progress: Callable that gets the finished share of the work, 0 to 1; None reports nothing.
         """

@@ -226,7 +226,7 @@ def quadrature_weights(
     ρ = 1 has exactly the colour of a perfect mirror. Linear interpolation would have an error of 1e-2 for a narrow
     diffraction order at a wavelength at which x̄, ȳ or z̄ is steep. Cubic interpolation would require up to twice as
     many samples at a tolerance of 1e-4. Weights can become negative where x̄, ȳ or z̄ falls to 0, or where lines of the
-    illuminant are closer together than the samples. Half of a negative weight is added to either neighbouring weight.
+    illuminant are closer together than the samples. Half of a negative weight is added to each of its two neighbours.
     This changes colours by up to 1e-3, or 1e-10 with hundreds of samples; ``signed`` weights are exact instead.
 
     Args:
@@ -282,7 +282,7 @@ def _interpolation_weights(
 
 
 def _without_negative(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Add half of each negative weight to either neighbouring weight, and replace the negative weight by 0.
+    """Add half of each negative weight to each of its two neighbours, and replace the negative weight by 0.
 
     The addition is repeated, because it can make neighbouring weights negative. Weighted sums over a smooth ρ hardly
     change.
@@ -295,7 +295,7 @@ def _without_negative(weights: NDArray[np.float64]) -> NDArray[np.float64]:
         weights = weights - negative
         weights[1:] += halves[:-1]
         weights[:-1] += halves[1:]
-        # The first and the last weight have only one neighbour, and keep the other half.
+        # The first and the last weight have only one neighbour. The other half of a negative weight remains there.
         weights[0] += halves[0]
         weights[-1] += halves[-1]
     return np.maximum(weights, 0.0)

@@ -2,9 +2,12 @@
 
 R(θd, λ) is the reflectance of the material, where λ is the wavelength and θd half of the angle between the directions
 to light and viewer. (u, v, w) is the scattering vector, with cos θd = |(u, v, w)|/2. A table of colours contains R(θd,
-λ) at the angle θd of each of its (u, v, w). For a dot of a grating map with a scaled depth or pitch, colours are looked
-up at another (u, v, w), which has another θd. Tables of grating maps therefore contain R(0, λ), and look-ups multiply
-by the luminance of R(θd, λ) divided by that of R(0, λ).
+λ) at the angle θd of each of its (u, v, w).
+
+A grating map divides a surface into small areas (dots). Each dot has the same grating, turned and with its own scale of
+depth and pitch. Colours of a scaled dot are looked up in the common table at another (u, v, w), which has another θd.
+Tables of grating maps therefore contain R(0, λ). Look-ups multiply by the luminance of R(θd, λ) divided by that of
+R(0, λ).
 """
 
 from __future__ import annotations
@@ -39,7 +42,7 @@ class FixedReflectance(Material):
 
     @classmethod
     def of(cls, material: Material) -> FixedReflectance:
-        """Return the material of normal incidence for a material."""
+        """Return a material that has, at all angles, the reflectance of ``material`` at normal incidence."""
         fixed = cls(
             material.wavelengths_nm, material.n, material.k, material.name, material.source, material.film,
             material.film_nm,
@@ -57,9 +60,10 @@ def luminance_ratios(fixed: FixedReflectance) -> NDArray[np.float64]:
 
 
 def spectral_change(material: Material) -> float:
-    """Return the change of the spectrum of R with θd up to 60°, apart from a factor: a weighted rms over λ.
+    """Return by how much the shape of the spectrum R(θd, λ) changes for θd up to 60°, relative to R(0, λ).
 
-    The weights are the luminous efficiency under D65. The result is the largest change over all θd.
+    A change by one factor at all wavelengths does not count. For each θd, the result is a root mean square over λ,
+    weighted by luminous efficiency under D65. The largest value of all θd is returned.
     """
     reflectances = reflectance_at(material, colorimetry.VISIBLE_NM, _JUDGED_COSINES[:, None])
     weights = colorimetry.colour_products("D65")[:, 1]

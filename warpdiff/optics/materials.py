@@ -37,9 +37,9 @@ Polarisation = Literal["s", "p"]
 # Largest thickness of a film [nm]. In thicker films, interference fringes are so narrow in wavelength that the
 # wavelengths of a colour computation would miss them.
 _THICKEST_FILM_NM = 1000.0
-# A material with a larger imaginary part k of the index counts as opaque, so that a pigment below it is invisible. At
-# this k, the power of light of 500 nm falls to 1/e within 4 µm of the material. If the value was doubled, more
-# materials would show the pigment below them.
+# A material with a larger imaginary part k of the index counts as opaque, so that a pigment (the base colour of the
+# mesh) below it is invisible. At this k, the power of light of 500 nm falls to 1/e within 4 µm of the material. If the
+# value was doubled, more materials would show the pigment below them.
 _OPAQUE = 0.01
 # Number of angles at which the transmittance of a surface is tabulated. Between these angles it is interpolated
 # linearly. For Schlick's reflectance, the interpolated transmittance has an absolute error of at most 3e-6.
@@ -262,7 +262,7 @@ class Material(ReadOnlyArrays):
 
     @property
     def is_opaque(self) -> bool:
-        """Whether the material transmits no visible light to a pigment below it."""
+        """Whether the material transmits no visible light to a pigment (base colour of the mesh) below it."""
         return bool(np.max(index_at(self, colorimetry.VISIBLE_NM).imag) > _OPAQUE)
 
 
@@ -350,7 +350,7 @@ def _metals() -> dict[str, Material]:
 
 @dataclass(frozen=True)
 class IlluminatedMaterial:
-    """An illuminant and a material that it illuminates. A table or a sum over wavelengths has colours for such a pair.
+    """An illuminant and the material that it illuminates. Tables and sums over wavelengths have colours per such pair.
 
     Attributes:
         illuminant: Name or spectrum of the illuminant.
@@ -398,9 +398,9 @@ def check_materials(
 ) -> tuple[float, dict[str, Material | None]]:
     """Return R(0) as `check_reflection` does, and the materials by name.
 
-    A name is that of the geometry of a mesh that has the material; a single material has the name ``""``. With
-    ``by_geometry`` the argument ``material`` may be a mapping from such names to materials. Each material must be
-    tabulated at all wavelengths of ``band_nm``, the shortest and the longest wavelength of the call.
+    A name is that of a geometry (part of a mesh) that has the material; a single material has the name ``""``. With
+    ``by_geometry`` the argument ``material`` may be a mapping from such names to materials. The table of each material
+    must cover ``band_nm``, from the shortest to the longest wavelength of the call.
     """
     if not (by_geometry and isinstance(material, Mapping)):
         normal, one = check_reflection(ior, material)
@@ -430,7 +430,7 @@ def _check_no_ior(ior: object) -> None:
 
 
 def transmittances(normal: float, material: Material | None) -> NDArray[np.float64]:
-    """Return the transmittance 1 − R of a surface above a pigment, in linear RGB, shape (n, 3).
+    """Return the transmittance 1 − R of a surface above a pigment (base colour), in linear RGB, shape (n, 3).
 
     The rows are for equally spaced cosines of the angle of incidence, from 0 to 1. Without a material, R is Schlick's
     reflectance. Opaque materials transmit nothing. For other materials, with or without a film, 1 − R is averaged over

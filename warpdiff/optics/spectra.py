@@ -40,8 +40,8 @@ def colour_science() -> Any:
 class Spectrum(ReadOnlyArrays):
     """Relative spectral power distribution for ``illuminant=``, interpolated linearly.
 
-    Two spectra are equal if their numbers are equal. Lines narrower than 1 nm keep their power in colours. Wavelengths
-    outside 380 to 780 nm are kept, and have no effect on colours.
+    Two spectra are equal if their numbers are equal. Spectral lines narrower than 1 nm keep their power in colours.
+    Wavelengths outside 380 to 780 nm are kept, and have no effect on colours.
 
     Attributes:
         wavelengths_nm: Wavelengths [nm], increasing, covering 380 to 780, with steps of any size, shape (m,), m > 1.

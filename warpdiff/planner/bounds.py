@@ -1,8 +1,8 @@
 """Upper-bound plan: numbers of terms, coefficients and wavelengths that suffice for any surface and all directions.
 
-The terms are those of the series in which each Fourier coefficient is expanded. The coefficients are the Fourier
-coefficients whose sum is the light of a direction. "Patch" means the area of the height field. "Source" means a light
-source of finite size (coherence of the kind "source").
+A plan holds the method and the numbers of a computation. The terms are those of the series in which each Fourier
+coefficient is expanded. The coefficients are the Fourier coefficients whose sum is the light of a direction. "Patch"
+means the area of the height field. "Source" means a light source of finite size (coherence of the kind "source").
 
 "All directions" are the directions within the range of a call. Calls with few directions use the upper-bound plan
 directly. For calls with many directions, a search for a cheaper plan starts from the upper-bound plan. The search
@@ -45,9 +45,9 @@ AMPLITUDE_MARGIN = 1e-3
 # the entry for powers, 1e-4, divided by 100 as a margin. If the entries were doubled, the errors of the darkest calls
 # would exceed the tolerance, because tails of the zeroth order would be missing.
 _WEIGHT_MARGINS = {True: 1e-8, False: 1e-6}
-# Least Gaussian weight of Fourier coefficients, as in `_WEIGHT_MARGINS`, for plans that no trial has validated. The
-# number was derived from the darkest calls, whose luminance may be as small as 1e-10 of the luminance of a mirror
-# (DARK).
+# Least Gaussian weight of Fourier coefficients, as a share of the tolerance, for plans that were not tested on sampled
+# directions. The number was derived from the darkest calls, whose luminance may be as small as 1e-10 of the luminance
+# of a mirror (DARK).
 _DARKEST = trial.NEGLIGIBLE_SHARE * trial.DARK
 # Number of wavelength samples per unit of 1/λ [µm] that the colour-matching functions and the illuminant require. The
 # number was fitted for the illuminants D65, FL11 and HP1 at tolerances from 1e-1 to 1e-4
@@ -122,7 +122,11 @@ def upper_bound_plan(request: Evaluation, direction_range: DirectionRange, *, me
 
 
 def with_neighbours_of_darkness(plan: Plan) -> Plan:
-    """Return the plan for a very dark call without a trial: it includes Fourier coefficients of smaller weights."""
+    """Return the plan with a smaller least weight, if powers add: it then includes more Fourier coefficients.
+
+    This is for plans that were not tested on sampled directions. All directions of the call may be very dark, and the
+    tails of bright diffraction orders then matter.
+    """
     return replace(plan, least_weight=plan.tolerance * _DARKEST) if plan.coherence.adds_powers else plan
 
 
@@ -163,14 +167,15 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
 def _with_wavelengths(plan: Plan) -> Plan:
     """Return the plan with the number of wavelengths that its ``bandwidth_um`` requires.
 
-    If the coherence is that of a source whose light arrives near the horizon, the number is limited.
+    For a source (light of finite size) near the horizon, the number is limited, and the plan is valid only up to a
+    smaller order rate.
     """
     count = coefficient_table.wavelength_set_size(cost_model.wavelength_count(plan, plan.max_order_rate, plan.max_w))
     periods = plan.coherence.periods
     divisions = 1
     if periods is not None:
-        # As a function of 1/λ, the interference factor of N replicated periods has N maxima per diffraction order. It
-        # requires two samples per maximum.
+        # As a function of 1/λ, the interference factor of N replicated periods has N maxima from one diffraction order
+        # to the next. It requires two samples per maximum, which subdivide the steps between wavelengths.
         divisions = math.ceil(2.0 * math.sqrt(2.0) * max(periods) / plan.bandwidth_um[0])
     facing = cost_model.wavelength_count(plan, plan.max_uv, plan.max_w)
     if plan.coherence.kind == "source" and facing <= _MOST_GRAZING < count:

@@ -1,17 +1,21 @@
 """Coordinate search: finds the cheapest plan with sampled wavelengths that meets a tolerance on a call's directions.
 
-Upper-bound plans suffice for the worst surface and the worst direction; most calls require less. The search changes a
-plan along coordinates: the number of terms of its series, the number of neighbouring Fourier coefficients that a
-direction includes, and the bandwidth with its two parts, which sets the number of wavelengths. Replicated patches also
-have a number of subdivisions: samples of the interference factor per wavelength. The search makes one coordinate after
-the other as coarse as an error budget permits. The budget grows from coordinate to coordinate; the part of the budget
-that one coordinate does not use remains for the coordinates after it. Errors are measured on the training set against a
-reference. The validation set then checks the result. If the result fails, the coordinate with the largest effect is
-refined.
+A plan holds the numbers of a computation. Upper-bound plans suffice for the worst surface and the worst direction; most
+calls require less. The search changes a plan along coordinates: the number of terms of its series, the number of
+neighbouring Fourier coefficients that a direction includes, and the bandwidth with its two parts, which sets the number
+of wavelengths. Replicated patches also have a number of subdivisions: samples of the interference factor per
+wavelength.
+
+The search makes one coordinate after the other as coarse as an error budget permits. The budget grows from coordinate
+to coordinate; the part of the budget that one coordinate does not use remains for the coordinates after it. The
+training set and the validation set are samples of the directions of the call. A trial measures errors on these sets
+against a reference plan, which has more wavelengths. The search uses the errors on the training set. The validation set
+then checks the result. If the result fails, the coordinate with the largest effect is refined. The target is the
+largest accepted error on the sets: the tolerance divided by a safety factor.
 
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
-light and to the viewer. The component w is along the normal. The floor is the smallest number by which an error
-is divided to give a relative error.
+light and to the viewer. The component w is along the normal. The floor is the smallest number by which an error is
+divided to give a relative error. A direction is bright if its luminance is at least the floor.
 """
 
 from __future__ import annotations
@@ -40,13 +44,14 @@ _REPAIRS = 3
 # Largest number of factors of 2 by which a search reduces a bandwidth, the number of wavelength samples per unit of
 # 1/λ. Upper bounds are less than 2³ times as large as the bandwidth that calls require.
 _OCTAVES = 3
-# Tolerance for which the upper bound of the bandwidth is the reference of a grid. The bandwidth is the number of
-# wavelength samples per unit of 1/λ. Searches try only bandwidths that are 2^(n/SETS_PER_OCTAVE) times this upper
-# bound, where n is a whole number, whatever the tolerance of the call is. Without a common grid, a call with a larger
-# tolerance could get a slightly more expensive plan than a call with a smaller one.
+# Tolerance that defines the grid of bandwidths that searches try. The bandwidth is the number of wavelength samples per
+# unit of 1/λ. The grid has the values 2^(n/SETS_PER_OCTAVE) times the upper bound of the bandwidth at this tolerance,
+# where n is a whole number. It is the same for all calls. Without a common grid, a call with a larger tolerance could
+# get a slightly more expensive plan than a call with a smaller one.
 _GRID_TOLERANCE = 1e-2
-# Number of bright validation directions below which a search uses only a part of its error budget. Fewer directions do
-# not represent the bright directions of a call well. The number was fitted to random calls with few bright directions
+# Number of bright validation directions below which a search uses only a part of its error budget. A direction is
+# bright if its luminance is at least about 1e-3 of that of the brightest ones. Fewer directions do not represent the
+# bright directions of a call well. The number was fitted to random calls with few bright directions
 # (docs/decisions/plans_and_tolerance.md).
 MIN_BRIGHT = 64
 # If fewer than MIN_BRIGHT validation directions are bright, a search uses only this share of its remaining error
@@ -61,7 +66,7 @@ class Coordinate:
 
     Attributes:
         source: Name of the plan's field that reports the error of this coordinate.
-        budget: Largest permitted training error of a plan after this coordinate is coarsened.
+        budget: Largest permitted error of a plan on the training set after this coordinate is coarsened.
         most: Largest number of steps by which a search coarsens this coordinate.
         coarser: Function that returns a plan coarsened by a number of steps; a negative number refines it.
     """
@@ -78,7 +83,8 @@ def search(plan: Plan, trial: Trial, *, automatic: bool) -> Plan:
     Args:
         plan: Upper-bound plan.
         trial: Trial, which evaluates plans on sampled directions of the call.
-        automatic: Whether the search may replace the method of the plan by the method of the reference plan.
+        automatic: Whether the search may replace the method of the plan by the method of the reference plan, which is
+            more accurate in float32.
 
     Returns:
         Plan with its predicted errors.
@@ -123,7 +129,7 @@ def predicted_error(error: float, plan: Plan, trial: Trial) -> float:
 
 
 def refine(plan: Plan, trial: Trial, coordinates: Sequence[Coordinate], target: float) -> tuple[Plan, float]:
-    """Refine a plan until its validation error is at most ``target``; return the refined plan and this error."""
+    """Refine a plan until its error on the validation set is at most ``target``; return the plan and this error."""
     trial.update_floors(plan)
     error = trial.validation_error(plan)
     for repair in range(_REPAIRS):
@@ -140,7 +146,8 @@ def refine(plan: Plan, trial: Trial, coordinates: Sequence[Coordinate], target: 
         else:
             least, best = min(tried, key=lambda entry: entry[0])
         if best == plan:
-            # If no single refined coordinate reduces the error, all coordinates are refined together.
+            # If no coordinate (parameter of the plan) reduces the error when it alone is refined, all coordinates are
+            # refined together.
             for coordinate in coordinates:
                 best = coordinate.coarser(best, -steps)
             least = trial.validation_error(best)
@@ -212,7 +219,10 @@ def _coordinates(plan: Plan, trial: Trial, error: float, target: float) -> list[
 
 
 def _coarsened(plan: Plan, error: float, trial: Trial, coordinate: Coordinate) -> tuple[Plan, float]:
-    """Coarsen a coordinate as far as its budget permits, by bisection; return the coarsened plan and its error."""
+    """Coarsen a coordinate (parameter) of a plan by bisection, as far as its error budget permits.
+
+    Return the coarsened plan and its error on the training set.
+    """
     best, low, high = plan, 0, coordinate.most + 1
     middle = coordinate.most
     while high - low > 1:
@@ -283,19 +293,19 @@ def _with_bandwidth(plan: Plan, trial: Trial, bandwidth_um: tuple[float, float, 
 
 
 def _by_amplitudes(plan: Plan, trial: Trial) -> Plan:
-    """Return the plan with the method of the reference plan.
+    """Return the plan with the method of the reference plan, which expands the amplitudes of Fourier coefficients.
 
-    This method adds amplitudes. It remains accurate where the terms of a series of powers cancel in float32.
+    This method remains accurate where the terms of a series of powers cancel in float32.
     """
     return replace(plan, method=trial.reference.method, terms=trial.reference.terms)
 
 
 def _sufficient(plan: Plan, trial: Trial, target: float, *, automatic: bool) -> tuple[Plan, float]:
-    """Refine a plan until its training error is at most half the target, or is as small as possible.
+    """Refine a plan until its error on the training set is at most half of ``target``, or as small as possible.
 
-    Return the refined plan and its training error. An upper-bound plan needs this in two cases. First, its method may
-    add powers of Fourier coefficients. Coefficients that vanish like a high power of κ = w/λ are then differences of
-    large terms, which cancel in float32. A method that adds amplitudes does not have this error. Second, the number of
+    Return the refined plan and this error. An upper-bound plan needs this in two cases. First, its method may add
+    powers of Fourier coefficients. Coefficients that vanish like a high power of κ = w/λ are then differences of large
+    terms, which cancel in float32. A method that adds amplitudes does not have this error. Second, the number of
     wavelengths of an upper-bound plan is limited. It is too small for very tall surfaces, and for light sources near
     the horizon.
     """

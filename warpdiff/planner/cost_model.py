@@ -1,10 +1,13 @@
 """Cost model: predicted multiply-adds of sampled wavelengths, of table look-ups and of the construction of a table.
 
-Operations that are not multiply-adds count as the number of multiply-adds that require the same time. ``Plan`` converts
-multiply-adds to seconds. The constants were fitted to times on two cores; the model predicts these times within a
-factor of 1.5. The planner compares predicted costs, and prefers another method above a certain number of directions.
-"Source" means a light source of finite size (coherence of the kind "source"). If one constant is doubled, this number
-changes by less than a factor of 2.
+A plan holds the numbers of a computation, such as the number of wavelengths. A table holds the colours of a surface,
+sampled over (u, v), from which look-ups interpolate. Operations that are not multiply-adds count as the number of
+multiply-adds that require the same time. ``Plan`` converts multiply-adds to seconds. The constants were fitted to times
+on two cores; the model predicts these times within a factor of 1.5.
+
+The planner compares predicted costs, and prefers a table above a certain number of directions. If one constant is
+doubled, this number changes by less than a factor of 2. "Source" means a light source of finite size (coherence of the
+kind "source").
 """
 
 from __future__ import annotations
@@ -38,8 +41,8 @@ _COST_OF_WAVELENGTH, _COST_OF_STEP = 340.0, 18.0
 # spectral line. It was fitted to times.
 _COST_OF_SAMPLE = 150.0
 # Costs of computing a table from the spectrum [multiply-adds]. The first cost is for filtering and writing one number
-# of a row of the table. The second cost is for one product in the conversion (projection) of the spectrum to colours.
-# It is below 1, because the loop of the projection uses SIMD instructions only. Both were fitted to times.
+# of the table. The second cost is for one product in the conversion (projection) of the spectrum to colours. It is
+# below 1, because the loop of the projection uses SIMD instructions only. Both were fitted to times.
 _COST_OF_ROW_COLOUR, _COST_OF_DENSE_MULTIPLY_ADD = 105.0, 0.2
 
 
@@ -88,12 +91,12 @@ def sampling_multiply_adds(
 
 
 def look_up_multiply_adds(plan: Plan) -> float:
-    """Predict the multiply-adds of one table look-up."""
+    """Predict the multiply-adds of one look-up in a colour table."""
     return lookup.MULTIPLY_ADDS_OF_FUNCTION * (plan.w_basis_size or coefficient_table.lanes_of(plan.terms))
 
 
 def table_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
-    """Predict the multiply-adds of computing a table."""
+    """Predict the multiply-adds of computing the colour table of a plan."""
     layout = mip_layout.layout_of(plan)
     parts = 1 if plan.coherence.adds_powers else 2
     lanes = coefficient_table.lanes_of(plan.terms)

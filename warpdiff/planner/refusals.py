@@ -1,5 +1,8 @@
 """Errors and warnings of the planner, with remedies, for calls that it cannot plan or that may be inaccurate.
 
+A plan holds the numbers of a computation, such as the number of wavelengths, and its predicted errors. An upper-bound
+plan suffices for any surface.
+
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
 light and to the viewer. The component w is along the normal.
 """
@@ -28,16 +31,17 @@ if TYPE_CHECKING:
     from warpdiff.request.evaluation import Evaluation
     from warpdiff.request.plan import Plan
 
-# Largest number of Fourier coefficients that contribute to a direction. A call that needs more coefficients per
-# direction is refused. Such a call indicates a wrong unit, or a patch that is much larger than the coherence window.
+# Largest number of Fourier coefficients that contribute to a direction. A call that needs more raises an error. Such a
+# call indicates a wrong unit, or a patch (area of the height field) that is much larger than the coherence window.
 _MOST_NEIGHBOURS = 40_000
 # Size to which an error message recommends to crop a patch, in standard deviations σ of the coherence window. The
 # number was derived from a window whose results are averaged over its positions. Two points at the distance r then
 # interfere with the weight exp(−r²/4σ²). It is 1e-11 at r = 10σ, half of the size, beyond which the repeated patch is
 # nearer.
 _PATCH_IN_SIGMAS = 20.0
-# Largest number of wavelengths times subdivisions for replicated patches. The value is limited by the memory of the
-# integral over wavelengths, which is proportional to it.
+# Largest number of samples of the interference factor of replicated patches: the number of wavelengths times the number
+# of samples per wavelength. The value is limited by the memory of the integral over wavelengths, which is proportional
+# to it.
 _MOST_SAMPLES = 2_000_000
 # The directions of a call may exceed the range of a plan that the caller passes by this relative amount without a
 # warning. Such an excess is harmless, because coefficients are computed for a range that exceeds the range of the plan
@@ -106,7 +110,7 @@ def _longest_sigma_um(coherence: Coherence) -> float:
 
 
 def check_error(request: Evaluation, plan: Plan) -> None:
-    """Raise an error for a plan that cannot meet its tolerance, or warn if ``strict`` of ``request`` is False."""
+    """Raise an error if a plan cannot meet its tolerance; only warn if the caller has set ``strict=False``."""
     heightfield = request.heightfield
     # If errors were measured, ``plan.error`` is the error on the validation set times a safety factor of at least
     # SEARCH_SAFETY. A plan is also accepted if it meets the tolerance only without this factor.
@@ -155,7 +159,7 @@ def table_too_large(tolerance: float) -> ToleranceError:
 
 
 def warn_of_theory(plan: Plan) -> None:
-    """Warn that scalar diffraction is invalid on the surface of a plan, if its ``theory`` has the grade "invalid"."""
+    """Warn if scalar diffraction is invalid on the surface of a plan, according to the verdict ``plan.theory``."""
     if plan.theory.grade == "invalid":
         warn(f"scalar diffraction is {plan.theory}: {plan.theory.remedy}")
 

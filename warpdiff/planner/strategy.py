@@ -3,9 +3,10 @@
 An evaluation method is either a method that adds powers |H|² of Fourier coefficients H, or a method that adds the
 amplitudes H. "Source" means a light source of finite size (coherence of the kind "source").
 
-The planner first computes an upper-bound plan, which suffices for all directions of the range. Calls with few
-directions use this plan. For many directions, a search on a sample of the directions finds a cheaper plan, or a colour
-table replaces the integral over the wavelength.
+A plan holds the method and the numbers of a computation, such as the number of wavelengths. The planner first computes
+an upper-bound plan, which suffices for all directions of the range. Calls with few directions use this plan. For many
+directions, a search finds a cheaper plan, or a colour table replaces the integral over the wavelength. In a search, a
+trial measures the errors of plans on a sample of the directions.
 """
 
 from __future__ import annotations
@@ -61,8 +62,8 @@ _SEARCH_DIRECTIONS = 16_000
 # error of this method in float32. The trial is made only for calls with at least this number of directions. The number
 # was chosen because a trial requires about a second, which fewer directions do not justify.
 _FEWEST_TRIED = 16
-# Assumed number of calls that use the same table. It exceeds 1 because pictures are often rendered again with another
-# light or view. If the number is doubled, the planner prefers a table already for calls with about half as many
+# Assumed number of calls that use the same colour table. It exceeds 1 because pictures are often rendered again with
+# another light or view. If the number is doubled, the planner prefers a table already for calls with about half as many
 # directions.
 _EXPECTED_REPEATS = 3
 
@@ -180,8 +181,8 @@ def plan_for(request: Evaluation, direction_range: DirectionRange, sample: Direc
         return upper
     if request.footprint and not _has_footprint_table(request):
         count *= refinement_levels.rays_at(refinement_levels.LEAST_LEVEL_OF_POINTS)
-    # The upper-bound plan with all its terms is computed only if it is needed, because the number of terms may require
-    # the fit of a basis.
+    # `unmeasured` completes the upper-bound plan with its number of terms. It is a function, which is called only if it
+    # is needed: the number may require a slow fit of the Fourier coefficients by basis functions of κ = w/λ.
     unmeasured = functools.cache(functools.partial(_unmeasured, request, direction_range, sample, upper))
     affordable = _affordable_table_cost(request, unmeasured, count)
     if len(sample) and (affordable > 0.0 or _pays_to_search(request, upper, direction_range, count)):
@@ -207,7 +208,7 @@ def _method(request: Evaluation) -> str:
 
 
 def _has_footprint_table(request: Evaluation) -> bool:
-    """Whether pixels of a call show means over their footprints, which a table with mip levels can compute."""
+    """Whether pixels show means over footprints (ranges of (u, v)) that a table with mip levels can compute."""
     return request.footprint and request.coherence.adds_powers and _method(request) == "auto"
 
 
@@ -215,7 +216,7 @@ def _affordable_table_cost(request: Evaluation, unmeasured: Callable[[], Plan], 
     """Return the largest cost [multiply-adds] at which a table saves time for ``count`` directions; 0 for no table.
 
     A colour table saves time if it costs less than the evaluation of the directions by the plan of a search. The result
-    is infinite if the caller requests a table, or means over pixel footprints, which a table computes.
+    is infinite if the caller requests a table, or means over the ranges of (u, v) of pixels, which a table computes.
     """
     if request.integration == "table" or _has_footprint_table(request):
         return math.inf
@@ -246,7 +247,7 @@ def _pays_to_search(request: Evaluation, upper: Plan, direction_range: Direction
 
 
 def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, upper: Plan) -> Plan:
-    """Return the upper-bound plan, completed without a trial, with the mean of its cost over the sampled directions."""
+    """Return the upper-bound plan with its number of terms, its aliasing and its mean cost, without measured errors."""
     if _method(request) == "auto":
         # Without a trial, a method that adds amplitudes is selected, because series of powers may lose their digits in
         # float32. Trials are omitted only if a call has few directions. For few directions, methods that add amplitudes
@@ -263,7 +264,10 @@ def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: Di
 
 
 def _with_basis(plan: Plan, request: Evaluation, direction_range: DirectionRange) -> Plan:
-    """Return the plan with the number of terms that its fitted basis requires, and with its error by aliasing."""
+    """Return the plan with its number of terms, and with the share of power that aliases (``Plan.aliasing``).
+
+    If the method of the plan fits basis functions of κ = w/λ to the coefficients, the terms are these functions.
+    """
     if plan.method not in EXPANSIONS:
         basis, _, _ = coefficient_table.coefficients_for(
             request.heightfield, plan.method, plan.coherence, direction_range,
@@ -290,9 +294,9 @@ def _measured(
     footprint, explicit = _has_footprint_table(request), request.integration == "table"
     if affordable:
         table = table_ladder.smallest_table(plan, measured, footprint=footprint, needed=explicit, affordable=affordable)
-        # If pixels show means over footprints, a table is accepted even if it meets the tolerance only without the
-        # safety factor. Without a table, pixels would be means over several points instead of over footprints, which
-        # has a larger error.
+        # If pixels show means over footprints (their ranges of (u, v)), a table is accepted even if it meets the
+        # tolerance only without the safety factor. Without a table, such a mean would be taken over a few single
+        # directions, which has a larger error.
         if table is not None and (
             explicit or table.error <= plan.tolerance * (trial.SEARCH_SAFETY if footprint else 1.0)
         ):

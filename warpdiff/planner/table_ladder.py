@@ -1,7 +1,10 @@
 """Table ladder: search for the smallest colour table that meets a tolerance on the validation directions.
 
-Tables have a few sizes, in ascending order. The size sets the number of rings of the table's polar grid. The validation
-directions are a sample of the call's directions, on which a trial measures the error of a table.
+A colour table holds colours on a polar grid over (u, v), the tangential components of the scattering vector. Tables
+have a few sizes, in ascending order. The size sets the number of rings (circles of samples) of the polar grid. The
+validation directions are a sample of the call's directions. A trial measures the error of a table on them, against a
+more accurate reference plan. A plan holds the numbers of a computation. The target is the largest accepted error: the
+tolerance divided by a safety factor.
 """
 
 from __future__ import annotations
@@ -47,7 +50,7 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
     Args:
         plan: Upper-bound plan.
         trial: Training and validation directions of the call, and the reference plan for them.
-        footprint: Whether pixels show means over their footprints.
+        footprint: Whether pixels show means over their footprints (ranges of (u, v)).
         needed: Whether the caller requests a table by ``integration="table"``.
         affordable: Largest cost of computing a table [multiply-adds].
     """
@@ -165,8 +168,9 @@ def _next_size(sizes: Sequence[tuple[int, float]], size: int, excess: float, exp
 def _few_terms(plan: Plan, trial: Trial, budget: float) -> tuple[Plan, float]:
     """Return a plan with the fewest terms whose truncation error is at most ``budget``, and this error.
 
-    A trial measures the error of a plan with ``LANES`` terms. For other numbers of terms, the measured error is scaled
-    in proportion to the truncation errors of the fitted basis.
+    A term is a function of κ = w/λ that is fitted to the Fourier coefficients. A trial measures the error of a plan
+    with ``LANES`` terms, as many as fill one SIMD register. For more terms, this error is scaled in proportion to the
+    truncation errors of the fit.
     """
     if plan.method in EXPANSIONS or plan.terms <= LANES:
         return plan, 0.0

@@ -1,6 +1,7 @@
 """Trial of plans: errors on a training set and on a validation set, against a reference plan.
 
-A search may try any number of plans on the training set. The validation set judges only the result of the search.
+A plan holds the method and the numbers of a computation. A search may try any number of plans on the training set. The
+validation set judges only the result of the search. Both sets are samples of the directions of a call.
 
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
 light and to the viewer. The component w is along the normal. The floor is the smallest number by which an error is
@@ -42,8 +43,9 @@ if TYPE_CHECKING:
 # exceeds the error on the validation set by more than this factor.
 SEARCH_SAFETY = 1.6
 # If a call has more directions than candidates (sampled directions of the call), this number of the brightest
-# candidates may be outliers. The floor of relative errors is therefore computed both with and without these candidates.
-# The number was fitted to a call in which one of 6,312 directions, in the mirror lobe, had half of the total luminance.
+# candidates may be outliers. Relative errors have a smallest divisor, which is proportional to the luminance of bright
+# directions. It is therefore computed both with and without these candidates. The number was fitted to a call in which
+# one of 6,312 directions, in the mirror direction, had half of the total luminance.
 _LUCKY_BRIGHTEST = 4
 # Least luminance that counts as light, as a share of the luminance of a perfect mirror. Light with a smaller luminance
 # is invisible.
@@ -66,9 +68,9 @@ class Group:
         sample: Directions of the set, and the weight of each direction in percentiles of the errors.
         exact: Values of the directions by the reference plan, in the shape that ``Trial.run`` returns; None before
             ``Trial.exact`` computes them.
-        scale: Divisor of the error of each direction, shape (rows, n): the reference value or the floor of relative
-            errors, whichever is larger. There is one row for each pair of illuminant and floor.
-        above: Whether a direction is brighter than the floor, shape (rows, n).
+        scale: Divisor of the error of each direction, shape (rows, n): the reference value or the floor (smallest
+            divisor), whichever is larger. There is one row for each pair of illuminant and floor.
+        above: Whether the luminance of a direction is at least the floor, shape (rows, n).
     """
 
     def __init__(self, sample: DirectionSample, device: wp.Device, points: int) -> None:
@@ -96,7 +98,10 @@ class Group:
         self.scale = np.maximum(np.repeat(np.linalg.norm(exact, axis=2), floors.shape[1], axis=0), rows)
 
     def errors(self, values: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return relative errors, shape (rows, n): distances of ``values`` from ``reference``, divided by ``scale``."""
+        """Return relative errors, shape (rows, n): distances of ``values`` from ``reference``, over the divisors.
+
+        :meth:`weigh` has computed the divisors ``scale``.
+        """
         differences = np.linalg.norm(values - reference, axis=2)
         return np.asarray(np.repeat(differences, len(self.scale) // len(differences), axis=0) / self.scale)
 
@@ -162,16 +167,16 @@ class Trial:
 
     @property
     def any_light(self) -> bool:
-        """Whether a floor of relative errors, or the luminance of a training direction, is above ``DARK``."""
+        """Whether any direction has visible light: a floor of relative errors or a training value exceeds ``DARK``."""
         return bool(np.any(self._floors > DARK) or np.any(self.exact(self.training_set) > DARK))
 
     @property
     def bright(self) -> tuple[float, float]:
         """Numbers of bright validation directions: for the highest floor and for the lowest floor.
 
-        If there are several illuminants, each number is for the one with the fewest bright directions. A direction is
-        bright if its luminance is at least the floor of relative errors. Both numbers are infinite if the validation
-        set has all candidates.
+        A direction is bright if its luminance is at least the floor (smallest divisor) of relative errors. If there are
+        several illuminants, each number is for the illuminant with the fewest bright directions. Both numbers are
+        infinite if the validation set has all candidates (sampled directions).
         """
         if len(self.validation_set) == len(self._candidates):
             return math.inf, math.inf
@@ -206,11 +211,12 @@ class Trial:
         return Group(sample, self._device, self._points)
 
     def _find_floors(self, luminance: NDArray[np.float64]) -> None:
-        """Compute the floors of relative errors for each illuminant from the luminances of the candidates.
+        """Compute the floors (smallest divisors) of relative errors for each illuminant from the candidates.
 
-        ``luminance`` has the shape (illuminants, n). If the candidates are only a part of the call's directions, the
-        brightest candidates may be outliers. There are then two floors, one computed with these candidates and one
-        without. Errors relative to each of the two floors must be small.
+        ``luminance`` has the luminances of the candidates (sampled directions), shape (illuminants, n). If the
+        candidates are only a part of the call's directions, the brightest candidates may be outliers. There are then
+        two floors, one computed with these candidates and one without. Errors relative to each of the two floors must
+        be small.
         """
         order = np.argsort(luminance[0])
         subsets = [order] if self._sees_all else [order, order[: -_LUCKY_BRIGHTEST * self._points]]
@@ -222,7 +228,7 @@ class Trial:
         self._floors = np.maximum(FLOOR * np.asarray(bright), DARK)
 
     def refine_reference(self, plan: Plan) -> None:
-        """Set the wavelengths of the reference plan to twice those of ``plan``, and discard the reference values."""
+        """Set the reference plan to twice the number of wavelengths of ``plan``, and discard its computed values."""
         if plan.coherence.adds_powers:
             # All directions of a call may be much darker than the zeroth order, which has the power 1. The reference
             # plan therefore includes Fourier coefficients up to a large distance from each direction. At this distance,
@@ -235,7 +241,7 @@ class Trial:
             group.exact = None
 
     def update_floors(self, plan: Plan) -> None:
-        """Compute the floors of relative errors again, by a plan that is more accurate than the first, coarse plan."""
+        """Compute the floors (smallest divisors of relative errors) again, by a more accurate plan."""
         self._find_floors(_luminance(self.run(plan, self._candidates)))
         for group in (self.training_set, self.validation_set):
             if group.exact is not None:
@@ -280,7 +286,10 @@ class Trial:
         return np.asarray(results, dtype=np.float64)
 
     def with_w_basis(self, plan: Plan) -> Plan:
-        """Return the plan with ``w_basis_size``, the number of functions of w (the normal component) in its table."""
+        """Return the plan with ``w_basis_size``, the number of functions of w that its colour table requires.
+
+        w is the normal component of the scattering vector. All colours of a table are sums of the same functions of w.
+        """
         options: dict[str, Any] = {"device": self._device, "threads": self._threads}
         counts = [
             colour_table.function_count(self.heightfield, plan, self._range, light, **options)
@@ -295,7 +304,7 @@ class Trial:
         return self._series_terms if plan.method in EXPANSIONS else self.fitted(plan).terms
 
     def fitted(self, plan: Plan) -> coefficient_basis.Coefficients:
-        """Return the Fourier coefficients of the height field, in the basis that is fitted for a plan."""
+        """Return the Fourier coefficients of the height field in basis functions of κ = w/λ, fitted for a plan."""
         extent = coefficient_table.neighbour_extent(plan, self.heightfield)
         coefficients, _, _ = coefficient_table.coefficients_for(
             self.heightfield, plan.method, plan.coherence, self._range, extent, terms=plan.terms, threads=self._threads
@@ -313,9 +322,9 @@ class Trial:
     def validation_error(self, plan: Plan) -> float:
         """Return the 99.5th percentile of a plan's errors on the validation set.
 
-        Bright and dim directions have separate percentiles. The result is the larger one. A direction is excluded if
-        diffraction orders pass it faster, as 1/λ changes, than the wavelengths of the reference plan resolve. If this
-        is true of all directions, all are included.
+        Bright and dim directions have separate percentiles; the result is the larger percentile. A direction is
+        excluded if diffraction orders pass it faster, as 1/λ changes, than the wavelengths of the reference plan
+        resolve. If this is true of all directions, all are included.
         """
         exact = self.exact(self.validation_set)
         errors = self.validation_set.errors(self.run(plan, self.validation_set), exact)
@@ -357,6 +366,7 @@ def _percentile(values: NDArray[np.float64], weights: NDArray[np.float64], share
 def worst_percentile(errors: NDArray[np.float64], group: Group, included: NDArray[np.bool_] | None = None) -> float:
     """Return the larger of the 99.5th percentiles of the errors of bright and of dim directions.
 
+    A direction is bright if its luminance is at least the floor of relative errors, and otherwise dim.
     ``errors`` has the shape (rows, n), with one row for each pair of illuminant and floor of relative errors. The
     result is the largest percentile of all rows. Only the directions in the mask ``included`` count.
     """

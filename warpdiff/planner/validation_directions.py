@@ -3,10 +3,10 @@
 If few directions of a call are bright, a uniform sample may miss them. The angles of up to 8,192 directions are
 therefore examined. About 1,024 of them become candidates: some are selected uniformly, and all edge cases are included.
 Edge cases are directions near the mirror direction, near strong diffraction orders, with the largest geometry factors
-(gains), or at the ends of the ranges of the call, such as grazing directions. A coarse plan estimates the luminance of
-the candidates. The training set and the validation set are drawn from the candidates; bright candidates are drawn with
-a higher probability. The weight of a drawn direction is proportional to the number of the call's directions that it
-represents.
+(gains), or at the ends of the ranges of the call, such as grazing directions. A coarse plan (a cheap, inaccurate
+computation) estimates the luminance of the candidates. The training set and the validation set are drawn from the
+candidates; bright candidates are drawn with a higher probability. The weight of a drawn direction is proportional to
+the number of the call's directions that it represents.
 
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
 light and to the viewer. The component w is along the normal.
@@ -30,16 +30,17 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange, DirectionSample
     from warpdiff.request.plan import Plan
 
-# `_CANDIDATES` is the number of candidates that are selected uniformly among the directions of a call. `_TRAINING` is
-# the number of training directions. Both numbers were fitted. If both were halved, more than 1 % of the calls would
-# exceed the tolerance. If both were doubled, planning would require twice the time.
+# `_CANDIDATES` is the number of candidates (directions that may be drawn into a set) that are selected uniformly among
+# the directions of a call. `_TRAINING` is the number of training directions, on which a search measures errors. Both
+# numbers were fitted. If both were halved, more than 1 % of the calls would exceed the tolerance. If both were doubled,
+# planning would require twice the time.
 _CANDIDATES, _TRAINING = 1024, 128
 # Number of validation directions. The validation set is larger than the training set, because it decides whether a plan
 # is accepted.
 _VALIDATION = 2 * _TRAINING
-# Number of edge cases of each kind, such as the most grazing directions. The directions near one strong diffraction
-# order are a kind of edge cases. The same number, 16, is also the number of strong orders that are examined. The value
-# was chosen so that all edge cases together are at most a third of the candidates.
+# Number of edge cases (extreme directions) of each kind, such as the most grazing directions. The directions near one
+# strong diffraction order are a kind of edge cases. The same number, 16, is also the number of strong orders that are
+# examined. The value was chosen so that all edge cases together are at most a third of the candidates.
 _EDGE_CASES = 16
 # A candidate is drawn into a set for one of three reasons: by a uniform draw, because it is bright, or because it is an
 # edge case. This number is the probability of a draw as an edge case, divided by the probability of each of the other

@@ -1,5 +1,7 @@
 """Range of the directions of a call, and a sample of these directions on which the planner tries plans.
 
+A plan holds the numbers of a computation, such as the number of wavelengths.
+
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
 light and to the viewer. The component w is along the normal.
 """
@@ -33,7 +35,7 @@ _SEED = 2
 
 @dataclass(frozen=True)
 class DirectionSample:
-    """Sample of the illuminated directions of a call.
+    """Sample of the illuminated directions of a call, on which the planner measures errors.
 
     Attributes:
         scattering_vectors: Scattering vectors (u, v, w), shape (n, 3), float64.
@@ -60,9 +62,9 @@ class DirectionSample:
     ) -> DirectionSample:
         """Return a sample of the illuminated directions of one pass, whose indices are evenly distributed.
 
-        A call with several lights computes each part of its lights in a separate pass. A part is a lobe, a disc or the
-        smooth rest of a sky. ``parts`` is the number of these passes, which contribute equal shares to the sample of
-        the call.
+        A call with several lights computes each part of its lights in a separate pass. A part is a directional light, a
+        disc or the smooth rest of a sky. ``parts`` is the number of these passes, which contribute equal shares to the
+        sample of the call.
         """
         illuminated = np.flatnonzero(gains > 0.0)
         places = illuminated[sample_ranks(len(illuminated), parts)]
@@ -89,10 +91,11 @@ class DirectionSample:
 def sample_ranks(count: int, parts: int = 1) -> NDArray[np.int64]:
     """Return the indices of the sampled directions for one pass of a call.
 
-    A call with several lights computes each of its ``parts`` parts of the lights in a separate pass. The pass has
-    ``count`` illuminated directions.
+    A pass computes the directions of one part of the lights, such as a disc. The call has ``parts`` passes, and this
+    pass has ``count`` illuminated directions.
     """
     # The sample of a call is divided equally among the ``parts`` passes. Each pass contributes at least one direction.
+    # If the call has few directions, all of them are used.
     most = max(min(MOST_SAMPLED // parts, count // 2), 1)
     return np.arange(count) if count * parts < _SAMPLED_FROM else stratified(count, most)
 
@@ -115,7 +118,7 @@ class DirectionRange:
 
     Attributes:
         max_uv: Largest |(u, v)|.
-        max_order_rate: Largest order rate, as :func:`order_rate` defines it.
+        max_order_rate: Largest order rate: how fast orders pass a direction as 1/λ changes, see :func:`order_rate`.
         min_w: Smallest |w|.
         max_w: Largest |w|.
         lambda_min_nm: Shortest wavelength [nm].
@@ -135,7 +138,10 @@ class DirectionRange:
         to_lights: NDArray[np.floating], illuminated: NDArray[np.bool_],
         wavelengths_nm: NDArray[np.float64] | None = None,
     ) -> DirectionRange:  # fmt: skip
-        """Return the range of the directions for which the mask ``illuminated`` is True."""
+        """Return the range of the directions for which the mask ``illuminated`` is True, and of the wavelengths.
+
+        Without ``wavelengths_nm``, the range is that of visible wavelengths.
+        """
         band = (float(LAMBDA_MIN_NM), float(LAMBDA_MAX_NM))
         if wavelengths_nm is not None:
             band = (float(wavelengths_nm.min()), float(wavelengths_nm.max()))

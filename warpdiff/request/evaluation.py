@@ -1,4 +1,8 @@
-"""``Evaluation``: checked settings with all defaults resolved, for the planner and the kernels."""
+"""``Evaluation``: checked settings with all defaults resolved, for the planner and the kernels.
+
+A plan holds the numbers of a computation, such as the number of wavelengths. The planner selects it unless the caller
+gives an explicit plan.
+"""
 
 from __future__ import annotations
 
@@ -36,20 +40,20 @@ class Evaluation:
         tolerance: Accepted relative error of XYZ, or of ρ for a spectrum.
         method: Method, one of ``settings.Method``: an expansion of exp(2πiκh) in κ = w/λ, or the direct sum.
         integration: Method of integrating over the wavelength, one of ``settings.Integration``.
-        coherence: Coherence of the explicit plan. Without a plan, coherence of the settings. Without both, the default.
+        coherence: Coherence of the caller's plan. Without a plan, coherence of the settings. Without both, the default.
         normal_reflectance: Reflectance at normal incidence of the index of refraction; 1 for a material.
         materials: Materials by the name of a geometry. A single material has the name ``""``. A value of None selects
             the index of refraction.
         masking: Whether V-cavity masking is included.
         energy: ``"stam"``, or ``"normalised"`` if diffraction orders are scaled to sum to the reflected power.
-        plan: Explicit plan, or None.
+        plan: Plan that the caller gave, or None if the planner selects one.
         strict: Whether a tolerance that cannot be met is an error.
         device: Warp device that runs the kernels.
         threads: Number of threads on the CPU.
         illuminated: Pairs of illuminant and material that occur in the call. A plan must meet the tolerance for each
             pair.
         wavelengths_nm: Wavelengths of a spectrum [nm]; None integrates over the wavelength.
-        footprint: Whether a pixel shows the mean over the pixel filter.
+        footprint: Whether a pixel shows the mean of the colours over the pixel filter, and not only at its centre.
     """
 
     heightfield: HeightField
@@ -123,11 +127,14 @@ class Evaluation:
 
     @forks.cached_property
     def energy_factors(self) -> energy_normalisation.AchromaticFactors | None:
-        """Factors that multiply colours for ``energy="normalised"``; None for ``energy="stam"``."""
+        """Factors that multiply colours so that orders sum to the reflected power; None for ``energy="stam"``."""
         return None if self.energy == "stam" else energy_normalisation.achromatic_factors(self.heightfield)
 
     def with_energy(self, plan: Plan) -> Plan:
-        """Return a copy of a plan whose field ``energy_spread`` is set from the energy factors of this evaluation."""
+        """Return a copy of a plan with the field ``energy_spread`` of this evaluation.
+
+        It states by how much the reflected power of single wavelengths deviates if energy is normalised.
+        """
         spread = 0.0 if self.energy_factors is None else self.energy_factors.spread
         return plan if plan.energy_spread == spread else replace(plan, energy_spread=spread)
 

@@ -1,7 +1,8 @@
 """Layers of pictures: name, type of the values, channels, and describing text of each layer.
 
-A layer is one entry of ``LAYERS``. It is also one entry of ``VALUES`` in ``render/layers.py``, unless its values are
-numbers of the faces of the mesh.
+A layer is an additional array of a picture, such as the depth or the normal of each pixel. It is one entry of
+``LAYERS``. It is also one entry of ``VALUES`` in ``render/layers.py``, unless its values are numbers of the faces of
+the mesh.
 """
 
 from __future__ import annotations
@@ -26,9 +27,10 @@ class LayerFormat:
         dtype: Type of the values.
         by_light: Whether each light has a layer of its own: ``"light.0"``, ``"light.1"``, …
         is_colour: Whether the values are CIE XYZ. EXR files then also have R, G and B.
-        faces: For layers of numbers of faces, name of the attribute of the prepared mesh that has a number for each
-            face; else empty.
-        names: Name of the attribute of the prepared mesh with the texts for which these numbers stand, else empty.
+        faces: If the layer shows a number that belongs to the visible face, the name of the attribute of the prepared
+            mesh that has one number per face; otherwise empty.
+        names: Name of the attribute of the prepared mesh with the texts for which the numbers of ``faces`` stand,
+            otherwise empty.
     """
 
     meaning: str

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 # Format of saved plans, written to each file. The number increases when a field of a plan changes its name or meaning.
 _FORMAT = "warpdiff plan 2"
 # Largest size of a file that is read as a plan [bytes]. A plan has about 1 kB. A much larger file is therefore not a
-# plan, and is refused.
+# plan, and raises an error.
 _MOST_BYTES = 1 << 20
 METHODS = ("auto", *EXPANDED, "direct")
 AUTOMATIC = "low-rank"
@@ -39,7 +39,8 @@ LABELS = {
 # computation of tables. The second speed is for table look-ups, which the memory slows down. The speeds convert
 # predicted costs to the times that a plan reports.
 _SUMMED_PER_SECOND, _LOOKED_UP_PER_SECOND = 9e9, 2.7e9
-# Smallest and largest number of rings per octave that a colour table may have.
+# Smallest and largest number of rings of a colour table per octave of |(u, v)|. A ring is a circle of samples around
+# (u, v) = 0, and an octave is a factor of 2.
 MIN_RINGS, MAX_RINGS = 4, 512
 # A colour table has functions of w, the normal component of the scattering vector. Their number is a multiple of
 # `W_BASIS_STEP`, and at most `MOST_W_BASIS`. Kernels are compiled separately for each number of functions that occurs.
@@ -214,7 +215,7 @@ class Plan:
 
     @property
     def uses_footprints(self) -> bool:
-        """Whether look-ups compute the mean over a pixel's footprint by mip levels of the table."""
+        """Whether look-ups compute the mean over the range of (u, v) of a pixel by mip levels (blurred tables)."""
         return self.footprint and self.rings_per_octave > 0 and self.coherence.adds_powers
 
     @property
@@ -244,7 +245,7 @@ class Plan:
 
     @property
     def theory(self) -> TheoryVerdict:
-        """Verdict on scalar diffraction for the height field of the plan."""
+        """Verdict on how wrong scalar diffraction may be for the height field of the plan."""
         wavelength_nm = theory_wavelength_nm(self.lambda_min_nm, self.lambda_max_nm)
         return TheoryVerdict(self.scalar_error, self.scalar_reason, wavelength_nm)
 
@@ -437,7 +438,7 @@ def has_table(expansion: str, coherence: Coherence) -> bool:
 
 
 def plan_text(plan: Plan | Mapping[str, Plan]) -> str:
-    """Return the text of a plan, or the texts of the plans of several surfaces with the parts of the mesh."""
+    """Return the text of a plan, or the texts of several plans, each below the name of its part of the mesh."""
     if isinstance(plan, Mapping):
         return "\n\n".join(f"{part}\n{text}" for part, text in plan.items())
     return str(plan)

@@ -52,7 +52,7 @@ MOST_STOPS = 30.0
 
 
 def check_energy(energy: str) -> Energy:
-    """Return an energy of orders in British spelling; raise an error if it is no energy."""
+    """Return a value of the option ``energy`` in British spelling; raise an error for any other value."""
     spelling = SPELLINGS.get(energy, energy) if isinstance(energy, str) else energy
     return cast("Energy", validation.choice(spelling, "energy", choices_of(Energy)))
 
@@ -61,7 +61,7 @@ _Tangents = TypeVar("_Tangents")
 
 
 def check_tangents(tangents: _Tangents) -> _Tangents:
-    """Return ``tangents`` unchanged; raise an error for a text that names no rule."""
+    """Return ``tangents`` unchanged; raise an error for a text that is not in ``TANGENT_RULES``."""
     if isinstance(tangents, str):
         validation.choice(tangents, "tangents", TANGENT_RULES)
     return tangents
@@ -147,7 +147,7 @@ class PlannedSettings(CommonSettings):
 
     @property
     def effective_coherence(self) -> Coherence:
-        """Coherence of the explicit plan. Without a plan, coherence of the settings. Without both, the default."""
+        """Coherence of the caller's plan. Without a plan, coherence of the settings. Without both, the default."""
         return self.plan.coherence if isinstance(self.plan, Plan) else super().effective_coherence
 
 
@@ -221,7 +221,7 @@ class PictureSettings(EvaluationSettings):
 
     @property
     def effective_footprint(self) -> bool:
-        """Whether pixels show means over the pixel filter."""
+        """Whether pixels show means over the pixel filter (a Gaussian), and not the colours of single directions."""
         if self.footprint is not None:
             return self.footprint
         if isinstance(self.plan, Plan):

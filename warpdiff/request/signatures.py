@@ -57,7 +57,7 @@ def accepts(settings: type) -> Callable[[Function], Function]:
 
 
 def checked(function: Function) -> Function:
-    """Return a function that checks the arguments of ``function`` by its annotations, and refuses misspelt names."""
+    """Return ``function`` with a check of its arguments: their names, and their values by the annotations."""
     signature, name = inspect.signature(function), function.__qualname__
 
     @functools.wraps(function)
