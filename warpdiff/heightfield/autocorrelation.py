@@ -31,12 +31,13 @@ _STEP = 0.5
 # A decay length is the lag at which the autocorrelation falls to `THRESHOLD`; it depends on the azimuth. `_AZIMUTHS` is
 # the number of azimuths over half a turn at which decay lengths are computed first. The azimuths of the shortest and
 # the longest decay length are then refined `_LEVELS` times, with `_AZIMUTHS_OF_LEVEL` closer azimuths each time. The
-# numbers were chosen so that the last azimuths are 0.001° apart and the texture aspect ratio Str is exact to 1 % down
-# to 0.001. If the numbers of azimuths are doubled, the time doubles.
+# numbers were chosen so that the last azimuths are 0.001° apart. The texture aspect ratio Str, if it is at least 0.001,
+# is then exact to 1 %. If the numbers of azimuths are doubled, the time doubles.
 _AZIMUTHS, _LEVELS, _AZIMUTHS_OF_LEVEL = 360, 3, 17
-# Number of azimuths over half a turn for the decay lengths of a field without one of its blocks (rectangular parts). A
-# jackknife over the blocks gives the standard errors of decay lengths. The value is limited by the refinements, which
-# must still find the shortest and the longest decay length. If doubled, the time doubles.
+# The standard errors of decay lengths come from a jackknife: decay lengths are computed again without one block
+# (rectangular part) of the field at a time. The number is that of first azimuths over half a turn for such a
+# computation. With fewer azimuths, the refinements would miss the shortest or the longest decay length. If doubled, the
+# time doubles.
 AZIMUTHS_OF_PART = 60
 # Number of secant steps that find where the autocorrelation crosses the threshold on a straight line from the origin.
 # The value was chosen so that the remaining error of the crossing is far below the error of the interpolating spline.
@@ -205,7 +206,7 @@ class _Rays:
         self._line = values.ravel()
 
     def scale(self, angles: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the length [µm] of one unit of the grid with pitch 1, in the direction of each angle."""
+        """Return the distance [µm] that one unit of length on the grid of lags stands for, at each angle."""
         dy, dx = self._pitch
         return np.hypot(dy * np.sin(angles), dx * np.cos(angles))
 

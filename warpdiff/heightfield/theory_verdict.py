@@ -184,8 +184,8 @@ def verdict_on(
     errors["energy"] = (_PER_NORMALISED_ENERGY if conserves else _PER_ENERGY) * deviation
     reason = max(errors, key=errors.__getitem__)
     if reason == "deep" and errors["steep"] >= QUALITATIVE:
-        # The estimated error for deep relief also depends on the slope. If the error for deep relief is the largest,
-        # but the error for steep relief is at least `QUALITATIVE`, the reported reason is "steep".
+        # The estimated error for deep relief increases with the slope, too. If it is the largest, but the error for
+        # steep relief alone is at least `QUALITATIVE`, the slope is the reported reason.
         reason = "steep"
     if errors["undersampled"] >= INVALID:
         # If the samples are too far apart, the estimated errors for all other reasons are wrong too, because they use

@@ -63,13 +63,13 @@ _TWIN = 0.25
 # search ends at a step below `_CONVERGED` [cycles over the field].
 _MOST_STEPS, _LARGEST_STEP, _CONVERGED = 12, 0.3, 1e-3
 # The standard error of a wave's frequency follows from the spectrum of its phase error, the deviation of its phase from
-# that of a perfect grating. A coherent wave has nearly the phase of a perfect grating; the phase of a wavering wave
-# varies more. For a coherent wave, the lowest `_COHERENT_ORDINATES` frequencies of this spectrum along each axis are
-# used; for a wavering wave, the frequencies below `_WAVERING_ORDINATES` [cycles over the field]. The powers at these
-# frequencies are extrapolated to `_COHERENT_AT` or `_WAVERING_AT`, which are lower. If the phase error were an endless
-# random walk, the last two numbers would have to be 0.5. The values were fitted by bench/reproduce/periods.py. In a
-# pair, the first number is for fields with several samples along both axes, and the second number is for single rows or
-# columns of samples.
+# that of a perfect grating. The powers at the lowest frequencies of this spectrum are extrapolated to a still lower
+# frequency. A coherent wave has nearly the phase of a perfect grating: the lowest `_COHERENT_ORDINATES` frequencies
+# along each axis are extrapolated to `_COHERENT_AT`. The phase of a wavering wave varies more: the frequencies below
+# `_WAVERING_ORDINATES` are extrapolated to `_WAVERING_AT`. Frequencies are in cycles over the field. In a pair, the
+# first number is for fields with several samples along both axes, and the second for single rows or columns. The values
+# were fitted by bench/reproduce/periods.py. In theory, `_COHERENT_AT` and `_WAVERING_AT` are 0.5 if the phase error is
+# an endless random walk.
 _COHERENT_ORDINATES, _WAVERING_ORDINATES = 24, (5.0, 3.2)
 _COHERENT_AT, _WAVERING_AT = (0.43, 0.32), (0.4, 0.7)
 # The spectrum of the phase error of a wave is modelled as white noise plus a random walk. The tuple contains the ratios
@@ -257,11 +257,11 @@ class WaveSearch:
         return wave, WindowedSpectrum(residual)
 
     def _noise(self, fit: HarmonicFit, residual: NDArray[np.float64]) -> list[float]:
-        """Return, for each axis, the variance of white noise that would cause the same error of the fitted frequency.
+        """Return, for each axis, the variance of white noise that changes the fitted frequency as ``residual`` does.
 
-        The white noise replaces the residual of the fit. The residual is multiplied by the derivative of the wave with
-        respect to its phase. In the spectrum of this product, only the lowest spatial frequencies cause an error of the
-        wave's fitted frequency. The power at these frequencies comes from noise, from steps between scan lines or from
+        ``residual`` is the heights minus the fitted wave. It is multiplied by the derivative of the wave with respect
+        to its phase. In the spectrum of this product, only the lowest spatial frequencies cause an error of the wave's
+        fitted frequency. The power at these frequencies comes from noise, from steps between scan lines or from
         variations of the phase.
         """
         slopes = np.where(self.known, fit.slopes(), 0.0)

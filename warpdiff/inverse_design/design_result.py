@@ -1,4 +1,7 @@
-"""``Design``: a designed height field, with requested and achieved values."""
+"""``Design``: a designed height field, with requested and achieved values.
+
+Manufacture rounds the edges of a relief. Its effect is computed by a convolution of the heights with a Gaussian.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Least number of samples per standard deviation of the Gaussian that rounds edges.
+# Least number of samples per standard deviation of the Gaussian that rounds edges. Fewer samples do not resolve it.
 _PER_EDGE = 2.0
 # Least standard deviation of the Gaussian that rounds edges, relative to the distance of samples. The value is limited
 # by time and memory: the number of samples along an axis is proportional to its reciprocal. At this value, the number
@@ -267,7 +270,7 @@ def make_design(
     profile: Profile, targets: tuple[Target, ...], x: Array, log_exposure: float, levels_um: Array | None, loss: float,
     history: Table,
 ) -> Design:  # fmt: skip
-    """Evaluate parameters of a profile by the public functions of the library, with their warnings."""
+    """Return the design with the parameters ``x``, evaluated by public functions, which may issue warnings."""
     surface = profile.height_field(x)
     values = achieved_values(surface, targets)
     exposure = fitted_exposure(targets, values, math.exp(log_exposure))
@@ -346,7 +349,8 @@ def _table(targets: Sequence[Target], values: list[Array], exposure: float) -> T
             continue
         names = [f"order {y}, {x}" for y, x in target.pairs]
         is_equal = target.kind == "equal"
-        # A flat surface has no power in the orders of a target, and their deviation is −1.
+        # If all orders of a target are dark, their mean efficiency is 0. `LEAST_POWER` avoids a division by 0, and the
+        # deviation is −1.
         errors = value / max(float(value.mean()), LEAST_POWER) - 1.0 if is_equal else value - target.requested
         requested = np.full(len(value), value.mean()) if is_equal else target.requested
         rows += list(zip([k] * len(names), names, requested.tolist(), value.tolist(), errors.tolist(), strict=True))

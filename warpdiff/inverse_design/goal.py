@@ -3,6 +3,7 @@
 A group is a list of targets that are evaluated together: all colours with equal optics, or one target of orders. The
 values of a group are the XYZ of its colours, shape (n, 3), or the efficiencies of its orders, shape (n,). The exposure
 is the common factor of all colours. The adjoint of a quantity is the derivative of the loss with respect to it.
+Normalised efficiencies are those of Stam's theory times factors, so that all orders of a perfect mirror sum to 1.
 """
 
 from __future__ import annotations
@@ -32,14 +33,15 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Weight of squared relative deviations of efficiencies in the loss. With this weight, a deviation of 1 % counts as much
-# as a colour difference of 1 in CIE Lab.
+# Weight of the mean squared relative deviation of efficiencies in the loss. With this weight, a deviation of 1 % of all
+# orders counts as much as a colour difference of 1 in CIE Lab.
 _PER_DEVIATION = 1e4
 # Weight of the power that a target of equal orders lacks, relative to the power that a flat surface reflects. The value
 # was chosen so that 1 % more power is worth a deviation of 2.2 % of all orders. Larger weights make orders less equal.
 _PER_LOST_SHARE = 500.0
-# Weight of the logarithm of the exposure of colours. The value was chosen so that colours that are twice as bright are
-# worth a colour difference of 4.6. Larger weights make colours wrong.
+# Weight of the logarithm of the exposure (common factor of all colours) in the loss. Dark designs require a large
+# exposure. The value was chosen so that a design that is twice as bright may have a colour error of 4.6 in CIE Lab.
+# Larger weights make colours wrong.
 _PER_EXPOSURE = 30.0
 # Sum of the efficiencies of a target up to which all of its orders count as dark. The value is far above the rounding
 # errors of powers, about 1e-16 per order, which must not count as equal orders. If doubled, no design changes.
@@ -48,7 +50,7 @@ LEAST_POWER = 1e-12
 _DELTA = 6.0 / 29.0
 # Accepted relative error of computed colours during the search, and for the result.
 SEARCH_TRUNCATION, TRUNCATION = 1e-3, 1e-4
-# Logarithms of the exposure that are tried for a first estimate.
+# Natural logarithms of the exposure (common factor of all colours) that are tried for a first estimate.
 _LOG_EXPOSURES = np.linspace(-4.0, 14.0, 181)
 
 
@@ -79,12 +81,12 @@ def lab(xyz: Array) -> tuple[Array, Array]:
 
 
 class Goal:
-    """Targets in groups that are evaluated together: all colours with equal optics, and each target of orders.
+    """Targets of a design in groups that are evaluated together, and their loss.
 
     Attributes:
-        groups: Targets of each group.
-        factors: Ratios of normalised efficiencies to Stam's efficiencies for each group of orders, shape (n,). They
-            change slowly with the surface, so that the search treats them as constants.
+        groups: Targets of each group: all colours with equal optics, or one target of orders.
+        factors: Ratios of normalised (energy-conserving) efficiencies to Stam's efficiencies for each group of orders,
+            shape (n,). They change slowly with the surface, so that the search treats them as constants.
         has_colours: Whether there is a target of a colour.
     """
 
@@ -179,9 +181,9 @@ class Goal:
                 scale = _PER_DEVIATION / (value.shape[-1] * float(group[0].requested.mean()) ** 2)
                 total = total + scale * ((value - group[0].requested) ** 2).sum(axis=-1)
             else:
-                # The mean squared deviation of n efficiencies η from their mean, relative to the mean, is
-                # n Σ η² / (Σ η)² − 1. It is at most n − 1, if all power is in one order. If all orders are dark, the
-                # mean is 0. The deviation is then set to n, so that dark orders do not count as equal.
+                # The relative deviation of an efficiency η is η / mean − 1. The mean square over n orders is
+                # n Σ η² / (Σ η)² − 1. Its largest value is n − 1, if all power is in one order. If all orders are dark,
+                # the mean is 0, and the deviation is set to n, so that dark orders do not count as equal.
                 count, power = value.shape[-1], value.sum(axis=-1)
                 ratio = count * (value * value).sum(axis=-1) / np.maximum(power, LEAST_POWER) ** 2
                 deviation = np.where(power > LEAST_POWER, ratio - 1.0, count)
@@ -264,7 +266,7 @@ def places_of(target: Target, surface: HeightField | Outline) -> NDArray[np.int6
 
 
 class silenced(warnings.catch_warnings):  # noqa: N801 (a context, like its base class)
-    """Context without the library's warnings, which do not concern surfaces that a search only tries."""
+    """Context without the library's warnings. Warnings about trial surfaces of a search do not concern the user."""
 
     def __enter__(self) -> None:
         """Ignore warnings."""

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 _MOST_SWEEPS = 6
 # Least decrease of the loss for which a pixel changes its level. The value is limited by rounding errors.
 _LEAST_GAIN = 1e-9
-# Largest number of products of complex numbers in a pass over all pixels; pixels of larger designs are not exchanged.
+# Largest number of products of complex numbers in a pass over all pixels. Larger designs are only rounded to levels.
 # The value is limited by the computing time of an exchange, about a minute.
 _MOST_PRODUCTS = 2e10
 # The best depth is searched in `_REFINEMENTS` passes, each of which tries `_DEPTHS` depths with equal steps. A pass
@@ -139,7 +139,7 @@ class PixelExchange:
     """Values of a design as a function of the levels of its pixels and of its depth."""
 
     def __init__(self, goal: Goal, profile: Pixels, count: int) -> None:
-        """Compute the sums over the samples of a pixel.
+        """Compute ``basis`` of each coefficient and pixel: sums of waves over the samples of the pixel.
 
         Args:
             goal: Loss of the targets, with the factors from Stam's efficiencies to normalised ones.

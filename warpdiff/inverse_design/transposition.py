@@ -35,7 +35,7 @@ def transposed_targets(targets: Sequence[Target]) -> list[Target]:
 
 
 def transposed_column(pixels: Pixels) -> Pixels:
-    """Return a single row of pixels for a single column. Its parameters have the same order."""
+    """Return a single row of pixels with the heights of a single column, in the same sequence."""
     return Pixels(pixels.pixel_um, pixels.start[None, :], pixels.samples)
 
 

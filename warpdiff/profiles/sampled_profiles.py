@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class _SampledProfile(Profile):
-    """Profile with a fixed pitch, whose heights are a linear function of the parameters."""
+    """Profile with height fields of a fixed pitch as surfaces; their heights are linear in the parameters."""
 
     def __init__(
         self, names: tuple[str, ...], start: ArrayLike, bounds: ArrayLike, pitch_um: tuple[float, float]
@@ -142,8 +142,9 @@ class Pixels(_SampledProfile):
 
 
 class ScanModes(_SampledProfile):
-    """Scale, tilt and bow of a scan as parameters, which the calibration of an instrument leaves uncertain.
+    """Scale, tilt and bow of a scan (a measured height field) as parameters.
 
+    The calibration of an instrument leaves these parameters uncertain.
     The heights are scale · h + tilt_y · y + tilt_x · x + bow · (x² + y² − mean), where x and y run from −½ to ½ over
     the patch.
 

@@ -266,7 +266,7 @@ def _converged(
 
     Returns:
         Efficiencies for s and for p polarisation, shape (n,) each, the last N, the largest change of an efficiency in
-        the last doubling, and whether this change is within the limit.
+        the last doubling, and whether this change is small enough for convergence.
     """
     masks, thicknesses, period = grating
     most = _CHANGE_OF_LONG_PERIODS if period > _LONG_PERIOD * wavelength_um else _CHANGE

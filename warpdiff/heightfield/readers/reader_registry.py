@@ -49,8 +49,8 @@ class FileContent:
             check asks whether the sizes and heights are plausible.
         metadata: Facts about instrument and measurement that the file states, as text by name.
         notes: Changes of the samples by the reader, as sentences for the history of the field.
-        why_no_pitch: Reason why the file's statements of the pitch were not read, for the error that asks for it.
-        why_no_unit: Reason why the file's statements of the unit were not read, for the error that asks for it.
+        why_no_pitch: Reason why the pitch in the file was not read, for the error that asks the caller for a pitch.
+        why_no_unit: Reason why the unit in the file was not read, for the error that asks the caller for a unit.
     """
 
     samples: np.ndarray

@@ -69,9 +69,9 @@ _THOUSANDS = {".": (",", "\xa0"), ",": (".", "\xa0")}
 # `_MOST_ROUNDING`. Positions with noise that count as equal may spread over at most `_MOST_NOISE`. Both numbers are
 # relative to the step of the axis. If doubled, more scattered points are taken for a grid.
 _MOST_ROUNDING, _MOST_NOISE = 0.1, 0.01
-# Positions that are equal up to noise form a group. The number is the smallest gap between two groups, relative to the
-# largest gap. With 0.05, positions with noise are refused if twenty neighbouring positions of the axis have no point.
-# If doubled, they are refused if ten neighbouring positions have no point.
+# Positions of points along an axis that are equal up to noise form a group. Two groups are at least this fraction of
+# the largest gap apart. If twenty (1/0.05) neighbouring positions of the axis have no point, all other gaps are smaller
+# than this limit, and the text is refused. If the number is doubled, ten such positions suffice.
 _GROUP_GAP = 0.05
 _LINE_END = re.compile(r"\r\n?|\n")
 

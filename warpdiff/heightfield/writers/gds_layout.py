@@ -37,7 +37,8 @@ _TIME = datetime.datetime(2000, 1, 1)
 # Number of steps per µm to which positions are rounded before they are compared. The value follows from the resolution
 # of 1 nm: rounding to 0.1 nm removes errors of the arithmetic and no real difference.
 _PER_UM = 10_000
-# Largest coordinate of a file that is measured [µm]. The value is limited by the integers of the measurement.
+# Largest coordinate of a file that is measured [µm]. The value is limited by the 64-bit integers of the measurement,
+# which count steps of 0.1 nm.
 _MOST_UM = 1e14
 
 

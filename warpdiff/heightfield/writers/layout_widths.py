@@ -228,7 +228,8 @@ def _swept(rows: Indices, places: Indices, period: int) -> _Widths:
     is_odd = (np.diff(np.append(starts, len(rows))) % 2 == 1).tolist()
     begins = np.flatnonzero(np.append(True, np.diff(rows[starts]) != 0)).tolist()
     values = places[starts].tolist()
-    # Whether (1 or 0) a feature reaches the end of the line, which is also its beginning, the place 0.
+    # The line is periodic: its end is also its beginning, the place 0. `base` is 1 if a feature reaches the end of the
+    # line, otherwise 0.
     base = 0
     line: list[int] = []
     least: list[int | None] = [None, None]
@@ -237,11 +238,12 @@ def _swept(rows: Indices, places: Indices, period: int) -> _Widths:
         touched, odd = values[begin:end], is_odd[begin:end]
         reverses = touched[-1] == period and odd[-1]
         if touched[-1] == period:
-            # The end of the line is also its beginning.
+            # Changes at the end of the periodic line count as changes at its beginning, the place 0.
             both = touched[0] == 0
             is_reversed = odd[-1] != (both and odd[0])
             touched, odd = [0, *touched[int(both) : -1]], [is_reversed, *odd[int(both) : -1]]
-        # Places with an even number of changes. If a feature has an end there, it has one before and after the change.
+        # An even number of changes at a place cancels. An end of a feature at this place stays an end, but of another
+        # feature if two features touch at a corner.
         kinds = [(place, _kind(line, base, place)) for place, is_end in zip(touched, odd, strict=True) if not is_end]
         for place, is_end in zip(touched, odd, strict=True):
             if is_end:
@@ -253,7 +255,7 @@ def _swept(rows: Indices, places: Indices, period: int) -> _Widths:
             continue
         for place in touched:
             k = bisect_left(line, place)
-            # The interval that ends at the place or contains it, and the one that begins at the place.
+            # Two intervals are measured: the one that ends at the place or contains it, and the one that begins there.
             for start in (k - 1, k) if k < count and line[k] == place else (k - 1,):
                 after = start + 1
                 low = line[start] if start >= 0 else line[-1] - period
