@@ -41,7 +41,8 @@ _CHANGE, _MOST_STEPS = 1e-9, 60
 # Gradient of χ² that counts as 0, so that the minimiser ends. It is relative to the χ² at the start, and each parameter
 # is in units of its range. The value is limited by rounding errors of float64.
 _ROUNDING = 2.3e-16
-# Largest number of starts. The value is limited by the computing time, which is proportional to it.
+# Largest number of start values of the minimiser. The value is limited by the computing time, which is proportional to
+# it.
 _MOST_STARTS = 1000
 # Two minima are equally good if their χ² differs by less than the sum of two tolerances; the earlier start then wins.
 # The first tolerance is relative to χ². It must exceed the error of the minimiser. The second tolerance is relative to
@@ -140,7 +141,7 @@ class Fit:
         return f"Fit({shown}; χ² = {self.chi2:.3g} for {self.degrees_of_freedom} degrees of freedom)"
 
     def report(self) -> str:
-        """Return parameters, standard errors, correlations and equivalent minima as text."""
+        """Return parameters, standard errors, correlations, and other minima that the data cannot exclude, as text."""
         lines = [f"χ² = {self.chi2:.4g} for {self.degrees_of_freedom} degrees of freedom"]
         if not self.minima[0].has_converged:
             lines.append("the minimiser has not converged")
@@ -195,7 +196,7 @@ class _Problem:
         self._last = None
 
     def residuals(self, x: Array) -> Array:
-        """Return (prediction − measured)/sd, shape (n,)."""
+        """Return the residuals (prediction − measured)/sd for the parameters ``x``, shape (n,)."""
         self._evaluate(x)
         return self._residuals
 

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
     from warpdiff.optics.coherence import Coherence
 
-    # Values of dots: a number or an array, the path of an image, or a tuple of the path and its values of black and
-    # white.
+    # Type of the turns or scales of all dots of a map: a number or an array, the path of an image, or a tuple of the
+    # path and the values that black and white stand for.
     DotValues = ArrayLike | os.PathLike[str] | tuple[str | os.PathLike[str], float, float]
 
 # Largest turn (rotation of a dot) [degrees] that a map accepts: a hundred full turns. Larger numbers are probably no
@@ -43,13 +43,13 @@ MOST_PITCH_RATIO = 4.0
 # Values of black and white in an image of turns [degrees] or of depth scales. The value 180° was chosen because a
 # symmetric grating has the same grooves after a rotation by 180°.
 _BLACK_AND_WHITE = {"turn_deg": (0.0, 180.0), "depth_scale": (0.0, 1.0)}
-# Measured peak memory while a map is made [bytes per dot]: three arrays of float64, the transforms in float32, and
-# temporary arrays. If doubled, maps that fit into memory are refused.
+# Measured peak memory while a map is made [bytes per dot]: turns and scales in float64, four numbers in float32 for
+# kernels, and temporary arrays. If doubled, maps that fit into memory are refused.
 _BYTES_PER_DOT = 120.0
 
 
 class Dot(NamedTuple):
-    """Grating of one dot of a map, relative to the cell.
+    """Grating of one dot of a map, relative to the cell, the common grating of all dots.
 
     Attributes:
         turn_deg: Counter-clockwise turn [degrees].
@@ -151,12 +151,12 @@ class GratingMap(ReadOnlyArrays):
 
     @property
     def cell(self) -> HeightField:
-        """Height field of a dot with turn 0 and both scales 1."""
+        """Common grating of all dots: height field of a dot with turn 0, depth scale 1 and pitch scale 1."""
         return self._cell
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Number of rows and of columns of dots."""
+        """Numbers of rows and columns of the matrix of dots."""
         return self._shape
 
     @property
@@ -251,7 +251,7 @@ class GratingMap(ReadOnlyArrays):
 def _checked(
     value: object, name: str, *, least: float, most: float
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return the values of the dots from a number, an array or an image: shape (rows, columns), or () for a number."""
+    """Return turns or scales of dots from a number, an array or an image: shape (rows, columns), or () for a number."""
     if _is_image(value):
         numbers = _from_image(value, name)
     else:
@@ -277,7 +277,7 @@ def _is_image(value: object) -> bool:
 
 
 def _from_image(value: Any, name: str) -> NDArray[np.float64]:
-    """Return the values of a grey image, linear between the values of black and of white."""
+    """Return turns or scales of dots from a grey image, linear between the values that black and white stand for."""
     ends = _BLACK_AND_WHITE.get(name)
     if isinstance(value, tuple):
         if len(value) != 3:

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-# Number of depth scales at which the power of the first order is tabulated. The value was chosen so that the error of
-# linear interpolation between them is below 1e-4 of the largest power.
+# Number of depth scales (factors of the heights of a dot) at which the power of the first order is tabulated. The value
+# was chosen so that the error of linear interpolation between them is below 1e-4 of the largest power.
 _DEPTHS = 513
 # Smallest angle between the directions to both eyes, as viewed from the middle of the card [degrees]. The angular
 # diameter of the sun (0.53°) blurs diffraction orders. With half of this angle, each eye would also see the dots of the
@@ -181,8 +181,8 @@ def _depth_scales(
 ) -> NDArray[np.float64]:  # fmt: skip
     """Return the smallest depth scales for which the first order has the fractions ``power`` of its largest power.
 
-    The power of the first order depends on the product of depth scale and κ = |w|/λ [1/µm]. It increases from 0 to its
-    first maximum.
+    A depth scale is the factor of the heights of a dot. The power of the first order depends on the product of depth
+    scale and κ = |w|/λ [1/µm]. It increases from 0 to its first maximum.
     """
     heights = cell.heights_um[0] - cell.heights_um[0].mean()
     range_um = cell.height_range_um

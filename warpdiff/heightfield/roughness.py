@@ -286,8 +286,8 @@ def _sums(
     pairs_x, pairs_y = measured[:, 1:] & measured[:, :-1], measured[1:] & measured[:-1]
     squares_x, squares_y = along_x**2, along_y**2
     if min(heights.shape) == 1:
-        # A profile is a surface that is constant across its line of samples, so that a ratio of areas is a ratio of
-        # lengths.
+        # A profile (single row or column of samples) is a surface that is constant across it. The ratio of the areas of
+        # surface and projection is therefore the ratio of their lengths along the profile.
         squares, pairs = (squares_x, pairs_x) if heights.shape[0] == 1 else (squares_y, pairs_y)
         excess, cells = float(np.sum(_excess(squares[pairs]))), int(np.count_nonzero(pairs))
     else:

@@ -230,7 +230,7 @@ def errors_of(heightfield: HeightField, wavelength_um: float) -> dict[Reason, fl
 def _orders(
     shape: tuple[int, ...], pitch_um: tuple[float, float], wavelength_um: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the frequencies of a Fourier transform times the wavelength, along y and along x, shapes (ny, nx)."""
+    """Return frequencies of a Fourier transform times the wavelength (no unit), along y and x, shapes (ny, nx)."""
     rates = (wavelength_um * np.fft.fftfreq(n, pitch) for n, pitch in zip(shape, pitch_um, strict=True))
     v, u = np.meshgrid(*rates, indexing="ij")
     return v, u
@@ -279,9 +279,10 @@ def _lost_power(heightfield: HeightField, wavelength_um: float) -> float:
 def _undersampled_share(heightfield: HeightField, wavelength_um: float) -> float:
     """Return the fraction of undersampled steps in the sum of all height differences |Δh| between neighbouring samples.
 
-    The larger of the fractions along x and along y counts. A step is undersampled if it and the next step change the
-    phase of the light by more than half a cycle each, both upwards or both downwards. A single large step is not
-    counted, because it is a vertical wall, which two samples represent correctly.
+    The larger of the fractions along x and along y counts. A step is the height difference Δh of two neighbouring
+    samples. It is undersampled if it and the next step change the phase of the light by more than half a cycle each,
+    both upwards or both downwards. A single large step is not counted, because it is a vertical wall, which two samples
+    represent correctly.
     """
     worst = 0.0
     limit = wavelength_um / 4.0
@@ -313,9 +314,9 @@ def energy_deviations(heightfield: HeightField, wavelength_um: float) -> tuple[f
     v, u = _orders(heights.shape, pitch_um, wavelength_um)
     reachable = np.hypot(u, v) <= 1.0 + math.sin(math.radians(max(_ANGLES_DEG)))
     orders = np.stack([u[reachable], v[reachable]], axis=1)
-    # The phase of the reflected wave is 2πκ times the height in wavelengths, and κ differs between orders. The
-    # amplitudes of all orders are computed at a few values of κ. Chebyshev polynomials interpolate the amplitude of an
-    # order to its own κ.
+    # The phase of the reflected wave is 2πκ times the height in wavelengths. Here κ = cos θi + cos θr differs between
+    # orders. The amplitudes of all orders are computed at a few values of κ. Chebyshev polynomials interpolate the
+    # amplitude of an order to its own κ.
     low, high = math.cos(math.radians(max(_ANGLES_DEG))), 2.0
     argument = math.pi * (high - low) / 2.0 * float(np.ptp(heights))
     count = math.ceil(argument + 4.0 * math.cbrt(argument)) + 4

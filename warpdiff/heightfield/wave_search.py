@@ -192,7 +192,7 @@ class WaveSearch:
         )
 
     def _is_beside_wavering(self, cycles: NDArray[np.float64]) -> bool:
-        """Return whether a frequency is so near to a wave of varying phase that its line belongs to this wave."""
+        """Return whether a spectral line at a frequency is so near to a wave of varying phase that it belongs to it."""
         return any(_distance(cycles, other) <= _SIDE_LINES * float(np.hypot(*other)) for other in self.wavering)
 
     def _fundamental(self, spectrum: WindowedSpectrum, line: Line) -> Line:
@@ -216,10 +216,10 @@ class WaveSearch:
         self, line: Line, band: float, before: float, after: float, rest: WindowedSpectrum,
         residual: NDArray[np.float64], cycles: NDArray[np.float64],
     ) -> bool:  # fmt: skip
-        """Return whether one sine explains the power of the spectrum around a line.
+        """Return whether one sine explains the power of the spectrum around a line (maximum).
 
-        The result is also True if most of the power that this sine leaves is in a second sine, whose frequency is more
-        than 2 cycles over the field away. The second sine is then another wave.
+        The result is also True if most of the power that remains without this sine is in a second sine, with a
+        frequency that differs by more than 2 cycles over the field. The second sine is then another wave.
         """
         coefficients = math.pi * band**2 / 2.25 if self.is_plane else band / 0.75
         noise = 2.0 * line.background * math.sqrt(coefficients)
@@ -237,7 +237,7 @@ class WaveSearch:
         return fitted, np.where(self.known, heights - sine, 0.0)
 
     def _coherent(self, cycles: NDArray[np.float64], band: float) -> tuple[Wave, WindowedSpectrum]:
-        """Fit and subtract a coherent wave with its harmonics; return the wave, and the spectrum of the residual."""
+        """Fit and subtract a wave of nearly constant frequency with its harmonics; return it and the new spectrum."""
         fit = fit_wave(self.heights, self.known, self.pitch, cycles / self.sizes)
         residual = np.where(self.known, self.heights - fit.heights(), 0.0)
         frequency = float(np.hypot(*fit.q))

@@ -49,8 +49,8 @@ _BYTES_PER_SAMPLE = 100.0
 # the largest accepted one, relative to the period. The latter is limited because wider Gaussians leave little of the
 # relief.
 _EDGE_WIDTHS_UM, _WIDEST_EDGE = (0.05, 0.1), 0.1
-# Largest number of wavelengths at which a colour is solved rigorously. The value is limited by the computing time,
-# which is proportional to it.
+# Largest number of wavelengths of a colour for which Maxwell's equations are solved. The value is limited by the
+# computing time, which is proportional to it.
 _MOST_WAVELENGTHS = 401
 
 
@@ -104,7 +104,7 @@ class Design:
 
     @property
     def delta_e(self) -> Array:
-        """ΔE2000 of the colours at the common exposure, shape (number of colours,)."""
+        """ΔE2000 between requested colours and achieved colours times ``exposure``, shape (number of colours,)."""
         rows = np.char.equal(self.achieved["quantity"], "Y")
         return np.asarray(self.achieved["error"][rows])
 
@@ -194,7 +194,7 @@ class Design:
         return RigorousCheck(table, exposure, table["error"][shown], np.array(uniform), converged, change)
 
     def _substance(self, material: Material | None) -> Material:
-        """Return the material of a rigorous check."""
+        """Return the material for a check by Maxwell's equations: the argument, or else that of the targets."""
         if material is not None:
             validation.instance(material, Material, "material")
             return material
@@ -323,7 +323,7 @@ def fitted_exposure(targets: Sequence[Target], values: list[Array], first: float
 
 
 def uniformity_error(efficiencies: Array) -> float:
-    """Return (largest − least)/(largest + least); 1, the largest value, if all orders are dark."""
+    """Return (largest − least)/(largest + least) of the efficiencies of orders; 1, the maximum, if all are dark."""
     total = float(efficiencies.max() + efficiencies.min())
     return float(np.ptp(efficiencies)) / total if total > LEAST_POWER else 1.0
 
@@ -370,7 +370,7 @@ def _numbers(values: ArrayLike, name: str, low: float, high: float, origin: str 
 
 
 def _sharpest_um(surface: HeightField) -> float:
-    """Return the least standard deviation of rounded edges [µm]."""
+    """Return the least accepted standard deviation of the Gaussian that rounds edges [µm]."""
     pitches = [pitch for n, pitch in zip(surface.shape, surface.pitch_um, strict=True) if n > 1]
     return _SHARPEST_EDGE * max(pitches, default=0.0)
 

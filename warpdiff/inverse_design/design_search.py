@@ -284,7 +284,7 @@ class _Search:
 
     @property
     def _is_normalised(self) -> bool:
-        """Whether a target has normalised efficiencies."""
+        """Whether a target requests normalised efficiencies, which are scaled so that they conserve energy."""
         return any(target.optics.energy != "stam" for target in self._targets)
 
     @property

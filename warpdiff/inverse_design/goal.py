@@ -59,8 +59,8 @@ class Loss(NamedTuple):
 
     Attributes:
         value: The loss.
-        adjoints: Derivatives of the loss by the values of each group.
-        of_exposure: Derivative of the loss by the logarithm of the exposure.
+        adjoints: Derivatives of the loss by the values (colours or efficiencies) of each group of targets.
+        of_exposure: Derivative of the loss by the logarithm of the exposure, the common factor of all colours.
     """
 
     value: float
@@ -101,10 +101,10 @@ class Goal:
     def values(
         self, surface: HeightField | Outline, wrt: tuple[str, ...] = (), *, truncation: float = SEARCH_TRUNCATION
     ) -> tuple[list[Array], Callable[[list[Array]], dict[str, Array]]]:
-        """Return the values of each group, and a function that converts their adjoints.
+        """Return the values (colours or efficiencies) of each group of targets, and a function for derivatives.
 
-        The function returns the adjoints of the variables ``wrt`` of the surface. Efficiencies are Stam's efficiencies
-        times ``factors``.
+        The function converts derivatives of the loss by these values to derivatives by the variables ``wrt`` of the
+        surface. Efficiencies are those of Stam's theory times ``factors``.
         """
         values: list[Array] = []
         pulls: list[Callable[[Array], dict[str, Array]]] = []
@@ -166,10 +166,10 @@ class Goal:
         return np.asarray(result.value[0])
 
     def costs(self, values: list[Array], log_exposure: float) -> Array:
-        """Return the loss for the values of all groups.
+        """Return the loss for the values of all groups: efficiencies, shape (n,), or colours, shape (n, 3).
 
-        The values may be those of several candidate surfaces, along leading axes: shapes (..., n) or (..., n, 3). The
-        loss then has the shape (...).
+        ``log_exposure`` is the logarithm of the common factor of all colours. The values may be those of several
+        surfaces, along leading axes: shapes (..., n) or (..., n, 3). The loss then has the shape (...).
         """
         total = np.asarray(_PER_EXPOSURE * log_exposure if self.has_colours else 0.0)
         for group, value in zip(self.groups, values, strict=True):
@@ -191,7 +191,7 @@ class Goal:
         return np.asarray(total)
 
     def loss(self, values: list[Array], log_exposure: float) -> Loss:
-        """Return the loss for the values of all groups, with its derivatives."""
+        """Return the loss for the values (colours or efficiencies) of all groups of targets, with its derivatives."""
         adjoints, of_exposure = [], 0.0
         for group, value in zip(self.groups, values, strict=True):
             if group[0].kind == "colour":
@@ -205,7 +205,7 @@ class Goal:
         return Loss(float(self.costs(values, log_exposure)), adjoints, of_exposure)
 
     def best_log_exposure(self, values: list[Array]) -> float:
-        """Return the logarithm of the exposure with the least loss, with an accuracy of 0.1."""
+        """Return the logarithm of the exposure (common factor of all colours) with the least loss, in steps of 0.1."""
         if not self.has_colours:
             return 0.0
         losses = [self.costs(values, log_exposure) for log_exposure in _LOG_EXPOSURES.tolist()]
@@ -215,7 +215,7 @@ class Goal:
         """Return a function that computes the loss and its gradient for a profile.
 
         The argument of the function contains the parameters of the profile and, as its last element, the logarithm of
-        the exposure.
+        the exposure, the common factor of all colours.
         """
 
         def function(z: Array) -> tuple[float, Array]:
@@ -229,7 +229,8 @@ class Goal:
 def _colour_adjoint(group: list[Target], xyz: Array, log_exposure: float) -> tuple[Array, float]:
     """Return the derivatives of the sum of squared distances in CIE Lab.
 
-    The first result is the derivatives by XYZ, shape (n, 3), and the second is that by the logarithm of the exposure.
+    The first result has the derivatives by XYZ, shape (n, 3). The second is the derivative by the logarithm of the
+    exposure, the common factor of all colours.
     """
     exposure = math.exp(log_exposure)
     requested = lab(np.stack([target.requested for target in group]))[0]
@@ -239,7 +240,7 @@ def _colour_adjoint(group: list[Target], xyz: Array, log_exposure: float) -> tup
 
 
 def _order_adjoint(target: Target, efficiencies: Array) -> Array:
-    """Return the derivatives of the loss of a target of orders by its efficiencies, shape (n,)."""
+    """Return the derivatives of a target's part of the loss by the efficiencies of its orders, shape (n,)."""
     count = len(efficiencies)
     if target.kind == "orders":
         scale = _PER_DEVIATION / (count * float(target.requested.mean()) ** 2)

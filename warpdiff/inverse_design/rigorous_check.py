@@ -75,8 +75,8 @@ def rigorous_values(
                 f"{ref(f'targets[{k}]')} must have directions perpendicular to the grooves ({along} = 0), got a "
                 f"component {along} of {target.to_light[1]:g} to the light and {target.to_view[1]:g} to the viewer"
             )
-    # Colours are solved at the wavelengths `nodes`. Targets of colours with the same direction to the light share their
-    # solutions.
+    # Maxwell's equations are solved at the wavelengths `nodes` [nm] for colours. Colours with the same direction to the
+    # light use the same solutions, which contain all orders.
     nodes = np.linspace(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, count)
     keys = [(*t.to_light, *(nodes if t.kind == "colour" else [t.wavelength_nm])) for t in targets]
     solved, flags, changes = {}, [], []

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from warpdiff.inverse_design.targets import Target
 
-# Components of vectors after the exchange of x and y.
+# Index that exchanges the components x and y of a vector.
 _EXCHANGED = [1, 0, 2]
 
 

@@ -79,11 +79,11 @@ class _OutlineProfile(Profile):
         return Outline(positions, vertices[:, 1], float(values[-1]))
 
     def height_field(self, x: ArrayLike) -> HeightField:
-        """Return samples of the outline for parameters, shape (p,)."""
+        """Return the outline for parameters, shape (p,), as a height field with equally spaced samples."""
         return self.surface(x).height_field()
 
     def pullback(self, x: ArrayLike, adjoints: Mapping[str, Array]) -> Array:
-        """Return the adjoints of the parameters ``x``, shape (p,), from the adjoints of the vertices and the period."""
+        """Return the adjoints (derivatives of a loss) of the parameters ``x``, from those of vertices and period."""
         self.check(x)
         return np.append(np.tensordot(self._modes, adjoints["vertices"], axes=2), adjoints["period_um"])
 

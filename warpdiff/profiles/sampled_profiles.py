@@ -46,7 +46,7 @@ class _SampledProfile(Profile):
         return self.surface(x)
 
     def pullback(self, x: ArrayLike, adjoints: Mapping[str, Array]) -> Array:
-        """Return the adjoints of the parameters, shape (p,), from the adjoint of the heights."""
+        """Return the adjoints (derivatives of a loss) of the parameters, shape (p,), from those of the heights."""
         self.check(x)
         return self._transposed(adjoints["heights_um"])
 
@@ -61,7 +61,7 @@ class _SampledProfile(Profile):
 
     @abstractmethod
     def _transposed(self, heights: Array) -> Array:
-        """Return the adjoints of the parameters, shape (p,), from the adjoints of the heights, shape (ny, nx)."""
+        """Return the derivatives of a loss by the parameters, shape (p,), from those by the heights, shape (ny, nx)."""
 
 
 class Samples(_SampledProfile):

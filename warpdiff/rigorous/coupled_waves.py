@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 # Power that returns from the lower end of the layer that replaces an absorbing substrate, relative to the power that
 # enters the layer. The value was chosen so that this power is about as small as rounding errors.
 _RETURNED = 1e-13
-# Imaginary part k of the index of refraction up to which a substrate counts as transparent. A layer replaces substrates
-# with larger k. The value was chosen because this layer would be about 1 cm thick or thicker for smaller k.
+# Imaginary part k of the index of refraction up to which a substrate counts as transparent. A substrate with larger k
+# is replaced by a layer that absorbs all light. For smaller k, this layer would be about 1 cm thick or thicker.
 _TRANSPARENT = 1e-4
 # Largest accepted difference between the solver's reflectance of a flat surface and that of Fresnel's equations. The
-# value is far above rounding errors.
+# value is far above rounding errors of float64.
 _FLAT_ERROR = 1e-6
 # The solver is checked with a flat layer: thickness of this layer [µm], and largest order N of the Fourier series.
 _FLAT_UM, _FLAT_HARMONICS = 0.1, 2

@@ -98,7 +98,7 @@ def _equal_blocks(file: Path, blocks: list[Block]) -> list[Block]:
 
 
 def _facts_of(block: Block, form: Form, signs: Signs, first_header: list[str]) -> Facts:
-    """Return the facts of the header above a block of numbers; the first header of the file completes missing facts."""
+    """Return facts (sizes, units) of the header above a block of numbers; the first header adds what it lacks."""
     facts = text_header.facts_of(block.header, form, signs)
     if first_header is not block.header:
         facts.merge(text_header.facts_of(first_header, form, signs))

@@ -40,7 +40,7 @@ _TABLE = (
 )  # fmt: skip
 _RECORDS = {code: (name, kind, size) for code, name, kind, size in _TABLE}
 _CODES = {name: code for code, name, _, _ in _TABLE}
-# Smallest and largest number of points of each kind of element; None is no limit.
+# Smallest and largest number of points of each kind of element (polygon, path, reference, text); None is no limit.
 _POINTS = {
     "BOUNDARY": (4, None), "BOX": (4, None), "PATH": (2, None), "SREF": (1, 1), "AREF": (3, 3), "TEXT": (1, 1),
     "NODE": (1, 50),
@@ -48,12 +48,13 @@ _POINTS = {
 # Largest depth of nested references: a cell in a cell, and so on. Layouts have a depth of less than 30. gdstk calls a
 # function for each level of the nesting, and the stack of a process has room for about ten thousand calls.
 _MOST_DEPTH = 256
-# Largest number of copies of cells that all references make together. The measurement of a million rectangles requires
+# Largest number of copies of cells that all references place together. The measurement of a million rectangles requires
 # about 12 s. If doubled, damaged files can require twice this time.
 _MOST_COPIES = 10**6
-# Memory of a vertex while gdstk and the measurement hold the polygons [bytes], measured for squares at random places.
+# Peak memory per vertex of the polygons [bytes], while a layout is read and measured. The value was measured for
+# squares at random positions.
 _BYTES_PER_VERTEX = 760.0
-# Accepted range of the resolution [m], and of the magnification of a reference.
+# Accepted range of the resolution [m], and of the magnification with which a reference places a cell.
 _RESOLUTIONS, _MAGNIFICATIONS = (1e-15, 1.0), (1e-6, 1e6)
 # The regular expressions below check the order of records. One character stands for one record. The code point of the
 # character is this number plus the code of the record.
@@ -147,7 +148,7 @@ class _Layout:
         return struct.unpack(f">{len(content) // 2}h", content)
 
     def text(self, index: int) -> bytes:
-        """Return the name of a cell in a record."""
+        """Return the name of a cell that a record contains."""
         text = self.content(index).removesuffix(b"\0")
         if not text or b"\0" in text:
             self.refuse(f"record {self.title(index)} at byte {self.begins[index]} must have a name, got {text!r}")
@@ -198,7 +199,7 @@ def check(file: Path) -> None:
 
 
 def _add(layout: _Layout, cell: _Cell, begin: int, end: int) -> None:
-    """Check the values of an element, and add its vertices or copies to its cell."""
+    """Check the values of an element (polygon, reference, text), and add its vertices or copies to its cell."""
     records = {layout.title(index): index for index in range(begin, end)}
     title = layout.title(begin)
     points = sum(len(layout.content(index)) // 8 for index in range(begin, end) if layout.title(index) == "XY")
@@ -228,7 +229,7 @@ def _add(layout: _Layout, cell: _Cell, begin: int, end: int) -> None:
 
 
 def _check_references(layout: _Layout, cells: dict[bytes, _Cell]) -> None:
-    """Raise an error if a reference has no cell, or contains itself, or if all references make too many copies."""
+    """Raise an error if a reference names no cell of the file, a cell contains itself, or copies are too many."""
     graph = {name: {other for other, _ in cell.copies} for name, cell in cells.items()}
     missing = sorted(set().union(*graph.values()) - set(graph))
     if missing:

@@ -63,7 +63,7 @@ class _Widths(NamedTuple):
 
 
 def measured(steps: Steps, size: tuple[int, int]) -> Measures:
-    """Measure the union of polygons from the steps of all polygons; the layout has the periods ``size`` (x, y)."""
+    """Measure the union of polygons from their steps (horizontal edges); ``size`` has the layout's periods (x, y)."""
     lines = np.unique(np.concatenate([steps.left, steps.right, [0, size[0]]]))
     rows = np.unique(np.append(steps.y, [0, size[1]]))
     if (len(lines) - 1) * (len(rows) - 1) <= _MOST_CELLS:
@@ -74,7 +74,7 @@ def measured(steps: Steps, size: tuple[int, int]) -> Measures:
 
 
 def _on_grid(steps: Steps, lines: Indices, rows: Indices) -> Measures:
-    """Measure a layout on the grid between its coordinates: a cell is covered as a whole or not at all."""
+    """Measure a layout on the grid through its vertices: each cell of the grid is covered as a whole or not at all."""
     counts = np.zeros((len(rows), len(lines)), dtype=np.int32)
     places = np.searchsorted(rows, steps.y)
     np.add.at(counts, (places, np.searchsorted(lines, steps.left)), steps.change)
@@ -141,7 +141,7 @@ def steps_of_polygon(x: list[int], y: list[int]) -> list[tuple[int, int, int, in
 
 
 def _united(steps: Steps) -> Steps:
-    """Return the steps of the union of polygons, from the steps of all polygons."""
+    """Return the steps (horizontal edges) of the union of polygons, from the steps of all polygons."""
     is_wide = steps.left < steps.right
     y, left, right, change = (part[is_wide] for part in steps)
     lines, columns = np.unique(np.concatenate([left, right]), return_inverse=True)
@@ -150,13 +150,13 @@ def _united(steps: Steps) -> Steps:
     first, after = columns[: len(y)][order], columns[len(y) :][order]
     if not len(y):
         return Steps(y, left, right, change)
-    # Steps at one height that overlap or touch form a group. Their changes of the coverage are added.
+    # Steps (horizontal edges) at one height that overlap or touch form a group. A step changes the number of polygons
+    # that cover the layout; these changes are added in a group.
     row = np.cumsum(np.append(0, np.diff(y) != 0)) * (len(lines) + 1)
     reach = np.maximum.accumulate(row + after)
     begins = np.flatnonzero(np.append(True, row[1:] + first[1:] > reach[:-1]))
     ends = np.append(begins[1:], len(y))
-    # Number of polygons that cover each interval between neighbouring coordinates x, below the height of the next
-    # group.
+    # Number of polygons that cover each interval between neighbouring coordinates x, below the next group of edges.
     counts = np.zeros(len(lines), dtype=np.int32)
     parts: list[tuple[Indices, Indices, Indices, Indices]] = []
     for begin, end, low, high in zip(
@@ -195,7 +195,8 @@ def _area(steps: Steps) -> int:
 
 def _along_x(steps: Steps, size: tuple[int, int]) -> _Widths:
     """Return the least widths along x of a layout that is repeated with the periods (x, y) of ``size``, from 0."""
-    # The steps at y = 0 are repeated at the end of the period, so that corners at the edge of the layout are counted.
+    # The steps (horizontal edges) at y = 0 are repeated at the end of the period, so that corners at the edge of the
+    # layout are counted.
     again = steps.y == 0
     rows = np.concatenate([steps.y, np.full(int(again.sum()), size[1])])
     left, right = (np.concatenate([part, part[again]]) for part in (steps.left, steps.right))
