@@ -44,10 +44,10 @@ _ROUNDING = 2.3e-16
 # Largest number of start values of the minimiser. The value is limited by the computing time, which is proportional to
 # it.
 _MOST_STARTS = 1000
-# Two minima are equally good if their χ² differs by less than the sum of two tolerances; the earlier start then wins.
-# The first tolerance is relative to χ². It must exceed the error of the minimiser. The second tolerance is relative to
-# the sum of (value/sd)². It must exceed rounding errors, of which χ² consists if the data have no noise.
-# Both are relative, so that a common factor of all standard deviations does not change the best minimum.
+# Two minima are equally good if their χ² differs by less than the sum of two tolerances. The result is then the minimum
+# of the earlier start. The first tolerance is relative to χ². It must exceed the error of the minimiser. The second
+# tolerance is relative to the sum of (value/sd)². It must exceed rounding errors, of which χ² consists if the data have
+# no noise. Both are relative, so that a common factor of all standard deviations does not change the best minimum.
 _TIE, _TIE_OF_DATA = 1e-6, 1e-12
 # The data do not determine a change of the parameters that hardly changes the residuals. Such a change is a singular
 # vector of the Jacobian matrix with a singular value of at most `_LEAST_SINGULAR` times the largest one. If a component

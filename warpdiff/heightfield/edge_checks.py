@@ -40,8 +40,8 @@ def warn_of_edges(heightfield: HeightField, coherence: Coherence, longest_um: fl
 
     Args:
         heightfield: Field without missing samples.
-        coherence: Coherence of the evaluation of the reflectance.
-        longest_um: Longest wavelength of the evaluation [µm].
+        coherence: Coherence window, source or number of periods for which the reflectance will be computed.
+        longest_um: Longest wavelength for which the reflectance will be computed [µm].
     """
     if heightfield in _warned:
         return

@@ -198,7 +198,7 @@ class GratingMap(ReadOnlyArrays):
 
     @property
     def has_one_pitch(self) -> bool:
-        """Whether all dots have the same pitch scale."""
+        """Whether all dots have the same pitch scale, the factor of the cell's lengths."""
         return self._pitch_range[0] == self._pitch_range[1]
 
     @property

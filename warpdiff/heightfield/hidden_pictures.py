@@ -112,7 +112,7 @@ def _aimed(
     pictures: NDArray[np.float64], eyes: NDArray[np.float64], to_light: NDArray[np.float64], cell: HeightField,
     width: float, wavelength_um: float,
 ) -> GratingMap:  # fmt: skip
-    """Return the map whose dots are aimed at the eyes, for checked arguments."""
+    """Return the map of dots with first orders that reach the eyes, for checked arguments."""
     rows, columns = pictures.shape[1:]
     row, column = np.indices((rows, columns))
     of_dot = (row + column) % 2

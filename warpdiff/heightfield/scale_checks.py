@@ -130,7 +130,7 @@ def _missing_code(heights: NDArray[np.float64]) -> tuple[float, int] | None:
 
 @dataclass(frozen=True)
 class _Scale:
-    """Scales of a height field, by which its units are checked.
+    """Height range, pitch, size and slopes of a height field, by which its units are checked.
 
     Attributes:
         height: Height range [µm].
@@ -148,7 +148,7 @@ class _Scale:
 
     @classmethod
     def of(cls, heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> _Scale | None:
-        """Measure a height field; return None if the field is flat, has a single sample, or has usual scales."""
+        """Measure a height field; return None if the field is flat, has one sample, or if all values are usual."""
         known = heights[~np.isnan(heights)]
         height = float(np.ptp(known))
         free = [axis for axis in (0, 1) if heights.shape[axis] > 1]

@@ -65,8 +65,8 @@ _FAN_COSINES, _FAN_SINES = np.cos(_FAN), np.sin(_FAN)
 # Quantile of the powers in a ring or sector of the frequency plane from which the coarse background is estimated. The
 # value is below the median, because at low frequencies a spectral line covers most of a ring.
 _QUANTILE = 0.15
-# For exponentially distributed powers: ratio of the mean to the median, and ratio of the mean to the quantile
-# `_QUANTILE`.
+# The powers of noise are distributed exponentially. The factors convert the median of powers, and their quantile
+# `_QUANTILE`, to the mean of this distribution.
 _MEAN_OF_MEDIAN, _MEAN_OF_QUANTILE = 1.0 / math.log(2.0), -1.0 / math.log(1.0 - _QUANTILE)
 
 
@@ -143,7 +143,7 @@ class WindowedSpectrum:
 
     @staticmethod
     def _main_lobe(place: tuple[int, int]) -> tuple[slice, ...]:
-        """Return slices of the rows and columns that the main lobe of the Hann window covers around a coefficient."""
+        """Return slices of rows and columns around a coefficient that the Hann window's main lobe (maximum) covers."""
         return tuple(slice(max(i - 2, 0), i + 3) for i in place)
 
     def strongest_within(self, cycles: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
@@ -214,8 +214,8 @@ class WindowedSpectrum:
         )
         result = np.maximum(result, by_sector[sector, ring])
         for axis in (0, 1):
-            # The frequencies −1, 0 and 1 along this axis have separate estimates. If the field has two samples along
-            # the axis, the frequency 1 does not exist.
+            # The background has separate estimates at the frequencies −1, 0 and 1 [cycles over the field] along this
+            # axis. If the field has two samples along the axis, the frequency 1 does not exist.
             for place in range(self.centre[axis] - 1, min(self.centre[axis] + 2, self.power.shape[axis])):
                 line = (slice(None),) * axis + (place,)
                 along = _ring_background(self.power[line], ring[line], count, reach=_RINGS)

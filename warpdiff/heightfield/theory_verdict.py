@@ -62,7 +62,7 @@ _PER_SLOPE, _PER_DEPTH, _PER_NARROW_SHARE, _PER_ENERGY, _PER_NORMALISED_ENERGY =
 # undersampled, the estimated error is 1, and the results are meaningless.
 _PER_UNDERSAMPLED = 2.0
 # Product of spatial frequency and wavelength above which features count as narrow, because their period is less than
-# two wavelengths. The value was fitted to the same rigorous solutions as the factors above.
+# two wavelengths. The value was fitted to rigorous solutions, as the factors of the estimated errors were.
 _NARROW = 0.5
 # Largest number of wavelengths for which the estimated errors of a height field are cached. The value is limited by
 # memory. The evaluation of a spectrum requires a verdict at three of its wavelengths.
@@ -80,9 +80,9 @@ _ANGLES_DEG = (0.0, 30.0, 60.0)
 # Height range, in wavelengths, above which the efficiencies of all orders are not summed. The value is limited by time:
 # larger ranges require so many Fourier transforms that a verdict takes more than 30 ms.
 _MOST_RANGE = 6.0
-# Least cosine of the angle between an order and the normal for which the order counts in the sum of efficiencies; lower
-# orders are within 5.7° of the horizon. The value is limited by a divergence: at the horizon the efficiency of an order
-# diverges, and an order that happens to be near it would dominate the sum.
+# Least cosine of the angle between an order and the normal for which the order counts in the sum of efficiencies.
+# Orders with a smaller cosine are within 5.7° of the horizon. At the horizon the efficiency of an order diverges, so
+# that an order that happens to be near it would dominate the sum.
 _LEAST_COSINE = 0.1
 # Reflectances at normal incidence of a perfect mirror and of glass (n = 1.5). The efficiencies of orders are summed for
 # both materials, because the reflectance of glass also depends on the direction of an order.

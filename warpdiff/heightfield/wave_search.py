@@ -21,8 +21,9 @@ if TYPE_CHECKING:
 # Number of periods by which a wave may fall short of the required three periods over the field. The margin is necessary
 # because the fitted frequency of a wave has an error.
 _ROUNDED_PERIODS = 0.02
-# The power of a wave is measured in a band of frequencies around its line in the spectrum. `_BAND` is the radius of
-# this band relative to the frequency of the line; `_LEAST_BAND` is the smallest radius [cycles over the field].
+# The power of a wave is measured in a band of frequencies around its line (maximum) in the spectrum. `_BAND` is the
+# radius of this band relative to the frequency of the line. `_LEAST_BAND` is the smallest radius [cycles over the
+# field].
 _BAND, _LEAST_BAND = 0.35, 3.0
 # A wavering wave is one whose phase varies over the field. The number is the distance of a weaker spectral line from
 # the mean frequency of such a wave, relative to this frequency, up to which the line belongs to the wave. The value was
@@ -33,8 +34,9 @@ _SIDE_LINES = 0.55
 # Bands of frequencies around the harmonics of a wave are excluded from the search for further waves. The number is the
 # radius of such a band, relative to the frequency of the wave.
 _HARMONIC_BAND = 0.5
-# Number of the highest harmonic of a wave whose alias is excluded from the search for further waves. Higher harmonics
-# have little power, and the excluded bands around all aliases would cover the spectrum.
+# Harmonics above the Nyquist limit alias to lower frequencies. The aliases of harmonics up to this number are excluded
+# from the search for further waves. Higher harmonics have little power, and the excluded bands around all aliases would
+# cover the spectrum.
 _MOST_ALIASED = 5
 # Radius of the band of frequencies of a wavering wave, whose phase varies over the field. The radius is in standard
 # deviations of the frequencies in this band, which are weighted by power.

@@ -291,7 +291,7 @@ class _Search:
     def _top_um(self) -> float:
         """Largest height of pixels before heights are rounded to levels [µm].
 
-        If the levels divide a cycle of the phase, this height is one step above the highest level.
+        If the levels divide a full cycle of the phase (2π), this height is one step above the highest level.
         """
         levels, (_, depth) = self._limits.levels, self._limits.depths_um
         return depth * levels / (levels - 1) if levels and self._wraps else depth
@@ -319,7 +319,8 @@ class _Search:
         bounds = np.tile([0.0, self._top_um], (len(candidate.x), 1)) if isinstance(blocks, Pixels) else blocks.bounds
         most = _MOST_FIRST if self._limits.levels else _MOST_ITERATIONS
         # Factors convert efficiencies of Stam's theory to normalised ones, which conserve energy. They depend on the
-        # heights, but a minimisation keeps them constant. A second one uses the factors of the heights after the first.
+        # heights, but a minimisation keeps them constant. A second minimisation therefore follows, with the factors of
+        # the heights that the first one found.
         for _ in range(2 if self._is_normalised and not self._limits.levels else 1):
             self._goal.update_factors(blocks.surface(candidate.x))
             candidate = self._minimised(candidate.x, bounds, candidate.start, "refined", most)

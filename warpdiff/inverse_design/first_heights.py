@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 # Number of iterations of the Fourier transforms. The value was chosen because the amplitudes of the orders no longer
 # change visibly after 200 iterations.
 _ITERATIONS = 200
-# Exponent of the feedback. In each iteration, the amplitude with which an order enters is multiplied by the ratio of
-# its requested to its reached amplitude, to this power. The value was chosen because amplitudes oscillate with 1.
+# Exponent of the feedback. Each iteration transforms amplitudes of orders to heights and back. Before the next one, an
+# amplitude is multiplied by the ratio of its requested to its reached value, to this power. The value was chosen
+# because amplitudes oscillate with an exponent of 1.
 _FEEDBACK = 0.5
 # First heights for colours are a sum of waves and noise: amplitude of a wave if there are two colours, and standard
 # deviation of the noise, relative to the depth. With this amplitude, the sum of two waves extends over the whole depth.

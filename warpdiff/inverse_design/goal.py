@@ -144,7 +144,7 @@ class Goal:
         return values, pullback
 
     def update_factors(self, surface: HeightField | Outline) -> None:
-        """Set ``factors`` to the ratios of normalised efficiencies to Stam's efficiencies of a surface."""
+        """Set ``factors`` to the ratios of normalised (energy-conserving) to Stam's efficiencies of a surface."""
         for k, group in enumerate(self.groups):
             optics = group[0].optics
             if group[0].kind == "colour" or optics.energy == "stam":
@@ -227,7 +227,7 @@ class Goal:
 
 
 def _colour_adjoint(group: list[Target], xyz: Array, log_exposure: float) -> tuple[Array, float]:
-    """Return the derivatives of the sum of squared distances in CIE Lab.
+    """Return the derivatives of the sum of squared distances in CIE Lab between requested and achieved colours.
 
     The first result has the derivatives by XYZ, shape (n, 3). The second is the derivative by the logarithm of the
     exposure, the common factor of all colours.

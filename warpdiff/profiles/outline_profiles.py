@@ -190,7 +190,7 @@ class Trapezoid(_OutlineProfile):
         super().__init__(("depth_um", "duty", "wall"), start, bounds, base, modes, period_um)
 
     def equivalents(self, x: Array) -> list[Array]:
-        """Return the parameters with the duty cycle 1 − duty."""
+        """Return the parameters with the duty cycle 1 − duty, which give the same efficiencies."""
         other = x.copy()
         other[1] = 1.0 - x[1]
         return [other]

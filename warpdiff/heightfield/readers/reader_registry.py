@@ -328,7 +328,7 @@ def pitch_of(
     content: FileContent, file: Path, extent_um: float | tuple[float, float] | None,
     pitch_um: float | tuple[float, float] | None, unit: str | None,
 ) -> float | tuple[float, float]:  # fmt: skip
-    """Return the pitch of a file [µm]: the stated one, or from exactly one of the arguments of `HeightField.load`."""
+    """Return the pitch of a file [µm]: from the file itself, or from exactly one of ``extent_um`` and ``pitch_um``."""
     ny, nx = content.samples.shape
     names = [name for name, value in (("extent_um", extent_um), ("pitch_um", pitch_um)) if value is not None]
     own = content.pitch_um

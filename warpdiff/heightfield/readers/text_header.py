@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.readers.text_statements import Signs, Statement
     from warpdiff.heightfield.readers.text_table import Form
 
-# Number of header lines that are searched for facts: the last lines before the numbers.
+# Number of header lines that are searched for facts (sizes, units, a channel): the last lines before the numbers.
 _MOST_LINES = 400
 # Number of characters above which a header line is not searched for facts. The value was chosen because longer lines
 # are free text.

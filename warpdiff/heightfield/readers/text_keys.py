@@ -113,7 +113,7 @@ def words_of(key: str) -> str:
 
 
 def key_of(text: str, *, per_pixel: bool = False) -> Key:
-    """Return the fact that a key states; its kind is an empty string if the key is not known.
+    """Return the fact (size, pitch or count, and axis) that a key states; ``kind`` is empty if the key is not known.
 
     Args:
         text: Key, as :func:`words_of` returns it.

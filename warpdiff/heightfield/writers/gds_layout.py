@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 # Unit of the coordinates in a file [m], and their resolution [m]. Micrometres and nanometres were chosen because
 # programs for lithography expect these units.
 _UNIT, _PRECISION = 1e-6, 1e-9
-# Largest coordinate in a file, in units of the resolution. The value is limited by the format's 32-bit integers.
+# Largest coordinate in a file, in units of the resolution (1 nm). The value is limited by the format's 32-bit integers.
 _MOST_COORDINATE = 2**31 - 1
 # Time in the header of each file. A constant was chosen so that equal height fields give identical files.
 _TIME = datetime.datetime(2000, 1, 1)

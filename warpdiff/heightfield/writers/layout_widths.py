@@ -90,7 +90,7 @@ def _on_grid(steps: Steps, lines: Indices, rows: Indices) -> Measures:
 
 
 def _least_runs(covered: NDArray[np.bool_], edges: Indices) -> tuple[int | None, int | None]:
-    """Return the least length of covered cells, and that of uncovered cells, within periodic rows of a grid.
+    """Return the least width of a feature (covered cells) and of a gap (uncovered cells) in periodic rows of a grid.
 
     ``covered`` has shape (rows, n), and ``edges`` has the n + 1 coordinates of the cells along a row.
     """
