@@ -1,7 +1,8 @@
-"""Published measurements that are downloaded on demand, public as ``wd.datasets``. The package does not import Warp.
+"""Published measurements that are downloaded on demand, public as ``wd.datasets``.
 
 In: the name of a data set.
-Out: a ``HeightField`` as measured. The folder that ``WARPDIFF_DATA`` names is searched before a download.
+Out: a ``HeightField`` as measured. The folder in the environment variable ``WARPDIFF_DATA`` is searched before a
+download. The package does not import Warp, the library for GPU kernels.
 
 Examples:
     >>> import warpdiff as wd

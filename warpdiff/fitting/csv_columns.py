@@ -1,4 +1,4 @@
-"""Numeric columns of CSV files as programs and people write them: separators, decimal commas, units and percent."""
+"""Reader of the numeric columns of CSV files, with several separators, decimal commas, units and percent signs."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Separators of cells that are tried. The separator with which most headings have a known name is used.
+# Characters that may separate the cells of a line. The reader uses the one with which most headings are known names.
 _SEPARATORS = ",;\t"
-# Factors that convert a unit in brackets, such as "wavelength [µm]", to the unit at the end of a column's name. The
-# column "wavelength_nm", for example, has the unit "nm". Columns without a unit in their name are ratios.
+# Factors from the unit in brackets in a file's heading, such as "wavelength [µm]", to the unit of this package. The end
+# of the column's name in this package is that unit, such as "nm" in "wavelength_nm". Names without a unit are ratios.
 _UNITS = {
     "nm": {"nm": 1.0, "µm": 1e3, "μm": 1e3, "um": 1e3},
     "deg": {"deg": 1.0, "°": 1.0, "degree": 1.0, "degrees": 1.0, "rad": math.degrees(1.0)},
@@ -107,7 +107,7 @@ def _columns(heading: list[str], known: tuple[str, ...]) -> list[_Column]:
             title_name = title if len(name) == 1 else lower
             is_short = bool(own) and title_name == name.removesuffix(f"_{own}") and unit is not None
             factor = _UNITS[own].get((own if unit is None else unit).lower())
-            # If the name ends in a unit, a different unit in brackets contradicts it, and the heading is not accepted.
+            # A heading with two different units, such as "wavelength_nm [µm]", is not accepted as a known column.
             is_full = title_name == name and (not own or factor == 1.0)
             if factor is not None and (is_full or is_short):
                 columns.append(_Column(place, name, factor))
@@ -122,8 +122,7 @@ def _number(cells: list[str], column: _Column, line: int, separator: str) -> flo
         raise ArgumentValueError(f"{place} must be a finite number, got an empty cell: fill it, or remove the line")
     text, factor = cell, column.factor
     if cell.endswith("%") and not any(column.name.endswith(f"_{unit}") for unit in _UNITS if unit):
-        # Percent signs in the heading and in the cell mean the same percentage, so that the factor is not applied
-        # twice.
+        # A percent sign in the heading and one in the cell mean the same percentage: the factor 0.01 is applied once.
         text, factor = cell[:-1].strip(), 1e-2
     if separator != "," and "." not in text:
         text = text.replace(",", ".")

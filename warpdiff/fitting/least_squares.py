@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Largest difference between the χ² of a listed minimum and the χ² of the best one. The value was chosen because a
-# minimum that is worse by 4 is excluded at two standard deviations of one parameter.
+# Minima of χ² are listed in the result if their χ² exceeds that of the best minimum by at most this value. The value
+# was chosen because a larger difference excludes a minimum by more than two standard deviations of one parameter.
 _LISTED_CHI2 = 4.0
-# Distance of two minima, in standard errors of the parameters, below which they count as one minimum. The value is
-# limited by the accuracy of the minimiser, which ends at a small fraction of a standard error.
+# Distance of two minima, in standard errors of the parameters, below which they count as one minimum. The value must
+# exceed the error of the minimiser, which is a small fraction of a standard error.
 _SAME = 0.5
 # Relative changes of parameters and of χ² at which the minimiser ends, and its largest number of steps. The number of
 # steps was chosen because a start near a minimum needs fewer than 30 steps.
@@ -41,16 +41,17 @@ _CHANGE, _MOST_STEPS = 1e-9, 60
 # Gradient of χ² that counts as 0, so that the minimiser ends. It is relative to the χ² at the start, and each parameter
 # is in units of its range. The value is limited by rounding errors of float64.
 _ROUNDING = 2.3e-16
-# Largest number of starts. The value is limited by the computing time, which is proportional to it.
+# Largest number of start values of the minimiser. The value is limited by the computing time, which is proportional to
+# it.
 _MOST_STARTS = 1000
-# Difference of two χ² below which both minima count as equally good; the minimum of the earlier start is then the best.
-# The first number is relative to χ², and limited by the accuracy of the minimiser. The second number is relative to the
-# sum of the squared data in standard deviations, and limited by rounding errors of exact data, whose χ² is nearly 0.
-# Both are relative, so that a common factor of all standard deviations does not change the best minimum.
+# Two minima are equally good if their χ² differs by less than the sum of two tolerances. The result is then the minimum
+# of the earlier start. The first tolerance is relative to χ². It must exceed the error of the minimiser. The second
+# tolerance is relative to the sum of (value/sd)². It must exceed rounding errors, of which χ² consists if the data have
+# no noise. Both are relative, so that a common factor of all standard deviations does not change the best minimum.
 _TIE, _TIE_OF_DATA = 1e-6, 1e-12
-# The data do not determine a change of the parameters that hardly changes the residuals. `_LEAST_SINGULAR` is the
-# largest singular value of the Jacobian for such a change, relative to the largest singular value. If a parameter's
-# component of such a change exceeds `_SHARE`, its standard error is NaN. Both numbers are limited by rounding errors.
+# The data do not determine a change of the parameters that hardly changes the residuals. Such a change is a singular
+# vector of the Jacobian matrix with a singular value of at most `_LEAST_SINGULAR` times the largest one. If a component
+# of the vector exceeds `_SHARE`, the standard error of that parameter is NaN. Rounding errors limit both numbers.
 _LEAST_SINGULAR, _SHARE = 1e-9, 1e-3
 # Measured power in an order that does not propagate, in standard deviations, above which a fit warns. The value was
 # chosen because noise exceeds it only once in 16,000 values.
@@ -140,7 +141,7 @@ class Fit:
         return f"Fit({shown}; χ² = {self.chi2:.3g} for {self.degrees_of_freedom} degrees of freedom)"
 
     def report(self) -> str:
-        """Return parameters, standard errors, correlations and equivalent minima as text."""
+        """Return parameters, standard errors, correlations, and other minima that the data cannot exclude, as text."""
         lines = [f"χ² = {self.chi2:.4g} for {self.degrees_of_freedom} degrees of freedom"]
         if not self.minima[0].has_converged:
             lines.append("the minimiser has not converged")
@@ -195,7 +196,7 @@ class _Problem:
         self._last = None
 
     def residuals(self, x: Array) -> Array:
-        """Return (prediction − measured)/sd, shape (n,)."""
+        """Return the residuals (prediction − measured)/sd for the parameters ``x``, shape (n,)."""
         self._evaluate(x)
         return self._residuals
 
@@ -322,7 +323,7 @@ def _minimum(problem: _Problem, start: Array, bounds: Array) -> Minimum:
     low, high = bounds.T
     inside = np.clip(start, low + _AT_BOUND * (high - low), high - _AT_BOUND * (high - low))
     with warnings.catch_warnings():
-        # Warnings about starts and intermediate parameters, such as an order at the horizon, do not concern the result.
+        # Warnings about start and intermediate parameters, such as an order at the horizon, do not concern the result.
         warnings.simplefilter("ignore", WarpdiffWarning)
         # The residuals are divided by their norm at the start, so that the tolerances of the minimiser have the same
         # meaning for all data.
@@ -357,7 +358,7 @@ def _result(profile: Profile, problem: _Problem, minima: list[Minimum], report: 
     ranges = (high - low)[is_free]
     covariance[np.ix_(is_free, is_free)] = _covariance(jacobian[:, is_free] * ranges) * np.outer(ranges, ranges)
     errors = np.sqrt(np.diag(covariance))
-    # A standard error that is larger than the range between the bounds gives less information than the bounds.
+    # If a standard error exceeds the distance of the bounds, the data say less about the parameter than the bounds do.
     beyond = errors > high - low
     covariance[beyond] = covariance[:, beyond] = errors[beyond] = np.nan
     names = np.array(profile.names)

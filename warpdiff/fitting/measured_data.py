@@ -45,13 +45,13 @@ COLUMNS = {
 }
 
 
-# Efficiency above which values are probably in percent. The value is slightly above 1, because an order reflects at
-# most the incident power, and noise is added.
+# Efficiency (reflected over incident power) above which values are probably in percent. An order reflects at most the
+# incident power, so that its efficiency is at most 1. The margin of 0.5 allows for noise.
 _LARGEST_EFFICIENCY = 1.5
 
 
 class _Grid(NamedTuple):
-    """Array without repeated rows, and for each row of the original array the index of the equal row in it."""
+    """Distinct rows of an array, and for each row of that array the index of the equal distinct row."""
 
     rows: Array
     which: NDArray[np.int64]

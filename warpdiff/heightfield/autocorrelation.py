@@ -31,12 +31,13 @@ _STEP = 0.5
 # A decay length is the lag at which the autocorrelation falls to `THRESHOLD`; it depends on the azimuth. `_AZIMUTHS` is
 # the number of azimuths over half a turn at which decay lengths are computed first. The azimuths of the shortest and
 # the longest decay length are then refined `_LEVELS` times, with `_AZIMUTHS_OF_LEVEL` closer azimuths each time. The
-# numbers were chosen so that the last azimuths are 0.001° apart and the texture aspect ratio Str is exact to 1 % down
-# to 0.001. If the numbers of azimuths are doubled, the time doubles.
+# numbers were chosen so that the last azimuths are 0.001° apart. The texture aspect ratio Str, if it is at least 0.001,
+# is then exact to 1 %. If the numbers of azimuths are doubled, the time doubles.
 _AZIMUTHS, _LEVELS, _AZIMUTHS_OF_LEVEL = 360, 3, 17
-# Number of azimuths over half a turn for the decay lengths of a field without one of its blocks (rectangular parts). A
-# jackknife over the blocks gives the standard errors of decay lengths. The value is limited by the refinements, which
-# must still find the shortest and the longest decay length. If doubled, the time doubles.
+# The standard errors of decay lengths come from a jackknife: decay lengths are computed again without one block
+# (rectangular part) of the field at a time. The number is that of first azimuths over half a turn for such a
+# computation. With fewer azimuths, the refinements would miss the shortest or the longest decay length. If doubled, the
+# time doubles.
 AZIMUTHS_OF_PART = 60
 # Number of secant steps that find where the autocorrelation crosses the threshold on a straight line from the origin.
 # The value was chosen so that the remaining error of the crossing is far below the error of the interpolating spline.
@@ -162,10 +163,10 @@ def decay_of(
 
 
 def _extreme(rays: _Rays, angle: float, step: float, *, sign: float) -> tuple[float, float, bool]:
-    """Refine the largest (``sign`` 1) or smallest (−1) distance at which rays near an angle cross `THRESHOLD`.
+    """Refine the largest (``sign`` 1) or smallest (−1) distance of the crossings of rays near an angle.
 
-    A ray is a straight line from lag 0. Return the refined distance, the angle of its ray, and whether all rays cross
-    the threshold.
+    A ray is a straight line from lag 0. It crosses the threshold where the autocorrelation falls to `THRESHOLD`. Return
+    the refined distance, the angle of its ray, and whether all rays cross the threshold.
     """
     best, closes = -math.inf, True
     for _ in range(_LEVELS):
@@ -205,14 +206,15 @@ class _Rays:
         self._line = values.ravel()
 
     def scale(self, angles: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the length [µm] of one unit of the grid with pitch 1, in the direction of each angle."""
+        """Return the length on the surface [µm] of one unit on the grid of lags (pitch 1), in each direction."""
         dy, dx = self._pitch
         return np.hypot(dy * np.sin(angles), dx * np.cos(angles))
 
     def lengths(self, angles: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the distance at which each ray first crosses the threshold, and whether the ray crosses it.
+        """Return where the autocorrelation on each ray first falls to `THRESHOLD`, and whether it does.
 
-        If a ray does not cross the threshold, the result is the distance of the last point of the ray at which the
+        A ray is a straight line from lag 0, and the results are distances from lag 0. If the autocorrelation on a ray
+        does not fall to the threshold, the result is the distance of the last point of the ray at which the
         autocorrelation is known.
         """
         units = np.stack([np.sin(angles), np.cos(angles)])
@@ -227,8 +229,8 @@ class _Rays:
         low, high = distances[np.maximum(first - 1, 0)], distances[first]
         at_low, at_high = values[rows, np.maximum(first - 1, 0)], values[rows, first]
         for _ in range(_SECANTS):
-            # The crossing lies in an interval of the ray, which a secant divides at each step. The point of division
-            # stays away from both ends of the interval, so that the interval becomes shorter at every step.
+            # The autocorrelation falls to the threshold inside an interval of the ray, which a secant divides at each
+            # step. The point of division stays away from both ends, so that the interval becomes shorter at every step.
             with np.errstate(divide="ignore", invalid="ignore"):
                 share = np.clip((at_low - THRESHOLD) / (at_low - at_high), 0.1, 0.9)
             middle = np.where(crosses, low + share * (high - low), low)

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 _BYTES_PER_SAMPLE = {
     "levelled": 34.0, "despiked": 88.0, "periodic": 62.0, "periods": 107.0, "whole_periods": 107.0, "roughness": 115.0,
 }  # fmt: skip
-# Ratio of the standard deviation of the smooth part of a field to the standard deviation of its heights, above which
-# opposite edges count as unequal. The smooth part is that of Moisan's decomposition, which `HeightField.periodic`
-# subtracts. Patches with many features have a smaller ratio. If doubled, large changes of the surface happen without a
+# `HeightField.periodic` makes opposite edges match by subtracting the smooth part of Moisan's decomposition. Opposite
+# edges count as unequal if the standard deviation of the smooth part, relative to that of the heights, exceeds this
+# value. Patches with many features have a smaller ratio. If doubled, large changes of the surface happen without a
 # warning.
 MOST_CHANGE = 0.4
 
@@ -101,8 +101,8 @@ def despike(
     valid = known.astype(np.float64)
     filled = np.full(heights.shape, np.mean(heights[known if known.any() else ~missing]))
     for spread in size_um * 2.0 ** np.arange(1, -4, -1):
-        # Spikes are filled by Gaussian averages of decreasing width. Where a narrow Gaussian covers hardly any sample
-        # that is no spike, the average of the wider Gaussian remains.
+        # Spikes are filled by Gaussian averages of decreasing width. If a narrow Gaussian around a spike covers hardly
+        # any known height, the average of the wider Gaussian remains.
         weight = np.maximum(_blurred(valid, pitch_um, spread), 0.0)
         filled = (_blurred(heights * valid, pitch_um, spread) + 0.02 * filled) / (weight + 0.02)
     if known.any():
@@ -229,9 +229,9 @@ def resample_axis(heights: NDArray[np.float64], count: int, axis: int) -> NDArra
     result = np.zeros((*spectrum.shape[:-1], count // 2 + 1), dtype=np.complex128)
     result[..., : common // 2 + 1] = spectrum[..., : common // 2 + 1]
     if common % 2 == 0:
-        # The resampled series and the original one have different numbers of coefficients. The coefficient at the
-        # Nyquist limit of the coarser series represents both frequencies ±common/2. In the finer series, the
-        # coefficient at this frequency represents only one of them.
+        # The coefficient at the Nyquist limit of the coarser series represents both frequencies ±common/2. In the finer
+        # series, the coefficient at this frequency represents only one of them. It is therefore halved from the coarser
+        # to the finer series, and doubled in the other direction.
         result[..., common // 2] *= 0.5 if count > old_count else 2.0
     resampled = np.fft.irfft(result, count, axis=-1) * (count / old_count)
     return np.moveaxis(resampled, -1, axis)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 # A summary of a height field lists only periods that are certain and strong enough. `_MOST_STANDARD_ERROR` is the
 # largest standard error relative to the period; if doubled, less certain periods are listed. `_LEAST_SHARE` is the
 # smallest fraction of the variance of the heights that the period explains; if doubled, fewer periods are listed. Both
-# values were chosen.
+# values are conventions.
 _MOST_STANDARD_ERROR, _LEAST_SHARE = 0.1, 0.01
 
 # Aliasing is estimated for the phase 2πκh of light that a height h reflects. The number is the largest κ [1/µm]: that
@@ -32,8 +32,8 @@ _KAPPA = 2.0 / 0.38
 # Largest number of samples along each axis for the spectrum from which aliasing is estimated. Of larger fields, only
 # the first samples are used.
 _SAMPLES = 512
-# Powers are averaged over rings of the frequency plane to estimate aliasing. The number is the half width of a ring,
-# relative to the Nyquist limit of the samples.
+# Aliasing is estimated from mean powers over rings of the frequency plane. A ring contains the frequencies (y, x) with
+# about the same magnitude. The number is its half width, relative to the Nyquist limit of the samples.
 _RING = 0.1
 # Number of samples whose slopes are computed at once. The value is limited by memory: if doubled, the computation of
 # slopes requires twice the memory.
@@ -164,9 +164,9 @@ def coarsest_pitch_um(heightfield: HeightField) -> float:
 
 
 def folded_power(heightfield: HeightField, frequency: float) -> float:
-    """Return the power that aliases onto coefficients at a frequency [1/µm], relative to their power, at most 1.
+    """Return the power that aliases to a frequency [1/µm], relative to the power at this frequency, at most 1.
 
-    The coefficients are the Fourier coefficients of exp(2πiκh), with heights h and a fixed κ [1/µm]. Power at
+    The powers are those of Fourier coefficients of exp(2πiκh), with heights h and a fixed κ [1/µm]. Power at
     frequencies above the Nyquist limit of the samples aliases, and cannot be measured from the samples. The estimate is
     the power just below the limit. This estimate is an upper bound if the power decreases with the frequency.
     """

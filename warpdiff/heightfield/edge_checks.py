@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 # a ratio of 0.3 colours are equal, at a ratio of 1 the scattered power is smaller by 29 %.
 _MOST_TILT = 1.0
 # Ratio of the standard deviation of a fitted plane to the standard deviation of the remaining roughness, above which a
-# field counts as an exact plane. An exact plane is no tilt of the sample, but a surface such as one period of a blazed
-# grating.
+# field counts as an exact plane. An exact plane causes no warning, because it is a synthetic surface such as one period
+# of a blazed grating, and not a tilted specimen.
 _EXACT = 1e6
 # Ratio of the jump between opposite edges of a field to the largest steps between neighbouring samples, above which a
-# warning about unequal edges may follow. A smaller jump may be a wall of a grating.
+# warning about unequal edges may follow. A smaller jump may be a wall of a grating, because inner walls are as high.
 _MOST_JUMP = 1.5
 # Least fraction of all pairs of interfering points that have an edge of the repeated field between them, at which a
 # warning about unequal edges follows. Two points of a surface interfere if both are in the coherence window.
@@ -40,8 +40,8 @@ def warn_of_edges(heightfield: HeightField, coherence: Coherence, longest_um: fl
 
     Args:
         heightfield: Field without missing samples.
-        coherence: Coherence of the evaluation of the reflectance.
-        longest_um: Longest wavelength of the evaluation [µm].
+        coherence: Coherence window, source or number of periods for which the reflectance will be computed.
+        longest_um: Longest wavelength for which the reflectance will be computed [µm].
     """
     if heightfield in _warned:
         return
@@ -77,7 +77,7 @@ def warn_of_edges(heightfield: HeightField, coherence: Coherence, longest_um: fl
 
 
 def check_periodic(heightfield: HeightField) -> None:
-    """Raise an error if opposite edges of a field do not match, or if it is tilted, whatever its coherence is."""
+    """Raise an error if opposite edges of a field do not match, for example because the field is tilted."""
     heights = heightfield.heights_um
     jumps = [_jump(heights, axis) for axis in (0, 1)]
     plane = heights - cleaning.level(heights, heightfield.missing, 1)
@@ -114,7 +114,8 @@ def _share(coherence: Coherence, size_um: float, axis: int, longest_um: float) -
     """Return the fraction of interfering pairs of points of the repeated field that have an edge between them.
 
     Points interfere within a Gaussian coherence window of standard deviation σ. Two points in the window have a mean
-    distance of 2σ/√π along an axis. The fraction is this distance relative to the length of the field.
+    distance of 2σ/√π along an axis. Edges of the repeated field are one length of the field apart, so that the fraction
+    is this distance over the length.
     """
     if coherence.periods is not None:
         return 0.0 if coherence.periods[axis] == 1 else 1.0

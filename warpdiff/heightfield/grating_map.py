@@ -27,28 +27,29 @@ if TYPE_CHECKING:
 
     from warpdiff.optics.coherence import Coherence
 
-    # Values of dots: a number or an array, the path of an image, or a tuple of the path and its values of black and
-    # white.
+    # Type of the turns or scales of all dots of a map: a number or an array, the path of an image, or a tuple of the
+    # path and the values that black and white stand for.
     DotValues = ArrayLike | os.PathLike[str] | tuple[str | os.PathLike[str], float, float]
 
-# Largest turn [degrees] that a map accepts. Turns are limited because kernels store their sine and cosine in float32,
-# and larger turns would be rounded before.
+# Largest turn (rotation of a dot) [degrees] that a map accepts: a hundred full turns. Larger numbers are probably no
+# angles in degrees.
 _MOST_TURN_DEG = 36_000.0
-# Range of the scales of a map; depth scales may also be 0. Scales beyond it probably have a wrong unit.
+# Range of the depth scales and pitch scales of a map, the factors of the cell's heights and lengths. Depth scales may
+# also be 0. A number beyond the range is probably a length instead of a factor.
 LEAST_SCALE, MOST_SCALE = 1e-3, 1000.0
-# Largest ratio of the pitch scales of a map. The ratio is limited by memory. The table of a map resolves the smallest
-# pitch scale, and its number of azimuth samples is proportional to the ratio.
+# Largest ratio of two pitch scales (factors of the cell's lengths) in a map. The value is limited by memory: the number
+# of azimuth samples of the map's table of power spectra is proportional to this ratio.
 MOST_PITCH_RATIO = 4.0
 # Values of black and white in an image of turns [degrees] or of depth scales. The value 180° was chosen because a
 # symmetric grating has the same grooves after a rotation by 180°.
 _BLACK_AND_WHITE = {"turn_deg": (0.0, 180.0), "depth_scale": (0.0, 1.0)}
-# Measured peak memory while a map is made [bytes per dot]: three arrays of float64, the transforms in float32, and
-# temporary arrays. If doubled, maps that fit into memory are refused.
+# Measured peak memory while a map is made [bytes per dot]: turns and scales in float64, four numbers in float32 for
+# kernels, and temporary arrays. If doubled, maps that fit into memory are refused.
 _BYTES_PER_DOT = 120.0
 
 
 class Dot(NamedTuple):
-    """Grating of one dot of a map, relative to the cell.
+    """Grating of one dot of a map, relative to the cell, the common grating of all dots.
 
     Attributes:
         turn_deg: Counter-clockwise turn [degrees].
@@ -150,12 +151,12 @@ class GratingMap(ReadOnlyArrays):
 
     @property
     def cell(self) -> HeightField:
-        """Height field of a dot with turn 0 and both scales 1."""
+        """Common grating of all dots: height field of a dot with turn 0, depth scale 1 and pitch scale 1."""
         return self._cell
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Number of rows and of columns of dots."""
+        """Numbers of rows and columns of the matrix of dots."""
         return self._shape
 
     @property
@@ -197,20 +198,20 @@ class GratingMap(ReadOnlyArrays):
 
     @property
     def has_one_pitch(self) -> bool:
-        """Whether all dots have the same pitch scale."""
+        """Whether all dots have the same pitch scale, the factor of the cell's lengths."""
         return self._pitch_range[0] == self._pitch_range[1]
 
     @property
     def has_one_shape(self) -> bool:
-        """Whether dots differ only in their turn."""
+        """Whether all dots have the same pitch scale and depth scale, so that they differ only in their turn."""
         return self.has_one_pitch and float(np.ptp(self.depth_scale)) == 0.0
 
     @forks.cached_property
     def reference(self) -> HeightField:
-        """The cell with the largest depth scale and the largest pitch scale of the map, from which tables are made.
+        """The cell with the largest depth scale and pitch scale of the map; a table of its spectrum serves all dots.
 
-        Relative to this field, no dot has a scale above 1. Scattering vectors of dots therefore stay within the range
-        of those of the surface: |(u, v)| and |w| are at most 2.
+        Relative to this field, no dot has a scale above 1. The scattering vectors at which dots read a table are
+        therefore not longer than those of the surface: |(u, v)| and |w| are at most 2.
         """
         depth, pitch = float(self.depth_scale.max()), self._pitch_range[1]
         if depth == 1.0 and pitch == 1.0:
@@ -219,7 +220,7 @@ class GratingMap(ReadOnlyArrays):
         return HeightField.of_known_scale(depth * self.cell.heights_um, (pitch * dy, pitch * dx))
 
     def table_coherence(self, coherence: Coherence) -> Coherence:
-        """Return the coherence of the table of :attr:`reference`.
+        """Return the coherence for which the table of power spectra of :attr:`reference` is made.
 
         A source of the angular spread s blurs the scattering vectors of a dot by p s, where p is the pitch scale of the
         dot relative to :attr:`reference`. The table for a source is made with the blur of the smallest p. Look-ups for
@@ -232,10 +233,10 @@ class GratingMap(ReadOnlyArrays):
 
     @forks.cached_property
     def transforms(self) -> NDArray[np.float32]:
-        """Transforms of scattering vectors by dot, shape (rows, columns, 4), float32.
+        """Numbers that transform scattering vectors, four per dot, shape (rows, columns, 4), float32.
 
-        The four numbers are p cos φ, p sin φ, d, and the ratio of p to the smallest p of the map. p and d are the pitch
-        scale and the depth scale relative to :attr:`reference`.
+        The four numbers are p cos φ, p sin φ, d, and the ratio of p to the smallest p of the map. φ is the turn of the
+        dot. p and d are its pitch scale and depth scale relative to :attr:`reference`.
         """
         turn = np.radians(self.turn_deg % 360.0)
         least, most = self._pitch_range
@@ -250,7 +251,7 @@ class GratingMap(ReadOnlyArrays):
 def _checked(
     value: object, name: str, *, least: float, most: float
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return the values of the dots from a number, an array or an image: shape (rows, columns), or () for a number."""
+    """Return turns or scales of dots from a number, an array or an image: shape (rows, columns), or () for a number."""
     if _is_image(value):
         numbers = _from_image(value, name)
     else:
@@ -276,7 +277,7 @@ def _is_image(value: object) -> bool:
 
 
 def _from_image(value: Any, name: str) -> NDArray[np.float64]:
-    """Return the values of a grey image, linear between the values of black and of white."""
+    """Return turns or scales of dots from a grey image, linear between the values that black and white stand for."""
     ends = _BLACK_AND_WHITE.get(name)
     if isinstance(value, tuple):
         if len(value) != 3:

@@ -15,15 +15,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 # Smallest number of cycles over the field for a wave to count as a period. Slower waves may belong to the overall form
-# of the surface. The value was chosen; if doubled, periods that repeat three to five times are not reported.
+# of the surface. The value is a convention; if doubled, periods that repeat three to five times are not reported.
 FEWEST_PERIODS = 3.0
 # Largest number of harmonics of a wave that are fitted, including the fundamental.
 MOST_HARMONICS = 16
 # Largest frequency of a fitted harmonic, relative to the Nyquist limit. A sine at the Nyquist limit may vanish on all
 # samples.
 OF_NYQUIST = 0.9
-# Samples that are close together are averaged over blocks before a fit, which saves time. The number is that of block
-# means per period of the shortest harmonic of a wave. With two means per period, harmonics would alias.
+# Samples that are close together are averaged over blocks before a fit, which saves time. The number is how many block
+# means there are per period of the shortest harmonic of a wave. With two means per period, harmonics would alias.
 _SAMPLES_PER_PERIOD = 4
 # Largest number of elements of the matrix of a least-squares fit. The value is limited by time and memory: if doubled,
 # the largest fits require twice as much of both.
@@ -178,7 +178,7 @@ class _Means:
             for axis, change in zip(self.free, step, strict=True):
                 q[axis] += change / self.sizes[axis]
             if math.hypot(*(q * self.sizes)) < 1.0:
-                # A wave of less than one cycle over the field cannot be distinguished from a bow of the surface.
+                # The fit ends, because a wave of less than one cycle over the field is indistinguishable from a bow.
                 break
         assert best is not None  # noqa: S101 - for mypy; the first step sets it
         return best
@@ -192,8 +192,8 @@ class HarmonicFit:
         q: Fitted frequency (y, x) [1/µm].
         orders: Numbers of the fitted harmonics; 1 is the fundamental.
         linear: Amplitudes of the cosines, amplitudes of the sines, and the coefficients of offset and tilt [µm].
-        covariance: Covariance matrix of the fitted frequency along the axes of ``free``, which is in cycles over the
-            field, if the heights have white noise of variance 1.
+        covariance: Covariance matrix of the fitted frequency along the axes of ``free``, for heights with white noise
+            of variance 1. The frequency is in cycles over the field.
         shape: Number of samples (ny, nx).
         pitch: Distance of the samples (dy, dx) [µm].
         free: Axes along which the field has more than one sample: 0 for y, 1 for x.
@@ -222,8 +222,8 @@ class HarmonicFit:
     def heights(self) -> NDArray[np.float64]:
         """Return the heights of the fitted wave at all samples [µm], shape (ny, nx).
 
-        The heights include the fitted tilt. They are subtracted from the field before the next wave is fitted, and the
-        fit would take a remaining tilt for a wave.
+        The heights include the fitted tilt. The caller subtracts them from the field before it fits the next wave; a
+        remaining tilt would be mistaken for a wave.
         """
         places, count = self._places(), len(self.orders)
         result = np.full(self.shape, self.linear[2 * count])

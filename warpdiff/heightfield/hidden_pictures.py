@@ -1,4 +1,7 @@
-"""Hidden pictures: a card of dots that shows one picture to one eye, and another picture to another eye."""
+"""Hidden pictures: a card of dots that shows one picture to one eye, and another picture to another eye.
+
+All dots have the same grating, but each dot turns it, and has its own depth scale, the factor of the heights.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +22,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-# Number of depth scales at which the power of the first order is tabulated. The value was chosen so that the error of
-# linear interpolation between them is below 1e-4 of the largest power.
+# Number of depth scales (factors of the heights of a dot) at which the power of the first order is tabulated. The value
+# was chosen so that the error of linear interpolation between them is below 1e-4 of the largest power.
 _DEPTHS = 513
-# Smallest angle between the directions to both eyes, as viewed from the middle of the card [degrees]. The value is
-# limited by the blur of orders, which the diameter of the sun of 0.53° causes. With half of this angle, each eye would
-# also see the dots of the other picture.
+# Smallest angle between the directions to both eyes, as viewed from the middle of the card [degrees]. The angular
+# diameter of the sun (0.53°) blurs diffraction orders. With half of this angle, each eye would also see the dots of the
+# other picture.
 _LEAST_ANGLE_DEG = 2.0
 # Smallest component along the normal of the card, for unit vectors to the eyes and to the light. The value is limited
 # because kernels treat directions with a smaller component as below the horizon, where dots are black.
@@ -109,7 +112,7 @@ def _aimed(
     pictures: NDArray[np.float64], eyes: NDArray[np.float64], to_light: NDArray[np.float64], cell: HeightField,
     width: float, wavelength_um: float,
 ) -> GratingMap:  # fmt: skip
-    """Return the map whose dots are aimed at the eyes, for checked arguments."""
+    """Return the map of dots with first orders that reach the eyes, for checked arguments."""
     rows, columns = pictures.shape[1:]
     row, column = np.indices((rows, columns))
     of_dot = (row + column) % 2
@@ -123,8 +126,8 @@ def _aimed(
             f"{ref('eyes')} must be visible from all dots, at least {np.degrees(_LEAST_ELEVATION):.1g}° above the "
             f"card, got {eyes.tolist()} for a {ref('width')} of {width:g}: raise the eyes, or give a smaller width"
         )
-    # The scattering vector of the order with the frequency q is λ q. It is −(ωi + ωr) for light that arrives at the
-    # eye; the sign does not matter for a symmetric cell.
+    # The order with the frequency q scatters light of the wavelength λ by the vector λ q. Light arrives at the eye if
+    # this vector is −(ωi + ωr), for the directions ωi to the light and ωr to the eye. `vector` has the opposite sign.
     vector = to_light + to_eye
     lateral = np.hypot(vector[..., 0], vector[..., 1])
     period = cell.size_um[1]
@@ -158,7 +161,7 @@ def _largest_luminance(
     vector: NDArray[np.float64],
     lateral: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the luminances of dots whose first order has the same |H|², up to a factor, shape (rows, columns).
+    """Return relative luminances of dots if the first orders of all dots had equal powers |H|², shape (rows, columns).
 
     H is the Fourier coefficient of the order. Under an extended source, an eye sees the order of the frequency q in a
     range of wavelengths that is proportional to 1/√(qᵀ Σ⁻¹ q). Σ is the covariance of the scattering vectors (u, v) of
@@ -178,8 +181,8 @@ def _depth_scales(
 ) -> NDArray[np.float64]:  # fmt: skip
     """Return the smallest depth scales for which the first order has the fractions ``power`` of its largest power.
 
-    The power of the first order depends on the product of depth scale and κ = |w|/λ [1/µm]. It increases from 0 to its
-    first maximum.
+    A depth scale is the factor of the heights of a dot. The power of the first order depends on the product of depth
+    scale and κ = |w|/λ [1/µm]. It increases from 0 to its first maximum.
     """
     heights = cell.heights_um[0] - cell.heights_um[0].mean()
     range_um = cell.height_range_um

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 _CONVERGED = 1e-10
 # Maximum number of steps of the conjugate gradient method that fills gaps; about twenty steps suffice.
 _MOST_STEPS = 200
-# In the equations for missing heights, neighbours along the axis with the coarser pitch have a smaller weight than
-# neighbours along the other axis. The number is the smallest ratio of these weights; smaller ratios are raised to it.
-# The value is limited by rounding errors, in which smaller weights are lost.
+# In the equations for missing heights, neighbouring samples along the axis with the coarser pitch have a smaller weight
+# than those along the other axis. The number is the smallest ratio of both weights; smaller ratios are raised to it.
+# A smaller weight would be lost in rounding errors.
 _LEAST_WEIGHT = 1e-10
 # Damping factor of the Jacobi iterations, which smooth the errors on each grid of the multigrid method; the usual value
 # for five-point Laplacians.

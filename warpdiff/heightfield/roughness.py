@@ -32,8 +32,9 @@ _ROUNDING = 1e-10
 # standard errors contain the value of the surface in 95 % of fields. If halved, blocks depend on each other and
 # standard errors are too small.
 _DECAYS_PER_BLOCK = 5.0
-# Largest number of blocks, into which a field is divided to estimate standard errors: along each axis of a field, and
-# along a profile. More blocks would gain little: a standard error from 64 blocks has itself an error of only 9 %.
+# Largest number of blocks into which a field is divided to estimate standard errors: along each axis of a field, and
+# along a profile (single row or column of samples). More blocks would gain little: a standard error from 64 blocks has
+# itself an error of only 9 %.
 _MOST_BLOCKS, _MOST_BLOCKS_OF_PROFILE = 8, 32
 # Least number of blocks of the field from which a standard error is estimated: the four quarters of a field. If halved,
 # the standard error is known only to a factor of 4.
@@ -43,14 +44,15 @@ _LEAST_BLOCKS = 4
 # 0.2 s.
 _COARSE = 1024
 # Ratio of the largest computed lag to the extent of the region of lags where the autocorrelation exceeds
-# `autocorrelation.THRESHOLD`. If doubled, the Fourier transforms of the autocorrelation take longer.
+# `autocorrelation.THRESHOLD`. The margin is necessary because the extent is an estimate. If doubled, the Fourier
+# transforms of the autocorrelation take longer.
 _MARGIN = 1.3
 # A field with grooves is divided into blocks for the standard errors. The number is the largest angle between the
 # grooves and an axis [degrees] at which the blocks are stripes along this axis. Stripes are necessary because parts of
 # a field along the same groove resemble each other. The value is half of the angle between an axis and the diagonal.
 _ALONG_AXIS_DEG = 22.5
 # Standard error of a parameter, relative to the parameter, above which the result also states a reason for the large
-# error. The value was chosen: two standard errors are then as large as the parameter.
+# error. The value was chosen because two such standard errors are as large as the parameter.
 _LARGE_ERROR = 0.5
 # Least standard error that is printed as a number, relative to the parameter; a smaller error is printed as an upper
 # bound. The value was chosen so that printed values have at most seven digits.
@@ -271,8 +273,8 @@ def _sums(
 ) -> NDArray[np.float64]:
     """Return the nine sums over a block of the field from which `_from_sums` computes the parameters.
 
-    The first sums are over the samples of the block. The others are over differences between neighbouring samples and
-    over squares of four neighbouring samples; these differences and squares begin in the block.
+    The first three sums are over the samples of the block. The other sums are over pairs of neighbouring samples, and
+    over quadruples of 2 × 2 samples. A pair or quadruple belongs to the block that contains its first sample.
     """
     rows, columns = (slice(part.start, part.stop + 1) for part in block)
     own = heights[block]
@@ -284,8 +286,8 @@ def _sums(
     pairs_x, pairs_y = measured[:, 1:] & measured[:, :-1], measured[1:] & measured[:-1]
     squares_x, squares_y = along_x**2, along_y**2
     if min(heights.shape) == 1:
-        # A profile is a surface that is constant across its line of samples, so that a ratio of areas is a ratio of
-        # lengths.
+        # A profile (single row or column of samples) is a surface that is constant across it. The ratio of the areas of
+        # surface and projection is therefore the ratio of their lengths along the profile.
         squares, pairs = (squares_x, pairs_x) if heights.shape[0] == 1 else (squares_y, pairs_y)
         excess, cells = float(np.sum(_excess(squares[pairs]))), int(np.count_nonzero(pairs))
     else:

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 # Size of an atom [µm]. A smaller pitch or height range is probably not in µm but in another unit.
 _ATOM_UM = 1e-4
 # Height range [µm] and mean slope. If the height range and the mean slope of a field are both smaller, its unit is
-# doubtful. A warning follows only if the field becomes usual in another unit, because such flat and smooth surfaces
-# exist.
+# doubtful. Such flat and smooth surfaces exist, so that a warning follows only if another unit gives usual values.
 _SUSPICIOUS_RANGE_UM, _SUSPICIOUS_SLOPE = 5e-4, 1e-3
 # Largest usual pitch [µm]. Samples at this pitch resolve the diffraction of green light up to an angle of 8°.
 _MOST_PITCH_UM = 2.0
@@ -42,7 +41,7 @@ _RANGES_UM, _PITCHES_UM, _SLOPES = (5e-4, 20.0), (1e-3, _MOST_PITCH_UM), (1e-4, 
 # range nearest to this middle, on a logarithmic scale.
 _TYPICAL_RANGE_UM = 0.3
 # Period of a synthetic grating [µm], and ratio of its depth to its period, above which a warning asks for the unit.
-# Both values were chosen; if doubled, fewer wrong units are noticed.
+# Both values are conventions; if doubled, fewer wrong units are noticed.
 _MOST_PERIOD_UM, _MOST_ASPECT = 1000.0, 50.0
 # Largest number of slopes along each axis from which the mean and the median slope are computed. The value is limited
 # by time: if doubled, the check takes twice as long.
@@ -131,7 +130,7 @@ def _missing_code(heights: NDArray[np.float64]) -> tuple[float, int] | None:
 
 @dataclass(frozen=True)
 class _Scale:
-    """Scales of a height field, by which its units are checked.
+    """Height range, pitch, size and slopes of a height field, by which its units are checked.
 
     Attributes:
         height: Height range [µm].
@@ -149,7 +148,7 @@ class _Scale:
 
     @classmethod
     def of(cls, heights: NDArray[np.float64], pitch_um: tuple[float, float]) -> _Scale | None:
-        """Measure a height field; return None if the field is flat, has a single sample, or has usual scales."""
+        """Measure a height field; return None if the field is flat, has one sample, or if all values are usual."""
         known = heights[~np.isnan(heights)]
         height = float(np.ptp(known))
         free = [axis for axis in (0, 1) if heights.shape[axis] > 1]

@@ -36,8 +36,8 @@ _EXAMINED = 1e-3
 # Largest number of maxima of the spectrum that are examined for each width of the boxes over which it is averaged. The
 # value is limited by time: if doubled, the search takes up to twice as long.
 _MOST_CANDIDATES = 40
-# Distance from the centre of the main lobe of the Hann window at which its power is below 1 % of the maximum [cycles
-# over the field].
+# The main lobe is the central maximum of the spectrum of the Hann window. The number is the distance from its centre
+# [cycles over the field] at which its power is below 1 % of the maximum.
 _MAIN_LOBE = 1.8
 # The background of a spectral line is estimated from two strips of the spectrum, at lower and at higher frequencies of
 # the same direction. `_STRIP` is the half width of each strip, relative to the frequency of the line. `_MOST_ALONG` is
@@ -65,8 +65,8 @@ _FAN_COSINES, _FAN_SINES = np.cos(_FAN), np.sin(_FAN)
 # Quantile of the powers in a ring or sector of the frequency plane from which the coarse background is estimated. The
 # value is below the median, because at low frequencies a spectral line covers most of a ring.
 _QUANTILE = 0.15
-# For exponentially distributed powers: ratio of the mean to the median, and ratio of the mean to the quantile
-# `_QUANTILE`.
+# The powers of noise are distributed exponentially. The factors convert the median of powers, and their quantile
+# `_QUANTILE`, to the mean of this distribution.
 _MEAN_OF_MEDIAN, _MEAN_OF_QUANTILE = 1.0 / math.log(2.0), -1.0 / math.log(1.0 - _QUANTILE)
 
 
@@ -88,7 +88,10 @@ class Line:
     excess: float
 
     def background_at(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the background per Fourier coefficient at frequencies [cycles over the field] near the line."""
+        """Return the background (power without the line) per Fourier coefficient, at frequencies near the line.
+
+        Frequencies are in cycles over the field.
+        """
         along = (rows * self.cycles[0] + columns * self.cycles[1]) / float(np.sum(self.cycles**2))
         return np.asarray(self.background * np.clip(np.abs(along), 0.3, 3.0) ** -self.exponent)
 
@@ -117,7 +120,7 @@ class WindowedSpectrum:
         return np.arange(ny)[:, None] - self.centre[0], np.arange(nx)[None, :] - self.centre[1]
 
     def excess(self, line: Line, radius: float) -> float:
-        """Return the power above the background, summed over all frequencies within ``radius`` of a spectral line."""
+        """Return the power minus the background of a spectral line, summed over frequencies within ``radius`` of it."""
         rows, columns = self._window(line.cycles, radius)
         power = self.power[np.ix_(rows + self.centre[0], columns + self.centre[1])]
         rows, columns = rows[:, None], columns[None, :]
@@ -134,13 +137,13 @@ class WindowedSpectrum:
         return self._examined(self._place(cycles), (1, 1), 1.0, _SINGLE_FALSE_ALARM, sizes, 1.0)
 
     def _place(self, cycles: NDArray[np.float64]) -> tuple[int, int]:
-        """Return the row and the column in ``power`` of the Fourier coefficient that is nearest to a frequency."""
+        """Return the row and column of the Fourier coefficient nearest to a frequency in the spectrum ``power``."""
         row, column = (round(float(c)) + centre for c, centre in zip(cycles, self.centre, strict=True))
         return row, column
 
     @staticmethod
     def _main_lobe(place: tuple[int, int]) -> tuple[slice, ...]:
-        """Return slices of the rows and columns that the main lobe of the Hann window covers around a coefficient."""
+        """Return slices of rows and columns around a coefficient that the Hann window's main lobe (maximum) covers."""
         return tuple(slice(max(i - 2, 0), i + 3) for i in place)
 
     def strongest_within(self, cycles: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
@@ -161,8 +164,9 @@ class WindowedSpectrum:
     def strongest_line(self, excluded: NDArray[np.bool_], sizes: NDArray[np.float64]) -> Line | None:
         """Return the significant line with the largest power above its background, or None if no line is significant.
 
-        The spectrum is averaged over square boxes before lines are searched. This is repeated for several widths of the
-        boxes, because waves with a varying phase have broad lines.
+        A line is a maximum of the spectrum that a periodic wave causes. The spectrum is averaged over square boxes
+        before lines are searched. This is repeated for several widths of the boxes, because waves with a varying phase
+        have broad lines.
 
         Args:
             excluded: Mask of the Fourier coefficients that are not searched, of the shape of ``power``.
@@ -210,8 +214,8 @@ class WindowedSpectrum:
         )
         result = np.maximum(result, by_sector[sector, ring])
         for axis in (0, 1):
-            # The frequencies −1, 0 and 1 along this axis have separate estimates. If the field has two samples along
-            # the axis, the frequency 1 does not exist.
+            # The background has separate estimates at the frequencies −1, 0 and 1 [cycles over the field] along this
+            # axis. If the field has two samples along the axis, the frequency 1 does not exist.
             for place in range(self.centre[axis] - 1, min(self.centre[axis] + 2, self.power.shape[axis])):
                 line = (slice(None),) * axis + (place,)
                 along = _ring_background(self.power[line], ring[line], count, reach=_RINGS)
@@ -255,7 +259,7 @@ class WindowedSpectrum:
         self, place: tuple[int, int], sides: tuple[int, ...], independent: float, level: float,
         sizes: NDArray[np.float64], tried: float,
     ) -> Line | None:  # fmt: skip
-        """Return the line in a box of the spectrum around a coefficient, or None if the line is not significant.
+        """Return the line (maximum) in a box of the spectrum around a coefficient, or None if it is not significant.
 
         The mean power in the box must exceed the spectrum at lower and at higher frequencies of the same direction, and
         at the other points of each straight line through the box in the frequency plane.
@@ -387,7 +391,8 @@ def _is_significant(ratio: float, independent: float, background_count: float, l
     """Return whether noise reaches a ratio of a maximum to its background with a probability of at most ``level``.
 
     The powers of noise are distributed exponentially, and the background is estimated from few powers. The ratio of a
-    power to the background therefore has Fisher's F distribution.
+    power to the background therefore has Fisher's F distribution. If the spectrum was averaged over boxes of a
+    ``width`` above 1, the ratio must also be at least `_LEAST_CONTRAST`.
     """
     from scipy import special
 

@@ -62,7 +62,7 @@ _PER_SLOPE, _PER_DEPTH, _PER_NARROW_SHARE, _PER_ENERGY, _PER_NORMALISED_ENERGY =
 # undersampled, the estimated error is 1, and the results are meaningless.
 _PER_UNDERSAMPLED = 2.0
 # Product of spatial frequency and wavelength above which features count as narrow, because their period is less than
-# two wavelengths. The value was fitted to the same rigorous solutions as the factors above.
+# two wavelengths. The value was fitted to rigorous solutions, as the factors of the estimated errors were.
 _NARROW = 0.5
 # Largest number of wavelengths for which the estimated errors of a height field are cached. The value is limited by
 # memory. The evaluation of a spectrum requires a verdict at three of its wavelengths.
@@ -80,9 +80,9 @@ _ANGLES_DEG = (0.0, 30.0, 60.0)
 # Height range, in wavelengths, above which the efficiencies of all orders are not summed. The value is limited by time:
 # larger ranges require so many Fourier transforms that a verdict takes more than 30 ms.
 _MOST_RANGE = 6.0
-# Least cosine of the angle between an order and the normal for which the order counts in the sum of efficiencies; lower
-# orders are within 5.7° of the horizon. The value is limited by a divergence: at the horizon the efficiency of an order
-# diverges, and an order that happens to be near it would dominate the sum.
+# Least cosine of the angle between an order and the normal for which the order counts in the sum of efficiencies.
+# Orders with a smaller cosine are within 5.7° of the horizon. At the horizon the efficiency of an order diverges, so
+# that an order that happens to be near it would dominate the sum.
 _LEAST_COSINE = 0.1
 # Reflectances at normal incidence of a perfect mirror and of glass (n = 1.5). The efficiencies of orders are summed for
 # both materials, because the reflectance of glass also depends on the direction of an order.
@@ -184,8 +184,8 @@ def verdict_on(
     errors["energy"] = (_PER_NORMALISED_ENERGY if conserves else _PER_ENERGY) * deviation
     reason = max(errors, key=errors.__getitem__)
     if reason == "deep" and errors["steep"] >= QUALITATIVE:
-        # The estimated error for deep relief also depends on the slope. If the error for deep relief is the largest,
-        # but the error for steep relief is at least `QUALITATIVE`, the reported reason is "steep".
+        # The estimated error for deep relief increases with the slope, too. If it is the largest, but the error for
+        # steep relief alone is at least `QUALITATIVE`, the slope is the reported reason.
         reason = "steep"
     if errors["undersampled"] >= INVALID:
         # If the samples are too far apart, the estimated errors for all other reasons are wrong too, because they use
@@ -230,7 +230,7 @@ def errors_of(heightfield: HeightField, wavelength_um: float) -> dict[Reason, fl
 def _orders(
     shape: tuple[int, ...], pitch_um: tuple[float, float], wavelength_um: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the frequencies of a Fourier transform times the wavelength, along y and along x, shapes (ny, nx)."""
+    """Return frequencies of a Fourier transform times the wavelength (no unit), along y and x, shapes (ny, nx)."""
     rates = (wavelength_um * np.fft.fftfreq(n, pitch) for n, pitch in zip(shape, pitch_um, strict=True))
     v, u = np.meshgrid(*rates, indexing="ij")
     return v, u
@@ -279,9 +279,10 @@ def _lost_power(heightfield: HeightField, wavelength_um: float) -> float:
 def _undersampled_share(heightfield: HeightField, wavelength_um: float) -> float:
     """Return the fraction of undersampled steps in the sum of all height differences |Δh| between neighbouring samples.
 
-    The larger of the fractions along x and along y counts. A step is undersampled if it and the next step change the
-    phase of the light by more than half a cycle each, both upwards or both downwards. A single large step is not
-    counted, because it is a vertical wall, which two samples represent correctly.
+    The larger of the fractions along x and along y counts. A step is the height difference Δh of two neighbouring
+    samples. It is undersampled if it and the next step change the phase of the light by more than half a cycle each,
+    both upwards or both downwards. A single large step is not counted, because it is a vertical wall, which two samples
+    represent correctly.
     """
     worst = 0.0
     limit = wavelength_um / 4.0
@@ -313,9 +314,9 @@ def energy_deviations(heightfield: HeightField, wavelength_um: float) -> tuple[f
     v, u = _orders(heights.shape, pitch_um, wavelength_um)
     reachable = np.hypot(u, v) <= 1.0 + math.sin(math.radians(max(_ANGLES_DEG)))
     orders = np.stack([u[reachable], v[reachable]], axis=1)
-    # The phase of the reflected wave is 2πκ times the height in wavelengths, and κ differs between orders. The
-    # amplitudes of all orders are computed at a few values of κ. Chebyshev polynomials interpolate the amplitude of an
-    # order to its own κ.
+    # The phase of the reflected wave is 2πκ times the height in wavelengths. Here κ = cos θi + cos θr differs between
+    # orders. The amplitudes of all orders are computed at a few values of κ. Chebyshev polynomials interpolate the
+    # amplitude of an order to its own κ.
     low, high = math.cos(math.radians(max(_ANGLES_DEG))), 2.0
     argument = math.pi * (high - low) / 2.0 * float(np.ptp(heights))
     count = math.ceil(argument + 4.0 * math.cbrt(argument)) + 4

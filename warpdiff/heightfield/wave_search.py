@@ -21,8 +21,9 @@ if TYPE_CHECKING:
 # Number of periods by which a wave may fall short of the required three periods over the field. The margin is necessary
 # because the fitted frequency of a wave has an error.
 _ROUNDED_PERIODS = 0.02
-# The power of a wave is measured in a band of frequencies around its line in the spectrum. `_BAND` is the radius of
-# this band relative to the frequency of the line; `_LEAST_BAND` is the smallest radius [cycles over the field].
+# The power of a wave is measured in a band of frequencies around its line (maximum) in the spectrum. `_BAND` is the
+# radius of this band relative to the frequency of the line. `_LEAST_BAND` is the smallest radius [cycles over the
+# field].
 _BAND, _LEAST_BAND = 0.35, 3.0
 # A wavering wave is one whose phase varies over the field. The number is the distance of a weaker spectral line from
 # the mean frequency of such a wave, relative to this frequency, up to which the line belongs to the wave. The value was
@@ -33,8 +34,9 @@ _SIDE_LINES = 0.55
 # Bands of frequencies around the harmonics of a wave are excluded from the search for further waves. The number is the
 # radius of such a band, relative to the frequency of the wave.
 _HARMONIC_BAND = 0.5
-# Number of the highest harmonic of a wave whose alias is excluded from the search for further waves. Higher harmonics
-# have little power, and the excluded bands around all aliases would cover the spectrum.
+# Harmonics above the Nyquist limit alias to lower frequencies. The aliases of harmonics up to this number are excluded
+# from the search for further waves. Higher harmonics have little power, and the excluded bands around all aliases would
+# cover the spectrum.
 _MOST_ALIASED = 5
 # Radius of the band of frequencies of a wavering wave, whose phase varies over the field. The radius is in standard
 # deviations of the frequencies in this band, which are weighted by power.
@@ -63,13 +65,13 @@ _TWIN = 0.25
 # search ends at a step below `_CONVERGED` [cycles over the field].
 _MOST_STEPS, _LARGEST_STEP, _CONVERGED = 12, 0.3, 1e-3
 # The standard error of a wave's frequency follows from the spectrum of its phase error, the deviation of its phase from
-# that of a perfect grating. A coherent wave has nearly the phase of a perfect grating; the phase of a wavering wave
-# varies more. For a coherent wave, the lowest `_COHERENT_ORDINATES` frequencies of this spectrum along each axis are
-# used; for a wavering wave, the frequencies below `_WAVERING_ORDINATES` [cycles over the field]. The powers at these
-# frequencies are extrapolated to `_COHERENT_AT` or `_WAVERING_AT`, which are lower. If the phase error were an endless
-# random walk, the last two numbers would have to be 0.5. The values were fitted by bench/reproduce/periods.py. In a
-# pair, the first number is for fields with several samples along both axes, and the second number is for single rows or
-# columns of samples.
+# that of a perfect grating. The powers at the lowest frequencies of this spectrum are extrapolated to a still lower
+# frequency. A coherent wave has nearly the phase of a perfect grating: the lowest `_COHERENT_ORDINATES` frequencies
+# along each axis are extrapolated to `_COHERENT_AT`. The phase of a wavering wave varies more: the frequencies below
+# `_WAVERING_ORDINATES` are extrapolated to `_WAVERING_AT`. Frequencies are in cycles over the field. In a pair, the
+# first number is for fields with several samples along both axes, and the second for single rows or columns. The values
+# were fitted by bench/reproduce/periods.py. In theory, `_COHERENT_AT` and `_WAVERING_AT` are 0.5 if the phase error is
+# an endless random walk.
 _COHERENT_ORDINATES, _WAVERING_ORDINATES = 24, (5.0, 3.2)
 _COHERENT_AT, _WAVERING_AT = (0.43, 0.32), (0.4, 0.7)
 # The spectrum of the phase error of a wave is modelled as white noise plus a random walk. The tuple contains the ratios
@@ -192,7 +194,7 @@ class WaveSearch:
         )
 
     def _is_beside_wavering(self, cycles: NDArray[np.float64]) -> bool:
-        """Return whether a frequency is so near to a wave of varying phase that its line belongs to this wave."""
+        """Return whether a spectral line at a frequency is so near to a wave of varying phase that it belongs to it."""
         return any(_distance(cycles, other) <= _SIDE_LINES * float(np.hypot(*other)) for other in self.wavering)
 
     def _fundamental(self, spectrum: WindowedSpectrum, line: Line) -> Line:
@@ -216,10 +218,10 @@ class WaveSearch:
         self, line: Line, band: float, before: float, after: float, rest: WindowedSpectrum,
         residual: NDArray[np.float64], cycles: NDArray[np.float64],
     ) -> bool:  # fmt: skip
-        """Return whether one sine explains the power of the spectrum around a line.
+        """Return whether one sine explains the power of the spectrum around a line (maximum).
 
-        The result is also True if most of the power that this sine leaves is in a second sine, whose frequency is more
-        than 2 cycles over the field away. The second sine is then another wave.
+        The result is also True if most of the power that remains without this sine is in a second sine, with a
+        frequency that differs by more than 2 cycles over the field. The second sine is then another wave.
         """
         coefficients = math.pi * band**2 / 2.25 if self.is_plane else band / 0.75
         noise = 2.0 * line.background * math.sqrt(coefficients)
@@ -237,7 +239,7 @@ class WaveSearch:
         return fitted, np.where(self.known, heights - sine, 0.0)
 
     def _coherent(self, cycles: NDArray[np.float64], band: float) -> tuple[Wave, WindowedSpectrum]:
-        """Fit and subtract a coherent wave with its harmonics; return the wave, and the spectrum of the residual."""
+        """Fit and subtract a wave of nearly constant frequency with its harmonics; return it and the new spectrum."""
         fit = fit_wave(self.heights, self.known, self.pitch, cycles / self.sizes)
         residual = np.where(self.known, self.heights - fit.heights(), 0.0)
         frequency = float(np.hypot(*fit.q))
@@ -257,11 +259,11 @@ class WaveSearch:
         return wave, WindowedSpectrum(residual)
 
     def _noise(self, fit: HarmonicFit, residual: NDArray[np.float64]) -> list[float]:
-        """Return, for each axis, the variance of white noise that would cause the same error of the fitted frequency.
+        """Return, for each axis, the variance of white noise that changes the fitted frequency as ``residual`` does.
 
-        The white noise replaces the residual of the fit. The residual is multiplied by the derivative of the wave with
-        respect to its phase. In the spectrum of this product, only the lowest spatial frequencies cause an error of the
-        wave's fitted frequency. The power at these frequencies comes from noise, from steps between scan lines or from
+        ``residual`` is the heights minus the fitted wave. It is multiplied by the derivative of the wave with respect
+        to its phase. In the spectrum of this product, only the lowest spatial frequencies cause an error of the wave's
+        fitted frequency. The power at these frequencies comes from noise, from steps between scan lines or from
         variations of the phase.
         """
         slopes = np.where(self.known, fit.slopes(), 0.0)

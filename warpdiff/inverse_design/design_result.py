@@ -1,4 +1,7 @@
-"""``Design``: a designed height field, with requested and achieved values."""
+"""``Design``: a designed height field, with requested and achieved values.
+
+Manufacture rounds the edges of a relief. Its effect is computed by a convolution of the heights with a Gaussian.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Least number of samples per standard deviation of the Gaussian that rounds edges.
+# Least number of samples per standard deviation of the Gaussian that rounds edges. Fewer samples do not resolve it.
 _PER_EDGE = 2.0
 # Least standard deviation of the Gaussian that rounds edges, relative to the distance of samples. The value is limited
 # by time and memory: the number of samples along an axis is proportional to its reciprocal. At this value, the number
@@ -46,8 +49,8 @@ _BYTES_PER_SAMPLE = 100.0
 # the largest accepted one, relative to the period. The latter is limited because wider Gaussians leave little of the
 # relief.
 _EDGE_WIDTHS_UM, _WIDEST_EDGE = (0.05, 0.1), 0.1
-# Largest number of wavelengths at which a colour is solved rigorously. The value is limited by the computing time,
-# which is proportional to it.
+# Largest number of wavelengths of a colour for which Maxwell's equations are solved. The value is limited by the
+# computing time, which is proportional to it.
 _MOST_WAVELENGTHS = 401
 
 
@@ -101,7 +104,7 @@ class Design:
 
     @property
     def delta_e(self) -> Array:
-        """ΔE2000 of the colours at the common exposure, shape (number of colours,)."""
+        """ΔE2000 between requested colours and achieved colours times ``exposure``, shape (number of colours,)."""
         rows = np.char.equal(self.achieved["quantity"], "Y")
         return np.asarray(self.achieved["error"][rows])
 
@@ -191,7 +194,7 @@ class Design:
         return RigorousCheck(table, exposure, table["error"][shown], np.array(uniform), converged, change)
 
     def _substance(self, material: Material | None) -> Material:
-        """Return the material of a rigorous check."""
+        """Return the material for a check by Maxwell's equations: the argument, or else that of the targets."""
         if material is not None:
             validation.instance(material, Material, "material")
             return material
@@ -267,7 +270,7 @@ def make_design(
     profile: Profile, targets: tuple[Target, ...], x: Array, log_exposure: float, levels_um: Array | None, loss: float,
     history: Table,
 ) -> Design:  # fmt: skip
-    """Evaluate parameters of a profile by the public functions of the library, with their warnings."""
+    """Return the design with the parameters ``x``, evaluated by public functions, which may issue warnings."""
     surface = profile.height_field(x)
     values = achieved_values(surface, targets)
     exposure = fitted_exposure(targets, values, math.exp(log_exposure))
@@ -320,7 +323,7 @@ def fitted_exposure(targets: Sequence[Target], values: list[Array], first: float
 
 
 def uniformity_error(efficiencies: Array) -> float:
-    """Return (largest − least)/(largest + least); 1, the largest value, if all orders are dark."""
+    """Return (largest − least)/(largest + least) of the efficiencies of orders; 1, the maximum, if all are dark."""
     total = float(efficiencies.max() + efficiencies.min())
     return float(np.ptp(efficiencies)) / total if total > LEAST_POWER else 1.0
 
@@ -346,7 +349,8 @@ def _table(targets: Sequence[Target], values: list[Array], exposure: float) -> T
             continue
         names = [f"order {y}, {x}" for y, x in target.pairs]
         is_equal = target.kind == "equal"
-        # A flat surface has no power in the orders of a target, and their deviation is −1.
+        # If all orders of a target are dark, their mean efficiency is 0. `LEAST_POWER` avoids a division by 0, and the
+        # deviation is −1.
         errors = value / max(float(value.mean()), LEAST_POWER) - 1.0 if is_equal else value - target.requested
         requested = np.full(len(value), value.mean()) if is_equal else target.requested
         rows += list(zip([k] * len(names), names, requested.tolist(), value.tolist(), errors.tolist(), strict=True))
@@ -366,7 +370,7 @@ def _numbers(values: ArrayLike, name: str, low: float, high: float, origin: str 
 
 
 def _sharpest_um(surface: HeightField) -> float:
-    """Return the least standard deviation of rounded edges [µm]."""
+    """Return the least accepted standard deviation of the Gaussian that rounds edges [µm]."""
     pitches = [pitch for n, pitch in zip(surface.shape, surface.pitch_um, strict=True) if n > 1]
     return _SHARPEST_EDGE * max(pitches, default=0.0)
 

@@ -1,4 +1,8 @@
-"""``design``: a surface with requested colours and orders, within limits of manufacture."""
+"""``design``: a surface with requested colours and orders, within limits of manufacture.
+
+Levels are the equally spaced heights that a manufactured pixel may have. A full cycle is the height that changes the
+phase of the reflected light by 2π. The exposure is the common factor of all colours.
+"""
 
 from __future__ import annotations
 
@@ -33,22 +37,22 @@ if TYPE_CHECKING:
 
 # Largest number of starts of a search. The value is limited by the computing time, which is proportional to it.
 _MOST_STARTS = 1000
-# Largest numbers of iterations of the minimiser: first for each start, then for the best starts, and for each weight of
-# the penalty that draws heights to levels. The first number was chosen because the order of the starts by their loss
-# rarely changes afterwards. The second number was chosen because the loss rarely changes afterwards.
+# Largest numbers of iterations of the minimiser: for each start, for the continued best starts, and for each weight of
+# the penalty that draws heights to levels. The first number was chosen because further iterations rarely change which
+# starts have the least loss. The second number was chosen because further iterations rarely change the loss.
 _MOST_FIRST, _MOST_ITERATIONS, _MOST_PENALISED = 60, 300, 50
 # Number of earlier gradients that the minimiser L-BFGS-B stores. The value was chosen because more gradients do not
 # reduce the number of iterations.
 _MEMORY = 20
 # Weights of the penalty that draws heights h to levels, in the order of their use. The penalty is the mean of
-# sin²(πh/step) over all heights, where step is the distance of two levels. It is 0 if all heights are levels. The last
-# weight was chosen because the exchange of pixels then makes up for the loss that rounding to levels causes.
+# sin²(πh/step) over all heights, where step is the distance of two levels. It is 0 if all heights are levels. With the
+# last weight, rounding to levels raises the loss so little that changes of single pixels make up for it.
 _PENALTIES = (10.0, 100.0, 1000.0, 10_000.0)
-# Number of starts that are continued after the first iterations, those with the least loss. The value was chosen
-# because a third start hardly ever gives the best design.
+# Number of starts that are continued after the first iterations; they have the least loss. The value was chosen because
+# the third start hardly ever gives the best design.
 _CONTINUED = 2
-# Range within which the default depth of pixels with levels is adjusted, relative to the depth at which the levels
-# divide a full cycle of the phase. The range was chosen because the loss at 0.8 and at 1.2 is already larger.
+# Range within which the default depth of pixels with levels is adjusted. The depth is relative to the one at which the
+# levels divide a full cycle of the phase. The best depth is inside the range: the loss is larger at both of its ends.
 _DEPTH_RANGE = 0.8, 1.2
 # Largest depth of pixels [µm]. The value is limited because scalar diffraction does not describe deeper pixels.
 _DEEPEST_UM = 10.0
@@ -76,7 +80,7 @@ class _Candidate(NamedTuple):
     Attributes:
         start: Number of the start.
         loss: Loss of the parameters.
-        x: Parameters of the profile, for pixels the heights of blocks of pixels [µm].
+        x: Parameters of the profile. For pixels, these are heights [µm] of blocks, squares of the least feature width.
         log_exposure: Logarithm of the exposure, the common factor of all colours.
     """
 
@@ -98,8 +102,9 @@ def design(
     1988) for orders, and from a sum of waves for colours. L-BFGS-B (Byrd et al. 1995) minimises the loss, which is the
     weighted sum of all errors, with its exact gradient. With ``levels``, a penalty draws the heights of the best starts
     to levels. Then the levels of single pixels are changed, and the depth is adjusted, until no change improves the
-    design. Colours are compared in CIE Lab at one common exposure, which is fitted, and a brighter design is better.
-    The theory is scalar: confirm a design of one-dimensional pixels by ``check_rigorously()`` of the result.
+    design. Colours are compared in CIE Lab after a multiplication by a common factor, the exposure, which is fitted.
+    A term of the loss favours bright designs, which require a small exposure. The theory is scalar: confirm a design
+    of one-dimensional pixels by ``check_rigorously()`` of the result.
 
     Args:
         profile: Profile from ``warpdiff.profiles``. The number and the size of ``Pixels`` determine the period.
@@ -245,8 +250,8 @@ class _Search:
         self._profile, self._targets, self._limits = profile, targets, limits
         self._goal = Goal(targets)
         self._pixels = profile if isinstance(profile, Pixels) else None
-        # The heights of blocks of pixels are searched instead of the heights of pixels. A block has the least width of
-        # a feature as its side, so that no feature is narrower.
+        # The search varies the heights of blocks of pixels instead of single pixels. A block is a square with the least
+        # width of a feature as its side, so that no feature is narrower.
         self._blocks: Profile = profile
         if self._pixels is not None and limits.feature > 1:
             ny, nx = self._pixels.pixels
@@ -279,20 +284,20 @@ class _Search:
 
     @property
     def _is_normalised(self) -> bool:
-        """Whether a target has normalised efficiencies."""
+        """Whether a target requests normalised efficiencies, which are scaled so that they conserve energy."""
         return any(target.optics.energy != "stam" for target in self._targets)
 
     @property
     def _top_um(self) -> float:
         """Largest height of pixels before heights are rounded to levels [µm].
 
-        If the levels divide a cycle of the phase, this height is one step above the highest level.
+        If the levels divide a full cycle of the phase (2π), this height is one step above the highest level.
         """
         levels, (_, depth) = self._limits.levels, self._limits.depths_um
         return depth * levels / (levels - 1) if levels and self._wraps else depth
 
     def first(self, start: int, rng: np.random.Generator) -> _Candidate:
-        """Minimise the loss from one start, without levels, by a few iterations."""
+        """Minimise the loss from one start, without levels, by at most `_MOST_FIRST` iterations."""
         goal, blocks = self._goal, self._blocks
         goal.factors = [np.ones_like(factors) for factors in goal.factors]
         if not isinstance(blocks, Pixels):
@@ -313,8 +318,9 @@ class _Search:
         blocks = self._blocks
         bounds = np.tile([0.0, self._top_um], (len(candidate.x), 1)) if isinstance(blocks, Pixels) else blocks.bounds
         most = _MOST_FIRST if self._limits.levels else _MOST_ITERATIONS
-        # A minimisation uses constant factors from Stam's efficiencies to normalised ones. The first minimisation uses
-        # the factors of the heights at its begin, and a second one uses the factors of the first result.
+        # Factors convert efficiencies of Stam's theory to normalised ones, which conserve energy. They depend on the
+        # heights, but a minimisation keeps them constant. A second minimisation therefore follows, with the factors of
+        # the heights that the first one found.
         for _ in range(2 if self._is_normalised and not self._limits.levels else 1):
             self._goal.update_factors(blocks.surface(candidate.x))
             candidate = self._minimised(candidate.x, bounds, candidate.start, "refined", most)
@@ -385,15 +391,15 @@ class _Search:
                 log_exposure=log_exposure,
                 penalty=penalty,
             )[2:]
-        # If levels divide a cycle, the level above the highest one is equivalent to the lowest one.
+        # If the levels divide a full cycle of the phase, the level above the highest one is equivalent to the lowest.
         indices = np.rint(x / step).astype(np.int64)
         indices = (indices % count if self._wraps else np.clip(indices, 0, count - 1)).reshape(self._blocks.pixels)
         depth = 0.5 * (low + high)
         rules: list[tuple[Pixels, Rule | None]] = [(self._blocks, None)]
         if self._limits.feature > 1 and self._pixels.pixels[0] == 1:
             rules.append((self._pixels, edge_moves(self._limits.feature)))
-        # The exchange changes the factors from Stam's efficiencies to normalised ones. It is therefore repeated with
-        # the new factors.
+        # The exchange of pixels keeps the factors from Stam's efficiencies to normalised ones constant, although they
+        # depend on the heights. It is therefore repeated with the factors of the new heights.
         if self._is_normalised:
             rules.append(rules[-1])
         for pixels, rule in rules:

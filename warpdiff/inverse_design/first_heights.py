@@ -22,11 +22,13 @@ if TYPE_CHECKING:
 # Number of iterations of the Fourier transforms. The value was chosen because the amplitudes of the orders no longer
 # change visibly after 200 iterations.
 _ITERATIONS = 200
-# Exponent of the feedback. In each iteration, the amplitude with which an order enters is multiplied by the ratio of
-# its requested to its reached amplitude, to this power. The value was chosen because amplitudes oscillate with 1.
+# Exponent of the feedback. Each iteration transforms amplitudes of orders to heights and back. Before the next one, an
+# amplitude is multiplied by the ratio of its requested to its reached value, to this power. The value was chosen
+# because amplitudes oscillate with an exponent of 1.
 _FEEDBACK = 0.5
-# Amplitude of a wave for designs with two colours, and standard deviation of the noise, relative to the depth. With
-# this amplitude, the sum of two waves extends over the whole depth. The noise makes the starts differ.
+# First heights for colours are a sum of waves and noise: amplitude of a wave if there are two colours, and standard
+# deviation of the noise, relative to the depth. With this amplitude, the sum of two waves extends over the whole depth.
+# The noise makes the starts differ.
 _WAVE, _NOISE = 0.25, 0.04
 # Wavelengths [nm] among which the dominant wavelength of a colour is searched. Beyond this range, the hue of light
 # hardly changes with the wavelength.
@@ -54,7 +56,8 @@ def _fourier(profile: Pixels, target: Target, rng: np.random.Generator) -> Array
     view = views[0, 0, places_of(target, surface)]
     del orders
     # The variable `goal` is the requested amplitude |H| of the Fourier coefficient of each order. The efficiency of an
-    # order at the angle θ from the normal is about |H|²/cos θ. Pixels of finite size weaken high orders by `size`.
+    # order at the angle θ from the normal is about |H|²/cos θ. The width of the pixels weakens high orders by the
+    # factor `size`.
     shares = np.where(np.isnan(target.requested), 1.0, target.requested)
     size = np.prod([np.sinc(target.pairs[:, axis] / n) for axis, n in enumerate((ny, nx))], axis=0)
     goal = np.sqrt(shares * np.maximum(view[:, 2], HORIZON)) / np.maximum(np.abs(size), 0.1)
@@ -70,7 +73,8 @@ def _fourier(profile: Pixels, target: Target, rng: np.random.Generator) -> Array
         powers = np.abs(reached) / max(float(np.linalg.norm(reached)), 1e-12)
         amplitudes = amplitudes * (np.maximum(goal, 1e-6) / np.maximum(powers, 1e-6)) ** _FEEDBACK
         amplitudes /= np.linalg.norm(amplitudes)
-    # A surface of the height h reflects the wave exp(−2πi|κ|h) with |κ| = |w|/λ.
+    # A surface of the height h reflects the wave exp(−2πi|κ|h). Here |κ| is |w|/λ, and |w| is the sum of the z
+    # components of the directions to light and viewer. A phase of 2π therefore is a height of `cycle_um` = 1/|κ|.
     return np.asarray((-np.angle(wave) % (2.0 * np.pi)) / (2.0 * np.pi) * target.cycle_um)
 
 

@@ -3,6 +3,7 @@
 A group is a list of targets that are evaluated together: all colours with equal optics, or one target of orders. The
 values of a group are the XYZ of its colours, shape (n, 3), or the efficiencies of its orders, shape (n,). The exposure
 is the common factor of all colours. The adjoint of a quantity is the derivative of the loss with respect to it.
+Normalised efficiencies are those of Stam's theory times factors, so that all orders of a perfect mirror sum to 1.
 """
 
 from __future__ import annotations
@@ -32,14 +33,15 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Weight of squared relative deviations of efficiencies in the loss. With this weight, a deviation of 1 % counts as much
-# as a colour difference of 1 in CIE Lab.
+# Weight of the mean squared relative deviation of efficiencies in the loss. With this weight, a deviation of 1 % of all
+# orders counts as much as a colour difference of 1 in CIE Lab.
 _PER_DEVIATION = 1e4
 # Weight of the power that a target of equal orders lacks, relative to the power that a flat surface reflects. The value
 # was chosen so that 1 % more power is worth a deviation of 2.2 % of all orders. Larger weights make orders less equal.
 _PER_LOST_SHARE = 500.0
-# Weight of the logarithm of the exposure of colours. The value was chosen so that colours that are twice as bright are
-# worth a colour difference of 4.6. Larger weights make colours wrong.
+# Weight of the logarithm of the exposure (common factor of all colours) in the loss. Dark designs require a large
+# exposure. The value was chosen so that a design that is twice as bright may have a colour error of 4.6 in CIE Lab.
+# Larger weights make colours wrong.
 _PER_EXPOSURE = 30.0
 # Sum of the efficiencies of a target up to which all of its orders count as dark. The value is far above the rounding
 # errors of powers, about 1e-16 per order, which must not count as equal orders. If doubled, no design changes.
@@ -48,7 +50,7 @@ LEAST_POWER = 1e-12
 _DELTA = 6.0 / 29.0
 # Accepted relative error of computed colours during the search, and for the result.
 SEARCH_TRUNCATION, TRUNCATION = 1e-3, 1e-4
-# Logarithms of the exposure that are tried for a first estimate.
+# Natural logarithms of the exposure (common factor of all colours) that are tried for a first estimate.
 _LOG_EXPOSURES = np.linspace(-4.0, 14.0, 181)
 
 
@@ -57,8 +59,8 @@ class Loss(NamedTuple):
 
     Attributes:
         value: The loss.
-        adjoints: Derivatives of the loss by the values of each group.
-        of_exposure: Derivative of the loss by the logarithm of the exposure.
+        adjoints: Derivatives of the loss by the values (colours or efficiencies) of each group of targets.
+        of_exposure: Derivative of the loss by the logarithm of the exposure, the common factor of all colours.
     """
 
     value: float
@@ -79,12 +81,12 @@ def lab(xyz: Array) -> tuple[Array, Array]:
 
 
 class Goal:
-    """Targets in groups that are evaluated together: all colours with equal optics, and each target of orders.
+    """Targets of a design in groups that are evaluated together, and their loss.
 
     Attributes:
-        groups: Targets of each group.
-        factors: Ratios of normalised efficiencies to Stam's efficiencies for each group of orders, shape (n,). They
-            change slowly with the surface, so that the search treats them as constants.
+        groups: Targets of each group: all colours with equal optics, or one target of orders.
+        factors: Ratios of normalised (energy-conserving) efficiencies to Stam's efficiencies for each group of orders,
+            shape (n,). They change slowly with the surface, so that the search treats them as constants.
         has_colours: Whether there is a target of a colour.
     """
 
@@ -99,10 +101,10 @@ class Goal:
     def values(
         self, surface: HeightField | Outline, wrt: tuple[str, ...] = (), *, truncation: float = SEARCH_TRUNCATION
     ) -> tuple[list[Array], Callable[[list[Array]], dict[str, Array]]]:
-        """Return the values of each group, and a function that converts their adjoints.
+        """Return the values (colours or efficiencies) of each group of targets, and a function for derivatives.
 
-        The function returns the adjoints of the variables ``wrt`` of the surface. Efficiencies are Stam's efficiencies
-        times ``factors``.
+        The function converts derivatives of the loss by these values to derivatives by the variables ``wrt`` of the
+        surface. Efficiencies are those of Stam's theory times ``factors``.
         """
         values: list[Array] = []
         pulls: list[Callable[[Array], dict[str, Array]]] = []
@@ -142,7 +144,7 @@ class Goal:
         return values, pullback
 
     def update_factors(self, surface: HeightField | Outline) -> None:
-        """Set ``factors`` to the ratios of normalised efficiencies to Stam's efficiencies of a surface."""
+        """Set ``factors`` to the ratios of normalised (energy-conserving) to Stam's efficiencies of a surface."""
         for k, group in enumerate(self.groups):
             optics = group[0].optics
             if group[0].kind == "colour" or optics.energy == "stam":
@@ -164,10 +166,10 @@ class Goal:
         return np.asarray(result.value[0])
 
     def costs(self, values: list[Array], log_exposure: float) -> Array:
-        """Return the loss for the values of all groups.
+        """Return the loss for the values of all groups: efficiencies, shape (n,), or colours, shape (n, 3).
 
-        The values may be those of several candidate surfaces, along leading axes: shapes (..., n) or (..., n, 3). The
-        loss then has the shape (...).
+        ``log_exposure`` is the logarithm of the common factor of all colours. The values may be those of several
+        surfaces, along leading axes: shapes (..., n) or (..., n, 3). The loss then has the shape (...).
         """
         total = np.asarray(_PER_EXPOSURE * log_exposure if self.has_colours else 0.0)
         for group, value in zip(self.groups, values, strict=True):
@@ -179,9 +181,9 @@ class Goal:
                 scale = _PER_DEVIATION / (value.shape[-1] * float(group[0].requested.mean()) ** 2)
                 total = total + scale * ((value - group[0].requested) ** 2).sum(axis=-1)
             else:
-                # The mean squared deviation of n efficiencies η from their mean, relative to the mean, is
-                # n Σ η² / (Σ η)² − 1. It is at most n − 1, if all power is in one order. If all orders are dark, the
-                # mean is 0. The deviation is then set to n, so that dark orders do not count as equal.
+                # The relative deviation of an efficiency η is η / mean − 1. The mean square over n orders is
+                # n Σ η² / (Σ η)² − 1. Its largest value is n − 1, if all power is in one order. If all orders are dark,
+                # the mean is 0, and the deviation is set to n, so that dark orders do not count as equal.
                 count, power = value.shape[-1], value.sum(axis=-1)
                 ratio = count * (value * value).sum(axis=-1) / np.maximum(power, LEAST_POWER) ** 2
                 deviation = np.where(power > LEAST_POWER, ratio - 1.0, count)
@@ -189,7 +191,7 @@ class Goal:
         return np.asarray(total)
 
     def loss(self, values: list[Array], log_exposure: float) -> Loss:
-        """Return the loss for the values of all groups, with its derivatives."""
+        """Return the loss for the values (colours or efficiencies) of all groups of targets, with its derivatives."""
         adjoints, of_exposure = [], 0.0
         for group, value in zip(self.groups, values, strict=True):
             if group[0].kind == "colour":
@@ -203,7 +205,7 @@ class Goal:
         return Loss(float(self.costs(values, log_exposure)), adjoints, of_exposure)
 
     def best_log_exposure(self, values: list[Array]) -> float:
-        """Return the logarithm of the exposure with the least loss, with an accuracy of 0.1."""
+        """Return the logarithm of the exposure (common factor of all colours) with the least loss, in steps of 0.1."""
         if not self.has_colours:
             return 0.0
         losses = [self.costs(values, log_exposure) for log_exposure in _LOG_EXPOSURES.tolist()]
@@ -213,7 +215,7 @@ class Goal:
         """Return a function that computes the loss and its gradient for a profile.
 
         The argument of the function contains the parameters of the profile and, as its last element, the logarithm of
-        the exposure.
+        the exposure, the common factor of all colours.
         """
 
         def function(z: Array) -> tuple[float, Array]:
@@ -225,9 +227,10 @@ class Goal:
 
 
 def _colour_adjoint(group: list[Target], xyz: Array, log_exposure: float) -> tuple[Array, float]:
-    """Return the derivatives of the sum of squared distances in CIE Lab.
+    """Return the derivatives of the sum of squared distances in CIE Lab between requested and achieved colours.
 
-    The first result is the derivatives by XYZ, shape (n, 3), and the second is that by the logarithm of the exposure.
+    The first result has the derivatives by XYZ, shape (n, 3). The second is the derivative by the logarithm of the
+    exposure, the common factor of all colours.
     """
     exposure = math.exp(log_exposure)
     requested = lab(np.stack([target.requested for target in group]))[0]
@@ -237,7 +240,7 @@ def _colour_adjoint(group: list[Target], xyz: Array, log_exposure: float) -> tup
 
 
 def _order_adjoint(target: Target, efficiencies: Array) -> Array:
-    """Return the derivatives of the loss of a target of orders by its efficiencies, shape (n,)."""
+    """Return the derivatives of a target's part of the loss by the efficiencies of its orders, shape (n,)."""
     count = len(efficiencies)
     if target.kind == "orders":
         scale = _PER_DEVIATION / (count * float(target.requested.mean()) ** 2)
@@ -264,7 +267,7 @@ def places_of(target: Target, surface: HeightField | Outline) -> NDArray[np.int6
 
 
 class silenced(warnings.catch_warnings):  # noqa: N801 (a context, like its base class)
-    """Context without the library's warnings, which do not concern surfaces that a search only tries."""
+    """Context without the library's warnings. Warnings about trial surfaces of a search do not concern the user."""
 
     def __enter__(self) -> None:
         """Ignore warnings."""

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 _MOST_SWEEPS = 6
 # Least decrease of the loss for which a pixel changes its level. The value is limited by rounding errors.
 _LEAST_GAIN = 1e-9
-# Largest number of products of complex numbers in a pass over all pixels; pixels of larger designs are not exchanged.
+# Largest number of products of complex numbers in a pass over all pixels. Larger designs are only rounded to levels.
 # The value is limited by the computing time of an exchange, about a minute.
 _MOST_PRODUCTS = 2e10
 # The best depth is searched in `_REFINEMENTS` passes, each of which tries `_DEPTHS` depths with equal steps. A pass
@@ -58,13 +58,13 @@ _DEPTHS, _REFINEMENTS = 21, 3
 
 @dataclass(frozen=True)
 class Coefficients:
-    """Fourier coefficients H on which the values of one group of targets depend.
+    """Fourier coefficients H of exp(−2πi|κ|h), on which colours or efficiencies of one group of targets depend.
 
     Attributes:
         orders: Indices (s, r) of the p coefficients along y and x, shape (p, 2).
         kappas: |κ| of the coefficients [1/µm], shape (p,).
-        weights: Factors from the powers |H|² to the n values of the group, shape (n, p). The shape is (p,) if each
-            value depends on one power only.
+        weights: Factors from the powers |H|² to the n values (XYZ or efficiencies) of the group, shape (n, p). The
+            shape is (p,) if each value depends on one power only.
         shape: Shape of the values of the group.
     """
 
@@ -75,7 +75,7 @@ class Coefficients:
 
 
 def coefficients_of(group: list[Target], factors: Array, surface: HeightField) -> Coefficients:
-    """Return the Fourier coefficients of a group and their weights; the weights of orders include ``factors``."""
+    """Return the Fourier coefficients on which a group of targets depends; weights of orders include ``factors``."""
     return _of_colours(group, surface) if group[0].kind == "colour" else _of_orders(group[0], factors, surface)
 
 
@@ -136,10 +136,10 @@ def _of_colours(group: list[Target], surface: HeightField) -> Coefficients:
 
 
 class PixelExchange:
-    """Values of a design as a function of the levels of its pixels and of its depth."""
+    """Colours and efficiencies of a design as a function of the height levels of its pixels and of its depth."""
 
     def __init__(self, goal: Goal, profile: Pixels, count: int) -> None:
-        """Compute the sums over the samples of a pixel.
+        """Compute ``basis`` of each Fourier coefficient and pixel: sums of waves over the samples of the pixel.
 
         Args:
             goal: Loss of the targets, with the factors from Stam's efficiencies to normalised ones.
@@ -166,7 +166,7 @@ class PixelExchange:
         self.is_affordable = len(orders) * np.prod(self._shape) * count < _MOST_PRODUCTS
 
     def values(self, powers: Array) -> list[Array]:
-        """Return the values of all groups from the powers |H|², shape (p,), or (p, candidates) for several designs."""
+        """Return colours and efficiencies of all targets from powers |H|², shape (p,), or (p, n) for n designs."""
         parts = np.split(powers, self._ends)
         return [
             (power.T @ part.weights.T if part.weights.ndim > 1 else power.T * part.weights).reshape(
@@ -180,7 +180,10 @@ class PixelExchange:
         return np.asarray(np.exp(-2j * np.pi * np.outer(self._kappas, heights)))
 
     def by_level(self, levels: Indices) -> NDArray[np.complex128]:
-        """Return, for each coefficient, the sum of ``basis`` over the pixels of each level, shape (p, levels)."""
+        """Return, for each Fourier coefficient, the sum of ``basis`` over the pixels of each level, (p, levels).
+
+        ``basis`` is the contribution of a pixel with height 0 to the coefficient.
+        """
         result = np.empty((len(self._kappas), self._count), dtype=np.complex128)
         for level in range(self._count):
             mask = (levels == level).astype(np.complex128)
@@ -190,7 +193,7 @@ class PixelExchange:
     def best_depth(self, levels: Indices, log_exposure: float, depths_um: tuple[float, float]) -> tuple[float, float]:
         """Return the depth [µm] and the logarithm of the exposure with the least loss, for given levels of the pixels.
 
-        ``depths_um`` is the least and the largest accepted depth [µm].
+        The exposure is the common factor of all colours. ``depths_um`` is the least and the largest accepted depth.
         """
         sums = self.by_level(levels)
         low, high = depths_um
@@ -208,7 +211,7 @@ class PixelExchange:
         return best[1], best[2]
 
     def _refined(self, values: list[Array], log_exposure: float) -> float:
-        """Return the logarithm of the exposure with the least loss near a first estimate."""
+        """Return the logarithm of the exposure (common factor of all colours) with the least loss near an estimate."""
         if not self._goal.has_colours:
             return 0.0
         for width in (0.4, 0.04):
@@ -225,7 +228,7 @@ class PixelExchange:
 
         Args:
             levels: Level of each pixel, shape (ny, nx).
-            log_exposure: Logarithm of the exposure.
+            log_exposure: Logarithm of the exposure, the common factor of all colours.
             depths_um: Least and largest depth [µm].
             rng: Random generator of the sequence in which pixels are tried.
             allowed: Function of the levels of all pixels and of the row and column of one pixel, which returns the

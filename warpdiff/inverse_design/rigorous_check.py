@@ -1,4 +1,4 @@
-"""Rigorous values of the targets of a design, instead of those of scalar diffraction."""
+"""Colours and efficiencies of a design by rigorous solutions of Maxwell's equations instead of scalar diffraction."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class RigorousCheck:
-    """Values of a design by a rigorous solution.
+    """Colours and efficiencies that a design achieves by rigorous solutions of Maxwell's equations.
 
     Attributes:
         achieved: Table like ``Design.achieved``, with rigorous values; colours have their own fitted exposure.
@@ -39,8 +39,8 @@ class RigorousCheck:
         delta_e: ΔE2000 of the colours, shape (number of colours,).
         uniformity_errors: (largest − least)/(largest + least) of each target of equal orders.
         converged: Fraction of the rigorous solutions that have converged, 0 to 1.
-        change: Largest change of an efficiency in the last doubling of the number of harmonics; infinite if
-            ``max_harmonics`` permits no doubling at a wavelength.
+        change: Largest change of an efficiency in the last doubling of the number of harmonics (orders of the Fourier
+            series of the fields); infinite if ``max_harmonics`` permits no doubling at a wavelength.
     """
 
     achieved: Table
@@ -75,8 +75,8 @@ def rigorous_values(
                 f"{ref(f'targets[{k}]')} must have directions perpendicular to the grooves ({along} = 0), got a "
                 f"component {along} of {target.to_light[1]:g} to the light and {target.to_view[1]:g} to the viewer"
             )
-    # Colours are solved at the wavelengths `nodes`. Targets of colours with the same direction to the light share their
-    # solutions.
+    # Maxwell's equations are solved at the wavelengths `nodes` [nm] for colours. Colours with the same direction to the
+    # light use the same solutions, which contain all orders.
     nodes = np.linspace(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM, count)
     keys = [(*t.to_light, *(nodes if t.kind == "colour" else [t.wavelength_nm])) for t in targets]
     solved, flags, changes = {}, [], []
@@ -108,13 +108,14 @@ def _colour(
 ) -> Array:
     """Return XYZ of a target from rigorous efficiencies of n orders at the m wavelengths ``nodes``, shape (m, n).
 
-    In Stam's theory, the reflectance ρ is the sum over orders of C R|H|², times Gaussian weights. C is the geometry
-    factor, R is the reflectance of a flat surface, and |H|² is the power of a Fourier coefficient. The efficiency of an
-    order in this theory is C R|H|²/cos θi. C R|H|² is therefore replaced by the rigorous efficiency times cos θi, or
-    for a source by the rigorous efficiency alone.
+    In Stam's theory, the reflectance ρ is the sum over orders of C R|H|² times a Gaussian weight, which depends on the
+    coherence. C is the geometry factor, R is the reflectance of a flat surface, and |H|² is the power of a Fourier
+    coefficient. The efficiency of an order in this theory is C R|H|²/cos θi. C R|H|² is therefore replaced by the
+    rigorous efficiency times cos θi, or for an extended source by the rigorous efficiency alone.
 
     Efficiencies are interpolated between few wavelengths, because they are smooth except where orders begin to
-    propagate. The Gaussian weights are not smooth: a long coherence requires many wavelengths.
+    propagate. The Gaussian weights vary fast with the wavelength, if the coherence is long. They are computed at many
+    wavelengths.
     """
     from scipy.interpolate import PchipInterpolator
 

@@ -41,12 +41,12 @@ _COLOUR_NM = 600.0
 
 @dataclass(frozen=True)
 class Optics:
-    """Optics of a target; targets of colours with equal optics are evaluated together.
+    """Material, illuminant and coherence of a target. Targets of colours with equal optics are evaluated together.
 
     Attributes:
         ior: Index of refraction, or None.
         material: Material, or None.
-        energy: Energy of orders: ``"stam"`` or ``"normalised"``.
+        energy: ``"stam"`` for efficiencies of Stam's theory, or ``"normalised"`` for ones that conserve energy.
         illuminant: Illuminant of colours.
         coherence: Coherence of colours.
         masking: Whether colours include V-cavity masking.

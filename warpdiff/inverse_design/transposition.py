@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from warpdiff.inverse_design.targets import Target
 
-# Components of vectors after the exchange of x and y.
+# Index that exchanges the components x and y of a vector.
 _EXCHANGED = [1, 0, 2]
 
 
@@ -35,7 +35,7 @@ def transposed_targets(targets: Sequence[Target]) -> list[Target]:
 
 
 def transposed_column(pixels: Pixels) -> Pixels:
-    """Return a single row of pixels for a single column. Its parameters have the same order."""
+    """Return a single row of pixels with the heights of a single column, in the same sequence."""
     return Pixels(pixels.pixel_um, pixels.start[None, :], pixels.samples)
 
 

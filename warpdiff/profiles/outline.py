@@ -85,7 +85,7 @@ class Outline(ReadOnlyArrays):
         return float(np.ptp(self._heights_um))
 
     def height_field(self, samples: int = 1024) -> HeightField:
-        """Return samples of the outline, for pictures.
+        """Return the outline as a height field with equally spaced samples, for pictures.
 
         Args:
             samples: Number of samples per period, at least 2, by default 1024. Walls are accurate to half a sample.

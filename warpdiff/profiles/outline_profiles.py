@@ -23,22 +23,22 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Range of a period, relative to its start value. The range was chosen because angles of orders determine a period more
-# precisely than 5 %, and because fits that start further away end at other minima.
+# Least and largest period of a fit, relative to its start value. The range is narrow, because fits that start further
+# from the true period end at wrong minima. The measured angle of an order yields a start value within 5 %.
 _PERIOD_RANGE = 0.95, 1.05
-# Upper bound of a depth, relative to its start value. A factor of 3 was chosen because the random starts of a fit lie
-# between the bounds; with a larger factor, more of them end at other minima.
+# Upper bound of a depth, relative to its start value. The random starts of a fit lie between the bounds. A factor of 3
+# was chosen because more of the starts end at wrong minima with a larger factor.
 _DEPTH_RANGE = 3.0
-# Largest distance by which a vertex may be beyond its neighbour or the end of the period, because of rounding errors
-# [periods].
+# Rounding error of a vertex position [periods]. Vertices that are out of order, or outside of the period, by at most
+# this distance are moved to the nearest valid position.
 _ROUNDING = 1e-9
-# Least value of the upper bound of the width of a wall [periods]. It is above 0, so that a fit that starts from
-# vertical walls can make them sloped.
+# The upper bound of the width of a wall is at least this value [periods]. It is above 0, so that a fit that starts from
+# vertical walls (width 0) can make them sloped.
 _WIDEST_WALL = 0.05
 
 
 class _OutlineProfile(Profile):
-    """Profile whose vertices are a linear function of all parameters except the last parameter, which is the period."""
+    """Profile with outlines as surfaces; their vertices are linear in all parameters but the last one, the period."""
 
     def __init__(
         self, names: tuple[str, ...], start: list[float], bounds: list[list[float]], base: Array, modes: Array,
@@ -79,11 +79,11 @@ class _OutlineProfile(Profile):
         return Outline(positions, vertices[:, 1], float(values[-1]))
 
     def height_field(self, x: ArrayLike) -> HeightField:
-        """Return samples of the outline for parameters, shape (p,)."""
+        """Return the outline for parameters, shape (p,), as a height field with equally spaced samples."""
         return self.surface(x).height_field()
 
     def pullback(self, x: ArrayLike, adjoints: Mapping[str, Array]) -> Array:
-        """Return the adjoints of the parameters ``x``, shape (p,), from the adjoints of the vertices and the period."""
+        """Return the adjoints (derivatives of a loss) of the parameters ``x``, from those of vertices and period."""
         self.check(x)
         return np.append(np.tensordot(self._modes, adjoints["vertices"], axes=2), adjoints["period_um"])
 
@@ -190,7 +190,7 @@ class Trapezoid(_OutlineProfile):
         super().__init__(("depth_um", "duty", "wall"), start, bounds, base, modes, period_um)
 
     def equivalents(self, x: Array) -> list[Array]:
-        """Return the parameters with the duty cycle 1 − duty."""
+        """Return the parameters with the duty cycle 1 − duty, which give the same efficiencies."""
         other = x.copy()
         other[1] = 1.0 - x[1]
         return [other]

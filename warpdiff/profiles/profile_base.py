@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Largest difference between the height of a sample or vertex and its start value [µm]. The value is limited because
-# scalar diffraction does not describe steeper surfaces.
+# Largest difference between the height of a sample or vertex and its start value [µm]. Larger differences would make
+# slopes that are too steep for scalar diffraction.
 HEIGHT_MARGIN_UM = 10.0
 
 
@@ -56,26 +56,26 @@ class Profile(ABC):
     @property
     @abstractmethod
     def wrt(self) -> tuple[str, ...]:
-        """Names of the surface's variables that depend on the parameters, for ``wrt`` of ``warpdiff.adjoint``."""
+        """Names of the surface's variables that depend on the parameters: the argument ``wrt`` of ``wd.adjoint``."""
 
     @abstractmethod
     def surface(self, x: ArrayLike) -> HeightField | Outline:
-        """Return the surface for parameters, shape (p,), for the functions of ``warpdiff.adjoint``."""
+        """Return the surface with the parameters ``x``, shape (p,), for the functions of ``warpdiff.adjoint``."""
 
     @abstractmethod
     def height_field(self, x: ArrayLike) -> HeightField:
-        """Return the samples of the surface for parameters, shape (p,), for pictures."""
+        """Return the surface with the parameters ``x``, shape (p,), as a height field for pictures."""
 
     @abstractmethod
     def pullback(self, x: ArrayLike, adjoints: Mapping[str, Array]) -> Array:
-        """Return the adjoints of the parameters, shape (p,), from the adjoints of the variables ``wrt``.
+        """Return the adjoints of the parameters, shape (p,), from the adjoints of the surface's variables.
 
         The adjoint of a quantity is the derivative of a scalar loss with respect to this quantity.
         """
 
     @abstractmethod
     def pushforward(self, x: ArrayLike, dx: ArrayLike) -> dict[str, Array]:
-        """Return the changes of the variables ``wrt`` for a change of the parameters, shape (p,)."""
+        """Return the changes of the surface's variables for a change ``dx`` of the parameters ``x``, shape (p,)."""
 
     def equivalents(self, x: Array) -> list[Array]:
         """Return other parameters with the same order efficiencies, which a measurement of orders cannot exclude."""

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class _SampledProfile(Profile):
-    """Profile with a fixed pitch, whose heights are a linear function of the parameters."""
+    """Profile with height fields of a fixed pitch as surfaces; their heights are linear in the parameters."""
 
     def __init__(
         self, names: tuple[str, ...], start: ArrayLike, bounds: ArrayLike, pitch_um: tuple[float, float]
@@ -46,7 +46,7 @@ class _SampledProfile(Profile):
         return self.surface(x)
 
     def pullback(self, x: ArrayLike, adjoints: Mapping[str, Array]) -> Array:
-        """Return the adjoints of the parameters, shape (p,), from the adjoint of the heights."""
+        """Return the adjoints (derivatives of a loss) of the parameters, shape (p,), from those of the heights."""
         self.check(x)
         return self._transposed(adjoints["heights_um"])
 
@@ -61,7 +61,7 @@ class _SampledProfile(Profile):
 
     @abstractmethod
     def _transposed(self, heights: Array) -> Array:
-        """Return the adjoints of the parameters, shape (p,), from the adjoints of the heights, shape (ny, nx)."""
+        """Return the derivatives of a loss by the parameters, shape (p,), from those by the heights, shape (ny, nx)."""
 
 
 class Samples(_SampledProfile):
@@ -142,8 +142,9 @@ class Pixels(_SampledProfile):
 
 
 class ScanModes(_SampledProfile):
-    """Scale, tilt and bow of a scan as parameters, which the calibration of an instrument leaves uncertain.
+    """Scale, tilt and bow of a scan (a measured height field) as parameters.
 
+    The calibration of an instrument leaves these parameters uncertain.
     The heights are scale · h + tilt_y · y + tilt_x · x + bow · (x² + y² − mean), where x and y run from −½ to ½ over
     the patch.
 

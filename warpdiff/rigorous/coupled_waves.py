@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 # Power that returns from the lower end of the layer that replaces an absorbing substrate, relative to the power that
 # enters the layer. The value was chosen so that this power is about as small as rounding errors.
 _RETURNED = 1e-13
-# Imaginary part k of the index of refraction up to which a substrate counts as transparent. The value is limited by the
-# thickness of the layer that replaces an absorbing substrate: for smaller k, the layer would be thicker than 1 cm.
+# Imaginary part k of the index of refraction up to which a substrate counts as transparent. A substrate with larger k
+# is replaced by a layer that absorbs all light. For smaller k, this layer would be about 1 cm thick or thicker.
 _TRANSPARENT = 1e-4
 # Largest accepted difference between the solver's reflectance of a flat surface and that of Fresnel's equations. The
-# value is far above rounding errors.
+# value is far above rounding errors of float64.
 _FLAT_ERROR = 1e-6
 # The solver is checked with a flat layer: thickness of this layer [µm], and largest order N of the Fourier series.
 _FLAT_UM, _FLAT_HARMONICS = 0.1, 2
@@ -70,8 +70,8 @@ def layers_of(heights_um: Array, most: int) -> tuple[list[NDArray[np.bool_]], li
     if len(levels) > most + 1:
         levels = np.linspace(levels[0], levels[-1], most + 1)
     middles = (levels[1:] + levels[:-1]) / 2.0
-    # The material fills a sample of a layer if the height of the sample is above the middle of the layer. Rounding
-    # errors of the heights therefore have no effect.
+    # The material fills a sample of a layer if the height of the sample is above the middle of the layer. A comparison
+    # with the top of the layer would depend on rounding errors, because many heights are equal to the top.
     tops = [heights_um > middle for middle in middles[::-1]]
     return tops, np.diff(levels)[::-1].tolist()
 

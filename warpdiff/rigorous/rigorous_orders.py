@@ -215,7 +215,7 @@ def rigorous_order_efficiencies(
 
 
 def _warn_of_harmonics(harmonics: NDArray[np.int64], changes: Array, converged: NDArray[np.bool_]) -> None:
-    """Warn of wavelengths whose orders have not converged, and state by how much they changed in the last doubling."""
+    """Warn of wavelengths without convergence; state by how much efficiencies changed in the last doubling of N."""
     once, twice = ~converged & np.isinf(changes), ~converged & np.isfinite(changes)
     reasons = []
     if twice.any():
@@ -266,7 +266,7 @@ def _converged(
 
     Returns:
         Efficiencies for s and for p polarisation, shape (n,) each, the last N, the largest change of an efficiency in
-        the last doubling, and whether this change is within the limit.
+        the last doubling, and whether this change is small enough for convergence.
     """
     masks, thicknesses, period = grating
     most = _CHANGE_OF_LONG_PERIODS if period > _LONG_PERIOD * wavelength_um else _CHANGE

@@ -29,7 +29,7 @@ _SUFFIXES = (
 
 
 class ImageRemedies(NamedTuple):
-    """Texts of errors about a file, which depend on the use of the samples.
+    """Texts of error messages about an image. Images of heights and images of other values have different texts.
 
     Attributes:
         other_format: Message about a file of another format.

@@ -49,8 +49,8 @@ class FileContent:
             check asks whether the sizes and heights are plausible.
         metadata: Facts about instrument and measurement that the file states, as text by name.
         notes: Changes of the samples by the reader, as sentences for the history of the field.
-        why_no_pitch: Reason why the file's statements of the pitch were not read, for the error that asks for it.
-        why_no_unit: Reason why the file's statements of the unit were not read, for the error that asks for it.
+        why_no_pitch: Reason why the pitch in the file was not read, for the error that asks the caller for a pitch.
+        why_no_unit: Reason why the unit in the file was not read, for the error that asks the caller for a unit.
     """
 
     samples: np.ndarray
@@ -328,7 +328,7 @@ def pitch_of(
     content: FileContent, file: Path, extent_um: float | tuple[float, float] | None,
     pitch_um: float | tuple[float, float] | None, unit: str | None,
 ) -> float | tuple[float, float]:  # fmt: skip
-    """Return the pitch of a file [µm]: the stated one, or from exactly one of the arguments of `HeightField.load`."""
+    """Return the pitch of a file [µm]: from the file itself, or from exactly one of ``extent_um`` and ``pitch_um``."""
     ny, nx = content.samples.shape
     names = [name for name, value in (("extent_um", extent_um), ("pitch_um", pitch_um)) if value is not None]
     own = content.pitch_um

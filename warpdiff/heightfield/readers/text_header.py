@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.readers.text_statements import Signs, Statement
     from warpdiff.heightfield.readers.text_table import Form
 
-# Number of header lines that are searched for facts: the last lines before the numbers.
+# Number of header lines that are searched for facts (sizes, units, a channel): the last lines before the numbers.
 _MOST_LINES = 400
 # Number of characters above which a header line is not searched for facts. The value was chosen because longer lines
 # are free text.
@@ -130,8 +130,8 @@ def _add_counts(facts: Facts, statement: Statement, line: str) -> None:
         is_pair = len(measures) == 2 and not key.axis and (key.kind != "" or not statement.words)
         axes = list(statement.axes() or "xy") if is_pair else [key.axis] * len(measures)
     elif axes == ["y"]:
-        # A line that states only a number of lines, such as "Header: 5 lines", may not state the number of rows of the
-        # matrix.
+        # A line that states only a number of lines is ignored. In "Header: 5 lines", for example, the number is not
+        # that of the rows of the matrix.
         return
     for axis, measure in zip(axes, measures, strict=True):
         if axis and _WHOLE.fullmatch(measure.number):

@@ -24,8 +24,8 @@ def _names(*lines: str) -> frozenset[str]:
     return frozenset("|".join(lines).split("|"))
 
 
-# Keys that state a size, in lower case. The keys are those of usual programs, in many languages. The list has all
-# translations of the program Gwyddion.
+# Keys of header lines ("key: value") that state a size, in lower case, as usual programs write them in many languages.
+# The list has all translations of the program Gwyddion.
 _WIDTH = _names(
     "width|breite|largeur|larghezza|ancho|anchura|largura|bredd|bredde|szerokość|šířka|ширина|genişlik|szélesség",
     "leveys|幅|폭|宽度|field width|image width|scan width",
@@ -37,7 +37,7 @@ _HEIGHT = _names(
 _SIZES = _names(
     "size|scan size|scansize|scan range|extent|field of view|fov|image size|field size|physical size|area|scan area"
 )
-# Keys that state a size only if they also name an axis.
+# Keys of header lines that state a size only if they also name an axis, such as "x range".
 _SIZES_OF_AXIS = _names("amplitude|range|length|l|real|dimension|scan length|taille|tamaño|größe")
 _PITCHES = _names(
     "pixel size|pixelsize|pixel pitch|pixel spacing|lateral sampling|sampling interval|sampling distance",
@@ -70,7 +70,8 @@ _UNITS_Z = _names(
     "unité|unités|unità|unità valore|unidad|unidades|unidades de valor|jednotky hodnot|единицы измерения",
     "値の単位|값 단위|单位|z axis unit|vertical unit|vertical units",
 )
-# Keys that state the unit of the heights only if their value is a unit without a number.
+# Keys of header lines that state the unit of the heights only if their value is a unit without a number. In "z: nm" the
+# key states a unit, in "z: 5 nm" it does not.
 _WEAK_UNITS_Z = _names("heights|values|z")
 _UNITS_XY = re.compile(r"(?:x|y|xy|lateral) units?|units? (?:x|y|xy)")
 GLOBAL_UNITS = _names("units|einheiten|unités")
@@ -112,7 +113,7 @@ def words_of(key: str) -> str:
 
 
 def key_of(text: str, *, per_pixel: bool = False) -> Key:
-    """Return the fact that a key states; its kind is an empty string if the key is not known.
+    """Return the fact (size, pitch or count, and axis) that a key states; ``kind`` is empty if the key is not known.
 
     Args:
         text: Key, as :func:`words_of` returns it.
@@ -164,7 +165,7 @@ def unit_in_key(key: str) -> tuple[float | None, bool]:
 
 
 def states_unit_z(words: str, *, is_plain: bool) -> bool:
-    """Whether a key states the unit of the heights. For keys such as "z", the value must be a single word."""
+    """Whether a key states the unit of the heights. Keys such as "z" do so if their value has no number (is plain)."""
     return words in _UNITS_Z or (is_plain and words in _WEAK_UNITS_Z)
 
 

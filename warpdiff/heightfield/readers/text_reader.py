@@ -56,16 +56,16 @@ def read_text(file: Path) -> FileContent | Channels:
     if lines[0].startswith("Wyko ASCII"):
         raise refusal(file, "is a Wyko ASCII export, whose lines run along y, without a unit; save it as .opd")
     use = text_table.decimal_use(lines, form)
-    # If three digits follow the comma in all numbers of a text, the comma may separate thousands. The rows of numbers
-    # then do not show whether a comma in the header is a decimal sign.
+    # The rows of numbers may not show whether a comma in the header is a decimal sign. This is the case if no number
+    # has a decimal sign, or if three digits follow the comma in all numbers, so that it may separate thousands.
     is_open = use == "none" or (use == "all" and form.decimal == ",")
     signs = Signs("" if is_open else form.decimal, form.thousands)
     blocks = text_table.blocks_of(lines, form)
     same = _equal_blocks(file, blocks)
     facts = [_facts_of(block, form, signs, blocks[0].header) for block in same]
     _check_signs(file, use, form.decimal, facts[0])
-    # A text may have several matrices as channels. Matrices whose numbers have a unit of length come first, because the
-    # first channel is the default channel.
+    # A text may have several matrices as channels. The first channel is the default. Matrices whose numbers have a unit
+    # other than a length, such as V, therefore come last.
     order = sorted(range(len(same)), key=lambda k: bool(facts[k].not_length) and facts[k].unit is None)
     channels: dict[str, Callable[[], FileContent]] = {}
     for k in order:
@@ -98,7 +98,7 @@ def _equal_blocks(file: Path, blocks: list[Block]) -> list[Block]:
 
 
 def _facts_of(block: Block, form: Form, signs: Signs, first_header: list[str]) -> Facts:
-    """Return the facts of the header above a block of numbers; the first header of the file completes missing facts."""
+    """Return facts (sizes, units) of the header above a block of numbers; the first header adds what it lacks."""
     facts = text_header.facts_of(block.header, form, signs)
     if first_header is not block.header:
         facts.merge(text_header.facts_of(first_header, form, signs))

@@ -137,7 +137,7 @@ class Statement:
 
     @property
     def key(self) -> Key:
-        """Fact that the key of the statement states, such as a size or a pitch."""
+        """Meaning of the text before the numbers: a size, a pitch or a number of samples, and its axis."""
         per_pixel = self._unit_of_key()[1] or any(measure.per_pixel for measure in self.measures)
         key = text_keys.key_of(self.words, per_pixel=per_pixel)
         # Words such as "(x, y)", which name the order of two numbers, also name the axes of a key such as "Step".
@@ -202,7 +202,7 @@ class Statement:
 
 
 def statements_of(line: str) -> Iterator[Statement]:
-    """Yield the statements of a header line, each with a key and its numbers."""
+    """Yield the statements of a header line, such as "Size: 5 µm x 4 µm", each with a key and its numbers."""
     line = _CLOSE_PRODUCT.sub(r" \1 ", _TOLERANCE.sub("", line))
     parts = list(_parts(line))
     if not parts:

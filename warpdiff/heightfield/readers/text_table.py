@@ -62,16 +62,17 @@ _NUMBERS = {
 _FORMS: tuple[tuple[str | None, str], ...] = (
     ("\t", "."), (";", "."), (",", "."), (None, "."), ("\t", ","), (";", ","), (",", ","), (None, ","),
 )  # fmt: skip
-# Thousands signs that are tried, by the decimal sign, after the pairs above without a thousands sign. A no-break space
-# also stands for other kinds of spaces, and is not tried if white space separates the numbers.
+# Thousands signs that are tried, by the decimal sign. Before them, all separators and decimal signs are tried without a
+# thousands sign. A no-break space also stands for other kinds of spaces, and is not tried if white space separates the
+# numbers.
 _THOUSANDS = {".": (",", "\xa0"), ",": (".", "\xa0")}
 # Positions of points are assigned to an evenly spaced axis. A rounded position may differ from the axis by at most
 # `_MOST_ROUNDING`. Positions with noise that count as equal may spread over at most `_MOST_NOISE`. Both numbers are
 # relative to the step of the axis. If doubled, more scattered points are taken for a grid.
 _MOST_ROUNDING, _MOST_NOISE = 0.1, 0.01
-# Positions that are equal up to noise form a group. The number is the smallest gap between two groups, relative to the
-# largest gap. With 0.05, positions with noise are refused if twenty neighbouring positions of the axis have no point.
-# If doubled, they are refused if ten neighbouring positions have no point.
+# Positions of points along an axis that are equal up to noise form a group. Two groups are at least this fraction of
+# the largest gap apart. If twenty (1/0.05) neighbouring positions of the axis have no point, all other gaps are smaller
+# than this limit, and the text is refused. If the number is doubled, ten such positions suffice.
 _GROUP_GAP = 0.05
 _LINE_END = re.compile(r"\r\n?|\n")
 
@@ -164,7 +165,7 @@ class Form(NamedTuple):
         return None if not cells or (len(cells) == 1 and self._is_gap(cells[0])) else numbers
 
     def _is_gap(self, cell: str) -> bool:
-        """Whether the text of a cell does not begin with a number."""
+        """Whether the text of a cell is a word for a missing sample, because it does not begin with a number."""
         return _NUMBERS[self.decimal, self.thousands].match(cell) is None
 
 
@@ -388,7 +389,7 @@ def even_steps(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]
 
 
 def _axis_through(centres: NDArray[np.float64]) -> tuple[NDArray[np.float64], float] | None:
-    """Return the positions and the step of an even axis that contains the ascending ``centres``, or None."""
+    """Return the positions and the step of an evenly spaced axis that contains the ascending ``centres``, or None."""
     low, high = float(centres[0]), float(centres[-1])
     steps = np.diff(centres)
     for typical in (float(np.median(steps)), float(np.min(steps))):

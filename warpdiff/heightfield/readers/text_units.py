@@ -89,7 +89,7 @@ def _add_stated_unit(facts: Facts, line: str, words: str, text: str, signs: Sign
 
 
 def _add_heights_in(facts: Facts, line: str, signs: Signs) -> bool:
-    """Add the units in texts such as "heights in nm" or "Z [µm]", and return whether the line has such a unit."""
+    """Add to ``facts`` the unit in a text such as "heights in nm" or "Z [µm]"; return whether there is such a text."""
     has_unit = False
     for match in _HEIGHTS_IN.finditer(line):
         text = match["bracket"] or match["word"]

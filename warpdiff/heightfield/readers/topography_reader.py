@@ -122,8 +122,8 @@ def _read(name: str, file: Path) -> Channels:
     except Exception as error:
         # All exceptions are converted, because the library's readers raise many types of exceptions for damaged files.
         raise _damaged(file, name, error) from None
-    # The default channel of the library comes first, unless its name shows that it has no heights but a phase or the
-    # like.
+    # The default channel of the library comes first, unless its name shows that it has no heights but another signal,
+    # such as a phase.
     listed.sort(key=lambda entry: (_is_other_signal(entry[1]), entry[0] != default))
     if not listed:
         raise refusal(file, "has no channel of heights with a unit of length on a grid; export the height channel")

@@ -30,14 +30,15 @@ if TYPE_CHECKING:
 # Unit of the coordinates in a file [m], and their resolution [m]. Micrometres and nanometres were chosen because
 # programs for lithography expect these units.
 _UNIT, _PRECISION = 1e-6, 1e-9
-# Largest coordinate in a file, in units of the resolution. The value is limited by the format's 32-bit integers.
+# Largest coordinate in a file, in units of the resolution (1 nm). The value is limited by the format's 32-bit integers.
 _MOST_COORDINATE = 2**31 - 1
 # Time in the header of each file. A constant was chosen so that equal height fields give identical files.
 _TIME = datetime.datetime(2000, 1, 1)
 # Number of steps per µm to which positions are rounded before they are compared. The value follows from the resolution
 # of 1 nm: rounding to 0.1 nm removes errors of the arithmetic and no real difference.
 _PER_UM = 10_000
-# Largest coordinate of a file that is measured [µm]. The value is limited by the integers of the measurement.
+# Largest coordinate of a file that is measured [µm]. The value is limited by the 64-bit integers of the measurement,
+# which count steps of 0.1 nm.
 _MOST_UM = 1e14
 
 
@@ -170,7 +171,7 @@ def _check_slopes(corners: Points, lengths: NDArray[np.int64], name: str) -> Non
 
 
 def _steps(polygons: list[Points]) -> Steps:
-    """Return the steps (horizontal edges) of polygons that have horizontal and vertical edges only."""
+    """Return the steps (horizontal edges, with their effect on the coverage) of polygons without sloped edges."""
     fours = [points for points in polygons if len(points) == 4]
     boxes = np.array(fours, dtype=np.int64).reshape(-1, 4, 2)
     low, high = boxes.min(axis=1), boxes.max(axis=1)

@@ -1,6 +1,8 @@
 """Check of the records of a GDS layout before gdstk reads it, because damaged records crash gdstk, and so the process.
 
-The names of records and elements are those of the GDSII stream format, release 6.
+The names of records and elements are those of the GDSII stream format, release 6. A file is a sequence of records.
+Several records make an element, such as a polygon or a reference. A cell is a named list of elements. A reference
+places one or more copies of another cell.
 """
 
 from __future__ import annotations
@@ -38,27 +40,29 @@ _TABLE = (
 )  # fmt: skip
 _RECORDS = {code: (name, kind, size) for code, name, kind, size in _TABLE}
 _CODES = {name: code for code, name, _, _ in _TABLE}
-# Smallest and largest number of points of each kind of element; None is no limit.
+# Smallest and largest number of points of each kind of element (polygon, path, reference, text); None is no limit.
 _POINTS = {
     "BOUNDARY": (4, None), "BOX": (4, None), "PATH": (2, None), "SREF": (1, 1), "AREF": (3, 3), "TEXT": (1, 1),
     "NODE": (1, 50),
 }  # fmt: skip
-# Largest depth of references. Layouts have fewer than 30 levels. gdstk calls a function for each level, and the stack
-# of a process has room for some ten thousand calls.
+# Largest depth of nested references: a cell in a cell, and so on. Layouts have a depth of less than 30. gdstk calls a
+# function for each level of the nesting, and the stack of a process has room for about ten thousand calls.
 _MOST_DEPTH = 256
-# Largest number of copies of cells that all references make together. The measurement of a million rectangles requires
+# Largest number of copies of cells that all references place together. The measurement of a million rectangles requires
 # about 12 s. If doubled, damaged files can require twice this time.
 _MOST_COPIES = 10**6
-# Memory of a vertex while gdstk and the measurement hold the polygons [bytes], measured for squares at random places.
+# Peak memory per vertex of the polygons [bytes], while a layout is read and measured. The value was measured for
+# squares at random positions.
 _BYTES_PER_VERTEX = 760.0
-# Accepted range of the resolution [m], and of the magnification of a reference.
+# Accepted range of the resolution [m], and of the magnification with which a reference places a cell.
 _RESOLUTIONS, _MAGNIFICATIONS = (1e-15, 1.0), (1e-6, 1e6)
-# In the regular expressions below, a record is one character, whose number is this number plus the code of the record.
+# The regular expressions below check the order of records. One character stands for one record. The code point of the
+# character is this number plus the code of the record.
 _FIRST_LETTER = 0x100
 
 
 def _expression(text: str) -> re.Pattern[str]:
-    """Return the regular expression of characters that stand for records, from one with the names of records."""
+    """Return a regular expression with the names of records as one in which a character stands for each record."""
     return re.compile(re.sub(r"[A-Z][A-Z0-9]+", lambda name: chr(_FIRST_LETTER + _CODES[name[0]]), text), re.VERBOSE)
 
 
@@ -120,7 +124,7 @@ class _Layout:
         raise ArgumentValueError(f"{ref('path')}: {self.name!r} is not a GDS file: {reason}; export it again")
 
     def match(self, expression: re.Pattern[str], begin: int) -> int:
-        """Return the index behind the records from ``begin`` that an expression matches, or raise an error."""
+        """Return the index of the first record after those from ``begin`` that match; raise an error if none match."""
         match = expression.match(self.letters, begin)
         if match is None:
             self.refuse(
@@ -144,14 +148,17 @@ class _Layout:
         return struct.unpack(f">{len(content) // 2}h", content)
 
     def text(self, index: int) -> bytes:
-        """Return the name of a cell in a record."""
+        """Return the name of a cell that a record contains."""
         text = self.content(index).removesuffix(b"\0")
         if not text or b"\0" in text:
             self.refuse(f"record {self.title(index)} at byte {self.begins[index]} must have a name, got {text!r}")
         return text
 
     def check_real(self, index: int, begin: int, limits: tuple[float, float]) -> None:
-        """Raise an error if a real number in a record is not within limits: a sign, a power of 16, and 7 bytes."""
+        """Raise an error if a real number in a record is not within limits.
+
+        The eight bytes of a number are a sign bit, an exponent of 16 with 7 bits, and a mantissa of 7 bytes.
+        """
         content = self.content(index)[begin : begin + 8]
         value = int.from_bytes(content[1:]) / 2.0**56 * 16.0 ** ((content[0] & 127) - 64)
         if not (content[0] < 128 and limits[0] <= value <= limits[1]):
@@ -192,7 +199,7 @@ def check(file: Path) -> None:
 
 
 def _add(layout: _Layout, cell: _Cell, begin: int, end: int) -> None:
-    """Check the values of an element, and add its vertices or copies to its cell."""
+    """Check the values of an element (polygon, reference, text), and add its vertices or copies to its cell."""
     records = {layout.title(index): index for index in range(begin, end)}
     title = layout.title(begin)
     points = sum(len(layout.content(index)) // 8 for index in range(begin, end) if layout.title(index) == "XY")
@@ -222,7 +229,7 @@ def _add(layout: _Layout, cell: _Cell, begin: int, end: int) -> None:
 
 
 def _check_references(layout: _Layout, cells: dict[bytes, _Cell]) -> None:
-    """Raise an error if a reference has no cell, or contains itself, or if all references make too many copies."""
+    """Raise an error if a reference names no cell of the file, a cell contains itself, or copies are too many."""
     graph = {name: {other for other, _ in cell.copies} for name, cell in cells.items()}
     missing = sorted(set().union(*graph.values()) - set(graph))
     if missing:
@@ -231,7 +238,7 @@ def _check_references(layout: _Layout, cells: dict[bytes, _Cell]) -> None:
         order = [*graphlib.TopologicalSorter(graph).static_order()]
     except graphlib.CycleError as error:
         layout.refuse(f"references must not contain themselves, got the cycle {b' > '.join(error.args[1])!r}")
-    # Copies and vertices of each cell with all that it contains, and the depth of its references.
+    # Numbers of copies and vertices of each cell, including those of all cells inside, and the depth of its references.
     totals: dict[bytes, tuple[int, int, int]] = {}
     for name in order:
         copies, vertices, depth = 0, cells[name].vertices, 0

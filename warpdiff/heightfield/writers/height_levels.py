@@ -98,8 +98,8 @@ def rectangles_of(indices: Indices) -> Rectangles:
     continues = np.zeros(len(row), dtype=bool)
     inner = row > 0
     continues[inner] = key[row[inner] - 1, left[inner]] == key[row[inner], left[inner]]
-    # The runs are sorted by left end, level and right end, and then by row, so that the runs of a chain are
-    # consecutive.
+    # The runs (neighbouring samples of equal level in one row) are sorted by left end, level and right end, and then by
+    # row, so that the runs that make a rectangle are consecutive.
     order = np.lexsort((row, key[row, left], left))
     begins = ~continues[order]
     first = order[begins]

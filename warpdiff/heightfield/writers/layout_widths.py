@@ -63,7 +63,7 @@ class _Widths(NamedTuple):
 
 
 def measured(steps: Steps, size: tuple[int, int]) -> Measures:
-    """Measure the union of polygons from the steps of all polygons; the layout has the periods ``size`` (x, y)."""
+    """Measure the union of polygons from their steps (horizontal edges); ``size`` has the layout's periods (x, y)."""
     lines = np.unique(np.concatenate([steps.left, steps.right, [0, size[0]]]))
     rows = np.unique(np.append(steps.y, [0, size[1]]))
     if (len(lines) - 1) * (len(rows) - 1) <= _MOST_CELLS:
@@ -74,7 +74,7 @@ def measured(steps: Steps, size: tuple[int, int]) -> Measures:
 
 
 def _on_grid(steps: Steps, lines: Indices, rows: Indices) -> Measures:
-    """Measure a layout on the grid between its coordinates: a cell is covered as a whole or not at all."""
+    """Measure a layout on the grid through its vertices: each cell of the grid is covered as a whole or not at all."""
     counts = np.zeros((len(rows), len(lines)), dtype=np.int32)
     places = np.searchsorted(rows, steps.y)
     np.add.at(counts, (places, np.searchsorted(lines, steps.left)), steps.change)
@@ -90,7 +90,7 @@ def _on_grid(steps: Steps, lines: Indices, rows: Indices) -> Measures:
 
 
 def _least_runs(covered: NDArray[np.bool_], edges: Indices) -> tuple[int | None, int | None]:
-    """Return the least length of covered cells, and that of uncovered cells, within periodic rows of a grid.
+    """Return the least width of a feature (covered cells) and of a gap (uncovered cells) in periodic rows of a grid.
 
     ``covered`` has shape (rows, n), and ``edges`` has the n + 1 coordinates of the cells along a row.
     """
@@ -141,7 +141,7 @@ def steps_of_polygon(x: list[int], y: list[int]) -> list[tuple[int, int, int, in
 
 
 def _united(steps: Steps) -> Steps:
-    """Return the steps of the union of polygons, from the steps of all polygons."""
+    """Return the steps (horizontal edges) of the union of polygons, from the steps of all polygons."""
     is_wide = steps.left < steps.right
     y, left, right, change = (part[is_wide] for part in steps)
     lines, columns = np.unique(np.concatenate([left, right]), return_inverse=True)
@@ -150,13 +150,13 @@ def _united(steps: Steps) -> Steps:
     first, after = columns[: len(y)][order], columns[len(y) :][order]
     if not len(y):
         return Steps(y, left, right, change)
-    # Steps at one height that overlap or touch form a group. Their changes of the coverage are added.
+    # Steps (horizontal edges) at one height that overlap or touch form a group. A step changes the number of polygons
+    # that cover the layout; these changes are added in a group.
     row = np.cumsum(np.append(0, np.diff(y) != 0)) * (len(lines) + 1)
     reach = np.maximum.accumulate(row + after)
     begins = np.flatnonzero(np.append(True, row[1:] + first[1:] > reach[:-1]))
     ends = np.append(begins[1:], len(y))
-    # Number of polygons that cover each interval between neighbouring coordinates x, below the height of the next
-    # group.
+    # Number of polygons that cover each interval between neighbouring coordinates x, below the next group of edges.
     counts = np.zeros(len(lines), dtype=np.int32)
     parts: list[tuple[Indices, Indices, Indices, Indices]] = []
     for begin, end, low, high in zip(
@@ -195,7 +195,8 @@ def _area(steps: Steps) -> int:
 
 def _along_x(steps: Steps, size: tuple[int, int]) -> _Widths:
     """Return the least widths along x of a layout that is repeated with the periods (x, y) of ``size``, from 0."""
-    # The steps at y = 0 are repeated at the end of the period, so that corners at the edge of the layout are counted.
+    # The steps (horizontal edges) at y = 0 are repeated at the end of the period, so that corners at the edge of the
+    # layout are counted.
     again = steps.y == 0
     rows = np.concatenate([steps.y, np.full(int(again.sum()), size[1])])
     left, right = (np.concatenate([part, part[again]]) for part in (steps.left, steps.right))
@@ -228,7 +229,8 @@ def _swept(rows: Indices, places: Indices, period: int) -> _Widths:
     is_odd = (np.diff(np.append(starts, len(rows))) % 2 == 1).tolist()
     begins = np.flatnonzero(np.append(True, np.diff(rows[starts]) != 0)).tolist()
     values = places[starts].tolist()
-    # Whether (1 or 0) a feature reaches the end of the line, which is also its beginning, the place 0.
+    # The line is periodic: its end is also its beginning, the place 0. `base` is 1 if a feature reaches the end of the
+    # line, otherwise 0.
     base = 0
     line: list[int] = []
     least: list[int | None] = [None, None]
@@ -237,11 +239,12 @@ def _swept(rows: Indices, places: Indices, period: int) -> _Widths:
         touched, odd = values[begin:end], is_odd[begin:end]
         reverses = touched[-1] == period and odd[-1]
         if touched[-1] == period:
-            # The end of the line is also its beginning.
+            # Changes at the end of the periodic line count as changes at its beginning, the place 0.
             both = touched[0] == 0
             is_reversed = odd[-1] != (both and odd[0])
             touched, odd = [0, *touched[int(both) : -1]], [is_reversed, *odd[int(both) : -1]]
-        # Places with an even number of changes. If a feature has an end there, it has one before and after the change.
+        # An even number of changes at a place cancels. An end of a feature at this place stays an end, but of another
+        # feature if two features touch at a corner.
         kinds = [(place, _kind(line, base, place)) for place, is_end in zip(touched, odd, strict=True) if not is_end]
         for place, is_end in zip(touched, odd, strict=True):
             if is_end:
@@ -253,7 +256,7 @@ def _swept(rows: Indices, places: Indices, period: int) -> _Widths:
             continue
         for place in touched:
             k = bisect_left(line, place)
-            # The interval that ends at the place or contains it, and the one that begins at the place.
+            # Two intervals are measured: the one that ends at the place or contains it, and the one that begins there.
             for start in (k - 1, k) if k < count and line[k] == place else (k - 1,):
                 after = start + 1
                 low = line[start] if start >= 0 else line[-1] - period
