@@ -422,7 +422,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         """
         i = first + wp.tid()
         gain = gains[i]
-        if gain > 0.0:
+        if gain != 0.0:
             scattering_vector = scattering_vectors[i]
             chosen = set_for(quadrature, scattering_vector, to_lights[i])
             start = quadrature.firsts[chosen]

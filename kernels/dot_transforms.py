@@ -128,6 +128,38 @@ def scale_gains(
 
 
 @wp.kernel
+def weigh_gains(
+    to_lights: wp.array(dtype=wp.vec3f), gains: wp.array(dtype=wp.float32), octaves: wp.float32, per_octave: wp.float32,
+    first: wp.int32, run: wp.int32,
+    gains_out: wp.array(dtype=wp.float32),
+):  # fmt: skip
+    """Multiply gains by the weight of one table in a cubic interpolation over the pitch scale of dots.
+
+    The length of a direction to the light is the pitch scale, relative to the smallest one of the map. The weight is
+    Lagrange's for equidistant tables, so that at most four tables have a weight for each dot. Some weights are negative.
+
+    Args:
+        to_lights: Directions to the light in the frames of the cells.
+        gains: Geometry factors of the samples.
+        octaves: Binary logarithm of the pitch scale of which the table has the exact colours.
+        per_octave: Number of tables per factor of two of the pitch scale.
+        first: Index of the first thread's first sample.
+        run: Number of samples per thread.
+        gains_out: Geometry factors multiplied by the weight.
+    """
+    thread, _ = wp.tid()
+    for i in range(first + thread * run, first + (thread + 1) * run):
+        place = wp.log2(wp.max(wp.length(to_lights[i]), 1.0))
+        t = wp.abs(place - octaves) * per_octave
+        weight = wp.float32(0.0)
+        if t < 1.0:
+            weight = 0.5 * (1.0 - t * t) * (2.0 - t)
+        elif t < 2.0:
+            weight = (1.0 - t) * (2.0 - t) * (3.0 - t) / 6.0
+        gains_out[i] = gains[i] * weight
+
+
+@wp.kernel
 def signals_of_dots(
     dots: wp.array(dtype=wp.int32), columns: wp.int32, faces: wp.array(dtype=wp.int32),
     surfaces: wp.array(dtype=wp.int32), surface: wp.int32, scattering_vectors: wp.array(dtype=wp.vec3d),

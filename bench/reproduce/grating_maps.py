@@ -4,6 +4,7 @@
 
     python -m bench.reproduce.grating_maps --transforms
     python -m bench.reproduce.grating_maps --pictures --seed 0
+    python -m bench.reproduce.grating_maps --pitches --seed 0
     python -m bench.reproduce.grating_maps --times
     python -m bench.reproduce.grating_maps --card
 
@@ -14,6 +15,10 @@ diagonal of its lattice.
 ``--pictures`` compares pictures with reference pictures that have 4,096 subpixel cells per pixel. The reference has the
 same colours at single points, but misses no edges of dots. Errors are those of illuminated pixels inside of the card.
 ``P99 est`` is the 99th percentile of ``image.error``.
+
+``--pitches`` compares dots with pitch scales from 0.7 to 1.4 under averaged windows, of which colours are interpolated
+between tables, with pictures in which all dots have the pitch scale of one column. These pictures interpolate nothing.
+Pixels show points, and the card fills a wide field of view.
 
 ``--times`` measures processor times of ``Renderer.draw`` with a new light, alternately with and without a map; the
 result is the ratio of the medians. Dots are about ten pixels wide.
@@ -32,6 +37,7 @@ from typing import Any
 import numpy as np
 
 import warpdiff as wd
+from bench.truth.errors import FLOOR, reference_luminance, relative
 from warpdiff.diffraction.direct_sum import window_power
 
 VIEW = wd.View((0.0, 0.0, 4.0), (0.0, 0.0, 0.0), fov_y_deg=12.0, width=48, height=36)
@@ -111,6 +117,47 @@ def pictures(rng: np.random.Generator) -> None:
                 )
 
 
+def pitches(rng: np.random.Generator) -> None:
+    """Print errors of dots whose colours are interpolated between tables for different pitch scales."""
+    columns = 24
+    card, view = wd.meshes.card(), wd.View((0.1, 0.0, 0.6), (0.0, 0.0, 0.0), fov_y_deg=70.0, width=96, height=72)
+    cells = {
+        "sine": SINE, "lamellar": wd.gratings.lamellar(1.6, 0.15), "blazed": wd.gratings.blazed(2.0, 0.25),
+        "fingers": wd.gratings.fingers(size_um=12.8), "bumps": wd.gratings.bumps(),
+    }  # fmt: skip
+    scales = rng.uniform(0.7, 1.4, (1, columns))
+    scales[0, :2] = 0.7, 1.4
+    for name, cell in cells.items():
+        for sigma_um in (5.0, 16.25):
+            for tolerance in (0.1, 1e-2):
+                common: dict[str, Any] = {"coherence": wd.Coherence(sigma_um=sigma_um), "footprint": False}
+                light = wd.DirectionalLight((rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5), 1.0))
+                image = wd.shade(
+                    card, wd.GratingMap(cell, pitch_scale=scales), light, view, tolerance=tolerance, strict=False,
+                    **common,
+                )  # fmt: skip
+                pairs = []
+                for column, scale in enumerate(scales[0]):
+                    single = wd.GratingMap(cell, pitch_scale=scale)
+                    exact = wd.shade(card, single, light, view, tolerance=1e-3, strict=False, **common)
+                    among = image.mask & (np.floor(columns * uvs_of(card, light, view)[..., 0]) == column)
+                    pairs.append((image.xyz[among].astype(float), exact.xyz[among].astype(float)))
+                own, true = (np.concatenate(values) for values in zip(*pairs, strict=True))
+                error, bright = relative(own, true), true[:, 1] >= FLOOR * reference_luminance(true[:, 1])
+                print(
+                    f"{name}, sigma {sigma_um:g} µm, tolerance {tolerance:g}: bright directions P99 "
+                    f"{np.percentile(error[bright], 99):.1e}, all P99 {np.percentile(error, 99):.1e}, "
+                    f"{np.mean(bright):.0%} of {len(error)} pixels are bright",
+                    flush=True,
+                )
+
+
+def uvs_of(card: Any, light: wd.DirectionalLight, view: wd.View) -> np.ndarray[Any, Any]:
+    """Return the texture coordinates of the pixels, shape (height, width, 2)."""
+    image = wd.shade(card, SINE, light, view, layers=["uv"], tolerance=0.3, footprint=False)
+    return np.asarray(image.layers["uv"])
+
+
 def times(rng: np.random.Generator) -> None:
     """Print the ratio of warm frame times with and without a map."""
     view = wd.View((0.0, 0.0, 4.0), (0.0, 0.0, 0.0), fov_y_deg=12.0, width=320, height=240)
@@ -120,6 +167,8 @@ def times(rng: np.random.Generator) -> None:
         ("turn and depth, sine, source of 0.53°", SINE, wd.Coherence("source"), False),
         ("pitch 0.7 to 1.4, sine, source of 0.53°", SINE, wd.Coherence("source"), True),
         ("turn and depth, fingers, averaged, σ = 5 µm", fingers, wd.Coherence(sigma_um=5.0), False),
+        ("pitch 0.7 to 1.4, fingers, averaged, σ = 5 µm", fingers, wd.Coherence(sigma_um=5.0), True),
+        ("pitch 0.7 to 1.4, sine, averaged, σ = 5 µm", SINE, wd.Coherence(sigma_um=5.0), True),
     ):
         surfaces = {"plain": cell, "map": made(cell, shape, rng, pitch=pitch)}
         # The grating without a map varies along y, as most dots of the map do.
@@ -185,7 +234,7 @@ def card() -> None:
 def main() -> None:
     """Run the parts that the flags select."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name in ("transforms", "pictures", "times", "card"):
+    for name in ("transforms", "pictures", "pitches", "times", "card"):
         parser.add_argument(f"--{name}", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
@@ -196,6 +245,8 @@ def main() -> None:
             transforms(rng)
         if options.pictures:
             pictures(rng)
+        if options.pitches:
+            pitches(rng)
         if options.times:
             times(rng)
         if options.card:

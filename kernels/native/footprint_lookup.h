@@ -238,7 +238,7 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
         const float* const split = splits + (all - 1) * 3 * MOST_PARTS;
         const float within = split[0], cut = 1.0f - within, away = split[MOST_PARTS + next.part];
         float share = gain * split[2 * MOST_PARTS + next.part];
-        bool served = gain > 0.0f;
+        bool served = gain != 0.0f;
         if (SOURCE) {
             const bool unserved = is_unserved(table, pixels, i, within, cut);
             numbers<float>(unserved_gain)[begin + i] = served && unserved ? gain : 0.0f;

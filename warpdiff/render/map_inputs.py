@@ -15,6 +15,7 @@ from warpdiff.optics.fixed_reflectance import spectral_change
 from warpdiff.optics.materials import Material
 from warpdiff.request.plan import Plan
 from warpdiff.scene.mesh_import import HOW_TO_GET_TANGENTS
+from warpdiff.tables.pitch_ladder import PitchLadder
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
     from warpdiff.heightfield.grating_map import GratingMap
     from warpdiff.lights.surface_optics import SurfaceOptics
+    from warpdiff.request.evaluation import Evaluation
     from warpdiff.request.settings import PictureSettings
     from warpdiff.scene.mesh_import import Surface as Mesh
 
@@ -54,15 +56,31 @@ def settings_of_map(grating_map: GratingMap, settings: PictureSettings) -> Pictu
     if settings.coherence is None and settings.plan is None:
         settings = replace(settings, coherence=Coherence("source"))
     kind = settings.effective_coherence.kind
-    if kind != "source" and not grating_map.has_one_pitch:
+    if kind not in ("source", "averaged") and not grating_map.has_one_pitch:
         low, high = float(grating_map.pitch_scale.min()), float(grating_map.pitch_scale.max())
         raise ArgumentValueError(
-            f"{ref('coherence')} must be of kind 'source' for a GratingMap whose {ref('pitch_scale')} differs between "
-            f"dots, from {low:g} to {high:g}, got {kind!r}: give Coherence('source'), or one pitch scale"
+            f"{ref('coherence')} must be of kind 'source' or 'averaged' for a GratingMap whose {ref('pitch_scale')} "
+            f"differs between dots, from {low:g} to {high:g}, got {kind!r}: give one of these, or one pitch scale"
         )
     if not grating_map.has_one_shape:
         _check_materials(settings)
     return settings
+
+
+def ladder_of(grating_map: GratingMap | None, evaluation: Evaluation) -> PitchLadder | None:
+    """Return the ladder of tables for dots with different pitch scales; None if one table serves all dots."""
+    if grating_map is None or grating_map.has_one_pitch or evaluation.coherence.kind != "averaged":
+        return None
+    tolerance = evaluation.tolerance if evaluation.plan is None else evaluation.plan.tolerance
+    return PitchLadder.of(grating_map.pitch_scale, tolerance)
+
+
+def coherence_of_table(grating_map: GratingMap, evaluation: Evaluation) -> Coherence:
+    """Return the coherence of the table of a map. With a ladder of tables, it is that of the longest window."""
+    ladder = ladder_of(grating_map, evaluation)
+    if ladder is None:
+        return grating_map.table_coherence(evaluation.coherence)
+    return ladder.coherences(evaluation.coherence)[0]
 
 
 def _check_materials(settings: PictureSettings) -> None:

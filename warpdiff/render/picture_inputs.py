@@ -22,7 +22,9 @@ from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.planner.refusals import warn_outside
 from warpdiff.planner.strategy import directions_of, plan_for
 from warpdiff.render.light_parts import parts_of
-from warpdiff.render.map_inputs import check_texture_coordinates, naming_depth_scale, settings_of_map
+from warpdiff.render.map_inputs import (
+    check_texture_coordinates, coherence_of_table, ladder_of, naming_depth_scale, settings_of_map,
+)  # fmt: skip
 from warpdiff.render.picture import Picture
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.plan import AUTOMATIC, Plan, has_table
@@ -31,6 +33,7 @@ from warpdiff.scene.camera import View
 from warpdiff.scene.part_names import key_of_faces
 from warpdiff.tables import polar_grid
 from warpdiff.tables.lookup import ColourLookup, Lookups
+from warpdiff.tables.pitch_ladder import LadderLookup
 
 if TYPE_CHECKING:
     import contextlib
@@ -152,11 +155,14 @@ class SurfaceInputs:
 
     def lookup(self, plan: Plan, direction_range: DirectionRange) -> ColourLookup:
         """Return the look-up of the surface's colours by a plan."""
-        evaluation = self._evaluation_of_table
-        return ColourLookup(
-            evaluation.heightfield, replace(plan, coherence=evaluation.coherence), direction_range,
-            pitch_scales=self.grating_map is not None, device=evaluation.device, threads=evaluation.threads,
-        )  # fmt: skip
+        evaluation, ladder = self._evaluation_of_table, ladder_of(self.grating_map, self.evaluation)
+        plan = replace(plan, coherence=evaluation.coherence)
+        where: dict[str, Any] = {"device": evaluation.device, "threads": evaluation.threads}
+        if ladder is not None:
+            own = self.evaluation.coherence
+            return LadderLookup(ladder, own, evaluation.heightfield, plan, direction_range, **where)
+        has_map = self.grating_map is not None
+        return ColourLookup(evaluation.heightfield, plan, direction_range, pitch_scales=has_map, **where)
 
     @property
     def _evaluation_of_table(self) -> Evaluation:
@@ -164,7 +170,7 @@ class SurfaceInputs:
         evaluation = self.evaluation
         if self.grating_map is None:
             return evaluation
-        coherence = self.grating_map.table_coherence(evaluation.coherence)
+        coherence = coherence_of_table(self.grating_map, evaluation)
         plan = None if evaluation.plan is None else replace(evaluation.plan, coherence=coherence)
         return replace(evaluation, coherence=coherence, plan=plan)
 
