@@ -1,4 +1,8 @@
-"""Pass of the lobes of directional, disc and point lights: shadow rays, scattering vectors and look-ups."""
+"""Pass of the lobes of directional, disc and point lights: shadow rays, scattering vectors and look-ups.
+
+A lobe is a Gaussian of directions or a single direction. An occluder grid lists the faces that may block light from one
+direction. Shadow rays without a grid use the hierarchy of the faces' bounding boxes.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +73,7 @@ class LobePass(LightPass):
 
     @property
     def _grid_key(self) -> tuple[Hashable, ...]:
-        """Values on which the occluder grids depend.
+        """Values on which the occluder grids depend. A grid lists the faces that may block light from one direction.
 
         A disc has no grid. A lobe with a position or an emission profile has an empty grid, even if its direction is
         that of another lobe.
@@ -109,7 +113,7 @@ class LobePass(LightPass):
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
-        """Values on which the launches depend: illuminants, profiles, and which lobes have an extent or a position.
+        """Values on which kernel launches depend: illuminants, profiles, and which lobes have an extent or a position.
 
         These values are a part of the key of a recorded CUDA graph.
         """
@@ -118,7 +122,7 @@ class LobePass(LightPass):
 
     @property
     def is_prepared(self) -> bool:
-        """Whether the occluder grids of all lobes are prepared. Without them, no shadow ray can be traced."""
+        """Whether the occluder grids of all lobes exist (they may be empty), so that shadow rays can be traced."""
         return len(self._grids) == len(self.part.lobes)
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:
@@ -189,9 +193,9 @@ class LobePass(LightPass):
         return calls
 
     def footprint_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:
-        """Return kernel calls that compute the footprints of pixels, widened by the extent of the light.
+        """Return kernel calls that compute footprints: changes of (u, v) over the pixel filter and the light's extent.
 
-        For a point light, the direction to the light also changes across a footprint.
+        The changes for a point light include those of the direction to the light across a pixel.
         """
         rays, pixels, source = self.context.rays, batch.gbuffer.pixels, self.part.lobes[lobe]
         kernels: list[tuple[wp.Kernel, list[Any]]] = []

@@ -1,7 +1,8 @@
 """Optics of the surfaces of a picture, the unit of its colours, and the finishes of its faces.
 
 R(0) is the reflectance at normal incidence. A finish is a surface with one of its materials. A plain surface has no
-height field.
+height field. Coherence is the limit of interference, for example a window. A dot is a part of a grating map with its
+own rotation, depth and pitch.
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ class PictureUnit(NamedTuple):
 
 
 class Finish(NamedTuple):
-    """Finish of a face: its surface in the picture, its material, and the material of look-ups."""
+    """Finish of a face: its surface in the picture, its material, and the material that colour look-ups include."""
 
     surface: int
     material: Material | None

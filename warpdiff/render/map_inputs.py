@@ -1,4 +1,7 @@
-"""Checks of grating maps before a picture is computed, and the coherence of their surfaces."""
+"""Checks of grating maps before a picture is computed, and the coherence (limit of interference) of their surfaces.
+
+A grating map divides a surface into dots. Each dot has its own rotation, depth and pitch of one grating.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ if TYPE_CHECKING:
 
 
 def settings_of_map(grating_map: GratingMap, settings: PictureSettings) -> PictureSettings:
-    """Check the options of a surface with a grating map, and return them with the coherence of the map.
+    """Check the options of a surface with a grating map, and return them with a coherence that suits the map.
 
     If neither a coherence nor a plan is given, the coherence is ``Coherence("source")``.
 
@@ -107,7 +110,7 @@ def check_texture_coordinates(
 
 @contextlib.contextmanager
 def naming_depth_scale(grating_map: GratingMap | None) -> Iterator[None]:
-    """Context in which errors about the height range of a map's deepest dot name ``depth_scale``."""
+    """Context in which errors about the height range of a map's deepest dot name the argument ``depth_scale``."""
     try:
         yield
     except ArgumentValueError as error:

@@ -1,4 +1,8 @@
-"""Checked inputs of pictures: one or several surfaces of a mesh, lights and settings."""
+"""Checked inputs of pictures: one or several surfaces of a mesh, lights and settings.
+
+A plan holds the numbers of a computation, such as wavelengths. Coherence is the limit of interference. Colours are
+relative to a mirror, the unit of the picture. A plain surface has no height field.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +52,8 @@ if TYPE_CHECKING:
 SurfaceOfPart = HeightField | GratingMap | Surface | None
 SurfacesOfMesh = HeightField | GratingMap | Mapping[str, SurfaceOfPart]
 
-# Largest memory per pixel that any kind of picture requires during its computation [bytes]. The value was measured.
+# Largest memory per pixel that pictures require during their computation [bytes]. The value was measured. If it were
+# doubled, pictures that would fit into memory would be refused.
 _BYTES_PER_PIXEL = 210
 
 
@@ -65,7 +70,7 @@ class SurfaceInputs:
         settings: Options of the call, with those of the surface.
         parts: Parts that the lights consist of: lobes, discs and skies. Plans are chosen for their spectra.
         is_plain: Whether the surface has no height field, and reflects light by its base colour and material.
-        unit: Factor from the colours of the surface to the unit of the picture; None if the surface defines the unit.
+        unit: Factor that makes the colours of the surface relative to the picture's mirror; None if they are already.
         grating_map: Map of the surface's dots, whose ``reference`` is the height field of ``evaluation``; or None.
     """
 
@@ -80,7 +85,7 @@ class SurfaceInputs:
     def of(
         cls, heightfield: HeightField | GratingMap | None, lights: Sequence[Light], settings: PictureSettings
     ) -> SurfaceInputs:
-        """Combine settings, lights and a height field or map; None is a plain surface. Raise errors about them."""
+        """Combine and check settings, lights and a height field or grating map; None is a plain surface."""
         grating_map = heightfield if isinstance(heightfield, GratingMap) else None
         if isinstance(heightfield, GratingMap):
             settings, heightfield = settings_of_map(heightfield, settings), heightfield.reference
@@ -90,8 +95,8 @@ class SurfaceInputs:
         )
         parts = parts_of(lights, evaluation, refine=settings.refine, means=footprint)
         plan = None if evaluation.plan is None else replace(evaluation.plan, footprint=footprint)
-        # The planner tries tables for the spectra (illuminants) of lobes. If a sky is the only light, tables for one of
-        # the sky's three primary spectra suffice, because all three are smooth.
+        # The planner tries tables for the spectra (illuminants) of lobes. If a sky is the only light, it suffices to
+        # try one of the sky's three primary spectra, because all three are smooth.
         spectra = [name for part in parts if part.has_lobes for name in part.spectra] or parts[0].spectra[:1]
         materials = [material_of_dots(material, grating_map) for material in evaluation.materials.values()]
         illuminated = IlluminatedMaterial.of(spectra, materials)
@@ -124,18 +129,18 @@ class SurfaceInputs:
         return np.array([known.index(name) for name in names], dtype=np.int32)[mesh.geometries]
 
     def planned(self, direction_range: DirectionRange, sample: DirectionSample, count: float) -> Plan:
-        """Return the user's plan, or choose a plan for the measured directions.
+        """Return the user's plan (numbers of the computation), or choose a plan for the measured directions.
 
-        Lights with an extent require a plan with a table. If no table meets the tolerance for lobes with an extent, the
-        plan has the best table. For skies, and for lights under which all measured directions are dark, the plan has
-        the smallest table that is expected to suffice.
+        Lights with an extent require a plan with a table of colours. If no table meets the tolerance for lobes with an
+        extent, the plan has the best table. For skies, and for lights under which all measured directions are dark, the
+        plan has the smallest table that is expected to suffice.
         """
         request = evaluation = self._evaluation_of_table
         if evaluation.plan is not None:
             warn_outside(evaluation.plan, evaluation.heightfield, direction_range)
         if evaluation.integration == "auto" and not any(part.has_lobes for part in self.parts):
-            # The planner tries no table for skies: a sky averages over many directions, so that errors in single
-            # directions have no effect.
+            # The planner tests the errors of tables in single directions. This is not done for skies: a sky averages
+            # over many directions, so that such errors have little effect.
             request = replace(evaluation, integration="sampled", footprint=False)
         plan = evaluation.plan or plan_for(request, direction_range, sample, count)
         if not plan.uses_footprints and any(part.has_extent for part in self.parts):
@@ -151,7 +156,7 @@ class SurfaceInputs:
         return evaluation.with_energy(replace(plan, coherence=self.evaluation.coherence))
 
     def lookup(self, plan: Plan, direction_range: DirectionRange) -> ColourLookup:
-        """Return the look-up of the surface's colours by a plan."""
+        """Return the look-up of the surface's colours, in a table or by a sum over wavelengths as the plan states."""
         evaluation = self._evaluation_of_table
         return ColourLookup(
             evaluation.heightfield, replace(plan, coherence=evaluation.coherence), direction_range,
@@ -160,7 +165,7 @@ class SurfaceInputs:
 
     @property
     def _evaluation_of_table(self) -> Evaluation:
-        """Evaluation from which plans and tables are made. With a map, its coherence may differ from the picture's."""
+        """Inputs from which plans and tables are made. With a grating map, their coherence may not be the picture's."""
         evaluation = self.evaluation
         if self.grating_map is None:
             return evaluation
@@ -178,7 +183,7 @@ class PictureInputs:
         settings: Options of the call.
         lights: Lights as the user gave them.
         surfaces: Inputs of each surface by the key of its part; the key is ``""`` if the mesh has one height field.
-        parts: Parts that the lights consist of, in the unit of the picture.
+        parts: Parts that the lights consist of (lobes, discs and skies), in the unit of the picture.
     """
 
     heightfield: SurfacesOfMesh
@@ -247,7 +252,7 @@ class PictureInputs:
         return next(iter(self.surfaces.values())).evaluation
 
     def parts_of(self, lights: Sequence[Light], *, means: bool) -> list[LightPart]:
-        """Check lights for each surface, and return their parts in the unit of the picture."""
+        """Check lights for each surface. Return their parts, with powers relative to the mirror of the picture."""
         refine = self.settings.refine
         if isinstance(self.heightfield, Mapping):
             for own in self.surfaces.values():
@@ -257,7 +262,7 @@ class PictureInputs:
     def planned(
         self, directions: Iterable[tuple[DirectionRange, DirectionSample, float]] | None
     ) -> tuple[list[Plan], Lookups]:
-        """Return the plans of the surfaces that have a height field, and the look-ups of the colours of all surfaces.
+        """Return the plans of surfaces with a height field, and the look-ups of the colours of all surfaces.
 
         Args:
             directions: Directions for which each of these plans is required: their range, a sample of them, and the
@@ -283,7 +288,7 @@ class PictureInputs:
         return parts_of([light], evaluation, refine=self.settings.refine, means=evaluation.footprint, first=index)
 
     def of_points(self, parts: Sequence[LightPart]) -> PictureInputs:
-        """Return the inputs for a picture of points with one ray per pixel, whose lights are the given parts."""
+        """Return the inputs for a picture with one ray per pixel and without footprints, under parts of lights."""
         settings = replace(self.settings, footprint=False, refine=False, samples_per_pixel=1)
         surfaces = {
             key: replace(own, evaluation=replace(own.evaluation, footprint=False)) for key, own in self.surfaces.items()
@@ -303,8 +308,8 @@ class PictureInputs:
     def picture(self, mesh: Mesh, view: View, **options: Any) -> Picture:
         """Return a picture of a mesh, whose arrays are allocated but not yet computed."""
         footprint, settings = self.evaluation.footprint, self.settings
-        # Filters of pixels at the picture's border include cells of pixels beyond the border. These pixels form a
-        # margin.
+        # Filters of pixels at the picture's border include subpixel cells beyond the border. A margin of additional
+        # pixels contains these cells.
         margin = int(footprint and (settings.refine or settings.samples_per_pixel > 1))
         optics = [own.optics(mesh) for own in self.surfaces.values()]
         if isinstance(self.heightfield, Mapping):
@@ -355,7 +360,7 @@ class PictureInputs:
 
 
 def _in_unit(inputs: PictureInputs) -> Evaluation:
-    """Return the evaluation of a surface with the coherence to which all colours of the picture are relative."""
+    """Return the inputs of the first surface, with the coherence to which all colours of the picture are relative."""
     evaluation = inputs.evaluation
     if not isinstance(inputs.heightfield, Mapping):
         return evaluation
@@ -363,9 +368,9 @@ def _in_unit(inputs: PictureInputs) -> Evaluation:
 
 
 def _unit_coherence(surfaces: Mapping[str, SurfaceOfPart], settings: PictureSettings) -> Coherence:
-    """Return the coherence to which all colours of a picture are relative.
+    """Return the coherence of the mirror to which all colours of a picture are relative.
 
-    It is the coherence of the surfaces that do not have a coherence of their own.
+    It is the coherence of the call, which applies to surfaces without a coherence of their own.
     """
     if settings.coherence is not None or not isinstance(settings.plan, Mapping):
         return settings.coherence or Coherence()
@@ -380,7 +385,7 @@ def _unit_coherence(surfaces: Mapping[str, SurfaceOfPart], settings: PictureSett
 
 
 def _has_own_coherence(surface: SurfaceOfPart) -> bool:
-    """Whether the coherence of a surface does not define the unit of the picture. A map has a default of its own."""
+    """Whether a surface does not use the coherence of the call. A grating map has a default coherence of its own."""
     if isinstance(surface, Surface):
         return surface.coherence is not None or isinstance(surface.heightfield, GratingMap)
     return isinstance(surface, GratingMap)
