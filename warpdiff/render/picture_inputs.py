@@ -225,7 +225,10 @@ class PictureInputs:
 
     @property
     def _reference_area_um2(self) -> float:
-        """Area of the first height field [µm²], on which the unit of a picture with periods depends."""
+        """Area of the first height field [µm²]; the mirror to which colours are relative has this area, too.
+
+        The area has an effect only if the coherence is a number of whole periods that interfere.
+        """
         first = next(heightfield for heightfield in self.heightfields if heightfield is not None)
         return first.size_um[0] * first.size_um[1]
 

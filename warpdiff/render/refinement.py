@@ -202,7 +202,7 @@ class LightRefinement:
         return KernelCall(subdivision.select_levels, inputs, [group.sums.changes, group.levels], in_runs=True)
 
     def empty_tile_sums(self, tiles: int) -> subdivision.FilteredSums:
-        """Return the struct ``FilteredSums``, in which kernels add up cells, with uninitialised arrays."""
+        """Return the struct ``FilteredSums`` with uninitialised arrays, to which kernels add colours of cells."""
         device = self.sums.xyz.device
         result = subdivision.FilteredSums()
         result.filtered_sums = wp.empty((tiles, 9), dtype=wp.vec4f, device=device)
@@ -290,7 +290,7 @@ class RefinementLoop:
         self, light: LightRefinement, progress: Callable[[float], None] | None,
         previews: Sequence[tuple[float, Callable[[], None]]] = (),
     ) -> None:  # fmt: skip
-        """Refine a light: shade all tiles at the base level, select a finer level for each tile, and shade it again.
+        """Refine a light: shade all tiles at the base level, select finer levels by errors, shade tiles again.
 
         With previews, the light is first refined to the larger tolerance of each preview, and the preview's callable is
         called. Previews do not change the final picture, because each refinement begins again from one ray per pixel.

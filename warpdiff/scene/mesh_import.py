@@ -97,7 +97,7 @@ class Surface:
         material_factors: Metallic, roughness and emission by row; None if all are matte and emit no light.
         textures: Base-colour texture of each row; None without one.
         alpha_cutoffs: Alpha below which rays pass through a face, by row; 0 for opaque faces, and negative for faces
-            that are blended with their background.
+            that are mixed with their background.
         vertex_alphas: Alpha at the vertices, shape (n,), float32, which is 1 where a texture has the alpha; None if it
             is 1 at all vertices.
         maps: Textures of metallic, roughness and emission of plain parts; None if there are none.
