@@ -166,7 +166,7 @@ class PassContext:
         return np.asarray(self.finish_of_faces.numpy()[np.maximum(faces, 0)])
 
     def gains_on(self, surface: int, gains: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the geometry factors of all rays, with 0 at hits of other surfaces."""
+        """Return the geometry factors of all rays (factors of their colours), with 0 at hits of other surfaces."""
         finishes = self.finishes_of_hits()
         if finishes is None or len(self.surfaces) == 1:
             return gains
@@ -201,8 +201,8 @@ class LightSamples:
         towards: Direction to the light of each ray, world frame, and its weight, (n,) of ``wp.vec4f``. The array is
             empty unless directions are drawn at random or a light has an emission profile.
         footprints: Footprints of the rays' filters in (u, v), (n,); empty if pixels show points.
-        finish_gains: Geometry factors at faces with the finish that is evaluated, and 0 at other faces, (n,); empty for
-            a single finish.
+        finish_gains: Geometry factors at faces with the finish (surface and material) that is evaluated, and 0 at other
+            faces, (n,); empty for a single finish.
         of_dots: Samples in the frames of dots; None without a grating map.
     """
 
@@ -220,7 +220,7 @@ class LightSamples:
     def allocate(
         cls, rays: int, *, means: bool, has_finishes: bool, has_directions: bool, has_dots: bool, device: wp.Device
     ) -> LightSamples:
-        """Return uninitialised arrays for a number of rays; footprints are empty unless pixels show ``means``."""
+        """Return uninitialised arrays for a number of rays. Without ``means``, the array of footprints is empty."""
 
         def empty(dtype: type, size: int = rays) -> wp.array:
             return wp.empty(size, dtype=dtype, device=device)

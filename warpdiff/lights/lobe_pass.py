@@ -51,7 +51,8 @@ class LobePass(LightPass):
     def begin(self, previous: LightPass | None) -> None:
         """Write the lobes into arrays. Arrays of the previous pass are reused if it had the same number of lobes.
 
-        The occluder grids of the previous pass are reused only if the directions of its lobes are the same, too.
+        An occluder grid lists the faces that may block light from one direction. The grids of the previous pass are
+        reused only if the directions of its lobes are the same, too.
         """
         lobes, context = self.part.lobes, self.context
         reused = previous if isinstance(previous, LobePass) and len(previous.part.lobes) == len(lobes) else None
@@ -126,7 +127,7 @@ class LobePass(LightPass):
         return len(self._grids) == len(self.part.lobes)
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:
-        """Prepare one occluder grid per lobe (Gaussian of directions).
+        """Prepare one occluder grid (list of faces that may block light) per lobe (Gaussian of directions).
 
         The grids of point lights and of lobes with an emission profile are empty, because a grid serves only one
         direction. Shadow rays to such lobes use the hierarchy of bounding boxes.
@@ -135,8 +136,8 @@ class LobePass(LightPass):
         to_lights = [
             lobe.to_light if lobe.position is None and lobe.profile is None else None for lobe in self.part.lobes
         ]
-        # The previous grids are deleted before new ones are made, because the memory may not suffice for the previous
-        # and the new grids together.
+        # The previous occluder grids are deleted before new ones are made, because the memory may not suffice for the
+        # previous and the new grids together.
         self._grids.clear()
         self._grids += rays.shadow_grids(to_lights, count)
 

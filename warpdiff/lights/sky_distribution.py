@@ -102,7 +102,10 @@ def distribution_for(
 
 
 def distribution_of_blocks(blocks: Sequence[wp.array]) -> sky_samples.SkyDistribution:
-    """Return the struct of :func:`distribution_for` for the sky alone; the fields for a surface are empty."""
+    """Return the struct of :func:`distribution_for` for the sky alone; the fields for a surface are empty.
+
+    A block is a square of cells of the sky's grid; ``blocks`` has the probabilities that :func:`upload_sky` returns.
+    """
     result = sky_samples.SkyDistribution()
     result.row_cdf, result.column_cdf, result.block_densities = blocks
     return result

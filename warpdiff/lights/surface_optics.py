@@ -24,7 +24,7 @@ class SurfaceOptics:
     """Optics of one surface of a picture, except for the diffraction of its height field.
 
     Attributes:
-        coherence: Coherence of the light at the surface.
+        coherence: Coherence of the light at the surface: the limit of interference, such as a window.
         area_um2: Area of the height field [µm²].
         normal_reflectance: Reflectance R(0) at normal incidence of Schlick's approximation; 1 if the surface has
             materials.
@@ -60,7 +60,8 @@ class PictureUnit(NamedTuple):
 
     Attributes:
         coherence: Coherence of the unit.
-        area_um2: Area of the height field [µm²]; it has an effect only if the coherence is that of periods.
+        area_um2: Area of the height field [µm²]; it has an effect only if the coherence is a number of periods that
+            interfere.
     """
 
     coherence: Coherence

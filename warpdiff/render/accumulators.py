@@ -52,7 +52,8 @@ class Accumulators:
     def of_one_light(self, previous: Accumulators | None) -> Accumulators:
         """Return the sums for a single light. The arrays of coverage and edges are those of the sums over all lights.
 
-        The arrays of colours, illuminated pixels and errors are those of ``previous``, or new ones if it is None.
+        ``previous`` is an earlier result of this method, of which the arrays of colours, illuminated pixels and errors
+        are reused. None makes new arrays.
         """
         own = {
             name: wp.zeros_like(getattr(self, name)) if previous is None else getattr(previous, name)

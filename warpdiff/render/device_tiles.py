@@ -25,19 +25,19 @@ _MOST_RAYS = 1 << 20
 
 
 class DeviceTiles:
-    """Tile executor on a GPU, whose launches can be recorded as a CUDA graph.
+    """Executor that shades tiles on a GPU, with launches that can be recorded as a CUDA graph.
 
     A tile is a pixel that is divided into subpixel cells. If no tile has a certain level of subdivision, the recorded
     launches for this level have no effect.
 
     Attributes:
         floor: Smallest ‖XYZ‖ by which errors are divided to give relative errors, shape (1,).
-        marks: Mark of each pixel: ``ACTIVE`` if the pixel is subdivided, ``SHARED`` if it is computed from the cells of
-            its neighbours only, otherwise 0.
+        marks: Mark of each pixel: ``ACTIVE`` if the pixel is subdivided, ``SHARED`` if it is not marked for
+            subdivision, but it and its eight neighbours are subdivided for pixels that are; otherwise 0.
     """
 
     def __init__(self, light: LightRefinement) -> None:
-        """Allocate all arrays for the picture of ``light``, and for further pictures with the same size and options.
+        """Allocate all arrays for refining a picture, and further pictures with the same size and options.
 
         The arrays are not replaced later, because recorded CUDA graphs read them.
         """
@@ -77,7 +77,7 @@ class DeviceTiles:
         launch_pipeline([call], self._pixels, **self._options)
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Do nothing. Stored results of tiles are useful only for previews, and previews are not rendered on a GPU."""
+        """Do nothing: tiles are stored only for previews (at larger tolerances), which are not rendered on a GPU."""
 
     def begin(self, light: LightRefinement) -> None:
         """Begin a light: compute the smallest divisor of relative errors from a histogram of luminances."""

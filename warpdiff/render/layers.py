@@ -147,7 +147,7 @@ VALUES: dict[str, Callable[[CentralHits], NDArray[Any]]] = {
 
 
 def lights_of(names: Sequence[str]) -> dict[int, str]:
-    """Return the indices of the lights whose directions are required, in ascending order, each with a layer's name."""
+    """Return the indices of the lights whose directions are required, each with a layer that requires it."""
     directions = {
         int(index): name for name in names for base, _, index in [name.partition(".")] if index and base != LIGHT
     }
@@ -160,7 +160,7 @@ def layers_of(picture: Picture, names: Sequence[str]) -> dict[str, NDArray[Any]]
     Args:
         picture: Picture of points (single directions), one ray per pixel. Its lights are the results of
             :func:`directed` for the lights of :func:`lights_of`.
-        names: Names of the layers, of those that :func:`expanded` returns.
+        names: Names of the layers, as :func:`expanded` returns them, without layers of the light.
     """
     picture.sampler.trace(0)
     hits, shape = CentralHits(picture.rays), (picture.view.height, picture.view.width)
@@ -182,5 +182,5 @@ def layers_of(picture: Picture, names: Sequence[str]) -> dict[str, NDArray[Any]]
 
 
 def names_of(surface: Surface, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Return the names of geometries or materials, by the names of the layers whose numbers stand for them."""
+    """Return the names (of geometries or materials) for which the numbers in layers stand, by the layer's name."""
     return {name: getattr(surface, attribute) for name in names if (attribute := layer_format(name).names)}

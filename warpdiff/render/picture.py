@@ -373,7 +373,7 @@ class Picture:
 
     @np.errstate(under="ignore")
     def image(self, plans: Sequence[Plan]) -> Image:
-        """Return the finished picture, with the first plan and the estimated errors of the least accurate plan."""
+        """Return the finished picture, with the first plan, and with errors estimated from the least accurate plan."""
         sums = self._sums
         xyz, coverage, illuminated = map(self._cropped, (sums.xyz, sums.coverage, sums.illuminated))
         coverage = coverage.astype(np.float32)

@@ -182,7 +182,8 @@ class PictureInputs:
         heightfield: Height field or surfaces, as the user gave them.
         settings: Options of the call.
         lights: Lights as the user gave them.
-        surfaces: Inputs of each surface by the key of its part; the key is ``""`` if the mesh has one height field.
+        surfaces: Inputs of each surface by the key of its part (such as the name of a geometry); the key is ``""`` if
+            the mesh has one height field.
         parts: Parts that the lights consist of (lobes, discs and skies), in the unit of the picture.
     """
 
@@ -397,7 +398,7 @@ def _has_own_coherence(surface: SurfaceOfPart) -> bool:
 def _inputs_by_key(
     surfaces: Mapping[str, SurfaceOfPart], lights: Sequence[Light], settings: PictureSettings
 ) -> dict[str, SurfaceInputs]:
-    """Return the inputs of each surface of a mapping from keys of parts to surfaces. The first surface may be plain."""
+    """Check a mapping from keys of parts to surfaces, and return the inputs of each surface by its key."""
     checked = {key: _checked_surface(key, value) for key, value in surfaces.items()}
     gratings = {key: surface for key, surface in checked.items() if surface is not None}
     if not gratings:
@@ -470,7 +471,7 @@ def _settings_of(surface: Surface, key: str, settings: PictureSettings) -> Pictu
 
 
 def _mean_solid_angle(coherence: Coherence, heightfield: HeightField) -> float:
-    """Return the solid angle Ω(λ) of a coherence [sr], averaged over λ with the luminous efficiency under D65."""
+    """Return the solid angle Ω(λ) of a light with a certain coherence [sr], as a mean over λ weighted by D65 · ȳ."""
     area_um2 = heightfield.size_um[0] * heightfield.size_um[1]
     wavelengths_um = 1e-3 * colorimetry.VISIBLE_NM
     solid_angle = reflectance_factors.light_solid_angle(wavelengths_um, coherence, area_um2)

@@ -36,7 +36,7 @@ _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 
 
 class LobeIndex(NamedTuple):
-    """Index of a light (of its pass), and index of one of its lobes: directions, or Gaussians of directions."""
+    """Indices of a light (of its pass) and of one of its lobes (directions, or Gaussians of directions)."""
 
     light: int
     lobe: int

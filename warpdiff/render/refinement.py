@@ -71,18 +71,18 @@ class RefinementPolicy:
 
     @property
     def base_level(self) -> int:
-        """Level of the first cells of a tile; the colours of these cells determine the level at which the tile ends."""
+        """Level of the first cells of a tile (subdivided pixel); their colours determine the tile's final level."""
         return max(self.least_level, self.first_level)
 
     @property
     def most_level(self) -> int:
-        """Finest level at which tiles may end."""
+        """Finest level to which tiles (subdivided pixels) may be refined."""
         finest = refinement_levels.MOST_LEVEL - (self.tolerance >= refinement_levels.COARSE_TOLERANCE)
         return max(finest, self.base_level) if self.refine else self.base_level
 
     @property
     def silhouette_level(self) -> int:
-        """Smallest level at which the subdivision of a pixel may end if the outline of the mesh passes through it."""
+        """Smallest final level of subdivision of a pixel if the outline of the mesh passes through it."""
         return pixel_filter.SILHOUETTE_LEVEL if self.refine else 0
 
 
@@ -240,8 +240,8 @@ class TileExecutor(Protocol):
 
     Attributes:
         floor: Smallest ‖XYZ‖ by which errors are divided to give relative errors, shape (1,).
-        marks: Mark of each pixel: ``ACTIVE`` if the pixel is subdivided, ``SHARED`` if it is computed from the cells of
-            its neighbours only, otherwise 0.
+        marks: Mark of each pixel: ``ACTIVE`` if the pixel is subdivided, ``SHARED`` if it is not marked for
+            subdivision, but it and its eight neighbours are subdivided for pixels that are; otherwise 0.
     """
 
     floor: wp.array
@@ -290,7 +290,7 @@ class RefinementLoop:
         self, light: LightRefinement, progress: Callable[[float], None] | None,
         previews: Sequence[tuple[float, Callable[[], None]]] = (),
     ) -> None:  # fmt: skip
-        """Refine a light: shade all tiles at the base level, select finer levels by errors, shade tiles again.
+        """Refine a light: shade all tiles at the base level, select levels by errors, and shade tiles there.
 
         With previews, the light is first refined to the larger tolerance of each preview, and the preview's callable is
         called. Previews do not change the final picture, because each refinement begins again from one ray per pixel.

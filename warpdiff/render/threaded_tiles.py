@@ -89,14 +89,14 @@ class _ShadedTiles:
 
 
 class ThreadedTiles:
-    """Tile executor on the CPU: the host lists the tiles of each level.
+    """Executor that shades tiles (subdivided pixels) on the CPU: the host lists the tiles of each level.
 
     Attributes:
         count: Number of pixels that were subdivided under one light; under several lights, the largest of these
             numbers.
         floor: Smallest ‖XYZ‖ by which errors are divided to give relative errors, shape (1,).
-        marks: Mark of each pixel: ``ACTIVE`` if the pixel is subdivided, ``SHARED`` if it is computed from the cells of
-            its neighbours only, otherwise 0.
+        marks: Mark of each pixel: ``ACTIVE`` if the pixel is subdivided, ``SHARED`` if it is not marked for
+            subdivision, but it and its eight neighbours are subdivided for pixels that are; otherwise 0.
     """
 
     def __init__(self, rays: RasterizedRays) -> None:
