@@ -41,15 +41,15 @@ class SceneArrays:
     Kernels refer to the mesh by an id only. Keep this object until all launches that use the id have finished.
 
     Attributes:
-        bare: The mesh as a struct for kernels. It has a hierarchy of faces only after the first call of
-            :meth:`with_hierarchy`.
+        bare: The mesh as a struct for kernels. It has a hierarchy of faces (tree of bounding boxes) only after the
+            first call of :meth:`with_hierarchy`.
         textures: Textures as a struct for kernels; empty if there are no textures.
         transparency: Transparency as a struct for kernels; empty if all faces are opaque.
         is_textured: Whether any base colour is that of a texture.
         is_opaque: Whether no ray passes through a face.
         has_maps: Whether any plain face has a texture of metallic, roughness or emission.
         face_count: Number of faces.
-        grids: Cache of occluder grids by light direction.
+        grids: Cache of occluder grids (lists of the faces that may block a light) by light direction.
     """
 
     def __init__(self, surface: Surface, *, smooth: bool = True, device: wp.DeviceLike = None) -> None:

@@ -246,7 +246,7 @@ def fill(
         field: Tangents, shape (3, n); zero where missing.
         normals: Unit vertex normals, shape (3, n).
         faces: Vertex indices, shape (3, m).
-        welded: Number of each vertex's position, shape (n,).
+        welded: Index of each vertex's position, which is equal for vertices at one position, shape (n,).
         is_needed: Whether pictures need the tangent of each vertex, shape (n,). A warning counts only these vertices.
         name: Name of the source of the tangents, for messages.
         has_poles: Whether single vertices without a tangent are expected, such as the poles of a direction field. The
