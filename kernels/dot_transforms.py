@@ -136,13 +136,13 @@ def weigh_gains(
     """Multiply gains by the weight of one table in a cubic interpolation over the pitch scale of dots.
 
     The length of a direction to the light is the pitch scale, relative to the smallest one of the map. The weight is
-    Lagrange's for equidistant tables, so that at most four tables have a weight for each dot. Some weights are negative.
+    Lagrange's for equidistant tables: at most four tables have a weight for a dot, and some weights are negative.
 
     Args:
         to_lights: Directions to the light in the frames of the cells.
         gains: Geometry factors of the samples.
         octaves: Binary logarithm of the pitch scale of which the table has the exact colours.
-        per_octave: Number of tables per factor of two of the pitch scale.
+        per_octave: Number of steps per factor of two. The weight is 1 at the table and 0 at each whole number of steps.
         first: Index of the first thread's first sample.
         run: Number of samples per thread.
         gains_out: Geometry factors multiplied by the weight.

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
 _T = TypeVar("_T")
-# All caches share one lock, because every thread releases the lock after a short time. A fork of the process waits
-# until no thread holds the lock.
+# One lock serves all caches. This does not slow down threads, because each thread releases the lock after a short time.
+# A fork of the process waits until no thread has the lock.
 _lock = forks.lock()
 
 

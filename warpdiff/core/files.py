@@ -151,8 +151,8 @@ def holding(argument: str, file: Path) -> Iterator[None]:
     """Context for checking a value from a file. Error messages then name the argument ``path`` and the file.
 
     Args:
-        argument: Name of the checked value in errors that are raised within the context. The name ``path`` and the name
-            of the file replace it in these messages.
+        argument: Name of the checked value in errors that are raised within the context. In the messages of these
+            errors, ``path`` and the name of the file replace this name.
         file: File from which the value was read.
     """
     try:

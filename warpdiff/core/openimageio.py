@@ -103,7 +103,7 @@ in_use = _Library().in_use
 def opened(oiio: ModuleType, file: Path, formats: Sequence[str], configuration: object = None) -> Any | None:
     """Open an image file of one of the named formats; None if OpenImageIO cannot open it or it has another format.
 
-    After None, the library may have an error message, which the caller reads.
+    If the result is None, the library may have an error message, which the caller must read.
 
     Args:
         oiio: OpenImageIO, as :meth:`in_use` provides it.

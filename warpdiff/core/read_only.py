@@ -13,8 +13,9 @@ if TYPE_CHECKING:
 class ReadOnlyArrays:
     """Base of classes whose attributes are read-only arrays, or tuples and dictionaries of such arrays.
 
-    ``pickle`` and ``copy.deepcopy`` of NumPy make writable copies. An edit of such a copy would change some results and
-    not others, because objects store numbers that follow from their arrays.
+    ``pickle`` and ``copy.deepcopy`` of NumPy make writable copies. Objects also store numbers that were computed from
+    their arrays. An edit of a writable copy would change the arrays but not these numbers, so that results would be
+    inconsistent.
     """
 
     def __setstate__(self, state: Mapping[str, object]) -> None:

@@ -28,7 +28,8 @@ MOST_COUNT = 2**63 - 1
 # Memory that the checks of an array require [bytes per number]: the copy, and masks. If doubled, arrays are refused
 # that would fit into memory.
 _BYTES_PER_NUMBER = 12.0
-# Largest size of an array whose memory is not compared with the free memory. Limit: the comparison takes 0.1 ms.
+# Largest size of an array (number of elements) that is accepted without comparing its memory with the free memory. The
+# comparison takes 0.1 ms, which is too long for small arrays.
 _MOST_UNCHECKED = 1_000_000
 # Largest magnitude of the number of a diffraction order. No period of a grating has so many orders.
 _MOST_ORDER = 2**31
@@ -63,7 +64,7 @@ def finite_array(
     if numbers is None or numbers.dtype.kind not in "biuf":
         raise ArgumentTypeError(f"{ref(name)} must be an array of real numbers, got {type(value).__name__}")
     if numbers.size > _MOST_UNCHECKED:
-        # Views such as those of ``numpy.broadcast_to`` require less memory than the copy.
+        # A view, such as that of ``numpy.broadcast_to``, requires little memory itself, but its copy may not fit.
         memory.require_memory(
             bytes_per_number * numbers.size, f"{ref(name)} of shape {numbers.shape}", "take fewer numbers"
         )

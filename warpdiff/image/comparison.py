@@ -31,8 +31,8 @@ class Comparison:
         p99: 99th percentile of the errors of the compared pixels.
         share_beyond_tolerance: Fraction of the compared pixels whose error exceeds the tolerance.
         reported_share: Among the pixels whose error exceeds the tolerance, the fraction whose estimated error
-            (``image.error``) exceeds it, too. None if the picture has no estimated errors, or if no pixel exceeds the
-            tolerance.
+            (``image.error``) exceeds the tolerance, too. None if the picture has no estimated errors, or if no pixel
+            exceeds the tolerance.
         luminance_ratio: Sum of the luminances Y of the compared pixels, divided by the same sum of the reference.
 
     Examples:

@@ -129,8 +129,8 @@ def auto_exposure(luminances: ArrayLike, display: Display) -> float:
     """
     luminance = np.sort(np.asarray(luminances, dtype=np.float64).ravel())
     most = luminance[: len(luminance) - math.ceil(_TOO_BRIGHT * len(luminance))]
-    # The brightest 0.01 % are rounded up to a whole number of luminances. If there is only one luminance, this would
-    # exclude it. The mean is then this luminance.
+    # The number of excluded luminances, 0.01 % of all, is rounded up. A single luminance would therefore be excluded.
+    # In this case, it is the mean.
     mean = float(np.mean(most if most.size else luminance)) if luminance.size else 0.0
     return MEAN_SHOWN[display] / mean if mean > 0.0 else 1.0
 

@@ -3,7 +3,8 @@
 The constants were fitted such that the estimates bound 95 % of the errors of pictures, relative to pictures with many
 rays per pixel: see docs/decisions/error_estimates.md.
 
-Y* is the reference luminance of a picture, about the luminance of its brightest pixels.
+The plan holds the numbers of a computation, such as wavelengths, and predicts the error that they cause. Y* is the
+luminance to which errors are relative, about that of the brightest pixels.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Base classes of lights and of their parts, which describe a light before any kernel runs.
 
-A public light makes parts, and each part makes a pass (``light_pass``). The pass fills and reads the arrays of one
-picture. Pixels are refined separately for each part, because the error estimate of a pixel requires the colours under
-one part alone.
+A public light consists of parts: its lobes, a disc, or the smooth rest of a sky. A lobe is a Gaussian of directions or
+a single direction. Each part makes a pass (``light_pass``), an object that adds the light of this part to one picture.
+Pixels are refined separately for each part, because the error estimate of a pixel requires the colours under one part
+alone.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ if TYPE_CHECKING:
 MOST_POWER = 1e12
 # Smallest number of directional lights with the same illuminant at which each subpixel cell chooses one light at
 # random, instead of evaluating all lights. A subpixel cell is a part of a pixel with one camera ray. The number was
-# fitted to pictures of a snake and of a tube: with fewer lights, one of these pictures requires less time if all lights
-# are evaluated.
+# fitted to two pictures, of a snake and of a tube: with fewer lights, one of the two pictures requires less time if all
+# lights are evaluated.
 MANY_LIGHTS = 64
 # Number of random directions per pixel to a disc light that is too wide for one lobe (a Gaussian of directions), in
 # pictures with ``refine=False``. The value is limited by time, which is proportional to it.
@@ -49,9 +50,10 @@ class Light(ABC):
         """Return the parts that pictures render one after the other.
 
         Args:
-            coherence: Coherence of the picture. An environment is only accepted with an averaged window.
-            single_lobe: Whether discs of up to 5° become one lobe (a Gaussian of directions), as in pictures without
-                refinement. Otherwise only discs of up to 1.5° become one lobe.
+            coherence: Coherence of the picture (limit of interference). An environment requires the kind
+                ``"averaged"``.
+            single_lobe: Whether disc lights of up to 5° become one lobe (a Gaussian of directions), as in pictures
+                without refinement. Otherwise only disc lights of up to 1.5° become one lobe.
             name: Name of the argument that contains this light, for error messages.
 
         Raises:
@@ -64,10 +66,11 @@ class LightPart(ABC):
 
     Attributes:
         spectra: The illuminants of the part.
-        has_lobes: Whether the part consists of lobes, which are Gaussians of directions. The plan of a picture then
-            covers only the directions of the lobes, otherwise the whole hemisphere.
+        has_lobes: Whether the part consists of lobes, which are Gaussians of directions. The plan of a picture (numbers
+            of its computation, such as wavelengths) then covers only the directions of the lobes, otherwise the whole
+            hemisphere.
         has_extent: Whether light arrives from more than one direction. Such a part requires that pixels show means over
-            footprints.
+            footprints (the directions within the pixel filter).
         sample_count: Number of lobes, or of directions per pixel that are drawn if pixels are not refined.
     """
 
@@ -78,7 +81,7 @@ class LightPart(ABC):
 
     @abstractmethod
     def make_pass(self, context: PassContext) -> LightPass:
-        """Return the pass of this part over the rays of a picture.
+        """Return the pass of this part, an object that adds the light of the part to the colours of a picture.
 
         The module of the pass is imported in this method, so that the command line can describe lights without loading
         Warp.
@@ -90,7 +93,7 @@ class EmissionProfile(ABC):
 
     @abstractmethod
     def kernel_call(self, lights: Lights, lobe: int, batch: RayBatch) -> KernelCall:
-        """Return the kernel call that writes unit vectors to a lobe and factors of its power to ``samples.towards``."""
+        """Return the kernel call that fills ``samples.towards``: unit vectors to a lobe, and factors of its power."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,9 +104,10 @@ class Lobe:
         to_light: Unit vector from the surface towards the light, world frame.
         illuminant: Illuminant of the lobe.
         power: Linear factor of the illuminant.
-        deviations: Standard deviations of the directions [radians] along two vectors orthogonal to ``to_light``, shape
-            (2, 3), world frame. If ``position`` is set, they are standard deviations of the positions [mesh units]
-            along any two vectors. None is a single direction or position.
+        deviations: Two vectors orthogonal to ``to_light``, world frame, shape (2, 3). Their lengths are the standard
+            deviations of the directions along them [radians]. If ``position`` is set, the vectors may have any
+            direction, and their lengths are standard deviations of the positions [mesh units]. None is a single
+            direction or position.
         position: Mean position, world frame. The power falls off with the square of the distance, and ``to_light`` is
             ignored. None for a light that is infinitely far away.
         profile: Factor of the power by direction of emission; None is equal light in all directions.
@@ -129,7 +133,9 @@ class Lobe:
 
 @dataclass(frozen=True, eq=False)
 class LobeSet(LightPart):
-    """Set of lobes under which pixels are refined together: directional lights, small discs, suns and point lights.
+    """Set of lobes (Gaussians of directions) of directional lights, small discs, suns or point lights.
+
+    Pixels are refined by their error under all lobes of the set together.
 
     Attributes:
         lobes: Lobes of one light, or of all lights of a picture that consist of lobes.
@@ -155,7 +161,7 @@ class LobeSet(LightPart):
 
 @dataclass(frozen=True, eq=False)
 class LobeChoice(LobeSet):
-    """Set of many lobes with one illuminant, each with a single direction. A subpixel cell chooses a lobe at random."""
+    """Set of many lobes with one illuminant, each with a single direction. Each ray chooses one lobe at random."""
 
     def make_pass(self, context: PassContext) -> LightPass:
         """Return the pass in which every subpixel cell adds the colour under one lobe, chosen at random."""

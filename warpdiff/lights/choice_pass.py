@@ -1,4 +1,7 @@
-"""Pass of many directional lights: each ray chooses a light by its colours on the surface, and traces a shadow ray."""
+"""Pass of many directional lights: each ray chooses one light at random, and traces a shadow ray to this light.
+
+Lights under which the surface is brighter are chosen more often. A sample is a light that a ray chooses.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +21,14 @@ if TYPE_CHECKING:
     from warpdiff.tables.lookup import Lookups
 
 # Number of lights that each pixel chooses before it is subdivided. The resulting colours serve only to estimate the
-# reference luminance of the picture, for which a few lights suffice. If the number is doubled, this estimate takes
+# luminance to which errors are relative, for which a few lights suffice. If the number is doubled, this estimate takes
 # twice as long.
 _FIRST_SAMPLES = 4
 # A light is chosen with a probability proportional to the brightness that is expected under it. This brightness is the
 # diffraction near the mirror direction, plus a constant that is the same for all directions. The constant is `_DIFFUSE`
 # without a pigment (base colour of the mesh), and `_DIFFUSE_OF_PIGMENT` with a pigment. For comparison, the mean of the
-# diffraction over (u, v) is 0.08. Other values would change the noise of pictures, not their mean.
+# diffraction over all scattering vectors (u, v) is 0.08. Other values would change the noise of pictures, not their
+# mean.
 _DIFFUSE, _DIFFUSE_OF_PIGMENT = 0.002, 0.08
 
 
@@ -39,22 +43,22 @@ class ChoicePass(LobePass):
 
     @property
     def first_lobes(self) -> range:
-        """Indices of the samples that are evaluated with one ray per pixel."""
+        """Indices of the samples (random choices of a light) of each pixel before pixels are subdivided."""
         return range(self.lobe_count, self.lobe_count + _FIRST_SAMPLES)
 
     def cell_lobes(self, level: int) -> range:  # noqa: ARG002 (of lights that are not refined)
-        """Return the indices of the samples of a subpixel cell: one sample per cell."""
+        """Return the index of the only sample of a subpixel cell: the ray of each cell chooses one light."""
         return range(self.lobe_count, self.lobe_count + 1)
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:  # noqa: ARG002 (of grids)
-        """Make no occluder grids, because neighbouring rays choose different lights."""
+        """Make no occluder grids: a grid serves rays to one light, but neighbouring rays choose different lights."""
         self._grids[:] = self.lobe_count * [no_grid(self.context.rays.scene)]
 
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:
         """Return the kernel calls that compute the scattering vectors of a light or of a sample.
 
-        A sample gets the scattering vector of light from the mirror direction. Its light is chosen later, by
-        :meth:`colour`.
+        A sample is a light that each ray chooses. The choice is made later, by :meth:`colour`. Until then, a sample has
+        the scattering vector of light from the mirror direction, with which footprints are computed.
         """
         if lobe < self.lobe_count:
             return super().scatter(lobe, batch, counting)

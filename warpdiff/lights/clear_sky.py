@@ -18,11 +18,12 @@ if TYPE_CHECKING:
 # the image's pixels.
 SUN_AZIMUTH = 0.5 * math.pi / ROWS
 # Parameters of type 12 of the CIE standard general sky, "clear sky, low illuminance turbidity" (CIE S 011/E:2003, ISO
-# 15469:2004, table 1). a and b are parameters of the gradation, and c, d and e are parameters of the indicatrix.
+# 15469:2004, table 1). a and b describe the gradation (luminance by the angle from the zenith), and c, d and e the
+# indicatrix (luminance by the angle from the sun).
 _A, _B, _C, _D, _E = -1.0, -0.32, 10.0, -3.0, 0.45
-# Formulas of illuminances [klx] for a sun at the altitude h. The sun has the illuminance 127.5 exp(−0.21 / sin h),
-# normal to its direction. The clear sky has the illuminance 0.8 + 15.5 √sin h on the horizontal (IES, Recommended
-# Practice for the Calculation of Daylight Availability, Journal of the IES 13, 1984).
+# Coefficients of formulas for illuminances [klx], with the sun at the altitude h. The sun has the illuminance 127.5
+# exp(−0.21 / sin h), normal to its direction. The clear sky has the illuminance 0.8 + 15.5 √sin h on the horizontal
+# (IES, Recommended Practice for the Calculation of Daylight Availability, Journal of the IES 13, 1984).
 _SUN_KLX, _EXTINCTION, _SKY_KLX, _SKY_KLX_OF_SINE = 127.5, 0.21, 0.8, 15.5
 # Standard deviation of the sun's directions along one axis [rad]. It is that of a uniform disc with the sun's diameter
 # of 0.53°: a quarter of the diameter.
@@ -44,8 +45,8 @@ def clear_sky_radiance(sun_altitude: float, sun: float, ground_albedo: float) ->
         sun: Linear factor of the sun.
         ground_albedo: Fraction of the light that the ground reflects.
     """
-    # The pixels of the image are the cells of the grid on which environments store a sky. Resampling would spread the
-    # power of the sun.
+    # The image has the same pixels as the grid on which environments store a sky, so that it is not resampled.
+    # Resampling would spread the power of the sun over more pixels.
     along = grid_directions()
     solid = np.repeat(
         -np.diff(np.cos(np.arange(ROWS + 1) / ROWS * math.pi))[:, None] * math.pi / ROWS, 2 * ROWS, axis=1

@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 # Effective number of pixels whose samples contribute to one pixel through the pixel filter, a Gaussian with the
 # standard deviation σ pixels. For such a filter, the number is 4πσ².
 _COVERED_PIXELS = 4.0 * math.pi * FILTER_SIGMA**2
-# A sample of a disc light counts as a Gaussian source around its direction, which lowers the noise. The standard
-# deviation of the Gaussian, in radii of the disc, is `_EXTENT` divided by the square root of the samples per pixel. It
-# is at most `_MOST_EXTENT`, the standard deviation of the whole disc. `_EXTENT` was chosen so that shadows are sharp.
-# If it is doubled, directions are drawn on a smaller part of the disc, and penumbrae become narrower than those of the
-# disc.
+# A sample is a random direction to the disc. It is treated as a small Gaussian source around this direction, which
+# lowers the noise. The standard deviation of this source, in radii of the disc, is `_EXTENT` divided by the square root
+# of the samples per pixel. It is at most `_MOST_EXTENT`, the standard deviation of the whole disc. `_EXTENT` was chosen
+# so that shadows are sharp. If it is doubled, directions are drawn on a smaller part of the disc, and penumbrae become
+# narrower than those of the disc.
 _EXTENT, _MOST_EXTENT = 1.0, 0.5
-# Number of samples per pixel whose scattering vectors determine the range for which a plan is chosen. The value is
-# limited by time, which is proportional to it.
+# Number of random directions per pixel that are drawn to find the range of scattering vectors, before a plan (numbers
+# of wavelengths and terms) is chosen for this range. The value is limited by time, which is proportional to it.
 _MEASURED = 16
 
 
@@ -63,7 +63,7 @@ class DiscPass(LobePass):
         """Indices of the lobes whose scattering vectors determine the range of directions for which a plan is chosen.
 
         A lobe stands for one random direction. A few lobes suffice, because every pixel draws other directions on the
-        disc.
+        disc. A plan holds the numbers of a computation, such as wavelengths.
         """
         return range(_MEASURED)
 
@@ -96,7 +96,10 @@ class DiscPass(LobePass):
         return [*draws, *self.scatter_towards(batch.samples.towards, 0, 1.0 / samples, batch, counting, lobe)]
 
     def footprint_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:
-        """Return kernel calls that compute the footprints of pixels, widened by the extent of a sample."""
+        """Return kernel calls that compute footprints (changes of (u, v) over the pixel filter) under a lobe.
+
+        They are widened by the extent of the Gaussian source that one sample represents.
+        """
         if lobe == self.lobe_count:
             return super().footprint_calls(0, batch)
         samples = batch.samples

@@ -32,7 +32,7 @@ class EmissionPass(LightPass):
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
-        """Type of the pass, as the key of a recorded CUDA graph. The luminance is in an array and not in the key."""
+        """Type of the pass, as the key of a recorded CUDA graph. The luminance is in an array, which may change."""
         return (type(self),)
 
     def begin(self, previous: LightPass | None) -> None:

@@ -52,8 +52,7 @@ _BYTES_PER_PIXEL, _BYTES_OF_BACKGROUND = 24.0, 400.0
 # largest radiance.
 _MOST_SUN = 1e3
 # An environment caches its sky and suns for pairs of a coherence window and a number of directions. This is the largest
-# number of cached pairs. The value is limited by memory: one pair uses 13 MB: 6 on
-# the host and 7 on the device.
+# number of cached pairs. The value is limited by memory: one pair uses 6 MB on the host and 7 MB on the device.
 _MOST_PARTS = 4
 
 

@@ -1,6 +1,8 @@
-"""Dots of grating maps on a device. A sample is converted to the frame of its dot's cell, where colours are looked up.
+"""Dots of grating maps on a device: conversion of samples to the frames of dots, in which colours are looked up.
 
-The cell of a dot is the height field of the dot without rotation and scaling. (u, v, w) is the scattering vector.
+A grating map divides a surface into dots. All dots have the same height field (the cell), but each dot rotates it and
+scales its depth and pitch. A sample is the scattering vector (u, v, w), direction to the light and footprint at one
+hit. In the frame of the cell, the rotation and scaling of the dot are undone, so that one colour table serves all dots.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class LookupSamples(NamedTuple):
-    """Arrays from which colours are looked up, with one entry per ray; the gains are separate.
+    """Arrays from which colours are looked up, with one entry per ray. Geometry factors are passed separately.
 
     Attributes:
         scattering_vectors: Scattering vectors (u, v, w), (n,) of ``wp.vec3d``.
@@ -43,7 +45,10 @@ class LookupSamples(NamedTuple):
 
 @dataclass(frozen=True)
 class DotSamples:
-    """Samples of one surface in the frames of its dots. The samples of the next surface overwrite them.
+    """Samples of one surface in the frames of its dots; the samples of the next surface overwrite them.
+
+    A dot rotates and scales the height field of the surface, which is called its cell. In the frame of the cell, the
+    dot's rotation and scaling are undone.
 
     Attributes:
         scattering_vectors: Scattering vectors in the frames of the cells, (n,) of ``wp.vec3d``. After the look-ups of
@@ -62,7 +67,7 @@ class DotSamples:
 
     @classmethod
     def allocate(cls, rays: int, *, means: bool, device: wp.Device) -> DotSamples:
-        """Return uninitialised arrays for a number of rays; footprints are empty unless pixels show ``means``."""
+        """Return uninitialised arrays for a number of rays. Without ``means``, the array of footprints is empty."""
         return cls(
             wp.empty(rays, dtype=wp.vec3d, device=device), wp.empty(rays, dtype=wp.vec3f, device=device),
             wp.empty(rays * means, dtype=Footprint, device=device), wp.empty(rays, dtype=wp.int32, device=device),
@@ -73,8 +78,8 @@ class DotSamples:
 def material_of_dots(material: Material | None, grating_map: GratingMap | None) -> Material | None:
     """Return the material whose reflectance the look-ups of a surface's colours include.
 
-    If depths or pitches differ between dots, a look-up requires a material whose reflectance does not depend on the
-    angle.
+    If depths or pitches differ between dots, look-ups use scaled scattering vectors, which have other angles than the
+    light and the viewer. The look-ups then require a reflectance that does not depend on the angle.
     """
     if material is None or grating_map is None or grating_map.has_one_shape:
         return material
@@ -82,7 +87,7 @@ def material_of_dots(material: Material | None, grating_map: GratingMap | None) 
 
 
 class GratingDots:
-    """Dots of all surfaces of a picture that have a grating map, as arrays on the device."""
+    """Dots of all surfaces with a grating map (a height field that each dot rotates and scales), on the device."""
 
     def __init__(
         self, maps: dict[int, GratingMap], surface_of_faces: NDArray[np.int32], rays: CameraRays
@@ -119,9 +124,10 @@ class GratingDots:
     def scaled_gains(
         self, material: Material | None, scattering_vectors: wp.array, gains: wp.array, of_dots: DotSamples
     ) -> tuple[wp.array, list[KernelCall]]:
-        """Return the gains with which the colours of a material are looked up, and the kernel calls that compute them.
+        """Return the factors (gains) by which looked-up colours of a material are multiplied, and their kernel calls.
 
-        The gains are multiplied by the dependence of the reflectance on the angle, unless the look-up includes it.
+        If the look-up uses a reflectance that does not depend on the angle, the gains are multiplied by this
+        dependence.
         """
         if not isinstance(material, FixedReflectance):
             return gains, []
@@ -135,6 +141,8 @@ class GratingDots:
         self, surface: int, gbuffer: GBuffer, samples: LookupSamples, of_dots: DotSamples, level: int
     ) -> tuple[LookupSamples, list[KernelCall]]:
         """Return the samples of a surface in the frames of its dots, and the kernel calls that compute them.
+
+        In the frame of a dot, the dot's rotation and scaling of the height field are undone.
 
         Args:
             surface: Index of a surface with a map.
@@ -159,9 +167,10 @@ class GratingDots:
         return KernelCall(dot_transforms.find_dots, inputs, [of_dots.dots], in_runs=True)
 
     def signal_calls(self, gbuffer: GBuffer, scattering_vectors: wp.array, of_dots: DotSamples) -> list[KernelCall]:
-        """Return the kernel calls that write signals into the scattering vectors of ``of_dots``, one ray per pixel.
+        """Return the kernel calls that write signals to ``of_dots.scattering_vectors``, for one ray per pixel.
 
-        A signal is a number that differs between neighbouring dots by more than any change of the scattering vector.
+        A signal is the scattering vector plus a large number times the row and column of the dot. Between neighbouring
+        dots it changes by more than any scattering vector. Refinement thereby finds the edges of dots.
         """
         calls = []
         for place, surface in enumerate(self._transforms):

@@ -2,8 +2,10 @@
 
 The hits are in ``scene.gbuffer``. This module defines :class:`LightSamples`, the samples of one lobe, and
 :class:`RayBatch`, which contains rays and the sums to which their colours are added. A lobe is a Gaussian of
-directions, or a single direction. A plain surface has no height field. (u, v, w) is the scattering vector, and R(0) the
-reflectance at normal incidence.
+directions, or a single direction. A plain surface has no height field. A plan holds the numbers of a computation, such
+as wavelengths. (u, v, w) is the scattering vector, and R(0) the reflectance at normal incidence. A geometry factor, or
+gain, multiplies the looked-up colour: it contains the cosines, the masking, the reflectance relative to R(0), and the
+power of the light.
 """
 
 from __future__ import annotations
@@ -47,7 +49,7 @@ class PassContext:
             (plain faces with a roughness), the last entry is for all of them. Kernels of ``kernels.plain_reflection``
             compute their light.
         plain: Materials of plain surfaces; None if all are matte and emit no light.
-        finishes: Finishes of the picture: a finish is a surface with one of its materials.
+        finishes: Finishes of the picture; a finish is a surface with one of its materials.
         is_pigmented: Whether the mesh has base colours and the pigment is visible.
         has_maps: Whether textures have metallic, roughness or emission of plain faces.
         is_textured: Whether colours depend on any texture.
@@ -65,8 +67,8 @@ class PassContext:
     ) -> None:  # fmt: skip
         """Fill the structs of the kernels.
 
-        ``finish_of_faces`` is None if all faces have the same finish. If ``unit`` is None, colours are in the unit of
-        the first surface.
+        ``finish_of_faces`` is None if all faces have the same finish (surface and material). If ``unit`` is None,
+        colours are relative to a perfect mirror under the coherence of the first surface.
         """
         self._device = rays.options["device"]
         self.rays, self.surfaces, self.refines = rays, tuple(surfaces), refines
@@ -108,15 +110,15 @@ class PassContext:
         return plain_faces(self.rays.surface, is_plain[finish_of_faces], white, self._device)
 
     def _reflection(self) -> light_samples.Reflection:
-        """Return the struct of the kernels, with arrays by finish."""
+        """Return the struct ``Reflection`` of the kernels, with one array entry per pair of surface and material."""
         optics = [self.surfaces[finish.surface] for finish in self.finishes]
         reflection = light_samples.Reflection()
         reflection.finishes = self.finish_of_faces
         reflection.surfaces = self._array([finish.surface for finish in self.finishes], wp.int32)
         reflection.normal_reflectances = self._array([surface.normal_reflectance for surface in optics], wp.float64)
         reflection.units = self._array([surface.unit or 1.0 for surface in optics], wp.float64)
-        # If the colours of the picture are in the unit of its surface, they are relative to the surface's R(0). The
-        # light of the pigment is divided by R(0), too.
+        # If ``surface.unit`` is None, the colours of the picture are relative to the reflectance R(0) of its surface at
+        # normal incidence. The light of the pigment is then divided by R(0), too.
         units = [surface.unit or surface.normal_reflectance for surface in optics]
         pigments = [surface.pigment / unit for surface, unit in zip(optics, units, strict=True)]
         reflection.pigments = self._array(pigments if self.is_pigmented else [], wp.float64)
@@ -145,7 +147,7 @@ class PassContext:
 
     @property
     def has_finishes(self) -> bool:
-        """Whether different faces may have different finishes."""
+        """Whether faces have different finishes; a finish is a surface with one of its materials."""
         return len(self.finish_of_faces) > 0
 
     @property
@@ -154,14 +156,17 @@ class PassContext:
         return self.surfaces[0].shadows and self.rays.may_be_occluded
 
     def finishes_of_hits(self) -> NDArray[np.int32] | None:
-        """Return the index of the finish at the hit of each ray (any index without a hit); None for a single finish."""
+        """Return the index of the finish (surface and material) at the hit of each ray; None for a single finish.
+
+        The index of a ray without a hit has no meaning.
+        """
         if not self.has_finishes:
             return None
         faces = self.rays.gbuffer.pixels.face.numpy()
         return np.asarray(self.finish_of_faces.numpy()[np.maximum(faces, 0)])
 
     def gains_on(self, surface: int, gains: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the geometry factors of all rays, with 0 at hits of other surfaces."""
+        """Return the geometry factors of all rays (factors of their colours), with 0 at hits of other surfaces."""
         finishes = self.finishes_of_hits()
         if finishes is None or len(self.surfaces) == 1:
             return gains
@@ -169,14 +174,14 @@ class PassContext:
         return np.where(surfaces[finishes] == surface, gains, np.float32(0.0))
 
     def pigment_white(self, illuminant: str | Spectrum, *, is_of_sky: bool) -> NDArray[np.float64]:
-        """Return the colour of a white pigment in the unit of the picture, linear sRGB.
+        """Return the colour of a white pigment in linear sRGB, relative to the mirror that defines the picture's unit.
 
         ``is_of_sky`` states whether ``illuminant`` is the radiance of a sky divided by λ².
         """
         return colorimetry.xyz_to_rgb(self.white_xyz(illuminant, is_of_sky=is_of_sky))
 
     def white_xyz(self, illuminant: str | Spectrum, *, is_of_sky: bool) -> NDArray[np.float64]:
-        """Return the colour of a white pigment in the unit of the picture, XYZ; see :meth:`pigment_white`."""
+        """Return the XYZ of a white pigment, relative to the mirror that defines the picture's unit."""
         return reflectance_factors.pigment_white(illuminant, *self._unit, is_of_sky=is_of_sky)
 
 
@@ -196,8 +201,8 @@ class LightSamples:
         towards: Direction to the light of each ray, world frame, and its weight, (n,) of ``wp.vec4f``. The array is
             empty unless directions are drawn at random or a light has an emission profile.
         footprints: Footprints of the rays' filters in (u, v), (n,); empty if pixels show points.
-        finish_gains: Geometry factors at faces with the finish that is evaluated, and 0 at other faces, (n,); empty for
-            a single finish.
+        finish_gains: Geometry factors at faces with the finish (surface and material) that is evaluated, and 0 at other
+            faces, (n,); empty for a single finish.
         of_dots: Samples in the frames of dots; None without a grating map.
     """
 
@@ -215,7 +220,7 @@ class LightSamples:
     def allocate(
         cls, rays: int, *, means: bool, has_finishes: bool, has_directions: bool, has_dots: bool, device: wp.Device
     ) -> LightSamples:
-        """Return uninitialised arrays for a number of rays; footprints are empty unless pixels show ``means``."""
+        """Return uninitialised arrays for a number of rays. Without ``means``, the array of footprints is empty."""
 
         def empty(dtype: type, size: int = rays) -> wp.array:
             return wp.empty(size, dtype=dtype, device=device)
@@ -230,9 +235,9 @@ class LightSamples:
 
     @property
     def signals(self) -> wp.array:
-        """Vectors of the rays from whose changes between pixels refinement estimates how evenly colours change.
+        """Vectors of the rays. Where they change unevenly from pixel to pixel, refinement expects that colours do, too.
 
-        They are scattering vectors. With a grating map they also differ from dot to dot.
+        They are the scattering vectors. With a grating map, a number that differs from dot to dot is added.
         """
         return self.scattering_vectors if self.of_dots is None else self.of_dots.scattering_vectors
 
@@ -252,7 +257,8 @@ class RayBatch:
         xyz: Sums of colours, (n,).
         coverage: Sums of hits, (n,); an empty array is not written.
         illuminated: Whether light reached the ray's hit, (n,); an empty array is not written.
-        unserved_gain: Geometry factors of directions that a table does not contain, (n,); empty if it contains all.
+        unserved_gain: Geometry factors of directions that the colour table does not contain, (n,). Their colours are
+            summed over wavelengths instead. Empty if the table contains all directions.
         tiles: Indices of the pixels whose subpixel cells are the rays; −1 is no pixel. If empty, there is one ray for
             each pixel of the picture.
         level: Level of the cells; 0 is one ray per pixel.
@@ -277,7 +283,7 @@ class RayBatch:
 
 @dataclass(frozen=True)
 class Counting:
-    """Rule by which the samples of a lobe are added to the sums of a batch.
+    """Rule by which the samples of a lobe are added to the sums of a batch of rays.
 
     Attributes:
         weight: Weight of the lobe's colours in the sum of colours.
@@ -293,17 +299,19 @@ class Counting:
 
 
 class LightPass(ABC):
-    """Base class of passes: a pass evaluates one part of a light for the rays of a picture; it exists before the plan.
+    """Base class of passes: a pass adds the light of one part of a light to the colours of a picture's rays.
+
+    Passes are made before the plan (the numbers of the computation), which is chosen for the directions of their lobes.
 
     Attributes:
         is_sampled: Whether directions to the light are drawn at random, so that colours have noise.
         has_directions: Whether each ray has its own direction or weight, for random directions or emission profiles.
-        first_level: Level of the first subdivision. It is higher for random directions, because four cells are too few
-            to estimate noise.
+        first_level: Level of the first subdivision of pixels; level n has 2ⁿ × 2ⁿ cells. It is higher for random
+            directions, because four cells are too few to estimate noise.
         context: Context that all passes of the picture share.
         lobe_count: Number of lobes, which are processed one after the other; for sampled lights, number of directions
             per pixel in a picture whose pixels are not subdivided.
-        illuminated: Illuminated materials (``IlluminatedMaterial``) by lobe, finish and spectrum.
+        illuminated: Illuminants with materials (``IlluminatedMaterial``) by lobe, finish and spectrum.
     """
 
     is_sampled = has_directions = False
@@ -323,7 +331,7 @@ class LightPass(ABC):
         self._lights.rgb_to_xyz = wp.mat33d(*colorimetry.RGB_TO_XYZ.ravel())
 
     def of_surface(self, surface: int) -> tuple[tuple[IlluminatedMaterial, ...], ...]:
-        """Return the illuminated materials of the first lobe on a surface, by material and spectrum."""
+        """Return pairs of an illuminant and a material of the first lobe on a surface, by material and spectrum."""
         return tuple(
             spectra
             for finish, spectra in zip(self.context.finishes, self.illuminated[0], strict=True)
@@ -337,7 +345,7 @@ class LightPass(ABC):
 
     @property
     def measured_lobes(self) -> range:
-        """Lobes whose scattering vectors determine the range of directions for which a plan is chosen."""
+        """Lobes whose directions are measured before a plan (the numbers of the computation) is chosen for them."""
         return range(self.lobe_count)
 
     def cell_lobes(self, level: int) -> range:
@@ -371,14 +379,14 @@ class LightPass(ABC):
 
     @property
     def is_prepared(self) -> bool:
-        """Whether shadow rays can be traced now: occluder grids exist, or the pass uses none."""
+        """Whether shadow rays can be traced now: occluder grids (lists of faces) exist, or the pass uses none."""
         return True
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:  # noqa: B027 (nothing is the usual case)
-        """Make the occluder grids, which save time if there are many shadow rays.
+        """Make the occluder grids (lists of the faces that may block a light), which save time for many shadow rays.
 
-        ``count()`` returns the number of shadow rays to each lobe. It reads the number of hits from the device, and is
-        called only where grids are possible.
+        ``count()`` returns the number of shadow rays to each lobe. It reads the number of hits from the device, which
+        is slow, and is called only where grids are possible.
         """
 
     @property

@@ -1,4 +1,8 @@
-"""Pass of the lobes of directional, disc and point lights: shadow rays, scattering vectors and look-ups."""
+"""Pass of the lobes of directional, disc and point lights: shadow rays, scattering vectors and look-ups.
+
+A lobe is a Gaussian of directions or a single direction. An occluder grid lists the faces that may block light from one
+direction. Shadow rays without a grid use the hierarchy of the faces' bounding boxes.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +51,8 @@ class LobePass(LightPass):
     def begin(self, previous: LightPass | None) -> None:
         """Write the lobes into arrays. Arrays of the previous pass are reused if it had the same number of lobes.
 
-        The occluder grids of the previous pass are reused only if the directions of its lobes are the same, too.
+        An occluder grid lists the faces that may block light from one direction. The grids of the previous pass are
+        reused only if the directions of its lobes are the same, too.
         """
         lobes, context = self.part.lobes, self.context
         reused = previous if isinstance(previous, LobePass) and len(previous.part.lobes) == len(lobes) else None
@@ -69,7 +74,7 @@ class LobePass(LightPass):
 
     @property
     def _grid_key(self) -> tuple[Hashable, ...]:
-        """Values on which the occluder grids depend.
+        """Values on which the occluder grids depend. A grid lists the faces that may block light from one direction.
 
         A disc has no grid. A lobe with a position or an emission profile has an empty grid, even if its direction is
         that of another lobe.
@@ -109,7 +114,7 @@ class LobePass(LightPass):
 
     @property
     def graph_key(self) -> tuple[Hashable, ...]:
-        """Values on which the launches depend: illuminants, profiles, and which lobes have an extent or a position.
+        """Values on which kernel launches depend: illuminants, profiles, and which lobes have an extent or a position.
 
         These values are a part of the key of a recorded CUDA graph.
         """
@@ -118,11 +123,11 @@ class LobePass(LightPass):
 
     @property
     def is_prepared(self) -> bool:
-        """Whether the occluder grids of all lobes are prepared. Without them, no shadow ray can be traced."""
+        """Whether the occluder grids of all lobes exist (they may be empty), so that shadow rays can be traced."""
         return len(self._grids) == len(self.part.lobes)
 
     def prepare_shadow_rays(self, count: Callable[[], int]) -> None:
-        """Prepare one occluder grid per lobe (Gaussian of directions).
+        """Prepare one occluder grid (list of faces that may block light) per lobe (Gaussian of directions).
 
         The grids of point lights and of lobes with an emission profile are empty, because a grid serves only one
         direction. Shadow rays to such lobes use the hierarchy of bounding boxes.
@@ -131,8 +136,8 @@ class LobePass(LightPass):
         to_lights = [
             lobe.to_light if lobe.position is None and lobe.profile is None else None for lobe in self.part.lobes
         ]
-        # The previous grids are deleted before new ones are made, because the memory may not suffice for the previous
-        # and the new grids together.
+        # The previous occluder grids are deleted before new ones are made, because the memory may not suffice for the
+        # previous and the new grids together.
         self._grids.clear()
         self._grids += rays.shadow_grids(to_lights, count)
 
@@ -189,9 +194,9 @@ class LobePass(LightPass):
         return calls
 
     def footprint_calls(self, lobe: int, batch: RayBatch) -> list[KernelCall]:
-        """Return kernel calls that compute the footprints of pixels, widened by the extent of the light.
+        """Return kernel calls that compute footprints: changes of (u, v) over the pixel filter and the light's extent.
 
-        For a point light, the direction to the light also changes across a footprint.
+        The changes for a point light include those of the direction to the light across a pixel.
         """
         rays, pixels, source = self.context.rays, batch.gbuffer.pixels, self.part.lobes[lobe]
         kernels: list[tuple[wp.Kernel, list[Any]]] = []

@@ -72,6 +72,7 @@ def plain_faces(
     struct.metallic_roughness = wp.array(pairs, dtype=wp.vec2f, device=device)
     struct.emission = wp.array(emission, dtype=wp.vec3f, device=device)
     # The maximum of the highlight is π D V = 1/(4 α²) times the luminance of a white surface, where D is the
-    # distribution of microfacets and V is the masking, both at normal incidence.
+    # distribution of microfacets and V is the masking, both at normal incidence. This limit of α makes the maximum at
+    # most 1.
     struct.least_alpha = max(_LEAST_ALPHA, 0.5 * math.sqrt(white_luminance))
     return PlainFaces(struct, is_glossy, emits)

@@ -36,5 +36,5 @@ class PointLight(LobeLight):
     power: Annotated[float, Interval(ge=0.0, le=MOST_POWER)] = 1.0
 
     def lobes(self) -> tuple[Lobe, ...]:
-        """Return the light as one lobe (a Gaussian or a point) with a position."""
+        """Return the light as one lobe, the representation of lights in passes: here a single point."""
         return (Lobe((0.0, 0.0, 1.0), self.illuminant, self.power, position=self.position),)

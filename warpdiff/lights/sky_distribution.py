@@ -29,10 +29,11 @@ if TYPE_CHECKING:
 
 # Grid of (u, v) on which directions are drawn by the surface's colours. `_RINGS_PER_OCTAVE` is the number of rings per
 # octave of |(u, v)|, and `_FARTHEST` is the largest |(u, v)|. `_DISC_RADIUS` is the radius of a disc in the middle
-# without rings, in standard deviations of the lobe of a diffraction order. Other values would change only the noise.
+# without rings. Its unit is the standard deviation of the peak of a diffraction order over (u, v). Other values would
+# change only the noise.
 _RINGS_PER_OCTAVE, _FARTHEST, _DISC_RADIUS = 6, 2.05, 0.5
 # Limits of the azimuth samples on a ring. `_SPOKES_APART` is the distance of neighbouring samples, in standard
-# deviations of the lobe of a diffraction order. `_FEWEST_SPOKES` and `_MOST_SPOKES` are the smallest and the largest
+# deviations of the peak of a diffraction order. `_FEWEST_SPOKES` and `_MOST_SPOKES` are the smallest and the largest
 # number of samples per ring. The largest number was chosen by the errors of pictures: with at most 64 samples per ring,
 # the errors are 1.5 times as large (docs/decisions/environments.md).
 _SPOKES_APART, _FEWEST_SPOKES, _MOST_SPOKES = 1.0, 16, 512
@@ -40,15 +41,16 @@ _SPOKES_APART, _FEWEST_SPOKES, _MOST_SPOKES = 1.0, 16, 512
 # view from the normal. The mean of the colours over these |w| determines the probability of a direction. The values
 # were chosen freely: they change only the noise of pictures.
 _WS = (0.8, 1.3, 1.8)
-# Standard deviation of the footprint with which the colour at an azimuth sample is looked up, relative to the distance
-# of samples. The value was chosen so that footprints do not blur the distribution, as wider footprints would.
+# The colour at each sample of the grid is a mean over (u, v) with a Gaussian weight, the footprint. This is the
+# standard deviation of the weight, relative to the distance of samples. Larger values would blur the distribution.
 _WIDTH = 0.4
-# Fraction of the probability that is distributed evenly, both over the azimuths of a ring and over all rings. It is
-# necessary because a point of (u, v) that is dark at the few tabulated |w| may be bright at another |w|. Such a point
-# must have a chance to be drawn.
+# Fraction of the probability that is distributed evenly, both over the azimuths of a ring (circle of constant |(u, v)|)
+# and over all rings. It is necessary because a point (u, v) that is dark at the few tabulated |w| may be bright at
+# another |w|. Such a point must have a chance to be drawn.
 _EVEN_SHARE = 0.05
 # Number of grid cells per side of a block of the sky's latitude-longitude grid. All cells of a block have the same
-# probability per solid angle. The value is limited by memory and search time, which are larger for smaller blocks.
+# probability per solid angle. The value is limited by memory and by the time of drawing a direction, which are larger
+# for smaller blocks.
 _CELLS_OF_BLOCK = 4
 
 
@@ -65,7 +67,8 @@ def lookup_for_skies(lookup: ColourLookup | None) -> ColourLookup | None:
     """Return a look-up with the smaller colour table that suffices for skies, from a cache.
 
     For directional lights, the same picture may require a table with up to eight times as many rings. A sky has three
-    spectra, and each spectrum requires a table of its own, which should not be so large.
+    spectra, and each spectrum requires a table of its own. Three such large tables would take too much memory and time.
+    The smaller table suffices, because errors in single directions partly cancel in the sum over a sky.
     """
     if lookup is None:
         return None
@@ -88,7 +91,7 @@ def distribution_for(
 
     Args:
         lookup: Look-up of the surface's colours; None for a surface without a height field.
-        illuminated: Illuminated materials by material and spectrum.
+        illuminated: Pairs of an illuminant and a material, by material and spectrum.
         blocks: Cumulative probabilities and densities of the blocks of the sky, as :func:`upload_sky` returns them.
         sky_share: Fraction of the samples that are drawn by the brightness of the sky.
     """
@@ -99,7 +102,10 @@ def distribution_for(
 
 
 def distribution_of_blocks(blocks: Sequence[wp.array]) -> sky_samples.SkyDistribution:
-    """Return the struct of :func:`distribution_for` for the sky alone; the fields for a surface are empty."""
+    """Return the struct of :func:`distribution_for` for the sky alone; the fields for a surface are empty.
+
+    A block is a square of cells of the sky's grid; ``blocks`` has the probabilities that :func:`upload_sky` returns.
+    """
     result = sky_samples.SkyDistribution()
     result.row_cdf, result.column_cdf, result.block_densities = blocks
     return result
@@ -170,7 +176,10 @@ def _luminances(
     lookup: ColourLookup, illuminated: Sequence[Sequence[IlluminatedMaterial]], places: NDArray[np.float64],
     footprints: NDArray[np.float64],
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return X + Y + Z at n points (u, v): mean over a few |w|, and sum over materials and spectra, shape (n,)."""
+    """Return X + Y + Z of the surface at n points (u, v), shape (n,): means over a few |w|, summed over materials.
+
+    The spectra of the light are summed, too.
+    """
     device, count = lookup.device, len(places)
     vectors = np.concatenate([np.column_stack([places, np.full(count, -w)]) for w in _WS])
     vectors_on_device = wp.array(vectors, dtype=wp.vec3d, device=device)

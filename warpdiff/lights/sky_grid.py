@@ -40,7 +40,7 @@ class Sun(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SkyGrid:
-    """Powers of a sky on a latitude-longitude grid, for one rotation, scale and coherence window.
+    """Powers of a sky on a latitude-longitude grid, for one rotation, scale and coherence window (Gaussian area).
 
     Attributes:
         spectra: Three illuminants, which add up to any colour.
@@ -156,6 +156,6 @@ def _on_grid(radiance: NDArray[np.float32]) -> NDArray[np.float64]:
         first = np.minimum(place.astype(int), len(edges) - 2)
         sums = sums[first] + (place - first)[:, None, None] * (sums[first + 1] - sums[first])
         result = np.moveaxis(np.diff(sums, axis=0) / np.diff(targets)[:, None, None], 0, axis)
-    # Along an axis that was averaged, the positions of the grid are those of the image, so that interpolation does not
-    # change the values.
+    # An axis that was averaged already has the number of cells of the grid, so that the interpolation does not change
+    # values along it.
     return result if result.shape[:2] == (ROWS, 2 * ROWS) else sample_grid(result, grid_directions(), 0.0)

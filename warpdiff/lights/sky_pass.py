@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 # values would change only the noise.
 _SKY_SHARE, _SKY_SHARE_OF_PIGMENT = 0.25, 0.5
 # Number of directions per pixel before pixels are subdivided. The resulting colours serve only to estimate the
-# reference luminance of the picture, for which a few directions suffice.
+# luminance to which errors are relative, for which a few directions suffice.
 _FIRST_SAMPLES = 4
 
 
@@ -85,7 +85,8 @@ class SkyPass(LightPass):
     def scatter(self, lobe: int, batch: RayBatch, counting: Counting) -> list[KernelCall]:  # noqa: ARG002 (of lobes)
         """Return the kernel call that computes scattering vectors as if all light came from the mirror direction.
 
-        These scattering vectors are required for footprints. :meth:`colour` draws the actual directions later.
+        Footprints (changes of the scattering vector over the pixel filter) are computed from these vectors.
+        :meth:`colour` draws the actual directions later.
         """
         inputs = [batch.gbuffer.pixels, counting.counted, counting.begins, counting.resets]
         outputs = [batch.samples.scattering_vectors, batch.samples.gains, *batch.sums]

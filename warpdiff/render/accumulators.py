@@ -1,4 +1,4 @@
-"""Accumulators: sums over the lights of a picture, and their estimated errors, with one entry per pixel."""
+"""Accumulators: sums of colours over the lights of a picture, and their estimated errors, with one entry per pixel."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ _OF_ONE_LIGHT = ("xyz", "illuminated", "errors")
 
 @dataclass(frozen=True)
 class Accumulators:
-    """Sums of a picture, or of one of its lights; passes of lights and their refinement fill these arrays.
+    """Sums of colours, coverage and errors of a picture, or of one of its lights.
+
+    The passes of the lights and the refinement of pixels fill these arrays. Pixels show either means over the pixel
+    filter or points (single directions).
 
     Attributes:
         xyz: Sums of colours, ``wp.vec3f``.
         coverage: Fraction of each pixel that the mesh covers; all lights use the same array.
         coverage_levels: Sum of the subdivision levels of the nine tiles (the pixel and its eight neighbours, each
             divided into cells) from which the coverage was computed. If the sum is larger for a later light, the cells
-            for this light are smaller, and the coverage from these cells replaces the stored coverage. Empty if pixels
+            for this light are smaller, and their more accurate coverage replaces the stored coverage. Empty if pixels
             show points. All lights use the same array.
         illuminated: Whether any light reached the pixel.
         errors: Estimated errors ‖ΔXYZ‖ of means over pixels; empty if pixels show points.
@@ -36,7 +39,7 @@ class Accumulators:
 
     @classmethod
     def allocate(cls, pixels: int, *, means: bool, device: wp.Device) -> Accumulators:
-        """Return sums for a number of pixels, set to zero. Without ``means``, arrays of errors and edges are empty."""
+        """Return sums of zero for a number of pixels. Without ``means``, the arrays of errors and edges are empty."""
 
         def zeros(dtype: type, size: int = pixels) -> wp.array:
             return wp.zeros(size, dtype=dtype, device=device)
@@ -49,7 +52,8 @@ class Accumulators:
     def of_one_light(self, previous: Accumulators | None) -> Accumulators:
         """Return the sums for a single light. The arrays of coverage and edges are those of the sums over all lights.
 
-        The arrays of colours, illuminated pixels and errors are those of ``previous``, or new ones if it is None.
+        ``previous`` is an earlier result of this method, of which the arrays of colours, illuminated pixels and errors
+        are reused. None makes new arrays.
         """
         own = {
             name: wp.zeros_like(getattr(self, name)) if previous is None else getattr(previous, name)

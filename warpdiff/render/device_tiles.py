@@ -1,4 +1,4 @@
-"""Tiles on a GPU: kernels list and count the tiles, without work on the host, so that launches can be recorded.
+"""Tiles on a GPU: kernels list and count the tiles, without the host, so that launches can be recorded as a graph.
 
 A tile is a pixel that is divided into subpixel cells, with one ray per cell. At level n, a tile has 2ⁿ × 2ⁿ cells.
 """
@@ -19,26 +19,27 @@ if TYPE_CHECKING:
 
     from warpdiff.render.refinement import LightRefinement
 
-# Largest number of rays whose cells are shaded in one launch. The number is limited by memory, which is proportional to
-# it. With fewer rays, some threads of the GPU would have no work.
+# Largest number of rays (one per subpixel cell) that are shaded in one launch. The number is limited by memory, which
+# is proportional to it. With fewer rays, some threads of the GPU would have no work.
 _MOST_RAYS = 1 << 20
 
 
 class DeviceTiles:
-    """Tile executor on a GPU, whose launches can be recorded as a CUDA graph.
+    """Executor that shades tiles on a GPU, with launches that can be recorded as a CUDA graph.
 
-    If a level has no tiles, its recorded launches have no effect.
+    A tile is a pixel that is divided into subpixel cells. If no tile has a certain level of subdivision, the recorded
+    launches for this level have no effect.
 
     Attributes:
         floor: Smallest ‖XYZ‖ by which errors are divided to give relative errors, shape (1,).
-        marks: Mark of each pixel: ``ACTIVE`` if the pixel is subdivided, ``SHARED`` if it is computed from the cells of
-            its neighbours only, otherwise 0.
+        marks: Mark of each pixel: ``ACTIVE`` if the pixel is subdivided, ``SHARED`` if it is not marked for
+            subdivision, but it and its eight neighbours are subdivided for pixels that are; otherwise 0.
     """
 
     def __init__(self, light: LightRefinement) -> None:
-        """Allocate all arrays for the picture of ``light``, and for further pictures with the same size and options.
+        """Allocate all arrays for refining a picture, and further pictures with the same size and options.
 
-        A recorded graph reads these arrays, so that they must persist.
+        The arrays are not replaced later, because recorded CUDA graphs read them.
         """
         rays = light.light_pass.context.rays
         device = rays.options["device"]
@@ -56,8 +57,8 @@ class DeviceTiles:
         self._offset, self._remaining = empty(1), empty(1)
         cells = refinement_levels.rays_at(refinement_levels.MOST_LEVEL)
         ray_count = -(-min(cells * rays.size, _MOST_RAYS) // cells) * cells
-        # All lights of the picture use these buffers. Arrays of directions are allocated even if this light needs none,
-        # because a later light may need them.
+        # All lights of the picture use these buffers. Arrays for the directions to a light are allocated even if this
+        # light does not require them, because a later light may.
         kind = light.buffer_kind._replace(has_directions=True)
         self._buffers = TileBuffers.allocate(ray_count, kind=kind, device=device)
 
@@ -76,10 +77,10 @@ class DeviceTiles:
         launch_pipeline([call], self._pixels, **self._options)
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Do nothing. Stored results of tiles are useful only for previews, and previews are not rendered on a GPU."""
+        """Do nothing: tiles are stored only for previews (at larger tolerances), which are not rendered on a GPU."""
 
     def begin(self, light: LightRefinement) -> None:
-        """Begin a light: compute the floor of relative errors on the device, from a histogram of luminances."""
+        """Begin a light: compute the smallest divisor of relative errors from a histogram of luminances."""
         self._histogram.zero_()
         self._launch(tile_lists.luminance_histogram, [light.sums.xyz, light.sums.illuminated], [self._histogram])
         inputs, outputs = [self._histogram], [self.floor]
@@ -92,7 +93,7 @@ class DeviceTiles:
         wp.launch(tile_lists.running_max, dim=1, inputs=inputs, outputs=[self._largest_count], device=self._device)
 
     def groups(self, light: LightRefinement) -> Iterator[TileGroup]:
-        """Yield the whole picture as one group. Its tiles are the marked pixels and the eight pixels around each."""
+        """Yield the whole picture as one group. Its subdivided tiles are the marked pixels and their neighbours."""
         self._launch(tile_lists.count_marks, [self.marks], [self._marked_count])
         level = light.policy.base_level
         self._launch(tile_lists.dilate_marks, [self.marks, *self._shape, level], [self._group.levels])
@@ -103,7 +104,7 @@ class DeviceTiles:
         self, level: int, group: TileGroup, light: LightRefinement,
         progress: Callable[[float], None] | None,  # noqa: ARG002 (of the host)
     ) -> None:  # fmt: skip
-        """Shade the cells of all tiles of a level, in batches that fit the buffers.
+        """Shade the subpixel cells of all tiles of a level, in batches of tiles that fit the buffers.
 
         The last batch is filled up with the tile index −1, for which kernels do nothing.
         """

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from warpdiff.scene.camera_rays import CameraRays
     from warpdiff.scene.mesh_import import Surface
 
-# Name of the layer with the light of single light sources. Its values are those of the picture itself, and not of the
-# rays through pixel centres.
+# Name of the layer with the colours under each single light. These colours are computed like the picture itself. All
+# other layers have values of the rays through pixel centres.
 LIGHT = "light"
 
 
@@ -32,7 +32,7 @@ def expanded(names: Sequence[str], lights: Sequence[Light], parts: Sequence[Ligh
     Args:
         names: Names that the caller gave; each name has been checked.
         lights: Lights of the picture.
-        parts: Parts of these lights as a picture without layers renders them.
+        parts: Parts of these lights (lobes, discs and skies) as a picture without layers renders them.
 
     Raises:
         ValueError: A name has an index that no light has, or the picture cannot separate its lights.
@@ -58,7 +58,7 @@ def expanded(names: Sequence[str], lights: Sequence[Light], parts: Sequence[Ligh
 
 
 def directed(parts: Sequence[LightPart], name: str) -> LobeSet:
-    """Return the lobe with the mean direction of a light, as a part of this light.
+    """Return a set of one lobe, with the single or mean direction of a light.
 
     Args:
         parts: Parts of the light.
@@ -105,7 +105,7 @@ class CentralHits:
         return np.asarray(np.einsum("nk,nkc->nc", self._barycentric, corners))
 
     def vectors(self, name: str) -> NDArray[np.float32]:
-        """Return vectors of the G-buffer at the hits, shape (hits, 3)."""
+        """Return vectors of the G-buffer (arrays of the rays' hits) by the name of the array, shape (hits, 3)."""
         return np.asarray(getattr(self._pixels, name).numpy()[self.hit])
 
     @forks.cached_property
@@ -136,7 +136,8 @@ class CentralHits:
         return self.local(self.vectors("to_view"))
 
 
-# Values of the layers that do not depend on the lights, by name. Layers of face numbers have no entry.
+# Functions that return the values of layers, by the layer's name. Layers that depend on lights, or that show numbers of
+# geometries or materials, have no entry.
 VALUES: dict[str, Callable[[CentralHits], NDArray[Any]]] = {
     "normal": lambda hits: hits.vectors("normal"), "tangent": lambda hits: hits.vectors("tangent"),
     "bitangent": lambda hits: hits.vectors("bitangent"), "depth": CentralHits.depths,
@@ -146,7 +147,7 @@ VALUES: dict[str, Callable[[CentralHits], NDArray[Any]]] = {
 
 
 def lights_of(names: Sequence[str]) -> dict[int, str]:
-    """Return the indices of the lights whose directions are required, in ascending order, each with a layer's name."""
+    """Return the indices of the lights whose directions are required, each with a layer that requires it."""
     directions = {
         int(index): name for name in names for base, _, index in [name.partition(".")] if index and base != LIGHT
     }
@@ -154,12 +155,12 @@ def lights_of(names: Sequence[str]) -> dict[int, str]:
 
 
 def layers_of(picture: Picture, names: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """Return the layers of a picture of points by name: all layers except ``"light"``.
+    """Return the layers of a picture with one ray per pixel, by name: all layers except ``"light"``.
 
     Args:
-        picture: Picture of points with one ray per pixel. For each light of :func:`lights_of`, it is rendered under the
-            part that :func:`directed` returns.
-        names: Names of the layers, of those that :func:`expanded` returns.
+        picture: Picture of points (single directions), one ray per pixel. Its lights are the results of
+            :func:`directed` for the lights of :func:`lights_of`.
+        names: Names of the layers, as :func:`expanded` returns them, without layers of the light.
     """
     picture.sampler.trace(0)
     hits, shape = CentralHits(picture.rays), (picture.view.height, picture.view.width)
@@ -181,5 +182,5 @@ def layers_of(picture: Picture, names: Sequence[str]) -> dict[str, NDArray[Any]]
 
 
 def names_of(surface: Surface, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Return the names of geometries or materials, by the names of the layers whose numbers stand for them."""
+    """Return the names (of geometries or materials) for which the numbers in layers stand, by the layer's name."""
     return {name: getattr(surface, attribute) for name in names if (attribute := layer_format(name).names)}

@@ -1,4 +1,7 @@
-"""Parts of the lights of a picture, after checks against the coherence of its surfaces."""
+"""Parts of the lights of a picture (lobes, discs and skies), after checks against the coherence of its surfaces.
+
+Coherence is the limit of interference. A lobe is a Gaussian of directions or a single direction.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +20,10 @@ if TYPE_CHECKING:
 
 
 def check_extent(light: Light, name: str, coherence: Coherence, *, means: bool) -> None:
-    """Raise an error for a light with an extent, if the coherence or the settings exclude it.
+    """Raise an error for a light with an extent (not a single direction), if coherence or settings exclude it.
 
     With a coherence of the kind ``"source"``, which has an angular diameter itself, lights must have no extent. With
-    other coherences, lights with an extent require pictures that show means over footprints.
+    other coherences, lights with an extent require that pixels show means over footprints (areas of pixel filters).
     """
     if coherence.kind == "source":
         raise ArgumentValueError(
@@ -43,10 +46,10 @@ def parts_of(
 
     ``first`` is the index of the first light among the lights of the picture, for errors.
 
-    The lobes of all lights form one part, so that the error of a pixel is estimated under all of them. An uneven
-    surface causes errors under each light, and separate estimates would not bound the sum of these errors. Many
-    directional lights with the same illuminant are an exception: in refined pictures they form a part of their own, of
-    which each cell chooses one light.
+    The lobes of all lights form one part, so that the error of a pixel is estimated for the sum of their colours. An
+    uneven surface causes errors under each light, and separate estimates would not bound the sum of these errors. Many
+    directional lights with the same illuminant are an exception: in refined pictures they form a part of their own.
+    Each subpixel cell then chooses one of these lights at random.
     """
     lobes: list[Lobe] = []
     others: list[LightPart] = []
@@ -55,7 +58,8 @@ def parts_of(
         for part in light.parts(evaluation.coherence, single_lobe=not refine, name=name):
             if part.has_extent:
                 check_extent(light, name, evaluation.coherence, means=means)
-            # A subclass of ``LobeSet`` that overrides ``make_pass`` is a separate part.
+            # Lobes of a plain ``LobeSet`` are joined. A subclass that overrides ``make_pass``, such as a wide disc,
+            # stays a separate part.
             if isinstance(part, LobeSet) and type(part).make_pass is LobeSet.make_pass:
                 lobes += [replace(lobe, name=f"{ref(name)} ({type(light).__name__})") for lobe in part.lobes]
             else:

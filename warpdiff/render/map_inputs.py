@@ -1,4 +1,7 @@
-"""Checks of grating maps before a picture is computed, and the coherence of their surfaces."""
+"""Checks of grating maps before a picture is computed, and the coherence (limit of interference) of their surfaces.
+
+A grating map divides a surface into dots. Each dot has its own rotation, depth and pitch of one grating.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ if TYPE_CHECKING:
 
 
 def settings_of_map(grating_map: GratingMap, settings: PictureSettings) -> PictureSettings:
-    """Check the options of a surface with a grating map, and return them with the coherence of the map.
+    """Check the options of a surface with a grating map, and return them with a coherence that suits the map.
 
     If neither a coherence nor a plan is given, the coherence is ``Coherence("source")``.
 
@@ -72,7 +75,7 @@ def ladder_of(grating_map: GratingMap | None, evaluation: Evaluation) -> PitchLa
     if grating_map is None or grating_map.has_one_pitch or evaluation.coherence.kind != "averaged":
         return None
     tolerance = evaluation.tolerance if evaluation.plan is None else evaluation.plan.tolerance
-    return PitchLadder.of(grating_map.pitch_scale, tolerance)
+    return PitchLadder.of(grating_map.pitch_scale, evaluation.coherence, tolerance)
 
 
 def coherence_of_table(grating_map: GratingMap, evaluation: Evaluation) -> Coherence:
@@ -80,7 +83,7 @@ def coherence_of_table(grating_map: GratingMap, evaluation: Evaluation) -> Coher
     ladder = ladder_of(grating_map, evaluation)
     if ladder is None:
         return grating_map.table_coherence(evaluation.coherence)
-    return ladder.coherences(evaluation.coherence)[0]
+    return ladder.coherences[0]
 
 
 def _check_materials(settings: PictureSettings) -> None:
@@ -125,7 +128,7 @@ def check_texture_coordinates(
 
 @contextlib.contextmanager
 def naming_depth_scale(grating_map: GratingMap | None) -> Iterator[None]:
-    """Context in which errors about the height range of a map's deepest dot name ``depth_scale``."""
+    """Context in which errors about the height range of a map's deepest dot name the argument ``depth_scale``."""
     try:
         yield
     except ArgumentValueError as error:

@@ -51,15 +51,15 @@ if TYPE_CHECKING:
     Progress = Callable[[float], None] | None
     Previews = Sequence[tuple[float, Callable[[], None]]]
 
-# Fraction of a light's progress [0 to 1] that is reported when one ray per pixel is complete and refinement begins. The
-# value was fitted to the times of a picture at a tolerance of 0.1.
+# Fraction of the progress of one light [0 to 1] that is reported when its colours from one ray per pixel are complete
+# and refinement begins. The value was fitted to the times of a picture at a tolerance of 0.1.
 _PROGRESS_OF_FIRST_RAYS = 0.3
-# Expected number of shadow rays per hit in a refined picture. It decides whether occluder grids are made, which save
-# time if there are many shadow rays. The value was fitted to pictures of the snake mesh, which have 20 shadow rays per
-# hit at a tolerance of 0.1, and 59 at 0.03.
+# Expected number of shadow rays per hit in a refined picture. From this number follows whether occluder grids (lists of
+# faces towards a light) are made, which save time if there are many shadow rays. The value was fitted to pictures of
+# the snake mesh, which have 20 shadow rays per hit at a tolerance of 0.1, and 59 at 0.03.
 _SHADOW_RAYS_REFINED = 24
-# Level of the first subpixel cells in pixels near the edges of dots of a grating map. The value was chosen because with
-# 4 cells instead of 16, the scatter of colours that dots cause within a pixel is often missed.
+# Level of the first subdivision of pixels if a surface has a grating map, whose dots change colours abruptly. Level 2
+# has 16 cells per pixel. The value was chosen because 4 cells often miss the differences of colour within a pixel.
 _FIRST_LEVEL_OF_DOTS = 2
 # Number of pixels per slice when colours of one ray per pixel are looked up on the CPU. The value was chosen because
 # larger slices distribute work less evenly over threads, and smaller slices require more launches.
@@ -90,7 +90,7 @@ class Picture:
             surface: The prepared mesh.
             view: Camera of the first rendering; later renderings may have other cameras.
             optics: Optics of each surface, except for the diffraction of its height field.
-            unit: Unit of the colours; None is that of the first surface.
+            unit: Mirror to which the colours are relative; None is a mirror under the coherence of the first surface.
             finish_of_faces: Index of each face's finish, which is a surface with one of its materials; None for a
                 single finish.
             smooth: Whether vertex normals are interpolated.
@@ -115,8 +115,8 @@ class Picture:
             shadow_rays_per_hit=max(samples_per_pixel, _SHADOW_RAYS_REFINED if means and refine else 1),
         )  # fmt: skip
         self._sums = Accumulators.allocate(self.rays.size, means=means, device=device)
-        # A picture of means under several lights has separate sums for the light that is rendered at the moment. Other
-        # pictures add directly to the sums over all lights.
+        # If pixels show means and there are several lights, the light that is rendered at the moment has separate sums.
+        # Other pictures add colours directly to the sums over all lights.
         self._light_sums = self._sums
         self._own_sums: Accumulators | None = None
         self._parts: list[LightPart] = []
@@ -137,14 +137,14 @@ class Picture:
         self.invalidate()
 
     def invalidate(self) -> None:
-        """Discard hits and samples, so that the next rendering computes them again."""
+        """Discard the hits of camera rays and the samples of lights, so that the next rendering computes both again."""
         self.sampler.invalidate()
 
     def set_lights(self, parts: Sequence[LightPart]) -> None:
         """Set the lights of the next renderings.
 
-        The passes of the new lights reuse the arrays of the previous passes, because a recorded CUDA graph reads these
-        arrays.
+        A pass computes the colours under one part of a light. The passes of the new lights reuse the arrays of the
+        previous passes, because a recorded CUDA graph reads these arrays.
         """
         before: list[LightPass | None] = [*self._passes, *[None] * (len(parts) + 1)]
         # If a light is not accepted, making its pass raises an error here, and the previous passes stay in use.
@@ -172,17 +172,17 @@ class Picture:
     def measure_directions(
         self, heightfields: Sequence[HeightField | None]
     ) -> list[tuple[DirectionRange, DirectionSample, int]]:
-        """Return the directions for which plans are required: range, sample and number, by height field.
+        """Return the directions for which plans (numbers of computations) are required, by height field.
 
-        ``heightfields`` has the height field of each surface; None for a plain surface, which has no
-        entry in the result.
+        Directions are described by their range, a sample of them and their number. ``heightfields`` has the height
+        field of each surface; None is a plain surface, which has no entry in the result.
         """
         return self.sampler.measure_directions(heightfields, self._light_sums)
 
     def sampled(
         self, progress: Progress, xyz_by_part: list[NDArray[np.float32]] | None = None
     ) -> Iterator[tuple[LobeIndex, Progress]]:
-        """Sample every lobe for every camera ray, one ray per pixel at a time.
+        """Sample every lobe (direction of a light) for every camera ray, one ray per pixel at a time.
 
         After each lobe, yield its index and a callable that reports the progress of the caller's work on this lobe. If
         ``xyz_by_part`` is a list, the parts of the lights are sampled one after the other. The list then gets the
@@ -204,12 +204,12 @@ class Picture:
             if xyz_by_part is not None:
                 xyz_by_part.append(self._cropped(self._sums.xyz).copy())
         if xyz_by_part is not None and len(groups) > 1:
-            # Pictures of points have no margin of additional pixels, so that the cropped colours are those of all
-            # pixels.
+            # This picture has no margin of additional pixels, because it does not show means. The cropped colours are
+            # therefore those of all pixels.
             self._sums.xyz.assign(np.sum(xyz_by_part, axis=0, dtype=np.float32).reshape(-1, 3))
 
     def illuminated(self, index: LobeIndex) -> Sequence[Sequence[IlluminatedMaterial]]:
-        """Return the illuminated materials of a lobe, by finish and spectrum."""
+        """Return pairs of an illuminant and a material of a lobe, by finish (surface and material) and spectrum."""
         return self._passes[index.light].illuminated[index.lobe]
 
     @property
@@ -219,6 +219,8 @@ class Picture:
 
     def footprint_calls(self, index: LobeIndex, batch: RayBatch) -> list[KernelCall]:
         """Return the kernel calls that compute the footprints of a batch of rays under a lobe.
+
+        A footprint is the change of (u, v), the tangential part of the scattering vector, over the filter of a ray.
 
         The lobe must be that of a directional or point light.
 
@@ -245,7 +247,7 @@ class Picture:
         """Compute the picture by look-ups of colours.
 
         Args:
-            lookups: Look-ups of the colours of the surfaces, by the tables or the wavelengths of their plans.
+            lookups: Look-ups of the colours of the surfaces, in tables or by sums over wavelengths.
             tolerance: Tolerance of the picture.
             progress: Callable that gets the finished fraction; None reports nothing.
             previews: Pairs of a larger tolerance and a callable, the largest tolerance first. The callable is called
@@ -317,7 +319,7 @@ class Picture:
                 self.rays.launch([KernelCall(subdivision.accumulate, light_sums, sums, in_runs=True)])
 
     def _add_own_rays(self, light: int, batch: RayBatch, lookups: Lookups, progress: Progress) -> None:
-        """Compute the colours under a light with one ray per pixel. Refinement starts from these colours."""
+        """Compute the colours of pixels under a light with one ray per pixel. Refinement starts from these colours."""
         light_pass, sums = self._passes[light], self._light_sums
         lobes = light_pass.first_lobes
         for at, lobe in enumerate(lobes):
@@ -331,7 +333,7 @@ class Picture:
         self, heightfield: HeightField, plan: Plan, *, progress: Progress,
         xyz_by_part: list[NDArray[np.float32]] | None = None,
     ) -> None:  # fmt: skip
-        """Compute the picture by the direct sum, for every ray and every light, without tables.
+        """Compute the picture by the direct sum over height samples, for every ray and every light, without tables.
 
         The list ``xyz_by_part`` is filled as in :meth:`render`.
         """
@@ -353,7 +355,8 @@ class Picture:
     def xyz(self) -> wp.array:
         """Colours of the picture, shape (height, width), without the margin.
 
-        The array is that of the sums if the picture has no margin, otherwise a copy of the inner part.
+        The margin consists of pixels that are added around the picture. Without a margin, the array is that of the
+        sums; otherwise it is a copy of the inner part.
         """
         colours = self._sums.xyz.reshape((self.rays.height, self.rays.width))
         if self.rays.size == self.view.width * self.view.height:
@@ -364,13 +367,13 @@ class Picture:
         return self._shown_xyz
 
     def _cropped(self, values: wp.array | NDArray[Any]) -> NDArray[Any]:
-        """Return the values of all pixels as an array on the host, without the margin."""
+        """Return values of all pixels as an array on the host, without the margin of pixels around the picture."""
         values = values.numpy() if isinstance(values, wp.array) else values
         return np.ascontiguousarray(values.reshape(self.rays.height, self.rays.width, *values.shape[1:])[self._inner])
 
     @np.errstate(under="ignore")
     def image(self, plans: Sequence[Plan]) -> Image:
-        """Return the finished picture, with the first plan and the estimated errors of the least accurate plan."""
+        """Return the finished picture, with the first plan, and with errors estimated from the least accurate plan."""
         sums = self._sums
         xyz, coverage, illuminated = map(self._cropped, (sums.xyz, sums.coverage, sums.illuminated))
         coverage = coverage.astype(np.float32)
@@ -389,8 +392,8 @@ class Picture:
         parts = ErrorParts(xyz[illuminated], contrasts, cells=part(sums.errors), textures=textures)
         error = np.zeros(illuminated.shape, dtype=np.float32)
         error[illuminated] = relative_errors(combined_errors(parts, max(plan.error for plan in plans)), parts.xyz)
-        # The number of subdivided pixels may exceed the number of covered pixels: it includes the margin, and pixels
-        # whose centre misses the mesh.
+        # The fraction of refined pixels is limited to 1. The number of subdivided pixels may exceed the number of
+        # covered pixels: it includes pixels in which no ray hits the mesh.
         subdivided = 0 if self._loop is None else self._loop.tiles.count
         covered = int(np.count_nonzero(sums.coverage.numpy()))
         edges = self._cropped(sums.edges) if self._means and self._refine else None

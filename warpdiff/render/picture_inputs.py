@@ -1,4 +1,8 @@
-"""Checked inputs of pictures: one or several surfaces of a mesh, lights and settings."""
+"""Checked inputs of pictures: one or several surfaces of a mesh, lights and settings.
+
+A plan holds the numbers of a computation, such as wavelengths. Coherence is the limit of interference. Colours are
+relative to a mirror, the unit of the picture. A plain surface has no height field.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +25,8 @@ from warpdiff.optics.coherence import Coherence
 from warpdiff.optics.materials import IlluminatedMaterial
 from warpdiff.planner.refusals import warn_outside
 from warpdiff.planner.strategy import directions_of, plan_for
+from warpdiff.render import map_inputs
 from warpdiff.render.light_parts import parts_of
-from warpdiff.render.map_inputs import (
-    check_texture_coordinates, coherence_of_table, ladder_of, naming_depth_scale, settings_of_map,
-)  # fmt: skip
 from warpdiff.render.picture import Picture
 from warpdiff.request.evaluation import Evaluation
 from warpdiff.request.plan import AUTOMATIC, Plan, has_table
@@ -51,7 +53,8 @@ if TYPE_CHECKING:
 SurfaceOfPart = HeightField | GratingMap | Surface | None
 SurfacesOfMesh = HeightField | GratingMap | Mapping[str, SurfaceOfPart]
 
-# Largest memory per pixel that any kind of picture requires during its computation [bytes]. The value was measured.
+# Largest memory per pixel that pictures require during their computation [bytes]. The value was measured. If it were
+# doubled, pictures that would fit into memory would be refused.
 _BYTES_PER_PIXEL = 210
 
 
@@ -68,7 +71,7 @@ class SurfaceInputs:
         settings: Options of the call, with those of the surface.
         parts: Parts that the lights consist of: lobes, discs and skies. Plans are chosen for their spectra.
         is_plain: Whether the surface has no height field, and reflects light by its base colour and material.
-        unit: Factor from the colours of the surface to the unit of the picture; None if the surface defines the unit.
+        unit: Factor that makes the colours of the surface relative to the picture's mirror; None if they are already.
         grating_map: Map of the surface's dots, whose ``reference`` is the height field of ``evaluation``; or None.
     """
 
@@ -83,18 +86,18 @@ class SurfaceInputs:
     def of(
         cls, heightfield: HeightField | GratingMap | None, lights: Sequence[Light], settings: PictureSettings
     ) -> SurfaceInputs:
-        """Combine settings, lights and a height field or map; None is a plain surface. Raise errors about them."""
+        """Combine and check settings, lights and a height field or grating map; None is a plain surface."""
         grating_map = heightfield if isinstance(heightfield, GratingMap) else None
         if isinstance(heightfield, GratingMap):
-            settings, heightfield = settings_of_map(heightfield, settings), heightfield.reference
+            settings, heightfield = map_inputs.settings_of_map(heightfield, settings), heightfield.reference
         footprint = settings.effective_footprint
         evaluation = Evaluation.of(
             _FLAT if heightfield is None else heightfield, settings, by_geometry=True, footprint=footprint
         )
         parts = parts_of(lights, evaluation, refine=settings.refine, means=footprint)
         plan = None if evaluation.plan is None else replace(evaluation.plan, footprint=footprint)
-        # The planner tries tables for the spectra (illuminants) of lobes. If a sky is the only light, tables for one of
-        # the sky's three primary spectra suffice, because all three are smooth.
+        # The planner tries tables for the spectra (illuminants) of lobes. If a sky is the only light, it suffices to
+        # try one of the sky's three primary spectra, because all three are smooth.
         spectra = [name for part in parts if part.has_lobes for name in part.spectra] or parts[0].spectra[:1]
         materials = [material_of_dots(material, grating_map) for material in evaluation.materials.values()]
         illuminated = IlluminatedMaterial.of(spectra, materials)
@@ -127,18 +130,18 @@ class SurfaceInputs:
         return np.array([known.index(name) for name in names], dtype=np.int32)[mesh.geometries]
 
     def planned(self, direction_range: DirectionRange, sample: DirectionSample, count: float) -> Plan:
-        """Return the user's plan, or choose a plan for the measured directions.
+        """Return the user's plan (numbers of the computation), or choose a plan for the measured directions.
 
-        Lights with an extent require a plan with a table. If no table meets the tolerance for lobes with an extent, the
-        plan has the best table. For skies, and for lights under which all measured directions are dark, the plan has
-        the smallest table that is expected to suffice.
+        Lights with an extent require a plan with a table of colours. If no table meets the tolerance for lobes with an
+        extent, the plan has the best table. For skies, and for lights under which all measured directions are dark, the
+        plan has the smallest table that is expected to suffice.
         """
         request = evaluation = self._evaluation_of_table
         if evaluation.plan is not None:
             warn_outside(evaluation.plan, evaluation.heightfield, direction_range)
         if evaluation.integration == "auto" and not any(part.has_lobes for part in self.parts):
-            # The planner tries no table for skies: a sky averages over many directions, so that errors in single
-            # directions have no effect.
+            # The planner tests the errors of tables in single directions. This is not done for skies: a sky averages
+            # over many directions, so that such errors have little effect.
             request = replace(evaluation, integration="sampled", footprint=False)
         plan = evaluation.plan or plan_for(request, direction_range, sample, count)
         if not plan.uses_footprints and any(part.has_extent for part in self.parts):
@@ -154,23 +157,22 @@ class SurfaceInputs:
         return evaluation.with_energy(replace(plan, coherence=self.evaluation.coherence))
 
     def lookup(self, plan: Plan, direction_range: DirectionRange) -> ColourLookup:
-        """Return the look-up of the surface's colours by a plan."""
-        evaluation, ladder = self._evaluation_of_table, ladder_of(self.grating_map, self.evaluation)
+        """Return the look-up of the surface's colours, in tables or by a sum over wavelengths as the plan states."""
+        evaluation, ladder = self._evaluation_of_table, map_inputs.ladder_of(self.grating_map, self.evaluation)
         plan = replace(plan, coherence=evaluation.coherence)
+        inputs = evaluation.heightfield, plan, direction_range
         where: dict[str, Any] = {"device": evaluation.device, "threads": evaluation.threads}
         if ladder is not None:
-            own = self.evaluation.coherence
-            return LadderLookup(ladder, own, evaluation.heightfield, plan, direction_range, **where)
-        has_map = self.grating_map is not None
-        return ColourLookup(evaluation.heightfield, plan, direction_range, pitch_scales=has_map, **where)
+            return LadderLookup(ladder, *inputs, **where)
+        return ColourLookup(*inputs, pitch_scales=self.grating_map is not None, **where)
 
     @property
     def _evaluation_of_table(self) -> Evaluation:
-        """Evaluation from which plans and tables are made. With a map, its coherence may differ from the picture's."""
+        """Inputs from which plans and tables are made. With a grating map, their coherence may not be the picture's."""
         evaluation = self.evaluation
         if self.grating_map is None:
             return evaluation
-        coherence = coherence_of_table(self.grating_map, evaluation)
+        coherence = map_inputs.coherence_of_table(self.grating_map, evaluation)
         plan = None if evaluation.plan is None else replace(evaluation.plan, coherence=coherence)
         return replace(evaluation, coherence=coherence, plan=plan)
 
@@ -183,8 +185,9 @@ class PictureInputs:
         heightfield: Height field or surfaces, as the user gave them.
         settings: Options of the call.
         lights: Lights as the user gave them.
-        surfaces: Inputs of each surface by the key of its part; the key is ``""`` if the mesh has one height field.
-        parts: Parts that the lights consist of, in the unit of the picture.
+        surfaces: Inputs of each surface by the key of its part (such as the name of a geometry); the key is ``""`` if
+            the mesh has one height field.
+        parts: Parts that the lights consist of (lobes, discs and skies), in the unit of the picture.
     """
 
     heightfield: SurfacesOfMesh
@@ -226,7 +229,10 @@ class PictureInputs:
 
     @property
     def _reference_area_um2(self) -> float:
-        """Area of the first height field [µm²], on which the unit of a picture with periods depends."""
+        """Area of the first height field [µm²]; the mirror to which colours are relative has this area, too.
+
+        The area has an effect only if the coherence is a number of whole periods that interfere.
+        """
         first = next(heightfield for heightfield in self.heightfields if heightfield is not None)
         return first.size_um[0] * first.size_um[1]
 
@@ -253,7 +259,7 @@ class PictureInputs:
         return next(iter(self.surfaces.values())).evaluation
 
     def parts_of(self, lights: Sequence[Light], *, means: bool) -> list[LightPart]:
-        """Check lights for each surface, and return their parts in the unit of the picture."""
+        """Check lights for each surface. Return their parts, with powers relative to the mirror of the picture."""
         refine = self.settings.refine
         if isinstance(self.heightfield, Mapping):
             for own in self.surfaces.values():
@@ -263,7 +269,7 @@ class PictureInputs:
     def planned(
         self, directions: Iterable[tuple[DirectionRange, DirectionSample, float]] | None
     ) -> tuple[list[Plan], Lookups]:
-        """Return the plans of the surfaces that have a height field, and the look-ups of the colours of all surfaces.
+        """Return the plans of surfaces with a height field, and the look-ups of the colours of all surfaces.
 
         Args:
             directions: Directions for which each of these plans is required: their range, a sample of them, and the
@@ -277,7 +283,7 @@ class PictureInputs:
                 lookups.append(None)
                 continue
             direction_range, sample, count = directions_of(own.evaluation) if measured is None else next(measured)
-            with naming_depth_scale(own.grating_map):
+            with map_inputs.naming_depth_scale(own.grating_map):
                 plans.append(own.planned(direction_range, sample, count))
             lookups.append(own.lookup(plans[-1], direction_range))
         return plans, Lookups(lookups)
@@ -289,7 +295,7 @@ class PictureInputs:
         return parts_of([light], evaluation, refine=self.settings.refine, means=evaluation.footprint, first=index)
 
     def of_points(self, parts: Sequence[LightPart]) -> PictureInputs:
-        """Return the inputs for a picture of points with one ray per pixel, whose lights are the given parts."""
+        """Return the inputs for a picture with one ray per pixel and without footprints, under parts of lights."""
         settings = replace(self.settings, footprint=False, refine=False, samples_per_pixel=1)
         surfaces = {
             key: replace(own, evaluation=replace(own.evaluation, footprint=False)) for key, own in self.surfaces.items()
@@ -309,8 +315,8 @@ class PictureInputs:
     def picture(self, mesh: Mesh, view: View, **options: Any) -> Picture:
         """Return a picture of a mesh, whose arrays are allocated but not yet computed."""
         footprint, settings = self.evaluation.footprint, self.settings
-        # Filters of pixels at the picture's border include cells of pixels beyond the border. These pixels form a
-        # margin.
+        # Filters of pixels at the picture's border include subpixel cells beyond the border. A margin of additional
+        # pixels contains these cells.
         margin = int(footprint and (settings.refine or settings.samples_per_pixel > 1))
         optics = [own.optics(mesh) for own in self.surfaces.values()]
         if isinstance(self.heightfield, Mapping):
@@ -320,7 +326,7 @@ class PictureInputs:
                 mesh = replace(mesh, plain_colour=np.ones(3, dtype=np.float32), has_base_colour=True)
         else:
             finish_of_faces = next(iter(self.surfaces.values())).materials_of_faces(mesh)
-        check_texture_coordinates(
+        map_inputs.check_texture_coordinates(
             mesh, optics, finish_of_faces if isinstance(self.heightfield, Mapping) else None
         )  # fmt: skip
         unit = PictureUnit(_in_unit(self).coherence, self._reference_area_um2)
@@ -361,7 +367,7 @@ class PictureInputs:
 
 
 def _in_unit(inputs: PictureInputs) -> Evaluation:
-    """Return the evaluation of a surface with the coherence to which all colours of the picture are relative."""
+    """Return the inputs of the first surface, with the coherence to which all colours of the picture are relative."""
     evaluation = inputs.evaluation
     if not isinstance(inputs.heightfield, Mapping):
         return evaluation
@@ -369,9 +375,9 @@ def _in_unit(inputs: PictureInputs) -> Evaluation:
 
 
 def _unit_coherence(surfaces: Mapping[str, SurfaceOfPart], settings: PictureSettings) -> Coherence:
-    """Return the coherence to which all colours of a picture are relative.
+    """Return the coherence of the mirror to which all colours of a picture are relative.
 
-    It is the coherence of the surfaces that do not have a coherence of their own.
+    It is the coherence of the call, which applies to surfaces without a coherence of their own.
     """
     if settings.coherence is not None or not isinstance(settings.plan, Mapping):
         return settings.coherence or Coherence()
@@ -386,7 +392,7 @@ def _unit_coherence(surfaces: Mapping[str, SurfaceOfPart], settings: PictureSett
 
 
 def _has_own_coherence(surface: SurfaceOfPart) -> bool:
-    """Whether the coherence of a surface does not define the unit of the picture. A map has a default of its own."""
+    """Whether a surface does not use the coherence of the call. A grating map has a default coherence of its own."""
     if isinstance(surface, Surface):
         return surface.coherence is not None or isinstance(surface.heightfield, GratingMap)
     return isinstance(surface, GratingMap)
@@ -395,7 +401,7 @@ def _has_own_coherence(surface: SurfaceOfPart) -> bool:
 def _inputs_by_key(
     surfaces: Mapping[str, SurfaceOfPart], lights: Sequence[Light], settings: PictureSettings
 ) -> dict[str, SurfaceInputs]:
-    """Return the inputs of each surface of a mapping from keys of parts to surfaces. The first surface may be plain."""
+    """Check a mapping from keys of parts to surfaces, and return the inputs of each surface by its key."""
     checked = {key: _checked_surface(key, value) for key, value in surfaces.items()}
     gratings = {key: surface for key, surface in checked.items() if surface is not None}
     if not gratings:
@@ -468,7 +474,7 @@ def _settings_of(surface: Surface, key: str, settings: PictureSettings) -> Pictu
 
 
 def _mean_solid_angle(coherence: Coherence, heightfield: HeightField) -> float:
-    """Return the solid angle Ω(λ) of a coherence [sr], averaged over λ with the luminous efficiency under D65."""
+    """Return the solid angle Ω(λ) of a light with a certain coherence [sr], as a mean over λ weighted by D65 · ȳ."""
     area_um2 = heightfield.size_um[0] * heightfield.size_um[1]
     wavelengths_um = 1e-3 * colorimetry.VISIBLE_NM
     solid_angle = reflectance_factors.light_solid_angle(wavelengths_um, coherence, area_um2)

@@ -1,4 +1,8 @@
-"""Samples of an unrefined picture: directions, geometry factors and footprints at its illuminated pixels."""
+"""Samples of an unrefined picture: directions, geometry factors and footprints at its illuminated pixels.
+
+A footprint is the change of (u, v) over a pixel's filter, and (u, v, w) is the scattering vector. A lobe is a Gaussian
+of directions to a light, or a single direction.
+"""
 
 from __future__ import annotations
 
@@ -30,19 +34,19 @@ if TYPE_CHECKING:
 # silhouettes, directions change so fast that footprints, which are linear approximations, would exceed the hemisphere
 # without this limit.
 _WIDEST = 0.35
-# Names of the fields of :class:`LitPixels` with one entry per sample, without the field of the footprints.
+# Names of the fields of :class:`LitPixels` with one entry per sample, except for the optional footprints.
 _ARRAYS = ("pixels", "scattering_vectors", "to_lights", "gains")
 
 
 @dataclass(frozen=True)
 class LitPixels:
-    """Samples of one lobe of a light, at the pixels that it illuminates.
+    """Samples of one lobe of a light (direction or Gaussian of directions), at the pixels that it illuminates.
 
     Attributes:
         pixels: Index of each sample's pixel among all pixels of the picture, shape (n,).
         scattering_vectors: Scattering vectors (u, v, w), shape (n, 3).
         to_lights: Unit vectors to the light in the local frame, shape (n, 3).
-        gains: Geometry factors with the power of the light, shape (n,).
+        gains: Factors of the colours: cosines, masking, reflectance by angle, and the power of the light, shape (n,).
         footprints: Covariances uu, uv and vv of (u, v) over the filter of each pixel, shape (n, 3); None for points.
             Standard deviations are at most 0.35.
         illuminated: Illuminant of the light with the material of the surface.
@@ -76,7 +80,7 @@ class LitPixels:
 
 @dataclass(frozen=True)
 class PictureSamples:
-    """Directions and colours of an unrefined picture, without the diffraction of its height field.
+    """Directions and pigment colours of an unrefined picture. The diffraction of its height field is not included.
 
     Attributes:
         inputs: Checked inputs of the picture.
@@ -160,7 +164,7 @@ def _check_parts(parts: Sequence[LightPart]) -> None:
 
 
 def _lit(picture: Picture, index: LobeIndex, *, means: bool) -> list[LitPixels]:
-    """Return the samples of one lobe, by material."""
+    """Return the samples of one lobe (direction to a light), separately for each material of the surface."""
     sampler, context = picture.sampler, picture.context
     sampler.scatter(0, index, picture.sums)
     vectors, to_lights, gains = sampler.directions()
@@ -190,7 +194,7 @@ def _covariances(picture: Picture, index: LobeIndex) -> NDArray[np.float64]:
     row_u, row_v, column_u, column_v = batch.samples.footprints.numpy().astype(np.float64).T
     uu, uv = row_u * row_u + column_u * column_u, row_u * row_v + column_u * column_v
     vv = row_v * row_v + column_v * column_v
-    # Footprints are made smaller, so that their largest variance is at most the square of `_WIDEST`.
+    # Footprints that are too wide are scaled, so that their variance along the longest axis is the square of `_WIDEST`.
     largest = (uu + vv) / 2.0 + np.hypot((uu - vv) / 2.0, uv)
     share = np.minimum(_WIDEST**2 / np.maximum(largest, TINY), 1.0)
     return np.asarray(share[:, None] * np.stack([uu, uv, vv], axis=1))

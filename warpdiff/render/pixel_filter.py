@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 # fitted (docs/decisions/adaptive_sampling.md): with 0.5, errors in pictures of a snake mesh are 1.1 to 2 times as
 # large.
 _CELL_SIGMA_PER_SPACING = 0.4
-# Smallest level of pixels at silhouettes of the mesh; level 2 has 4 × 4 cells. The value was chosen because one level
-# more requires four times as many cells at silhouettes.
+# Smallest level of subdivision of pixels at silhouettes of the mesh; level 2 has 4 × 4 cells. The next level would
+# require four times as many cells there.
 SILHOUETTE_LEVEL = 2
 # Smallest and largest number of rays that a thread shades in one launch. With fewer rays, the overhead of launches is a
 # larger part of the time. With more rays, buffers require more memory.
@@ -50,7 +50,7 @@ _MOST_RASTERIZED = 1 << 24
 
 
 def level_of(samples: int, *, means: bool) -> int:
-    """Return the lowest level that has at least ``samples`` cells per pixel."""
+    """Return the lowest level of subdivision that has at least ``samples`` cells per pixel."""
     least = 0 if means else LEAST_LEVEL_OF_POINTS
     return int(min(max(math.ceil(math.log(samples, 4) - 1e-9), least), MOST_LEVEL))
 
@@ -119,7 +119,7 @@ def filter_normalisation_on(means: bool, device: str) -> wp.array:
 
 
 def parts(pixels: NDArray[np.int32], level: int) -> Iterator[NDArray[np.int32]]:
-    """Divide a list of pixels into consecutive parts. A rasterization can process all cells of a part at once."""
+    """Divide a list of pixels into consecutive parts. One rasterization finds the faces for all cells of a part."""
     size = _MOST_RASTERIZED // rays_at(level)
     for first in range(0, len(pixels), size):
         yield pixels[first : first + size]
@@ -132,7 +132,7 @@ def slices(count: int, level: int, threads: int) -> Iterator[range]:
 
 
 def most_threads(pixels: int) -> int:
-    """Return the largest useful number of threads, with which each thread has enough rays for a launch."""
+    """Return the largest useful number of threads. With more threads, a thread would have too few rays per launch."""
     return int(-(-pixels * rays_at(MOST_LEVEL) // _LEAST_RAYS))
 
 
@@ -145,7 +145,10 @@ def around(pixels: NDArray[np.integer], width: int, height: int) -> NDArray[np.b
 
 
 def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, device: wp.Device) -> structs.Cells:
-    """Return the struct ``Cells``, by which kernels find the cells of certain pixels of a picture."""
+    """Return the struct ``Cells``, by which kernels find the cells of certain pixels of a picture.
+
+    Level n divides a pixel into 2ⁿ × 2ⁿ cells.
+    """
     # The mask has one bit per pixel. Each row of the picture begins with a new word of 64 bits.
     marks = np.zeros((height, -(-width // 64) * 64), dtype=np.bool_)
     marks[pixels // width, pixels % width] = True
@@ -160,7 +163,7 @@ def grid_of(pixels: NDArray[np.int32], level: int, width: int, height: int, devi
 
 
 def floor_of(colours: wp.array, illuminated: wp.array) -> float:
-    """Return the smallest divisor of relative errors: 1e-3 of the luminance that 1 % of illuminated pixels exceed."""
+    """Return the smallest divisor of relative errors: 1e-3 of the 99th percentile of illuminated luminances."""
     bright = colours.numpy()[:, 1][illuminated.numpy()]
     if not len(bright):
         return float(TINY)

@@ -1,4 +1,8 @@
-"""Pixel sampler: traces one ray for each pixel, and computes its sample under one lobe of one light at a time."""
+"""Pixel sampler: traces one ray for each pixel, and computes its sample under one lobe of one light at a time.
+
+A lobe is a direction to a light or a Gaussian of directions. A sample has the scattering vector, the direction to the
+light and the geometry factor at the hit of a ray.
+"""
 
 from __future__ import annotations
 
@@ -24,16 +28,15 @@ if TYPE_CHECKING:
     from warpdiff.render.accumulators import Accumulators
 
 # Before a plan (the numbers of a computation) is chosen, rays are traced to measure the range of the scattering
-# vectors. If a pixel shows the colours of single directions, there are at most `_SAMPLES_MEASURED` rays per pixel. If a
-# pixel shows means over footprints, the ranges of directions of its subpixel cells, there are about `_CELLS_MEASURED`
-# rays in total, and at most `_MOST_SAMPLES_MEASURED` per pixel. The positions of these rays in the pixel vary, because
-# subpixel cells, into which a pixel is divided, have directions that do not occur at pixel centres. The numbers are
-# limited by time, which is proportional to them.
+# vectors. If pixels show single directions, there are at most `_SAMPLES_MEASURED` rays per pixel. If pixels show means
+# over their filter, there are about `_CELLS_MEASURED` rays in total, and at most `_MOST_SAMPLES_MEASURED` per pixel.
+# The positions of these rays in the pixel vary, because pixels are later divided into subpixel cells with directions
+# that do not occur at pixel centres. The numbers are limited by time, which is proportional to them.
 _SAMPLES_MEASURED, _CELLS_MEASURED, _MOST_SAMPLES_MEASURED = 4, 8192, 16
 
 
 class LobeIndex(NamedTuple):
-    """Indices of a light pass and of one of its lobes."""
+    """Indices of a light (of its pass) and of one of its lobes (directions, or Gaussians of directions)."""
 
     light: int
     lobe: int
@@ -59,7 +62,7 @@ class PixelSampler:
         self.invalidate()
 
     def invalidate(self) -> None:
-        """Discard hits and samples, for example after a change of the view."""
+        """Discard the hits of rays and the samples there, for example after a change of the view."""
         self._sample: int | None = None
         self._lobe: LobeIndex | None = None
 
@@ -77,7 +80,7 @@ class PixelSampler:
             )  # fmt: skip
 
     def lobes(self) -> Iterator[LobeIndex]:
-        """Yield all lobes whose scattering vectors determine the range for which a plan is chosen."""
+        """Yield all lobes whose directions are measured before a plan (numbers of the computation) is chosen."""
         for light, light_pass in enumerate(self._passes):
             for lobe in light_pass.measured_lobes:
                 yield LobeIndex(light, lobe)
@@ -106,7 +109,7 @@ class PixelSampler:
     def scatter(
         self, sample: int, index: LobeIndex, sums: Accumulators, *, samples_per_pixel: int | None = None
     ) -> None:
-        """Compute the light samples of a lobe in ``samples``, at the hits of one ray per pixel.
+        """Write samples of a lobe (direction to a light) at the hits of one ray per pixel to ``samples``.
 
         The light that the pigment reflects is added to the colours in ``sums``. The light that the height field
         diffracts is looked up later. ``sample`` is the index of the ray among the rays of a pixel. The ray is traced
@@ -145,8 +148,10 @@ class PixelSampler:
     def _of_dots(self, surface: int) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]] | None:
         """Return the directions of the last lobe in the frames of a surface's dots; None without a grating map.
 
-        Directions to the light are unit vectors. A plan therefore meets its tolerance for the dots with the smallest
-        pitch scale (factor of the lengths in a dot), whose orders are narrowest relative to (u, v).
+        A dot of a grating map rotates a height field and scales its lengths by the pitch scale.
+
+        Directions to the light are scaled to unit length. A plan that is chosen for them therefore meets its tolerance
+        for the dots with the smallest pitch scale, whose diffraction orders are narrowest relative to (u, v).
         """
         dots, of_dots = self._context.dots, self.samples.of_dots
         if dots is None or of_dots is None or not dots.has_map(surface):
@@ -161,7 +166,9 @@ class PixelSampler:
     def measure_directions(
         self, heightfields: Sequence[HeightField | None], sums: Accumulators
     ) -> list[tuple[DirectionRange, DirectionSample, int]]:
-        """Return the illuminated directions for which plans are made: range, sample and number, by height field.
+        """Return the directions for which plans (numbers of computations) are made, by height field.
+
+        Only directions under light count. They are described by their range, a sample of them and their number.
 
         Additional rays are traced for this purpose. They require about 1 % of the time in which the picture's colours
         are computed.
@@ -176,8 +183,8 @@ class PixelSampler:
             if heightfield is not None
         ]
         lobes = list(self.lobes())
-        # If pixels show points, only some of their rays are used. If pixels show means, several rays per pixel
-        # represent the directions of subpixel cells.
+        # If pixels show points, only the first rays of each pixel are used. If pixels show means over their filter,
+        # several rays per pixel represent the directions of the later subpixel cells.
         per_pixel, measured = self._samples_per_pixel, min(self._samples_per_pixel, _SAMPLES_MEASURED)
         if self._means:
             self.trace(0)
@@ -229,7 +236,11 @@ class _Measured:
         directions: tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]],
         parts: int,
     ) -> None:
-        """Add the directions of one lobe. ``parts`` is the number of samples that will be joined; 0 adds no sample."""
+        """Add the directions of one lobe.
+
+        A random sample of the directions is added, too, unless ``parts`` is 0. ``parts`` is the number of samples that
+        will be joined to one, which determines their sizes.
+        """
         scattering_vectors, to_lights, gains = directions
         gains = context.gains_on(self.surface, gains)
         is_lit = gains > 0.0

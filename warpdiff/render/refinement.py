@@ -39,13 +39,13 @@ SLICE = 32_768
 
 @dataclass(frozen=True)
 class RefinementPolicy:
-    """Rule by which pixels are subdivided.
+    """Rule by which pixels are subdivided into cells. At level n, a pixel has 2ⁿ × 2ⁿ cells.
 
     Attributes:
         tolerance: Tolerance of the picture, or of a preview.
         least_level: Level to which all pixels are subdivided.
         refine: Whether pixels with larger estimated errors are subdivided further.
-        is_sampled: Whether each cell draws a direction to the light.
+        is_sampled: Whether each cell draws a direction to the light at random.
         first_level: Level of the first subdivision of a tile under this light, unless ``least_level`` is higher.
             Colours of these first cells decide whether the tile is subdivided further. Lights whose directions are
             random require more first cells.
@@ -61,7 +61,7 @@ class RefinementPolicy:
 
     @property
     def measures_scatter(self) -> bool:
-        """Whether the scatter of the cells' colours determines levels and errors, instead of their curvature."""
+        """Whether errors follow from the scatter of the cells' colours, instead of their curvature over the pixel."""
         return self.is_sampled or self.has_dots
 
     @property
@@ -71,24 +71,24 @@ class RefinementPolicy:
 
     @property
     def base_level(self) -> int:
-        """Level of the first cells of a tile; the colours of these cells determine the level at which the tile ends."""
+        """Level of the first cells of a tile (subdivided pixel); their colours determine the tile's final level."""
         return max(self.least_level, self.first_level)
 
     @property
     def most_level(self) -> int:
-        """Finest level at which tiles may end."""
+        """Finest level to which tiles (subdivided pixels) may be refined."""
         finest = refinement_levels.MOST_LEVEL - (self.tolerance >= refinement_levels.COARSE_TOLERANCE)
         return max(finest, self.base_level) if self.refine else self.base_level
 
     @property
     def silhouette_level(self) -> int:
-        """Smallest level at which the subdivision of a pixel may end if the outline of the mesh passes through it."""
+        """Smallest final level of subdivision of a pixel if the outline of the mesh passes through it."""
         return pixel_filter.SILHOUETTE_LEVEL if self.refine else 0
 
 
 @dataclass(frozen=True)
 class LightRefinement:
-    """Inputs for refining the pixels under one light. The methods make the kernel calls.
+    """Inputs for refining the pixels under one light; the methods make the kernel calls of the refinement.
 
     Refinement starts from colours that were computed by one ray per pixel.
 
@@ -110,7 +110,7 @@ class LightRefinement:
 
     @property
     def buffer_kind(self) -> BufferKind:
-        """Flags that say which optional arrays of tile buffers this light requires."""
+        """Flags that say which optional arrays of tile buffers (arrays of subpixel cells) this light requires."""
         context = self.light_pass.context
         return BufferKind(
             self.lookups.needs_sampling, context.is_pigmented, context.has_finishes, self.light_pass.has_directions,
@@ -153,7 +153,7 @@ class LightRefinement:
         return KernelCall(dot_transforms.mark_edges_of_dots, inputs, [self.sums.errors, marks], in_runs=True)
 
     def shade_cells(self, level: int, buffers: TileBuffers, sums: subdivision.FilteredSums) -> list[KernelCall]:
-        """Return the kernel calls that trace and shade the cells in the buffers.
+        """Return the kernel calls that trace and shade the subpixel cells in the buffers.
 
         They also add each cell to the weighted sums of nine pixels: its own and the eight pixels around it.
         """
@@ -189,7 +189,7 @@ class LightRefinement:
         return KernelCall(subdivision.resolve_pixels, inputs, self._resolved, in_runs=True)
 
     def select_levels(self, level: int, group: TileGroup, floor: wp.array, marks: wp.array) -> KernelCall:
-        """Return the kernel call that decides which tiles at ``level`` are refined further, and to which level."""
+        """Return the kernel call that decides which tiles at ``level`` get more cells, and at which level."""
         rays, policy = self.light_pass.context.rays, self.policy
         inputs = [
             group.sums, group.tiles, marks, self.sums.xyz, rays.width, rays.height, floor, policy.tolerance, level,
@@ -202,7 +202,7 @@ class LightRefinement:
         return KernelCall(subdivision.select_levels, inputs, [group.sums.changes, group.levels], in_runs=True)
 
     def empty_tile_sums(self, tiles: int) -> subdivision.FilteredSums:
-        """Return the struct ``FilteredSums``, in which kernels add up cells, with uninitialised arrays."""
+        """Return the struct ``FilteredSums`` with uninitialised arrays, to which kernels add colours of cells."""
         device = self.sums.xyz.device
         result = subdivision.FilteredSums()
         result.filtered_sums = wp.empty((tiles, 9), dtype=wp.vec4f, device=device)
@@ -216,11 +216,13 @@ class LightRefinement:
 
 @dataclass
 class TileGroup:
-    """Group of pixels that are subdivided together, with the tiles whose cells they use.
+    """Group of pixels that are computed together from subpixel cells, and the tiles that contain these cells.
 
     Attributes:
-        pixels: Pixels that use cells. On a GPU the array is empty, and marks of pixels are used instead.
-        tiles: Pixels that are subdivided for the group. On a GPU the array is empty, and ``levels`` is used instead.
+        pixels: Pixels whose colours are computed from cells. On a GPU the array is empty, and the marks of pixels are
+            used instead.
+        tiles: Pixels that are divided into cells for the group. On a GPU the array is empty, and ``levels`` is used
+            instead.
         sums: Sums over the cells of the tiles, the struct ``FilteredSums`` of the kernels.
         levels: For each pixel of the picture, the level of its tile; 0 is no tile.
         share: Beginning and end of the group, as fractions of the light's progress.
@@ -234,12 +236,12 @@ class TileGroup:
 
 
 class TileExecutor(Protocol):
-    """Interface of executors, which shade the tiles that :class:`RefinementLoop` requests.
+    """Interface of executors, which shade the tiles (subdivided pixels) that :class:`RefinementLoop` requests.
 
     Attributes:
         floor: Smallest ‖XYZ‖ by which errors are divided to give relative errors, shape (1,).
-        marks: Mark of each pixel: ``ACTIVE`` if the pixel is subdivided, ``SHARED`` if it is computed from the cells of
-            its neighbours only, otherwise 0.
+        marks: Mark of each pixel: ``ACTIVE`` if the pixel is subdivided, ``SHARED`` if it is not marked for
+            subdivision, but it and its eight neighbours are subdivided for pixels that are; otherwise 0.
     """
 
     floor: wp.array
@@ -250,16 +252,16 @@ class TileExecutor(Protocol):
         """Number of pixels that were subdivided under one light; under several lights, the largest of these numbers."""
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Delete the stored results of tiles. If ``keep`` is True, store results from now on.
+        """Delete the stored results of tiles (subdivided pixels). If ``keep`` is True, store results from now on.
 
         Results at the tolerance of a preview are reused at the next, smaller tolerance.
         """
 
     def begin(self, light: LightRefinement) -> None:
-        """Begin the refinement of a light at a tolerance: compute the divisor ``floor`` of relative errors."""
+        """Begin to refine a light at a tolerance: compute ``floor``, the smallest divisor of relative errors."""
 
     def groups(self, light: LightRefinement) -> Iterator[TileGroup]:
-        """Yield groups of marked pixels. The tiles of a group are its pixels and the eight pixels around each."""
+        """Yield groups of marked pixels. Each group subdivides its pixels and the eight pixels around each of them."""
 
     def shade(self, level: int, group: Any, light: LightRefinement, progress: Callable[[float], None] | None) -> None:
         """Shade the cells of the tiles of a group whose level is ``level``, and add them to the sums of the group."""
@@ -288,7 +290,7 @@ class RefinementLoop:
         self, light: LightRefinement, progress: Callable[[float], None] | None,
         previews: Sequence[tuple[float, Callable[[], None]]] = (),
     ) -> None:  # fmt: skip
-        """Refine a light: shade all tiles at the base level, select the level of each tile, and shade the tiles there.
+        """Refine a light: shade all tiles at the base level, select levels by errors, and shade tiles there.
 
         With previews, the light is first refined to the larger tolerance of each preview, and the preview's callable is
         called. Previews do not change the final picture, because each refinement begins again from one ray per pixel.
@@ -320,9 +322,9 @@ class RefinementLoop:
                 begin, end = (first + (last - first) * (level - levels.start + done) / len(levels) for done in (0, 1))
                 tiles.shade(level, group, light, subprogress(progress, begin, end))
                 if level == policy.base_level or policy.measures_scatter:
-                    # Errors are relative to the filtered colours of pixels, which are therefore computed before levels
-                    # are selected. The unfiltered colour of a dark pixel next to a bright one is too small, and the
-                    # pixel would get too many cells.
+                    # Levels are selected by errors relative to the colours of pixels. Pixels therefore get their
+                    # filtered colours first. A dark pixel next to a bright one has a smaller colour without the filter.
+                    # Its relative error would be too large, and it would get too many cells.
                     tiles.launch(light.resolve_pixels(group, tiles.marks), group.pixels)
                     tiles.launch(light.select_levels(level, group, tiles.floor, tiles.marks), group.tiles)
             tiles.launch(light.resolve_pixels(group, tiles.marks), group.pixels)

@@ -168,7 +168,7 @@ class Renderer:
         return _unpickled, (self.__getstate__(),)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the inputs of the pictures: settings, plan, height field, lights, surface and view."""
+        """Return the inputs of the pictures for pickling: settings, plan, height field, lights, surface and view."""
         evaluation = self._inputs.evaluation
         # The default number of threads is the number of cores. It is not stored, because another machine may have
         # another number of cores.
@@ -272,9 +272,10 @@ class Renderer:
         return replace(image, xyz=image.xyz.copy(), illuminated=image.illuminated.copy())
 
     def _preview_steps(self, mine: _ThreadPicture, previews: object) -> list[tuple[float, Callable[[], None]]]:
-        """Check the previews, and return their tolerances in descending order, each with a function without arguments.
+        """Check the previews, and return their tolerances in descending order, each with a function to call.
 
-        The function marks the picture as complete at this tolerance while it calls the callable of the preview.
+        The function calls the callable of the preview. During this call, the picture counts as complete at its
+        tolerance.
         """
         if previews is not None and not isinstance(previews, Mapping):
             raise ArgumentTypeError(
@@ -341,7 +342,7 @@ class _ThreadPicture(threading.local):
     """Picture of one thread, which is made when the thread first draws.
 
     Attributes:
-        picture: Rays, passes and sums of this thread's pictures.
+        picture: Camera rays, passes of lights, and sums of colours of this thread's pictures.
         parts: Parts of the lights with which this thread drew last.
         view: View with which this thread drew last.
         is_drawn: Whether the picture is complete.
@@ -362,6 +363,6 @@ class _ThreadPicture(threading.local):
 def records(device: wp.Device) -> bool:
     """Return whether a device can record pictures as CUDA graphs.
 
-    Recorded loops over tiles require a driver of CUDA 12.4 or later.
+    The loops over tiles (subdivided pixels) can only be recorded with a driver of CUDA 12.4 or later.
     """
     return bool(device.is_cuda and wp.is_conditional_graph_supported())

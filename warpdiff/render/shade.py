@@ -114,7 +114,7 @@ def shade(
 
 @dataclass(frozen=True)
 class LayerRequest:
-    """Layers of a picture, after checks against its lights.
+    """Layers (additional arrays) of a picture that the caller requested, after checks against its lights.
 
     Attributes:
         names: Names of the layers. If there is one layer per light, its name includes the index of the light.
@@ -167,9 +167,10 @@ class LayerRequest:
 def _render(
     inputs: PictureInputs, surface: Surface, view: View, progress: Callable[[float], None] | None, request: LayerRequest
 ) -> tuple[Image, list[NDArray[np.float32]]]:
-    """Render a prepared mesh, after choosing a plan for the directions that the pixels of each surface require.
+    """Render a prepared mesh, after choosing plans for the directions that occur on each of its surfaces.
 
-    The second result has the colours under each part of ``request.parts``.
+    A plan holds the numbers of a computation, such as wavelengths. The second result has the colours under each part of
+    ``request.parts``.
     """
     parts = [part for of_light in request.parts for part in of_light]
     xyz_by_part: list[NDArray[np.float32]] = []
@@ -177,7 +178,7 @@ def _render(
         inputs = replace(inputs, parts=parts)
     picture = inputs.picture(surface, view)
     picture.set_lights(inputs.parts)
-    # Light from a sky comes from the whole hemisphere, so that plans must cover all directions.
+    # Light from a sky comes from the whole hemisphere. Plans must then cover all directions, and none are measured.
     has_sky = not all(part.has_lobes for part in inputs.parts)
     plans, lookups = inputs.planned(None if has_sky else picture.measure_directions(inputs.heightfields))
     collected = xyz_by_part if parts else None

@@ -34,11 +34,11 @@ _MOST_PIXELS = 1 << 17
 
 @dataclass
 class HostTileGroup(TileGroup):
-    """Group of pixels that are subdivided together, with arrays that the host reads.
+    """Group of pixels that are computed together from subpixel cells, with arrays that the host reads.
 
     Attributes:
         tile_indices: Indices of the pixels that are subdivided for the group.
-        ranks: For each pixel of the picture, the index of its tile in the arrays of sums over cells.
+        ranks: For each pixel of the picture that is subdivided, its index in the arrays of sums over cells.
         host_levels: The same memory as ``levels``, as a NumPy array.
     """
 
@@ -47,16 +47,16 @@ class HostTileGroup(TileGroup):
     host_levels: NDArray[np.uint8]
 
     def results(self, *, is_base: bool) -> list[NDArray[Any]]:
-        """Return the arrays of sums over cells into which kernels write when the tiles of a level are shaded.
+        """Return the arrays of sums over subpixel cells into which kernels write when the tiles of a level are shaded.
 
-        ``is_base`` states whether the level is the base level.
+        ``is_base`` states whether the level is the base level, that of the first cells; it has one array more.
         """
         names = "filtered_sums", "levels", "lighting", "changes", *(("quadrants",) if is_base else ())
         return [getattr(self.sums, name).numpy() for name in names]
 
 
 class _ShadedTiles:
-    """Cache of tiles that are already shaded: for each level, sums over the cells of the tiles.
+    """Cache of shaded tiles (pixels divided into cells): for each level, sums over the cells of each tile.
 
     The sums do not depend on the tolerance of a picture, and are reused when the same picture is refined to a smaller
     tolerance.
@@ -69,7 +69,7 @@ class _ShadedTiles:
     def fill(
         self, level: int, group: HostTileGroup, tiles: NDArray[np.int32], *, is_base: bool
     ) -> NDArray[np.bool_]:  # fmt: skip
-        """Copy cached sums of tiles into the arrays of a group. Return a mask of the tiles that are not cached."""
+        """Copy cached sums over the cells of tiles into a group. Return a mask of the tiles that are not cached."""
         if level not in self._by_level:
             return np.ones(len(tiles), dtype=np.bool_)
         before, results = self._by_level[level]
@@ -89,14 +89,14 @@ class _ShadedTiles:
 
 
 class ThreadedTiles:
-    """Tile executor on the CPU: the host lists the tiles of each level.
+    """Executor that shades tiles (subdivided pixels) on the CPU: the host lists the tiles of each level.
 
     Attributes:
         count: Number of pixels that were subdivided under one light; under several lights, the largest of these
             numbers.
         floor: Smallest ‖XYZ‖ by which errors are divided to give relative errors, shape (1,).
-        marks: Mark of each pixel: ``ACTIVE`` if the pixel is subdivided, ``SHARED`` if it is computed from the cells of
-            its neighbours only, otherwise 0.
+        marks: Mark of each pixel: ``ACTIVE`` if the pixel is subdivided, ``SHARED`` if it is not marked for
+            subdivision, but it and its eight neighbours are subdivided for pixels that are; otherwise 0.
     """
 
     def __init__(self, rays: RasterizedRays) -> None:
@@ -112,14 +112,14 @@ class ThreadedTiles:
         return wp.array(values, dtype=dtype, device=self._device, copy=False)
 
     def keep_tiles(self, *, keep: bool) -> None:
-        """Delete the stored results of tiles. If ``keep`` is True, store results from now on.
+        """Delete the stored results of tiles (subdivided pixels). If ``keep`` is True, store results from now on.
 
         Results at the tolerance of a preview are reused at the next, smaller tolerance.
         """
         self._shaded = _ShadedTiles() if keep else None
 
     def begin(self, light: LightRefinement) -> None:
-        """Begin a light: compute ``floor``, the divisor of relative errors, from the exact percentile of luminances."""
+        """Begin a light: compute ``floor``, the smallest divisor of relative errors, by sorting luminances."""
         self.count = 0 if light.is_first else self.count
         floor = pixel_filter.floor_of(light.sums.xyz, light.sums.illuminated)
         self.floor = self._array(np.array([floor], dtype=np.float32), wp.float32)
@@ -134,14 +134,15 @@ class ThreadedTiles:
         launch_pipeline([call], len(elements), slice_size=SLICE, **self._rays.options)
 
     def groups(self, light: LightRefinement) -> Iterator[HostTileGroup]:
-        """Yield the marked pixels in groups of limited size, each with the tiles that it requires."""
+        """Yield the marked pixels in groups of limited size, each with the pixels that are subdivided for it."""
         pixels = np.flatnonzero(self._marked).astype(np.int32)
         self.count = max(self.count, len(pixels))
         if not len(pixels):
             return
         if len(pixels) > _MOST_PIXELS:
-            # The results of a group depend on colours that the previous group has changed, and thus on the tolerance.
-            # If there are several groups, results are therefore not stored for smaller tolerances.
+            # Sums over cells are usually stored and reused at the next, smaller tolerance. If there are several groups,
+            # this is not possible: the sums of a group depend on colours of pixels that the previous group has changed,
+            # and thus on the tolerance.
             self.keep_tiles(keep=False)
         for first in range(0, len(pixels), _MOST_PIXELS):
             last = min(first + _MOST_PIXELS, len(pixels))
@@ -151,8 +152,8 @@ class ThreadedTiles:
         width, height = self._rays.width, self._rays.height
         has_cells = pixel_filter.around(pixels, width, height)
         tiles = np.flatnonzero(has_cells).astype(np.int32)
-        # A pixel that is not marked for subdivision can still be computed from cells, if the pixel itself and its eight
-        # neighbours are tiles of marked pixels. It gets the mark ``SHARED``.
+        # A pixel that is not marked can still be computed from cells, if the pixel itself and its eight neighbours are
+        # subdivided for other, marked pixels. It gets the mark ``SHARED``.
         touched = pixel_filter.around(np.flatnonzero(~has_cells), width, height).ravel()
         between = np.flatnonzero(~touched & (self._marked == 0)).astype(np.int32)
         self._marked[between] = pixel_contrast.SHARED
@@ -170,7 +171,7 @@ class ThreadedTiles:
     def shade(
         self, level: int, group: HostTileGroup, light: LightRefinement, progress: Callable[[float], None] | None
     ) -> None:
-        """Shade the cells of the tiles of a group whose level is ``level``, and add them to the sums of the group."""
+        """Shade the cells of the tiles of a group whose level is ``level``, and add their colours to its sums."""
         width, height = self._rays.width, self._rays.height
         tiles = group.tile_indices[group.host_levels[group.tile_indices] == level]
         is_base, is_new = level == light.policy.base_level, np.ones(len(tiles), dtype=np.bool_)

@@ -52,7 +52,7 @@ class TileBuffers:
         gbuffer: Hits of the rays.
         samples: Samples of one lobe at the hits; the samples of the next lobe overwrite them.
         colours: Colours of the rays, added over the lobes of a light.
-        unserved_gain: Geometry factors of directions that a table does not contain.
+        unserved_gain: Geometry factors of directions that a colour table does not contain.
         tiles: For each level, an array of the pixels whose cells are in the buffers. Only the array of the level that
             is shaded at the moment is used.
     """
@@ -65,7 +65,7 @@ class TileBuffers:
 
     @classmethod
     def allocate(cls, rays: int, *, kind: BufferKind, device: wp.Device) -> TileBuffers:
-        """Return uninitialised buffers for a number of rays, with the optional arrays of a kind."""
+        """Return uninitialised buffers for a number of rays. ``kind`` states which optional arrays they have."""
         tiles = {
             level: wp.empty(rays // refinement_levels.rays_at(level), dtype=wp.int32, device=device)
             for level in refinement_levels.LEVELS
@@ -88,7 +88,7 @@ class TileBuffers:
     def batch(self, level: int) -> RayBatch:
         """Return the cells of one level in the buffers as a batch of rays.
 
-        The batch has no sums of coverage and illumination, because coverage and illumination are not counted per cell.
+        The batch has no sums of coverage and illumination. These sums are made per pixel, when the cells are added.
         """
         device = self.colours.device
         coverage, illuminated = (wp.empty(0, dtype=dtype, device=device) for dtype in (wp.float64, wp.bool))
@@ -99,7 +99,7 @@ class TileBuffers:
 
 
 class SharedTileBuffers:
-    """Tile buffers on the CPU, divided into parts; each thread uses one part at a time.
+    """Tile buffers (arrays of subpixel cells) on the CPU, in parts; each thread uses one part at a time.
 
     Attributes:
         buffers: The buffers of all parts, one part after the other.
@@ -118,14 +118,15 @@ class SharedTileBuffers:
         self._colours = self.buffers.colours.numpy()
         samples = self.buffers.samples
         self._gains = [samples.gains.numpy(), samples.finish_gains.numpy(), *samples.spectral_gains.numpy()]
-        # Several threads use this list without a lock, because the list methods ``append`` and ``pop`` are atomic.
+        # This list has the first index of each free part. Several threads use it without a lock, because the list
+        # methods ``append`` and ``pop`` are atomic.
         self._free = [part * self._size for part in range(parts)]
 
     def shade(
         self, level: int, pixels: NDArray[np.int32], pipeline: Pipeline, nearest: NDArray[np.uint64], *, threads: int,
         progress: Callable[[float], None] | None,
     ) -> None:  # fmt: skip
-        """Launch kernel calls over all cells of some pixels, in slices that fit the parts of the buffers.
+        """Launch kernel calls over all cells of some pixels, in slices of pixels that fit a part of the buffers.
 
         Args:
             level: Level of the cells.

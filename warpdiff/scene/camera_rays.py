@@ -31,13 +31,13 @@ _SEED = 0
 # Number of rays, and number of rasterized faces, that a CPU thread processes at once (a slice). The values were fitted
 # so that a slice requires about 1 ms.
 RAYS_OF_SLICE, _FACES_OF_SLICE = 8192, 2048
-# Occluder grids are made if the mesh has fewer than this number of faces per shadow ray. The value was fitted. Adding a
-# face to a grid takes a fifth of the time of a shadow ray through the hierarchy. A shadow ray through the grid takes a
-# quarter of the time of a shadow ray through the hierarchy.
+# Occluder grids (lists of the faces that may block a light) are made if the mesh has fewer than this number of faces
+# per shadow ray. The value was fitted to times, in units of a shadow ray through the hierarchy: adding a face to a grid
+# takes a fifth, and a shadow ray through the grid takes a quarter.
 _FACES_PER_RAY = 3
-# Approximate size of an occluder grid per face [bytes], and largest size of all grids together [bytes]. The largest
-# size is limited by memory. There is one grid per directional light: with 100 lights, for example, grids are used for
-# meshes of up to 149,000 faces.
+# Approximate size of an occluder grid, which lists the faces that may block a light, per face of the mesh [bytes]; and
+# largest size of all grids together [bytes]. The largest size is limited by memory. There is one grid per directional
+# light: with 100 lights, for example, grids are used for meshes of up to 149,000 faces.
 _BYTES_PER_FACE, _MOST_BYTES = 72, 1 << 30
 
 
@@ -49,7 +49,7 @@ class CameraRays:
         scene: The surface's arrays on the device.
         view: View that was set last.
         camera: The view that was set last, as the struct ``Camera`` of the kernels.
-        width: Number of pixels per row, including the margin.
+        width: Number of pixels per row, including the margin of additional pixels around the picture.
         height: Number of rows, including the margin.
         size: Number of pixels, including the margin.
         options: Keyword arguments of kernel launches: the device and the number of threads.
@@ -108,7 +108,7 @@ class CameraRays:
         return [trace, *self._known_face_calls(sampling, gbuffer, deviation)]
 
     def _known_face_calls(self, sampling: Sampling, gbuffer: GBuffer, deviation: float) -> list[KernelCall]:
-        """Return the calls that compute hits, frames and base colours, after the nearest face of each ray is known."""
+        """Return the calls that compute hits, shading frames and base colours, from the nearest face of each ray."""
         inputs = [self.camera, self.scene.bare, sampling, gbuffer.pixels]
         calls = []
         if not self.scene.is_opaque:
@@ -145,7 +145,7 @@ class CameraRays:
         to_lights: Sequence[Sequence[float] | None],
         shadow_rays: Callable[[], int],  # noqa: ARG002 (of rasterized rays)
     ) -> list[ShadowGrid]:
-        """Return an empty occluder grid for each light, so that shadow rays use the hierarchy.
+        """Return an empty occluder grid for each light, so that shadow rays use the hierarchy (tree of bounding boxes).
 
         Args:
             to_lights: Directions to directional lights; None for other lights.
@@ -187,7 +187,7 @@ class RasterizedRays(CameraRays):
     def shadow_grids(
         self, to_lights: Sequence[Sequence[float] | None], shadow_rays: Callable[[], int]
     ) -> list[ShadowGrid]:
-        """Return an occluder grid for each light. Grids that save no time, or need too much memory, are empty."""
+        """Return a grid of possible occluders for each light. Grids that save no time, or are too large, are empty."""
         faces = self.scene.face_count
         pays = _FACES_PER_RAY * shadow_rays() > faces and _BYTES_PER_FACE * faces * len(to_lights) <= _MOST_BYTES
         pays = pays and self.scene.is_opaque

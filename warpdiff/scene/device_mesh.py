@@ -1,7 +1,8 @@
 """Meshes and cameras on a Warp device, in the structs that kernels read.
 
-Rays find the faces that they hit by a bounding volume hierarchy of the faces ("hierarchy" below). A face is plain if
-its part of the mesh has no height field.
+Rays find the faces that they hit by a bounding volume hierarchy of the faces ("hierarchy" below). An occluder grid
+lists the faces that may block one light; shadow rays use it instead of the hierarchy. A face is plain if its part of
+the mesh has no height field.
 """
 
 from __future__ import annotations
@@ -28,8 +29,9 @@ _LEAF = 4
 # Lock that is held while a hierarchy is built, so that two threads do not build the same one.
 _once = forks.lock()
 _cached: weakref.WeakKeyDictionary[Surface, LruCache[SceneArrays]] = weakref.WeakKeyDictionary()
-# Number of cached occluder grids per mesh. The grids for the last light directions remain in the cache. The number is
-# limited by memory: a grid requires about 72 bytes per face.
+# Number of cached occluder grids per mesh. A grid lists the faces that may block light from one direction. The grids
+# for the last light directions remain in the cache. The number is limited by memory: a grid requires about 72 bytes per
+# face.
 _MOST_GRIDS = 4
 
 
@@ -39,15 +41,15 @@ class SceneArrays:
     Kernels refer to the mesh by an id only. Keep this object until all launches that use the id have finished.
 
     Attributes:
-        bare: The mesh as a struct for kernels. It has a hierarchy of faces only after the first call of
-            :meth:`with_hierarchy`.
+        bare: The mesh as a struct for kernels. It has a hierarchy of faces (tree of bounding boxes) only after the
+            first call of :meth:`with_hierarchy`.
         textures: Textures as a struct for kernels; empty if there are no textures.
         transparency: Transparency as a struct for kernels; empty if all faces are opaque.
         is_textured: Whether any base colour is that of a texture.
         is_opaque: Whether no ray passes through a face.
         has_maps: Whether any plain face has a texture of metallic, roughness or emission.
         face_count: Number of faces.
-        grids: Cache of occluder grids by light direction.
+        grids: Cache of occluder grids (lists of the faces that may block a light) by light direction.
     """
 
     def __init__(self, surface: Surface, *, smooth: bool = True, device: wp.DeviceLike = None) -> None:
@@ -138,7 +140,8 @@ def needs_shadow_rays(surface: Surface, view: View) -> bool:
     eye = (frame.origin - surface.centre) / surface.radius
     vertices = surface.vertices.astype(np.float64)
     if frame.orthographic:
-        # Orthographic rays start on a plane. If the plane intersects the body, its inside is visible.
+        # Orthographic rays start on a plane. If a vertex is behind the plane, the plane may intersect the body, so that
+        # the inside of the body is visible.
         return bool(np.max(vertices @ frame.back) > eye @ frame.back)
     a, b, c = (vertices[surface.faces[:, k]] for k in range(3))
     return not np.any(np.einsum("ij,ij->i", np.cross(b - a, c - a), eye - a) > 0.0)

@@ -64,7 +64,7 @@ class Body:
         vertices: Positions, shape (3, n).
         faces: Vertex indices, shape (3, m).
         normals: Unit vertex normals, shape (3, n); zero where no direction is defined.
-        welded: Number of each vertex's position, shape (n,).
+        welded: Index of each vertex's position, which is equal for vertices at one position, shape (n,).
         objects: Number of the object to which each face belongs, shape (m,).
         is_used: Whether each face needs directions, shape (m,). Smooth fields are zero elsewhere.
     """
@@ -85,7 +85,7 @@ class Body:
 
 
 def direction_field(rule: TangentRule, body: Body) -> NDArray[np.float64]:
-    """Return directions at the vertices of a body by a rule, shape (3, n).
+    """Return directions at the vertices of a body by a rule such as ``"x"`` or ``"around-x"``, shape (3, n).
 
     The directions have any length, and some rules return directions that are not tangential.
     """
@@ -286,7 +286,7 @@ def _least_eigenvectors(
 
     Args:
         laplacian: Connection Laplacian of one connected component, shape (k, k).
-        root: Square roots of the areas of the nodes, whose sum is 1, shape (k,).
+        root: Square roots of the areas of the nodes, shape (k,). The sum of the areas is 1.
         start: Vectors with which the iteration starts, besides random vectors, shape (k, columns).
 
     Returns:

@@ -34,7 +34,7 @@ _FACTORS = (
 
 @dataclass(frozen=True, eq=False)
 class MaterialFactors:
-    """Factors of the k rows of a mesh.
+    """Factors of the k rows of a mesh. A row is the appearance of one material on one part of the mesh.
 
     Attributes:
         metallic: Metallic of the metallic-roughness model, 0 to 1, shape (k,), float32.
@@ -100,7 +100,7 @@ def factors_of(appearances: Sequence[PartAppearance], not_sampled: NotSampled) -
 
     Args:
         appearances: Appearances of materials on parts, one per row.
-        not_sampled: Numbers of the rows whose textures cannot be sampled.
+        not_sampled: Masks of the rows whose textures cannot be sampled.
     """
     emission = np.array([own.material.emission for own in appearances], dtype=np.float32).reshape(-1, 3)
     emission[not_sampled.emission] = 0.0
@@ -132,7 +132,7 @@ def warn_of_hidden_emission(factors: MaterialFactors, rows: NDArray[np.int32], n
 def _metallic_roughness(material: Appearance, *, by_mean: bool) -> tuple[float, float]:
     """Return metallic and roughness of a material; the roughness is −1 if it is matte.
 
-    ``by_mean`` states whether both factors are multiplied by the mean of their texture, which cannot be sampled.
+    If ``by_mean`` is True, the texture cannot be sampled at points, and both factors are multiplied by its mean.
     """
     if material.roughness is None:
         return 0.0, -1.0

@@ -79,7 +79,9 @@ def _uvs(
 
 @dataclass(frozen=True, eq=False)
 class NotSampled:
-    """Rows of plain parts whose textures of metallic and roughness, or of emission, cannot be sampled.
+    """Masks of the rows whose textures of metallic and roughness, or of emission, cannot be sampled.
+
+    A row is the appearance of one material on one part of a scene.
 
     Attributes:
         metallic_roughness: Whether the texture of metallic and roughness cannot be sampled, for each row, shape (k,).
@@ -91,7 +93,7 @@ class NotSampled:
 
     @classmethod
     def of(cls, scene: SceneArrays, is_plain: NDArray[np.bool_], maps: MaterialMaps | None) -> NotSampled:
-        """Return the rows of a scene. For rows without a plain face, both values are False."""
+        """Return the masks for a scene. Both are False for rows without a plain face (face without a height field)."""
         used = np.zeros(len(scene.appearances), np.bool_)
         used[scene.rows[is_plain & (scene.rows >= 0)]] = True
         none = [None] * len(used)

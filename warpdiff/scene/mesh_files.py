@@ -29,8 +29,8 @@ UNNAMED = "mesh 0"
 _STL_HEADER_BYTES, _STL_TRIANGLE_BYTES = 84, 50
 # Suffixes of formats in which a file has one mesh without a name.
 _SINGLE = (".ply", ".stl", ".off")
-# Formats that trimesh reads here, the last two with packages of its own. Its readers of archives and of other formats
-# are not used, so that a file can neither contain files nor select another decoder.
+# Formats that trimesh reads here. For the last two it uses other packages. The readers of trimesh for archives and for
+# other formats are not used, so that a file can neither contain files nor select another decoder.
 _BY_TRIMESH = (".obj", *_SINGLE, ".3mf", ".dae")
 
 

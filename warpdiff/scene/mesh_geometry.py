@@ -52,8 +52,8 @@ class FaceGeometry:
     @property
     def has_area(self) -> NDArray[np.bool_]:
         """Whether each face has more area than a line or a point, shape (m,)."""
-        # ``products`` has, for each corner, the scalar product of the two edges that start there. The products at the
-        # two ends of an edge add up to its squared length.
+        # ``products`` has, for each corner, the scalar product of the two edges that start there. The squared length of
+        # an edge is the sum of the products at its two ends.
         at = self.products
         longest_squared = np.maximum(np.maximum(at[0] + at[1], at[1] + at[2]), at[2] + at[0])
         return np.asarray(self.twice_area > ZERO_AREA * longest_squared)
@@ -246,7 +246,7 @@ def fill(
         field: Tangents, shape (3, n); zero where missing.
         normals: Unit vertex normals, shape (3, n).
         faces: Vertex indices, shape (3, m).
-        welded: Number of each vertex's position, shape (n,).
+        welded: Index of each vertex's position, which is equal for vertices at one position, shape (n,).
         is_needed: Whether pictures need the tangent of each vertex, shape (n,). A warning counts only these vertices.
         name: Name of the source of the tangents, for messages.
         has_poles: Whether single vertices without a tangent are expected, such as the poles of a direction field. The
@@ -285,7 +285,8 @@ def fill(
     # whole mesh, projected onto their tangent planes.
     at = np.where(at.any(axis=0), at, field.sum(axis=1)[:, None])
     field = np.where(missing, unit(tangential(at.take(welded, axis=1), normals)), field)
-    # Some faces still have no tangent at any corner. Examples are faces perpendicular to all tangents around them.
+    # Some faces still have no tangent at any corner, for example faces perpendicular to all tangents around them. Their
+    # vertices get any vector perpendicular to the normal.
     is_zero = (field == 0.0).all(axis=0)
     if is_zero.any():
         corners = np.unique(faces[:, is_zero[faces].all(axis=0)])

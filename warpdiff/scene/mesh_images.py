@@ -102,8 +102,9 @@ def mean_values(image: Image.Image) -> tuple[float, float, float] | None:
 def _damage(image: Image.Image) -> str:
     """Return the reason why an image cannot be decoded, or an empty string."""
     if _DAMAGE not in image.info:
-        # trimesh opens images of .mtl and .ply files by any decoder, which then has read only the header. An image that
-        # a program made has no format.
+        # trimesh opens images of .mtl and .ply files by any decoder of Pillow, but reads only the header. Images of
+        # other formats are refused here, before their pixels are decoded. An image that a program made has no format,
+        # and is accepted.
         if image.format is not None and image.format not in _FORMATS:
             image.info[_DAMAGE] = f"the format {image.format} is not read; use one of {', '.join(_FORMATS)}"
             return str(image.info[_DAMAGE])

@@ -97,7 +97,7 @@ class Surface:
         material_factors: Metallic, roughness and emission by row; None if all are matte and emit no light.
         textures: Base-colour texture of each row; None without one.
         alpha_cutoffs: Alpha below which rays pass through a face, by row; 0 for opaque faces, and negative for faces
-            that are blended with their background.
+            that are mixed with their background.
         vertex_alphas: Alpha at the vertices, shape (n,), float32, which is 1 where a texture has the alpha; None if it
             is 1 at all vertices.
         maps: Textures of metallic, roughness and emission of plain parts; None if there are none.
@@ -406,8 +406,8 @@ def _equal_but_for_normals(
         part: Scene.
         index: Index of each vertex in the arrays of ``part``.
         own: Normals of the input, shape (3, n), NaN where the input has none; None if it has no normals.
-        welded: Number of each vertex's position.
-        order: Indices of the vertices in the order of the numbers in ``welded``.
+        welded: Index of each vertex's position; vertices at one position have the same index.
+        order: Indices of the vertices in the order of the indices in ``welded``.
     """
     one, two = order[:-1], order[1:]
     alike = np.asarray(welded[one] == welded[two]) & (part.source[index[one]] != part.source[index[two]])
@@ -433,7 +433,7 @@ def _warn_of_lost_normals(
         alike: Pairs of vertices that are equal in everything except their normals.
         geometry: Normals of faces.
         faces: Vertex indices, shape (3, m).
-        welded: Number of each vertex's position.
+        welded: Index of each vertex's position; vertices at one position have the same index.
     """
     is_alike = np.zeros(len(welded), np.bool_)
     is_alike[alike[0]] = is_alike[alike[1]] = True

@@ -30,7 +30,7 @@ _AFTER_SLASH = re.compile(r"/\S*")
 
 
 class PartName(NamedTuple):
-    """Object (or group) and material of a part of an .obj file; None if the file does not name it."""
+    """Names of the object (or group) and of the material of a part of an .obj file; None is a missing name."""
 
     geometry: str | None
     material: str | None

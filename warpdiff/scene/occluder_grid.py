@@ -1,7 +1,8 @@
 """Occluder grids: lists of the faces that may occlude a directional light.
 
-The faces are projected onto a plane perpendicular to the light. The plane is divided into square cells, and each cell
-has the list of the faces that overlap it.
+Shadow rays use such a grid, or a hierarchy (tree of bounding boxes of all faces). The faces are projected onto a plane
+perpendicular to the light. The plane is divided into square cells, and each cell has the list of the faces that overlap
+it.
 """
 
 from __future__ import annotations
@@ -23,16 +24,16 @@ if TYPE_CHECKING:
     from warpdiff.scene.device_mesh import SceneArrays
     from warpdiff.scene.mesh_import import Surface
 
-# Limits above which a hierarchy is used instead of a grid. `_MOST_CELLS` is the mean number of cells that a face
-# overlaps. `_MOST_LISTED` is the mean length of the lists that contain a face. Meshes with very uneven faces exceed
-# these limits, and a hierarchy is then faster.
+# Limits above which a hierarchy (tree of bounding boxes) is used instead of a grid. `_MOST_CELLS` is the mean number of
+# cells that a face overlaps. `_MOST_LISTED` is the mean length of the cells' lists of faces, weighted by their length.
+# Meshes with very uneven faces exceed these limits, and a hierarchy is then faster.
 _MOST_CELLS, _MOST_LISTED = 16, 48
 # Number of faces that a CPU thread processes at once (a slice). Other values would change only the time.
 _SLICE = 4096
 
 
 def no_grid(scene: SceneArrays) -> shadow_rays.ShadowGrid:
-    """Return an empty occluder grid, with which shadow rays use the hierarchy."""
+    """Return an empty occluder grid, with which shadow rays use the hierarchy of the faces' bounding boxes."""
     grid = shadow_rays.ShadowGrid()
     grid.mesh_id = scene.with_hierarchy().mesh_id
     return grid
@@ -41,10 +42,10 @@ def no_grid(scene: SceneArrays) -> shadow_rays.ShadowGrid:
 def grid_for(
     surface: Surface, scene: SceneArrays, to_light: Sequence[float], *, device: wp.Device, threads: int
 ) -> shadow_rays.ShadowGrid:
-    """Return the occluder grid of a mesh for the direction of a light, on the CPU, from a cache.
+    """Return the grid of possible occluders of a light on the CPU, from a cache, for the light's direction.
 
-    If faces have very uneven sizes, the grid is empty, because the lists of a few cells would contain most of the
-    faces.
+    If faces have very uneven sizes, the lists of a few grid cells would contain most of the faces. The grid is then
+    empty.
     """
     make = functools.partial(_made, surface, scene, to_light, device=device, threads=threads)
     return scene.grids.get_or_make(tuple(to_light), make)

@@ -31,7 +31,10 @@ class _Part(NamedTuple):
         return "/".join(filter(None, self)) or "the whole mesh"
 
     def precedence(self, key: str) -> int | None:
-        """Return the precedence with which a key selects this part, 0 is the highest; None if it does not."""
+        """Return the precedence with which a key selects this part; None if the key does not select it.
+
+        The highest precedence is 0.
+        """
         matches = key == str(self), key in self, key == REST
         return matches.index(True) if any(matches) else None
 

@@ -39,8 +39,8 @@ class PartAppearance:
         texture: Base-colour texture; None if there is none, or if the part lacks the texture's coordinates.
         cutoff: Alpha below which rays pass through faces. It is 0 for opaque faces, and negative for faces that are
             blended with their background.
-        has_map_uvs: Whether the part has the texture coordinates of the texture of metallic and roughness, and those of
-            the texture of emission, if these have an image.
+        has_map_uvs: Two flags: for the texture of metallic and roughness, and for the texture of emission. A flag is
+            True if the texture has an image, and the part has the texture coordinates of this texture.
     """
 
     material: Appearance
@@ -211,7 +211,10 @@ def _take_colours(entry: ScenePart, part: SceneArrays, images: TextureImages) ->
 
 
 def _cutoff(appearance: Appearance, least: float) -> float:
-    """Return the cut-off of a material on a part; 0 if ``least``, the smallest alpha of the part, is not below it."""
+    """Return the alpha below which rays pass through a part; see :class:`PartAppearance`.
+
+    The result is 0 (opaque) if no alpha of the part is small enough; ``least`` is the smallest one.
+    """
     if appearance.alpha_mode == "opaque":
         return 0.0
     if appearance.alpha_mode == "blend":

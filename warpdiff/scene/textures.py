@@ -48,7 +48,7 @@ class Texture:
 
 @dataclass(frozen=True, eq=False)
 class MaterialMaps:
-    """Textures of metallic, roughness and emission of a mesh, by row.
+    """Textures of metallic, roughness and emission of a mesh, by row (appearance of one material on one part).
 
     Attributes:
         metallic_roughness: Texture with roughness in green and metallic in blue, linear; None where a row has none.

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from warpdiff.scene.scene_parts import AlphaMode
 
 _WHITE = (1.0, 1.0, 1.0, 1.0)
-# Textures of trimesh's materials that have no effect on pictures: names for messages, by attribute.
+# Textures of trimesh's materials that have no effect on pictures: attribute of the material, and name in warnings.
 _PBR_MAPS = {"normalTexture": "normal map", "occlusionTexture": "occlusion"}
-# Features of materials in .mtl files that have no effect on pictures: names for messages, by key.
+# Features of materials in .mtl files that have no effect on pictures: keyword in the file, and name in warnings.
 _MTL_MAPS = {
     "map_d": "texture of transparency", "map_pm": "texture of metallic", "map_pr": "texture of roughness",
     "map_ke": "texture of emission", "norm": "normal map", "map_bump": "bump map", "bump": "bump map",

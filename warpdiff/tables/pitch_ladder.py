@@ -35,70 +35,70 @@ _RUNGS_PER_OCTAVE = 6.0
 # Least distance in octaves between two pitch scales that get rungs of their own. Smaller distances would be lost among
 # the rounding errors of the logarithm in float32.
 _LEAST_GAP = 0.01
+# Rounding error of logarithms in float64, in steps. Without it, a range of a whole number of steps may get a rung more.
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class PitchLadder:
-    """Ladder of tables for the pitch scales of a map.
+    """Rungs for the pitch scales of a map: coherence windows of the tables between which colours are interpolated.
 
     Attributes:
-        octaves: Binary logarithm of the pitch scale of each rung, relative to the smallest pitch scale of the map.
-        per_octave: Weights of a rung vanish at two steps from it; this is the number of steps per octave.
-        span: Binary logarithm of the ratio of the largest pitch scale to the smallest one.
+        octaves: Binary logarithm of the pitch scale of each rung, relative to the smallest pitch scale of the map. The
+            table of a rung has the exact colours of dots with this pitch scale.
+        coherences: Coherence of the table of each rung, the longest window first.
+        per_octave: Number of steps per factor of two, where a step is the unit of the interpolation.
     """
 
     octaves: tuple[float, ...]
+    coherences: tuple[Coherence, ...]
     per_octave: float
-    span: float
 
     @classmethod
-    def of(cls, pitch_scales: NDArray[np.float64], tolerance: float) -> PitchLadder:
-        """Return the ladder for the pitch scales of a map and the tolerance of a picture.
+    def of(cls, pitch_scales: NDArray[np.float64], coherence: Coherence, tolerance: float) -> PitchLadder:
+        """Return the ladder for the pitch scales of a map, and for coherence and tolerance of a picture.
 
         If the map has few different pitch scales, each of them has a rung, and colours are not interpolated.
         """
         places = np.log2(np.unique(pitch_scales))
         places -= places[0]
-        span = float(places[-1])
-        count = math.ceil(_RUNGS_PER_OCTAVE * (0.1 / tolerance) ** 0.25)
+        per_octave = float(math.ceil(_RUNGS_PER_OCTAVE * (0.1 / tolerance) ** 0.25))
         # Cubic interpolation requires one more rung at each end.
-        steps = np.arange(-1, math.ceil(span * count - 1e-9) + 2)
-        gaps = np.diff(places)
-        if len(places) <= len(steps) and gaps.min() >= _LEAST_GAP:
-            return cls(tuple(places.tolist()), 2.0 / float(gaps.min()), span)
-        return cls(tuple((steps / count).tolist()), float(count), span)
-
-    def coherences(self, coherence: Coherence) -> list[Coherence]:
-        """Return the coherence of the table of each rung, for a coherence of the picture; the longest window first."""
-        assert coherence.sigma_um is not None
-        return [replace(coherence, sigma_um=coherence.sigma_um * 2.0 ** (self.span - place)) for place in self.octaves]
+        steps = np.arange(-1, math.ceil(places[-1] * per_octave - _ROUNDING) + 2)
+        octaves, least_gap = steps / per_octave, float(np.diff(places).min())
+        if len(places) <= len(steps) and least_gap >= _LEAST_GAP:
+            # The weight of a rung is 0 at a distance of two steps.
+            octaves, per_octave = places, 2.0 / least_gap
+        # Tables are made for the cell with the largest pitch scale, under the window of the picture.
+        widths = float(coherence.sigma_um or 0.0) * 2.0 ** (places[-1] - octaves)
+        windows = tuple(replace(coherence, sigma_um=float(width)) for width in widths)
+        return cls(tuple(octaves.tolist()), windows, per_octave)
 
 
 class LadderLookup(ColourLookup):
     """Look-up of the colours of dots with different pitch scales, interpolated between the tables of a ladder."""
 
     def __init__(
-        self, ladder: PitchLadder, coherence: Coherence, heightfield: HeightField, plan: Plan,
-        direction_range: DirectionRange, *, device: wp.Device, threads: int,
+        self, ladder: PitchLadder, heightfield: HeightField, plan: Plan, direction_range: DirectionRange, *,
+        device: wp.Device, threads: int,
     ) -> None:  # fmt: skip
         """Prepare the look-ups of all rungs; tables are computed at the first use.
 
-        ``coherence`` is that of the picture, ``heightfield`` the cell with the largest pitch scale, and ``plan`` a plan
-        for the longest window of the ladder, which suffices for the others.
+        ``heightfield`` is the cell with the largest pitch scale. ``plan`` is a plan for the longest window of the
+        ladder, which suffices for the others.
         """
         super().__init__(heightfield, plan, direction_range, device=device, threads=threads)
-        self._ladder, self._coherence = ladder, coherence
+        self._ladder = ladder
         self._rungs = [
-            ColourLookup(heightfield, replace(plan, coherence=own), direction_range, device=device, threads=threads)
-            for own in ladder.coherences(coherence)
+            ColourLookup(heightfield, replace(plan, coherence=window), direction_range, device=device, threads=threads)
+            for window in ladder.coherences
         ]
 
     def copy_with(self, plan: Plan) -> LadderLookup:
         """Return a look-up for the same range of directions by another plan; it has separate tables."""
         return LadderLookup(
-            self._ladder, self._coherence, self.heightfield, plan, self._range, device=self.device,
-            threads=self._threads,
-        )  # fmt: skip
+            self._ladder, self.heightfield, plan, self._range, device=self.device, threads=self._threads
+        )
 
     def kernel_calls(
         self, scattering_vectors: wp.array, to_lights: wp.array, gains: wp.array, illuminated: IlluminatedMaterial,

@@ -59,7 +59,7 @@ class Accessors:
         return count
 
     def is_normalised(self, index: int) -> bool:
-        """Return whether integers of an accessor stand for themselves divided by the largest integer of their type."""
+        """Return whether an accessor's integers stand for fractions of the largest integer of their type."""
         return self._elements[index].flag("normalized", default=False)
 
     def place(self, index: int) -> str:

@@ -1,6 +1,6 @@
 """Reading of glTF 2.0 files into parts of a scene, each with the triangles of one mesh and one material.
 
-One warning per file names the features of the file that are not read, such as skins and morph targets.
+One warning per file names the features of the file that are not read, such as skins.
 """
 
 from __future__ import annotations
