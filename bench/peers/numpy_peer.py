@@ -29,7 +29,7 @@ CHUNK = 512
 
 
 def available() -> str | None:
-    """Return None, because NumPy is always available."""
+    """Return None, which means that the program can run: NumPy is always installed."""
     return None
 
 

@@ -66,7 +66,8 @@ def available() -> str | None:
 def grating_um(heightfield: wd.HeightField) -> float:
     """Return the grating period d along x [µm], from the strongest order.
 
-    Powers of orders are multiplied by their frequency before the comparison, because scans have 1/f noise.
+    Scans have noise with a power that falls as 1/frequency, so that low frequencies would always win. The power of each
+    order is therefore multiplied by its frequency before the comparison.
     """
     power = np.sum(np.abs(np.fft.rfft(heightfield.heights_um, axis=1)) ** 2, axis=0)
     return float(heightfield.size_um[1] / np.argmax(power * np.arange(len(power))))

@@ -4,8 +4,10 @@ The charts also show the automatic choice of the library. Errors are relative to
 max(‖XYZ‖, f), where f is a thousandth of the reference luminance (``bench.truth.errors``), and ΔE2000 with an exposure
 that maps the 99th percentile of Y to 1. Timed calls have arrays as inputs and outputs, and repeat an earlier call, so
 that they include neither compilation nor preparation. A call has so many pixels that it takes about a tenth of a
-second. The preparation for a new height field (plan, Fourier coefficients, colour table) is timed separately, without
-compilation.
+second. The preparation for a new height field is timed separately, without compilation. It computes a plan, Fourier
+coefficients and a colour table. A plan is a method with its numbers, such as wavelengths and terms of a series.
+
+A coherence is the limit within which light interferes, for example a Gaussian window on the surface.
 """
 
 from __future__ import annotations
@@ -64,7 +66,10 @@ STYLES = {
 
 
 def ours(heightfield: wd.HeightField, plan: wd.Plan, directions: Directions, device: Any) -> Shade:
-    """Return a function that computes colours of directions by a plan of warpdiff, with the arguments of the peers."""
+    """Return a function that computes colours of directions by a plan (method and numbers) of warpdiff.
+
+    The function has the same arguments as the functions ``shade`` of ``bench.peers``.
+    """
     import warp as wp
 
     direction_range = DirectionRange.of(
@@ -140,7 +145,10 @@ def label(setting: dict[str, Any]) -> str:
 def plans(
     scene: Scene, coherence: wd.Coherence, directions: Directions, setting: Setting
 ) -> dict[tuple[str, str], wd.Plan]:
-    """Return a dictionary of plans for the illuminated pixels of a scene; its keys are pairs (method, tolerance)."""
+    """Return plans (numbers of wavelengths, terms and so on) for the illuminated pixels of a scene.
+
+    The keys of the dictionary are pairs (method, tolerance).
+    """
     result = {}
     pairs = directions.to_lights, -directions.scattering_vectors - directions.to_lights
     options: dict[str, Any] = {"coherence": coherence, "device": setting.device, "threads": setting.threads}
