@@ -80,7 +80,10 @@ def data_folder(data: str | os.PathLike[str] | None = None) -> Path | None:
 
 
 def cleaned_scan(path: str | os.PathLike[str]) -> HeightField:
-    """Load the scan of a snake's skin, and return it levelled, despiked and made periodic."""
+    """Load the scan of a snake's skin, and return it after cleaning.
+
+    The cleaning subtracts a polynomial of degree 2, removes spikes such as dust, and makes opposite edges match.
+    """
     return read(_SCAN, path).levelled(order=2).despiked().periodic()
 
 

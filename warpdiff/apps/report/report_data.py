@@ -213,8 +213,8 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
     data.warnings += _doubts(data)
     progress(0.2)
     data.is_cell = not data.periods and _order_count(part, float(request.wavelengths_nm.min())) <= _MOST_CELL_ORDERS
-    # A single period of a grating may be a tilted plane, such as a blazed groove. Only the mean is subtracted from such
-    # a field.
+    # A single period of a grating may be a tilted plane, such as a blazed groove. Subtraction of the tilt would remove
+    # this groove. Only the mean is therefore subtracted from such a field.
     data.roughness = data.attempt("roughness", lambda: request.heightfield.roughness(0 if data.is_cell else 1))
     progress(0.3)
     _set_geometry(data)
