@@ -54,7 +54,7 @@ def renderer_of(body, view, light=LIGHT, surface=FIELD, **options):
 
 @pytest.fixture(scope="module")
 def renderers(body, view):
-    """Return a function of the names of ``OPTIONS`` that returns the same renderer at each call."""
+    """Return a function that returns a renderer for a name in ``OPTIONS``. Each renderer is made only once."""
     return functools.cache(lambda name: renderer_of(body, view, **OPTIONS[name]))
 
 
@@ -75,7 +75,7 @@ def check_transposes(result, rng, *names):
 
 
 def reflected(renderer, surface, wrt=(), light=LIGHT, **options):
-    """Return colours with derivatives at the directions of pixels, and the factors by which pixels are brighter."""
+    """Return colours with derivatives for the directions of pixels, and factors from these colours to the pixels."""
     (lit,) = samples_of(renderer, light).lobes
     views = -lit.scattering_vectors - lit.to_lights
     ratio = lit.gains / reflectance_factors.gain(lit.to_lights, views, normal=1.0, masking=True)
@@ -122,8 +122,8 @@ def test_values_and_gradients_are_those_of_reflectances_at_the_pixels(points, rn
 
 @pytest.mark.parametrize("name", ["points", "footprints"])
 def test_tangents_are_those_of_pictures(name, body, view, rng):
-    """Derivatives must equal central differences of the library's pictures, which share no code with them."""
-    # The default method fits basis functions to each surface, so that differences by small steps have large errors.
+    """Derivatives by ``wd.adjoint`` must equal central differences of pictures, which are rendered by other code."""
+    # The default method fits basis functions to each surface. Their changes would dominate a difference by small steps.
     options = OPTIONS[name] | {"method": "power" if name == "footprints" else "jacobi-anger"}
     renderer = renderer_of(body, view, **options)
     change = rng.normal(size=FIELD.shape)
@@ -209,8 +209,9 @@ def test_sums_over_rings_and_their_transpose(shape, rng):
 
 @pytest.mark.parametrize("shape", [(60, 70), (1, 90), (80, 1)])
 def test_sums_under_wide_lobes_and_their_transpose(shape, rng):
-    """Sums with joined orders must equal sums of single orders, for lobes (Gaussian weights) of very different sizes
-    and directions.
+    """Sums over diffraction orders with Gaussian weights (lobes) must be equal if neighbouring orders are joined.
+
+    The lobes have very different sizes and directions.
     """
     relief = Relief.of(noise(shape))
     first, counts = ([0 if n == 1 else 3 - n // 2 for n in shape], [1 if n == 1 else n - 7 for n in shape])
@@ -241,7 +242,7 @@ def test_sums_under_wide_lobes_and_their_transpose(shape, rng):
 
 
 def test_unused_azimuths_are_not_needed(rng):
-    """Colours of directions in a small range of azimuths must be the same if all azimuths are sampled."""
+    """A polar grid with only the azimuths of the tested directions must give the colours of a grid of all azimuths."""
     turns = np.concatenate([rng.uniform(0.1, 0.12, 20), np.linspace(0.0, 1.0, 400, endpoint=False)])
     vectors = np.column_stack([np.cos(2.0 * np.pi * turns), np.sin(2.0 * np.pi * turns), np.full(420, -1.5)])
     lit = LitPixels(np.arange(420), vectors, np.zeros((420, 3)), np.ones(420), None, IlluminatedMaterial("D65"))
@@ -259,7 +260,7 @@ def test_unused_azimuths_are_not_needed(rng):
 
 @pytest.mark.parametrize("rings", [24, 40])
 def test_splines_of_colour_curves_integrate_smooth_spectra(rings):
-    """The splines must give a spectrum that oscillates with the wavelength the colour of a sum over wavelengths."""
+    """Colours by splines must equal sums over wavelengths, for a spectrum that oscillates every 90 nm."""
     products, nm = colorimetry.colour_products("D65"), np.arange(380.0, 781.0)
     for interval in (0, 17, 64):
         step = math.log(2.0) / rings

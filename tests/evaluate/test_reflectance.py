@@ -112,8 +112,8 @@ def test_pixels_of_a_map_are_means_of_directions_within_the_unit_disc(line):
     np.testing.assert_allclose(image.coverage, share)
     np.testing.assert_array_equal(image.mask, share > 0.0)
     assert set(np.unique(share)) > {0.0, 1.0}
-    # The largest estimated error of the pixels equals the error that the plan predicts for all directions. Errors are
-    # relative to the norm of a pixel's XYZ, or to a thousandth of the reference luminance if that is larger.
+    # A plan predicts the error of a computation. The largest estimated error of the pixels must equal this prediction.
+    # Errors are relative to the norm of a pixel's XYZ, or to a thousandth of the reference luminance if that is larger.
     np.testing.assert_allclose(image.error[image.mask].max(), plan.error, rtol=1e-3)
     assert not image.error[~image.mask].any()
     assert image.report.refined_share == 0.0

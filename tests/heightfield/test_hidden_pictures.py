@@ -1,4 +1,7 @@
-"""Hidden pictures: each eye sees its own picture, and dots have the luminances that were asked for."""
+"""Hidden pictures: each eye sees its own picture, and dots have the luminances that were asked for.
+
+Dots are small rectangles of a card. Each dot has a grating that diffracts light towards one of two eyes.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +53,8 @@ def test_each_eye_sees_its_picture_alone() -> None:
         assert abs(np.corrcoef(seen[own], other[own])[0, 1]) <= 0.05
         assert seen[~own].mean() <= 0.02 * seen[own].mean()
         ratios = seen[own] / picture[own]
-        # Dots are aimed from their own places, so that the picture has the same brightness at all edges of the card.
+        # The grating of each dot is designed for the direction from this dot to the eye. A single direction for the
+        # whole card would darken the picture towards the edges.
         assert np.ptp(ratios) < 0.05 * ratios.mean()
         maxima.append(ratios.mean())
     assert maxima[0] == pytest.approx(maxima[1], rel=0.02)

@@ -60,7 +60,7 @@ def errors(image, exact):
 
 
 def to_first_order(spreads):
-    """Return footprints (n, 4): the change of (u, v) along picture rows and columns."""
+    """Return an array of footprints for a kernel, shape (n, 4): changes of (u, v) along picture rows and columns."""
     return wp.array(spreads, dtype=Footprint, device="cpu")
 
 

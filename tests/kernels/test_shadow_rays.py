@@ -276,7 +276,8 @@ def test_pictures_with_occluder_grids_equal_pictures_with_the_hierarchy(samples,
         camera_rays, "grid_for", lambda *a, **k: made.append(occluder_grid.grid_for(*a, **k)) or made[-1]
     )
     result = wd.shade(mesh, heightfield, lights, view, **options)
-    # Each light must have a single occluder grid, whatever the number of samples and tiles.
+    # An occluder grid lists the faces that a shadow ray may hit. The renderer requests grids several times (``made``),
+    # but each light must have only one grid.
     assert all(grid.starts.shape[0] for grid in made)
     grid_count = len(made)
     assert len({grid.starts.ptr for grid in made}) == len(lights)

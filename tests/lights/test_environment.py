@@ -69,7 +69,7 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=1024)
     result = wd.shade(square, heightfield, sky, view, **UNDER | {"coherence": window, "tolerance": tolerance}).xyz
     # All pixels have the same colour, but different samples of the sky. Their mean has less noise than a single pixel,
-    # so that the error of the mean is mainly that of the table.
+    # so that the error of the mean is mainly that of the colour table.
     result = result.mean(axis=(0, 1))
     # The exact colour is a sum over directions to a grey sky of radiance L with the spectrum of D65. A solid angle dω
     # adds ρ L dω / Ω, where Ω = λ²/(4πσ²) is the solid angle of the light to which ρ refers. The grid has equal steps

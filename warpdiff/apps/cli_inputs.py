@@ -46,8 +46,9 @@ _LIGHTS = {name.removesuffix("Light").lower(): name for name in dir(wd) if name.
 # this sky, in the world frame. The direction points up, to the right and towards the default camera.
 _CLEAR_SKY, _SUN_DIRECTION = "clear-sky", (0.6, 1.0, 0.4)
 METAL_SYMBOLS = get_args(Metal)
-# Quantities that the flag ``--map`` sets. A grating map divides a surface into small rectangles (dots), and each dot has
-# a copy of one grating. The quantities are the rotation of a copy, the factor of its heights, and that of its lengths.
+# Quantities that the flag ``--map`` sets. A grating map divides a surface into small rectangles (dots), and each dot
+# has a copy of one grating. The quantities are the rotation of a copy, the factor of its heights, and that of its
+# lengths.
 _MAPPED = ("turn_deg", "depth_scale", "pitch_scale")
 # Value of ``--surface`` for a surface without a height field.
 _PLAIN = "plain"
