@@ -39,7 +39,7 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
     Args:
         heightfield: Height field.
         coherence: Gaussian coherence window, of the kind averaged or centred.
-        setting: One of ``SETTINGS``.
+        setting: One of ``SETTINGS``: numbers of wavelengths, of terms and of neighbouring Fourier coefficients.
 
     Returns:
         A function ``shade(scattering_vectors, gains, threads)`` of arrays (n, 3) and (n,) that returns XYZ (n, 3).

@@ -100,7 +100,7 @@ def style(method: str) -> tuple[str, str, str]:
 
 
 def peers(coherence: wd.Coherence, setting: Setting) -> dict[str, tuple[Any, list[dict[str, Any]]]]:
-    """Return the available peers (other programs) that support a kind of coherence, with the settings of each peer."""
+    """Return the available peers (other programs) for a coherence (limit of interference), with settings of each."""
     result: dict[str, tuple[Any, list[dict[str, Any]]]] = {
         name: (SimpleNamespace(__name__=name, prepare=prepare), [{}]) for name, prepare in setting.user_peers.items()
     }
@@ -339,7 +339,10 @@ def _at(curve: dict[str, Any], error: float) -> int | None:
 
 
 def finding(result: dict[str, Any]) -> str:
-    """Return a sentence that compares the automatic choice with the fastest other program at an error of 1e-2."""
+    """Return a sentence that compares the method chosen by warpdiff with the fastest peer (other program).
+
+    Both have errors of at most 1e-2.
+    """
     curves = result["curves"]
     ours_at = _at(curves[AUTOMATIC], 1e-2)
     if ours_at is None:

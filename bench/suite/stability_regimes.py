@@ -19,7 +19,7 @@ from bench.truth import numpy_methods as methods
 from bench.truth import reference
 from warpdiff.diffraction import direct_sum
 
-# Tolerance of the calls by which the automatic choice of the library is measured.
+# Tolerance of the calls that measure the library's automatic choice, ``method="auto"``.
 TOLERANCE = 1e-2
 # Slice that selects all values on the x axis of a panel.
 ALL = slice(None)

@@ -44,7 +44,7 @@ def body():
 
 @pytest.fixture(scope="module")
 def view():
-    """Return a view of a part of the body's back, whose pixels have small footprints."""
+    """Return a view of a part of the body's back. Directions change little within its pixels (small footprints)."""
     return wd.View((0.0, 2.0, 0.6), (0.0, 0.3, 0.0), up=(0.0, 0.0, -1.0), fov_y_deg=10.0, width=13, height=8)
 
 
@@ -277,8 +277,9 @@ def spectrum(nm):
 
 
 def test_finer_grids_are_used_until_the_tolerance_is_met(points):
-    """The polar grid must become finer until the tolerance is met. If no grid suffices, sums over wavelengths must be
-    used.
+    """The polar grid of spatial frequencies must become finer until the tolerance is met.
+
+    If no grid suffices, sums over wavelengths must be used.
     """
     used = []
     by_rings = picture_model.PictureModel._by_rings
@@ -298,7 +299,7 @@ def test_finer_grids_are_used_until_the_tolerance_is_met(points):
 
 
 def test_deep_surfaces_have_grids(points):
-    """For heights of several wavelengths, a polar grid must meet the default tolerance, without sums over λ."""
+    """For heights of several wavelengths, a polar grid of frequencies must meet the tolerance, without sums over λ."""
     deep = wd.HeightField.of_known_scale(20.0 * FIELD.heights_um[:9, :10], FIELD.pitch_um)
     with mock.patch.object(picture_model.PictureModel, "_by_wavelengths", side_effect=AssertionError):
         value = wd.adjoint.pixels(points, deep, LIGHT, wrt=()).value
@@ -328,7 +329,7 @@ def test_derivatives_by_the_index_of_refraction(square):
 
 
 def test_pictures_of_metals_and_films_have_grids(body, view):
-    """Pictures of metals and thin films must use polar grids, with the reflectances at the wavelengths of the rings."""
+    """Metals and thin films must use polar grids: each ring of the grid uses the reflectance at its wavelengths."""
     film = wd.Material.metal("Cr").coated(wd.Material.dielectric(1.4), 300.0)
     renderer = renderer_of(body, view, ior=None, material=film, tolerance=0.1)
     with mock.patch.object(picture_model.PictureModel, "_by_wavelengths", side_effect=AssertionError):
@@ -358,7 +359,7 @@ def test_pixels_in_the_mirror_direction(square, rng):
 
 
 def test_several_lights_pigment_and_materials_by_part(body, view, rng):
-    """Colours under several lights must add up, and the light of the pigment must not change with the heights."""
+    """Colours under several lights must add up. Changes of heights must not change light from the base colour."""
     pigmented = body.copy()
     material = PBRMaterial(baseColorFactor=[200, 120, 50, 255])
     pigmented.visual = TextureVisuals(uv=body.visual.uv, material=material)

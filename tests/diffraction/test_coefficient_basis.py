@@ -36,7 +36,7 @@ def build(heightfield, method, kappas, *, adds_powers, terms=40):
 
 
 def basis_at(coefficients, kappas):
-    """Return the basis functions at κ, interpolated by the cubic polynomial that the kernels use."""
+    """Return the basis functions of a series at values of κ = w/λ, by the cubic interpolation that kernels use."""
     steps = (kappas - coefficients.kappa_low) / coefficients.step
     entry = np.minimum(steps.astype(int), len(coefficients.basis) - 4)
     t = (steps - entry)[:, None]
@@ -50,7 +50,10 @@ def basis_at(coefficients, kappas):
 
 
 def transforms(heightfield, block, kappas):
-    """Return H_rs(−κ) of heights centred at zero. The axes of the result are κ and the orders s and r of the block."""
+    """Return the Fourier coefficients H_rs of exp(−2πiκh), for heights h that are centred at zero.
+
+    The axes of the result are κ = w/λ and the orders s and r of the block.
+    """
     h = heightfield.heights_um - (heightfield.heights_um.max() + heightfield.heights_um.min()) / 2.0
     s, r = block.orders()
     return np.stack([np.fft.ifft2(np.exp(-2j * np.pi * k * h))[np.ix_(s, r)] for k in kappas])
@@ -160,7 +163,10 @@ def test_the_basis_does_not_depend_on_the_neighbourhood():
 @pytest.mark.parametrize("taps", [4, 6, 8])
 @pytest.mark.parametrize("samples", [2, 9, 64])
 def test_interpolation_between_orders_equals_the_explicit_sum(taps, samples, rng):
-    """Fourier coefficients that are interpolated from multiples of half an order must equal the explicit sum."""
+    """Fourier coefficients at any frequency are interpolated from their values at multiples of half an order.
+
+    They must equal explicit sums.
+    """
     values = np.exp(2j * np.pi * rng.uniform(size=samples))
     place = (np.arange(samples) - samples // 2) / (2 * samples)
     tapered = np.zeros(2 * samples, dtype=complex)

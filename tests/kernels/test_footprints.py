@@ -45,7 +45,10 @@ def view():
 
 @pytest.fixture(scope="module")
 def pictures(tube, fingers):
-    """Return a picture with footprints, a picture with one ray per pixel, and a reference with 400 rays per pixel."""
+    """Return a picture with footprints, a picture with one ray per pixel, and a reference with 400 rays per pixel.
+
+    With footprints, one look-up gives the mean colour over the area of a pixel.
+    """
     blurred = wd.shade(tube, fingers, LIGHT, view(), coherence=SHORT, tolerance=3e-2)
     plan = dataclasses.replace(blurred.plan, footprint=False)
     points = wd.shade(tube, fingers, LIGHT, view(), plan=plan)
@@ -138,7 +141,10 @@ def test_a_colour_does_not_depend_on_neighbouring_pixels(fingers, window, blurre
 
 
 def colours(heightfield, plan, direction_range, uv, footprints):
-    """Return XYZ at (u, v), shape (n, 2), for w = −1.5, computed by a plan's table or by its sampled wavelengths."""
+    """Return XYZ at (u, v), shape (n, 2), for w = −1.5.
+
+    The colours are computed by the plan's colour table, or by sums over the plan's wavelengths if it has no table.
+    """
     device = wp.get_device("cpu")
     xyz = wp.zeros(len(uv), dtype=wp.vec3f, device=device)
     scattering_vectors = wp.array(np.column_stack([uv, np.full(len(uv), -1.5)]), dtype=wp.vec3d, device=device)
@@ -181,7 +187,7 @@ def test_means_over_footprints_equal_means_of_points(fingers, rng, widest, turn,
 @pytest.mark.parametrize("distance", [0.0, slow(1.0), 3.0])
 @pytest.mark.parametrize("surface", ["fingers", "lines"])
 def test_means_around_the_mirror_direction_equal_means_of_points(surface, fingers, rng, distance):
-    """Look-ups of footprints close to the mirror direction must equal means over points.
+    """Look-ups of footprints (ranges of (u, v) in a pixel) close to the mirror direction must equal means over points.
 
     These footprints include all polar angles of (u, v). Their centres are 0 to 3 standard deviations away from the
     mirror direction.
@@ -268,7 +274,9 @@ def seen_by(surface, view, light, face, column, row, *, smooth):
 @pytest.mark.parametrize("smooth", [True, False])
 @pytest.mark.parametrize("place", ["outside", "inside", "orthographic", "far", "sheared"])
 def test_footprints_are_the_derivatives_of_uv_in_the_picture(tube, place, smooth, rng):
-    """Footprints must equal finite differences of (u, v) between rays that intersect the plane of the same face.
+    """Footprints, the derivatives of (u, v) in the picture, must equal finite differences between rays.
+
+    The rays intersect the plane of the same face.
 
     The coarse mesh has sheared tangents, which are not perpendicular to its normals.
     """

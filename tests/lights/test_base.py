@@ -85,9 +85,10 @@ def test_a_spotlight_is_a_point_light_times_its_profile(fingers):
 
 
 def test_launches_are_recorded_again_if_a_spotlight_rotates(fingers):
-    """If a spotlight rotates, the launches of a picture must be recorded again. If it only moves, they must not.
+    """Launches of kernels are recorded once for a picture, and are repeated for the next pictures.
 
-    A recorded launch contains the value of the axis, so that the key of the recording must depend on it.
+    If a spotlight rotates, they must be recorded again, because a recorded launch contains the value of the axis. If
+    the spotlight only moves, they must not.
     """
     body = meshes.tube(segments_along=12, segments_around=12)
     view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=8, height=6)

@@ -170,8 +170,8 @@ def test_the_luminance_in_a_penumbra_is_the_visible_share_of_the_disc():
     light = wd.DirectionalLight((0.0, 0.0, 1.0), angular_diameter_deg=10.0)
     flat = wd.HeightField(np.zeros((8, 8)), 0.09)
     options = {"tolerance": 5e-2, "coherence": SHORT, "tangents": (1.0, 0.1, 0.05), "smooth": False}
-    # Only the light that the pigment reflects is compared, because the pigment reflects light from all parts of the
-    # disc equally.
+    # Only the light that the base colour of the mesh (pigment) reflects is compared, because the base colour reflects
+    # light from all parts of the disc equally.
     shown, bare = (
         wd.shade(body, flat, light, view, **options, shadows=each, pigment=1.0).xyz
         - wd.shade(body, flat, light, view, **options, shadows=each, pigment=0.0).xyz

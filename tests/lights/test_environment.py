@@ -261,7 +261,8 @@ def test_pigment_and_shadows_under_a_sky_equal_those_under_many_lights():
 
 @pytest.mark.slow
 def test_a_bright_rectangle_of_the_sky_on_a_tube_equals_a_sum_over_directions():
-    # A view of a tube with very elongated footprints, in which the horizon cuts off some orders.
+    # A view of a tube in which (u, v) changes much more along one direction of a pixel than along the other (elongated
+    # footprints). The horizon cuts off some orders.
     view = wd.View((1.5, 2, 4), (0, 0, 0), fov_y_deg=4.4, width=20, height=15)
     heightfield, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), wd.Coherence(sigma_um=4.0)
     along = middles(64)[0]

@@ -141,7 +141,7 @@ class _Table:
         self.distribution = mi.DiscreteDistribution2D(mi.TensorXf(cells))
 
     def at(self, value: Variant, entries: int) -> Variant:
-        """Return the coordinate, 0 to 1, of a value of κ or w in a texture of ``entries`` texels over κ or w."""
+        """Return the texture coordinate, 0 to 1, of a value of κ = w/λ or w; the texture has ``entries`` texels."""
         import drjit as dr
 
         share = dr.clip((value - self.first) / self.span, 0.0, 1.0)
@@ -161,7 +161,7 @@ class _Table:
         return self.grid.eval(mi.Point2f(x * scale + 0.5, y * scale + 0.5))
 
     def functions_at(self, value: Variant) -> Variant:
-        """Return the values of all basis functions of the baked lobes at a value of κ or w."""
+        """Return the values of all basis functions of the table (baked lobes) at a value of κ = w/λ or w."""
         import mitsuba as mi
 
         return self.functions.eval(mi.Float(self.at(value, self.entries)))
@@ -192,8 +192,8 @@ def _spectrum(filename: str) -> _Table:
     deviation = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * baked.sigma_um)
     span = baked.largest_kappa - baked.least_kappa
     entry = round(_TYPICAL_KAPPA * (len(baked.functions) - 1))
-    # The baked powers are multiplied by this factor. The products are the density of the reflected power over q, which
-    # integrates to 1. This density is λ² times the density D over (u, v) of the module's docstring.
+    # The baked powers are multiplied by this factor. The products are the density of the reflected power over the
+    # frequency q = (u, v)/λ, which integrates to 1. This density is λ² times the density over (u, v).
     scale = 4.0 * math.pi * baked.sigma_um**2
     return _Table(
         scale * baked.powers, baked.functions, baked.zeroth, largest=baked.largest_q, first=baked.least_kappa,

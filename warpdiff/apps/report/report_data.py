@@ -232,7 +232,8 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
     progress(0.55)
     views = direction(ANGLES_DEG, data.azimuth_deg)
     for index, sigma in enumerate(request.sigmas_um):
-        # The caller's plan was computed for another coherence window and is not valid for these colours.
+        # The caller's plan holds numbers of wavelengths and terms for another coherence window. It is not valid for
+        # these colours.
         settings = request.settings | {"coherence": Coherence(sigma_um=sigma), "plan": None}
         xyz = data.attempt(
             "colours",

@@ -80,7 +80,7 @@ class SceneObjects:
         Args:
             scene: Scene without its view.
             view: Camera, whose size is the size of the pictures.
-            refine: Whether the renderer refines pixels.
+            refine: Whether the renderer divides pixels into smaller cells until the colours meet the tolerance.
             report: Function that is called before a slow preparation.
         """
         key = str(scene.mesh), str(scene.heightfield), str(scene.options), *_illuminants(scene), scene.tolerance
