@@ -127,7 +127,7 @@ def series(
 def rows_of(
     heightfield: wd.HeightField, terms: int, centred: bool
 ) -> tuple[NDArray[np.float32], fourier_coefficients.Block, tuple[float, float], float]:
-    """Return the rows of a :class:`Series`, the block of stored Fourier coefficients, the lengths and the scale.
+    """Return the Taylor terms of a :class:`Series`, the block of stored Fourier coefficients, the lengths and a scale.
 
     The lengths are Ly and Lx [µm]. The scale is 2πa [µm], where a is the scale of the heights in :class:`Series`.
     """

@@ -167,7 +167,7 @@ def plans(
 
 
 def measure_scene(scene: Scene, coherence: wd.Coherence, setting: Setting) -> dict[str, Any]:
-    """Measure all curves of one chart: a scene with one kind of coherence."""
+    """Measure all curves of one chart: a scene with one coherence (limit of interference)."""
     directions, _ = scene.directions(coherence)
     device = resolve_device(setting.device)
     few = directions.subset(JUDGED // 4 if setting.quick else JUDGED)
@@ -232,7 +232,7 @@ def _before(scene: Scene, coherence: wd.Coherence, directions: Directions, setti
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Measure the charts of all scenes and kinds of coherence. A quick run has only one chart."""
+    """Measure one chart per scene and coherence (limit of interference). A quick run has only one chart."""
     results = {}
     for scene in scenes(setting.data):
         for coherence in scene.coherences:

@@ -139,7 +139,7 @@ class Points:
 
 
 def height_range(which: slice = ALL) -> Panel:
-    """Return the panel of the height range: errors of all series expansions in float32 and in float64."""
+    """Return the panel of the height range: errors of all series of exp(2πiκh), in float32 and in float64."""
     sigma, (lights, views) = 2.0, methods.hemisphere_pairs(48)
     flat, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=3), wd.Coherence(sigma_um=sigma)
     x, points = np.geomspace(0.05, 5.0, 13)[which], Points()

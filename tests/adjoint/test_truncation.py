@@ -18,7 +18,10 @@ FILM = wd.Material.metal("Cr").coated(wd.Material.dielectric(1.5), 1000.0)
 
 
 def exact_colours(surface, views, material, illuminant, **settings):
-    """Return XYZ by Gauss quadrature between neighbouring table entries, where the integrand over λ is smooth."""
+    """Return XYZ by Gauss quadrature between neighbouring wavelengths of the tables of material and illuminant.
+
+    There the integrand over λ is smooth.
+    """
     grid, products = colorimetry.VISIBLE_NM, colorimetry.colour_products(illuminant)
     parts = [part for part in (material, getattr(material, "film", None)) if part is not None]
     cuts = np.unique(np.clip(np.concatenate([grid, *[np.asarray(part.wavelengths_nm) for part in parts]]), 380, 780))

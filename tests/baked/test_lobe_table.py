@@ -162,8 +162,8 @@ def test_a_baked_spectrum_equals_the_reflectance_of_directions(fingers, spectrum
     power += np.interp(-uvw[:, 2], kappas, spectrum.zeroth) * lobe
     gains = reflectance_factors.gain(lights, views, normal=1.0, masking=False)
     relative = np.abs(gains * power - exact[:, 0]) / np.maximum(exact[:, 0], 1e-2 * np.percentile(exact, 99.0))
-    # Baking averages the spectrum over cells as wide as a quarter of a lobe's standard deviation. This blurs the
-    # spectrum, so errors of up to 5 % are allowed.
+    # Baking averages the spectrum over cells as wide as a quarter of the standard deviation of a diffraction order
+    # (lobe). This blurs the spectrum, so errors of up to 5 % are allowed.
     assert np.percentile(relative, 90.0) < 0.05
     assert np.sum(gains * power) == pytest.approx(np.sum(exact), rel=0.02)
 

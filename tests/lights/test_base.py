@@ -104,7 +104,7 @@ def test_launches_are_recorded_again_if_a_spotlight_rotates(fingers):
 
 @dataclass(frozen=True)
 class Beam(wd.DirectionalLight):
-    """Directional light with a profile that is 1 in its only direction."""
+    """Directional light with an emission profile that is 1 in the only direction of the light."""
 
     def lobes(self):
         axis = tuple(-np.array(self.to_light) / np.linalg.norm(self.to_light))

@@ -140,8 +140,8 @@ def test_the_horizon_cuts_the_zeroth_order_of_a_mirror_under_an_even_sky(square)
     flat, view = wd.HeightField(np.zeros((32, 32)), 0.09), seen_at(85.0)
     sky = wd.Environment(np.ones((4, 8, 3)), directions=16)
     result = wd.shade(square, flat, sky, view, masking=False, **UNDER).xyz[1, 1, 1]
-    # The exact Y is the share of the lobe, a Gaussian in (u, v), above the horizon. The integral is a sum over equal
-    # steps of the light's angle, with dω cos θ = du dv.
+    # The reflection has a Gaussian spread in (u, v), the lobe. The exact Y is the share of the lobe above the horizon.
+    # The integral is a sum over equal steps of the light's angle, with dω cos θ = du dv.
     nm, radius = np.arange(380.0, 781.0), math.sin(math.radians(85.0))
     deviation = 1e-3 * nm[:, None] / (2.0 * math.sqrt(2.0) * math.pi * 8.0)
     step = math.pi / 2.0 / 4000.0

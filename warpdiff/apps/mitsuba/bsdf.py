@@ -148,7 +148,7 @@ class _Table:
         return (share * (entries - 1) + 0.5) / entries
 
     def zeroth_at(self, value: Variant) -> Variant:
-        """Return the zeroth order's power at a value of κ, or its colour at a value of w in RGB variants."""
+        """Return the zeroth order's power at a value of κ = w/λ, or its colour at a value of w in RGB variants."""
         import mitsuba as mi
 
         return self.zeroth.eval(mi.Float(self.at(value, self.zeroth.shape[0])))
@@ -167,7 +167,7 @@ class _Table:
         return self.functions.eval(mi.Float(self.at(value, self.entries)))
 
     def gaussian(self, x: Variant, y: Variant) -> Variant:
-        """Return the density of the zeroth order's Gaussian lobe at the coordinates (x, y) of the grid."""
+        """Return the density of the zeroth order's Gaussian peak (lobe) at the coordinates (x, y) of the grid."""
         import drjit as dr
 
         return self.peak * dr.exp((x * x + y * y) * (-0.5 / self.deviation**2))
@@ -187,7 +187,7 @@ class _Table:
 
 
 def _spectrum(filename: str) -> _Table:
-    """Return the power spectrum over q and κ from a file of ``BakedSpectrum``, for Mitsuba's spectral variants."""
+    """Return the power spectrum over q = (u, v)/λ and κ = w/λ from a file of ``BakedSpectrum.save``."""
     baked = wd.BakedSpectrum.load(filename)
     deviation = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * baked.sigma_um)
     span = baked.largest_kappa - baked.least_kappa
@@ -244,7 +244,7 @@ def _bsdf_class(table_of: Variant) -> Variant:
     spectral = bool(mi.is_spectral)
 
     class WarpdiffBSDF(mi.BSDF):  # type: ignore[misc]
-        """BSDF of a height field from baked lobes; the module's docstring has the formulas."""
+        """BSDF of a height field from baked tables; the module's docstring has the formulas."""
 
         def __init__(self, props: Variant) -> None:
             mi.BSDF.__init__(self, props)

@@ -341,7 +341,8 @@ def wave_azimuth_deg(heightfield: HeightField) -> float:
 def _efficiency_errors(verdicts: Sequence[TheoryVerdict], flat_powers: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the error of an order's efficiency at each wavelength, relative to the incident power.
 
-    A verdict states the expected error of scalar diffraction relative to the power that a flat surface reflects.
+    A verdict on scalar diffraction states this error relative to the power that a flat surface reflects. The result is
+    this error times ``flat_powers``.
     """
     return np.array([min(verdict.error, 1.0) for verdict in verdicts]) * flat_powers
 

@@ -48,12 +48,12 @@ if TYPE_CHECKING:
 # Smallest distance of a point light from the centre of the mesh, in radii of the mesh. The shadow map of a light covers
 # only the half-space in front of the light, so that the light must be outside of the mesh.
 _NEAREST = 1.1
-# Texels per side of the Cartesian grid over (u, v) to which the page resamples the baked lobes, and number of frames
-# that the page averages while nothing moves. Both are limited: twice the texels per side require four times the
+# Texels per side of the Cartesian grid over (u, v) to which the page resamples the table of colours, and number of
+# frames that the page averages while nothing moves. Both are limited: twice the texels per side require four times the
 # graphics memory, and twice the frames require twice the time.
 _SIZE, _FRAMES = 1024, 1024
 # Number of wavelengths over which a page sums the zeroth order. The number is limited because a page allows 64 texture
-# fetches per fragment, of which the look-up in the baked lobes needs most.
+# fetches per fragment, of which the look-up in the table of baked colours needs most.
 _WAVELENGTHS = 10
 # Number of values of |w| at which the page has the power of the zeroth order; it interpolates linearly between them.
 # w is the component of the scattering vector along the normal.
