@@ -92,7 +92,7 @@ def register_mitsuba_bsdf(name: str = NAME) -> None:
 
 
 class _Table:
-    """Table of a baked spectrum or of baked lobes, in arrays of Mitsuba's current variant.
+    """Table of a baked spectrum (powers) or of baked lobes (colours), in arrays of Mitsuba's current variant.
 
     The grid's coordinates are q = (u, v)/λ for a spectrum and (u, v) for colours. The power (or colour) at a point of
     the grid is a sum of functions, each of which is multiplied by a coefficient of this point. The argument of the
