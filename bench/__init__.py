@@ -11,6 +11,6 @@
 
 import os
 
-# Other programs use threads of OpenMP. These threads sleep between calls. Threads that wait actively would slow down
-# the methods that are timed next.
+# Some of the compared programs use OpenMP threads. With this setting, idle OpenMP threads sleep. Otherwise they would
+# wait actively on the cores, and slow down the method that is timed next.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")

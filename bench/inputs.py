@@ -28,6 +28,9 @@ def scan(data: str | Path | None = None) -> wd.HeightField | None:
 
 
 def levelled_scan(data: str | Path | None = None) -> wd.HeightField | None:
-    """Return the scan of a 65 µm square of a corn snake's skin, levelled, or None if the file is absent."""
+    """Return the scan of a 65 µm square of a corn snake's skin, or None if the file is absent.
+
+    The scan is levelled: a polynomial of degree 2, fitted by least squares, is subtracted from the heights.
+    """
     heightfield = scan(data)
     return None if heightfield is None else heightfield.levelled(order=2)

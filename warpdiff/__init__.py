@@ -9,7 +9,8 @@ Packages, from the lowest layer to the highest; a package imports only packages 
 - ``profiles``: surfaces with a few parameters
 - ``datasets``: published measurements, downloaded on demand
 - ``diffraction``: series of exp(2πiκh) and their Fourier coefficients
-- ``request``: plans and ranges of directions; ``image``: pictures and their files; ``scene``: meshes and cameras
+- ``request``: plans (numbers of a computation, such as wavelengths and terms of a series) and ranges of directions
+- ``image``: pictures and their files; ``scene``: meshes and cameras
 - ``tables``: coefficients and colours on a device; ``planner``: from a tolerance to a plan; ``lights``: light sources
 - ``evaluate``: reflectance at arrays of directions; ``baked``: tables for other renderers
 - ``adjoint``: exact derivatives of orders, spectra and colours; ``fitting``: fits of measured data
@@ -24,7 +25,8 @@ from importlib import import_module
 from pathlib import Path
 
 # Importing this module registers a hook: ``os.fork`` then waits until no other thread is importing a module. Public
-# names are imported at their first use, on any thread, so an import may be running when the process forks.
+# names are imported at their first use, on any thread, so an import may be running when the process forks. The child
+# process would then wait forever for the lock of this import.
 from warpdiff.core import forks as _forks  # noqa: F401
 
 # In a checkout, the folder ``kernels/`` lies next to this package. In an installed package, it lies inside.

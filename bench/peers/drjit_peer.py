@@ -51,7 +51,7 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
     Args:
         heightfield: Height field.
         coherence: Gaussian coherence window, of the kind averaged or centred.
-        setting: One of ``SETTINGS``.
+        setting: One of ``SETTINGS``: numbers of wavelengths, of terms and of neighbouring Fourier coefficients.
 
     Returns:
         A function ``shade(scattering_vectors, gains, threads)`` of arrays (n, 3) and (n,) that returns XYZ (n, 3). The
@@ -94,8 +94,8 @@ def _integral(made: Series, tables: list[Any], u: Any, v: Any, w: Any) -> tuple[
 
     rows, wavenumbers, colours = tables
     packets = math.ceil(made.rows.shape[2] / PACKET)
-    # `factors` has the factors of the Taylor series that depend on λ. The second column of `factors` is the linear
-    # factor 2πa/λ, where a is the scale of the heights. Division of this factor by 1/λ gives 2πa.
+    # `factors` has the factors of the Taylor series that depend on λ. Its second column is the linear factor 2πa/λ,
+    # where a is the scale of the heights. Division by 1/λ gives 2πa.
     scale = float(made.factors[0, 1] / made.wavenumbers[0])
     steps = range(-made.neighbour_extent, made.neighbour_extent + 1)
 
@@ -103,7 +103,10 @@ def _integral(made: Series, tables: list[Any], u: Any, v: Any, w: Any) -> tuple[
         return [dr.exp(-falloff * dr.square(near - q + step)) for step in steps]
 
     def coefficient(at: Any, x: Any) -> list[Any]:
-        """Return real and imaginary parts of the Fourier coefficients ``at`` (indices), for the argument x = 2πaw/λ."""
+        """Return real and imaginary parts of the Fourier coefficients ``at`` (indices), for x = 2πaw/λ.
+
+        Here a is the scale of the heights, as in :class:`bench.peers.series.Series`.
+        """
         parts = []
         for part in (2 * at, 2 * at + 1):
             value = Float(0.0)

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PUBLISHED", "SETTINGS", "available", "prepare"]
 
-# Number of floats per cache line, and per AVX-512 register.
+# Number of float32 numbers per cache line (64 bytes), and per AVX-512 register.
 LANES = 16
 # Smallest exponent whose exponential is a normal float32. The number was derived from ln(1.2e-38) = −87.3.
 LEAST_EXPONENT = -87.0
@@ -58,7 +58,7 @@ SETTINGS = [setting for setting in series.SETTINGS if setting["neighbour_extent"
 
 
 def available() -> str | None:
-    """Return None, because importing this module already requires Numba."""
+    """Return None, which means that the program can run: without Numba, this module cannot be imported."""
     return None
 
 
@@ -87,7 +87,10 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
 
 @functools.lru_cache(maxsize=4)
 def _lines(heightfield: wd.HeightField, terms: int, centred: bool) -> NDArray[np.float32]:
-    """Return the rows of Fourier coefficients, padded with zeros to whole cache lines, shape (n, 2, lanes)."""
+    """Return the terms of the Taylor series of each Fourier coefficient, shape (n, 2, padded number of terms).
+
+    The second axis has the real and the imaginary part. Zeros pad the terms to whole cache lines.
+    """
     rows = series.rows_of(heightfield, terms, centred)[0]
     lines = _aligned((len(rows), 2, LANES * math.ceil(terms / LANES)))
     lines[:, :, :terms] = rows
@@ -104,7 +107,7 @@ def _aligned(shape: tuple[int, ...]) -> NDArray[np.float32]:
 
 @numba.extending.intrinsic
 def _prefetch(_context, rows, row, part, lane):
-    """Prefetch the cache line that contains ``rows[row, part, lane]``."""
+    """Prefetch the cache line that contains ``rows[row, part, lane]``, a term of a Fourier coefficient's series."""
 
     def generate(context, builder, signature, arguments):
         kind = signature.args[0]

@@ -29,7 +29,7 @@ CHUNK = 512
 
 
 def available() -> str | None:
-    """Return None, because NumPy is always available."""
+    """Return None, which means that the program can run: NumPy is always installed."""
     return None
 
 
@@ -39,7 +39,7 @@ def prepare(heightfield: wd.HeightField, coherence: wd.Coherence, **setting: Any
     Args:
         heightfield: Height field.
         coherence: Gaussian coherence window, of the kind averaged or centred.
-        setting: One of ``SETTINGS``.
+        setting: One of ``SETTINGS``: numbers of wavelengths, of terms and of neighbouring Fourier coefficients.
 
     Returns:
         A function ``shade(scattering_vectors, gains, threads)`` of arrays (n, 3) and (n,) that returns XYZ (n, 3).

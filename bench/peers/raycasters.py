@@ -39,7 +39,10 @@ LEAST_COSINE = 0.02
 
 
 class Rays(NamedTuple):
-    """Rays of a picture, with mesh and camera; ray origins, which are near the mesh, and directions are (n, 3)."""
+    """Rays of a picture, with the mesh and the camera.
+
+    Origins and directions of the rays have the shape (n, 3). The origins are near the mesh.
+    """
 
     surface: Surface
     view: wd.View

@@ -37,14 +37,14 @@ FREQUENCY = 2.0 / 0.38
 # frequency.
 MOST_REACH = 4
 
-# Setting of the publication (Single 2014): 81 wavelengths, terms n = 0 … 36 of the Taylor series, the 3 × 3 Fourier
-# coefficients around the one that floor() selects, heights not centred.
+# Setting of the publication (Single 2014): 81 wavelengths, terms n = 0 … 36 of the Taylor series, and 3 × 3 Fourier
+# coefficients around the one that floor() selects. Heights are relative to the lowest height.
 PUBLISHED: dict[str, Any] = {"wavelengths": 81, "terms": 37, "neighbour_extent": 1, "rounded": False, "centred": False}
 # Settings from cheap to accurate: number of wavelengths, number of terms of the Taylor series, and number of
-# neighbouring coefficients on each side of the central one. Heights are centred and positions rounded, unlike in the
-# setting of the publication: the same error of the colours requires fewer terms and coefficients. The first setting
-# uses only the coefficient nearest to the frequency (u, v)/λ. This setting suits patches that are small compared with
-# the coherence window.
+# neighbouring coefficients on each side of the central one. Unlike in the publication, heights are relative to the
+# middle of their range, and the central coefficient is the nearest one. The same error of the colours then requires
+# fewer terms and coefficients. The first setting uses only the central coefficient. It suits patches that are small
+# compared with the coherence window.
 _SHAPES = ((192, 12, 0), (41, 8, 1), (81, 12, 1), (136, 12, 1), (192, 12, 1), (272, 16, 1), (384, 16, 2))
 SETTINGS: list[dict[str, Any]] = [
     {"wavelengths": wavelengths, "terms": terms, "neighbour_extent": neighbour_extent, "rounded": True, "centred": True}
@@ -127,7 +127,7 @@ def series(
 def rows_of(
     heightfield: wd.HeightField, terms: int, centred: bool
 ) -> tuple[NDArray[np.float32], fourier_coefficients.Block, tuple[float, float], float]:
-    """Return the rows of a :class:`Series`, the block of stored Fourier coefficients, the lengths and the scale.
+    """Return the Taylor terms of a :class:`Series`, the block of stored Fourier coefficients, the lengths and a scale.
 
     The lengths are Ly and Lx [µm]. The scale is 2πa [µm], where a is the scale of the heights in :class:`Series`.
     """
@@ -137,8 +137,8 @@ def rows_of(
         raise ValueError(f"heightfield must be finer, got {heightfield!r}: use heightfield.resampled()")
     expansion = EXPANSIONS["taylor" if centred else "taylor-uncentred"]
     made = fourier_coefficients.series_coefficients(heightfield, expansion, terms, block, dtype=np.complex64)
-    # The coefficients have the phases of a coherence window in the centre of the patch. Results of an averaged window
-    # do not depend on these phases.
+    # The phases of the coefficients are made relative to the centre of the patch, where a centred coherence window is.
+    # An averaged window sums |coefficient|², which is independent of phases.
     s, r = block.orders()
     ny, nx = heightfield.shape
     turns = s[:, None] * (ny // 2 / ny) + r * (nx // 2 / nx)

@@ -46,15 +46,15 @@ SETTINGS: list[dict[str, Any]] = [{"colours": "rainbow"}, {"colours": "cie"}]
 # Number of diffraction orders to each side of the zeroth order.
 ORDERS = 7
 # Number of wavelengths at which the zeroth order is summed, and number of values of κ = w/λ at which the power of an
-# order is tabulated.
+# order is tabulated. w is the component of the scattering vector along the normal.
 MIRROR_WAVELENGTHS, NODES = 8, 128
-# Largest |κ| = |w|/λ [1/µm], at the shortest wavelength of 0.38 µm and |w| = 2.
+# Largest |κ| = |w|/λ [1/µm]. |w| is 2 if light and view are along the normal; the shortest wavelength is 0.38 µm.
 LARGEST_KAPPA = 2.0 / 0.38
 # Positions of the maxima of the red, green and blue parabolas in 2λ − 1 (λ in µm), and inverse of the half-width of all
 # three parabolas. The numbers are from Stam's chapter in GPU Gems.
 PARABOLAS, NARROWNESS = (0.75, 0.5, 0.25), 4.0
-# Number of random directions in which the brightness of the rainbow is determined. The value was chosen; if it is
-# halved, the mean luminance has more noise.
+# Number of random directions in which the brightness of Stam's rainbow colours is determined. The value was chosen; if
+# it is halved, the mean luminance has more noise.
 CALIBRATING = 2000
 
 
@@ -66,7 +66,8 @@ def available() -> str | None:
 def grating_um(heightfield: wd.HeightField) -> float:
     """Return the grating period d along x [µm], from the strongest order.
 
-    Powers of orders are multiplied by their frequency before the comparison, because scans have 1/f noise.
+    Scans have noise with a power that falls as 1/frequency, so that low frequencies would always win. The power of each
+    order is therefore multiplied by its frequency before the comparison.
     """
     power = np.sum(np.abs(np.fft.rfft(heightfield.heights_um, axis=1)) ** 2, axis=0)
     return float(heightfield.size_um[1] / np.argmax(power * np.arange(len(power))))

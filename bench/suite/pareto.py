@@ -4,8 +4,10 @@ The charts also show the automatic choice of the library. Errors are relative to
 max(‖XYZ‖, f), where f is a thousandth of the reference luminance (``bench.truth.errors``), and ΔE2000 with an exposure
 that maps the 99th percentile of Y to 1. Timed calls have arrays as inputs and outputs, and repeat an earlier call, so
 that they include neither compilation nor preparation. A call has so many pixels that it takes about a tenth of a
-second. The preparation for a new height field (plan, Fourier coefficients, colour table) is timed separately, without
-compilation.
+second. The preparation for a new height field is timed separately, without compilation. It computes a plan, Fourier
+coefficients and a colour table. A plan is a method with its numbers, such as wavelengths and terms of a series.
+
+A coherence is the limit within which light interferes, for example a Gaussian window on the surface.
 """
 
 from __future__ import annotations
@@ -64,7 +66,10 @@ STYLES = {
 
 
 def ours(heightfield: wd.HeightField, plan: wd.Plan, directions: Directions, device: Any) -> Shade:
-    """Return a function that computes colours of directions by a plan of warpdiff, with the arguments of the peers."""
+    """Return a function that computes colours of directions by a plan (method and numbers) of warpdiff.
+
+    The function has the same arguments as the functions ``shade`` of ``bench.peers``.
+    """
     import warp as wp
 
     direction_range = DirectionRange.of(
@@ -95,7 +100,7 @@ def style(method: str) -> tuple[str, str, str]:
 
 
 def peers(coherence: wd.Coherence, setting: Setting) -> dict[str, tuple[Any, list[dict[str, Any]]]]:
-    """Return the available peers (other programs) that support a kind of coherence, with the settings of each peer."""
+    """Return the available peers (other programs) for a coherence (limit of interference), with settings of each."""
     result: dict[str, tuple[Any, list[dict[str, Any]]]] = {
         name: (SimpleNamespace(__name__=name, prepare=prepare), [{}]) for name, prepare in setting.user_peers.items()
     }
@@ -140,7 +145,10 @@ def label(setting: dict[str, Any]) -> str:
 def plans(
     scene: Scene, coherence: wd.Coherence, directions: Directions, setting: Setting
 ) -> dict[tuple[str, str], wd.Plan]:
-    """Return a dictionary of plans for the illuminated pixels of a scene; its keys are pairs (method, tolerance)."""
+    """Return plans (numbers of wavelengths, terms and so on) for the illuminated pixels of a scene.
+
+    The keys of the dictionary are pairs (method, tolerance).
+    """
     result = {}
     pairs = directions.to_lights, -directions.scattering_vectors - directions.to_lights
     options: dict[str, Any] = {"coherence": coherence, "device": setting.device, "threads": setting.threads}
@@ -159,7 +167,7 @@ def plans(
 
 
 def measure_scene(scene: Scene, coherence: wd.Coherence, setting: Setting) -> dict[str, Any]:
-    """Measure all curves of one chart: a scene with one kind of coherence."""
+    """Measure all curves of one chart: a scene with one coherence (limit of interference)."""
     directions, _ = scene.directions(coherence)
     device = resolve_device(setting.device)
     few = directions.subset(JUDGED // 4 if setting.quick else JUDGED)
@@ -224,7 +232,7 @@ def _before(scene: Scene, coherence: wd.Coherence, directions: Directions, setti
 
 
 def measure(setting: Setting) -> dict[str, Any]:
-    """Measure the charts of all scenes and kinds of coherence. A quick run has only one chart."""
+    """Measure one chart per scene and coherence (limit of interference). A quick run has only one chart."""
     results = {}
     for scene in scenes(setting.data):
         for coherence in scene.coherences:
@@ -331,7 +339,10 @@ def _at(curve: dict[str, Any], error: float) -> int | None:
 
 
 def finding(result: dict[str, Any]) -> str:
-    """Return a sentence that compares the automatic choice with the fastest other program at an error of 1e-2."""
+    """Return a sentence that compares the method chosen by warpdiff with the fastest peer (other program).
+
+    Both have errors of at most 1e-2.
+    """
     curves = result["curves"]
     ours_at = _at(curves[AUTOMATIC], 1e-2)
     if ours_at is None:

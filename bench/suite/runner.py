@@ -33,8 +33,9 @@ PACKAGES = (
     "warp-lang", "numpy", "trimesh", "colour-science", "OpenImageIO", "matplotlib", "numba", "drjit", "mitsuba",
     "embreex", "gratinglab",
 )  # fmt: skip
-# A number that changes between two runs is listed from this relative change on. The change must also exceed the spread
-# over the timed rounds of both runs. The value was chosen because smaller changes are noise of the machine.
+# Least relative change of a number between two runs for which the comparison lists the number. The change must also
+# exceed the spread over the timed rounds of both runs. The value was chosen because smaller changes are noise of the
+# machine.
 LEAST_CHANGE = 0.1
 
 

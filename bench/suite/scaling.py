@@ -83,7 +83,8 @@ def point(parameters: dict[str, Any], device: str | None) -> dict[str, Any]:
     before = most_memory()
     begin = time.perf_counter()
     # If no colour table meets the tolerance, as for patches that are small compared with the coherence window, the plan
-    # samples wavelengths. Frames then have no footprints, because footprints require a table.
+    # samples wavelengths. Frames then have no footprints, which are averages of the colour over the area of a pixel:
+    # only a table can compute them.
     plan = wd.plan(heightfield, coherence=wd.Coherence(sigma_um=p["sigma_um"]), **options)
 
     def frame(k: int) -> float:

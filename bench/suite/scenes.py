@@ -54,7 +54,7 @@ class Scene:
         light: Light.
         eye, target, fov_y_deg: Position, target and vertical field of view [degrees] of the camera, as three
             attributes.
-        coherences: Kinds of coherence in the charts of the scene.
+        coherences: Limits of interference (coherence windows or sources) in the charts of the scene.
     """
 
     name: str

@@ -174,7 +174,7 @@ def measure(setting: Setting) -> dict[str, Any]:
 
 
 def numbers(results: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the errors of the automatic choice by name, one error per value of the x axis.
+    """Return the errors of the library's automatic choice of a method, one error per value of the x axis, by name.
 
     Each entry is a list that has the form of the other charts' entries: the error, the error twice more instead of a
     minimum and a maximum, and the unit.

@@ -19,7 +19,7 @@ from bench.truth import numpy_methods as methods
 from bench.truth import reference
 from warpdiff.diffraction import direct_sum
 
-# Tolerance of the calls by which the automatic choice of the library is measured.
+# Tolerance of the calls that measure the library's automatic choice, ``method="auto"``.
 TOLERANCE = 1e-2
 # Slice that selects all values on the x axis of a panel.
 ALL = slice(None)
@@ -139,7 +139,7 @@ class Points:
 
 
 def height_range(which: slice = ALL) -> Panel:
-    """Return the panel of the height range: errors of all series expansions in float32 and in float64."""
+    """Return the panel of the height range: errors of all series of exp(2πiκh), in float32 and in float64."""
     sigma, (lights, views) = 2.0, methods.hemisphere_pairs(48)
     flat, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08, seed=3), wd.Coherence(sigma_um=sigma)
     x, points = np.geomspace(0.05, 5.0, 13)[which], Points()
@@ -272,7 +272,10 @@ def grazing(which: slice = ALL) -> Panel:
 
 
 def sine_colour(period: float, depth: float, lights: np.ndarray, views: np.ndarray, sigma: float) -> np.ndarray:
-    """Return XYZ of a continuous sine grating in the plane of incidence; order m has the power J_m(πκ·depth)²."""
+    """Return XYZ of a continuous sine grating in the plane of incidence.
+
+    Order m has the power J_m(πκ·depth)², where J_m is a Bessel function and κ = w/λ.
+    """
     tau, weights = reference.quadrature(512, "D65")
     scattering_vectors = -(lights + views)
     total = np.zeros((len(lights), len(tau)))
@@ -309,7 +312,11 @@ def pitch(which: slice = ALL) -> Panel:
 
 
 def periods(which: slice = ALL) -> Panel:
-    """Return the panel of replicated patches: a thousand periods whose phases differ by nearly whole turns."""
+    """Return the panel of replicated patches: a thousand equal periods interfere.
+
+    The phase between neighbouring periods is nearly a whole number of turns. The x axis is the difference from this
+    whole number.
+    """
     count, wavelength = 1000, 0.5
     heightfield, coherence = methods.finger_rows(6.4, pitch_um=0.08), wd.Coherence("replicas", periods=(1, count))
     x, points = 10.0 ** np.arange(-9.0, -0.4, 0.5)[which], Points()

@@ -182,8 +182,8 @@ def measure(setting: Setting) -> dict[str, Any]:
 def rule(error: np.ndarray, expected: np.ndarray) -> dict[str, float]:
     """Return counts of gratings by grade and error, and the errors of reliable and of invalid gratings.
 
-    For gratings with the grade reliable, the largest error is returned; for gratings with the grade invalid, the
-    median.
+    The grade is the library's verdict on scalar diffraction. For gratings with the grade reliable, the largest error is
+    returned; for gratings with the grade invalid, the median.
     """
     reliable, invalid = expected < QUALITATIVE, expected >= INVALID
     return {

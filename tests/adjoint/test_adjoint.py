@@ -1,4 +1,8 @@
-"""``wd.adjoint``: vjp is the transpose of jvp, values equal those of plain functions, and wrong names raise errors."""
+"""``wd.adjoint``: vjp is the transpose of jvp, values equal those of plain functions, and wrong names raise errors.
+
+Functions of ``wd.adjoint`` return a value and two functions for its derivatives. J is the matrix of derivatives of the
+value with respect to the variables. jvp multiplies a change of the variables by J; vjp multiplies by the transpose Jᵀ.
+"""
 
 import functools
 import math
@@ -165,8 +169,9 @@ def test_series_are_long_enough_for_any_depth(depth_um):
 
 
 def test_gradients_by_heights_and_by_their_scale_agree(rng):
-    """If the changes of the heights are proportional to the heights, the value must change as it does with
-    ``height_scale``.
+    """The derivative with respect to a common factor of all heights, ``height_scale``, must equal Σ h ∂/∂h.
+
+    The sum is over the derivatives with respect to the single heights h.
     """
     result = wd.adjoint.reflectance(FIELD, *directions(rng), wrt=("heights_um", "height_scale"))
     adjoints = result.vjp(rng.normal(size=result.value.shape))
@@ -177,7 +182,7 @@ def test_flat_surfaces_have_derivatives():
     flat = wd.HeightField(np.zeros((4, 4)), 0.5)
     value, vjp, _ = wd.adjoint.spectral_reflectance(flat, (0.1, 0.0, 1.0), (-0.1, 0.0, 1.0), 500.0)
     assert value[0] > 0.5
-    # For a flat surface, small changes of heights change the power of the mirror order only to second order.
+    # The power of a flat surface in the mirror direction is a maximum, so that its derivatives by the heights are 0.
     np.testing.assert_allclose(vjp([1.0])["heights_um"], 0.0, atol=1e-9)
 
 
@@ -282,7 +287,10 @@ def picture():
 
 @pytest.mark.parametrize("name", variables.VARIABLES)
 def test_the_table_of_derivatives_is_true(name):
-    """Each function must accept the variables for which the table says "yes" in its column, and refuse all others."""
+    """The table of the documentation states for each function and variable whether a derivative exists.
+
+    A function must accept the variables for which the table says "yes" in its column, and refuse all others.
+    """
     row = next(line for line in variables.table().splitlines() if f"| `{name}` |" in line)
     marks = [cell.strip() == "yes" for cell in row.split("|")[2:6]]
     surface = OUTLINE if name in ("vertices", "period_um") else FIELD

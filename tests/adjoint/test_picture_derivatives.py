@@ -44,7 +44,7 @@ def body():
 
 @pytest.fixture(scope="module")
 def view():
-    """Return a view of a part of the body's back, whose pixels have small footprints."""
+    """Return a view of a part of the body's back. Directions change little within its pixels (small footprints)."""
     return wd.View((0.0, 2.0, 0.6), (0.0, 0.3, 0.0), up=(0.0, 0.0, -1.0), fov_y_deg=10.0, width=13, height=8)
 
 
@@ -54,7 +54,7 @@ def renderer_of(body, view, light=LIGHT, surface=FIELD, **options):
 
 @pytest.fixture(scope="module")
 def renderers(body, view):
-    """Return a function of the names of ``OPTIONS`` that returns the same renderer at each call."""
+    """Return a function that returns a renderer for a name in ``OPTIONS``. Each renderer is made only once."""
     return functools.cache(lambda name: renderer_of(body, view, **OPTIONS[name]))
 
 
@@ -75,7 +75,7 @@ def check_transposes(result, rng, *names):
 
 
 def reflected(renderer, surface, wrt=(), light=LIGHT, **options):
-    """Return colours with derivatives at the directions of pixels, and the factors by which pixels are brighter."""
+    """Return colours with derivatives for the directions of pixels, and factors from these colours to the pixels."""
     (lit,) = samples_of(renderer, light).lobes
     views = -lit.scattering_vectors - lit.to_lights
     ratio = lit.gains / reflectance_factors.gain(lit.to_lights, views, normal=1.0, masking=True)
@@ -122,8 +122,8 @@ def test_values_and_gradients_are_those_of_reflectances_at_the_pixels(points, rn
 
 @pytest.mark.parametrize("name", ["points", "footprints"])
 def test_tangents_are_those_of_pictures(name, body, view, rng):
-    """Derivatives must equal central differences of the library's pictures, which share no code with them."""
-    # The default method fits basis functions to each surface, so that differences by small steps have large errors.
+    """Derivatives by ``wd.adjoint`` must equal central differences of pictures, which are rendered by other code."""
+    # The default method fits basis functions to each surface. Their changes would dominate a difference by small steps.
     options = OPTIONS[name] | {"method": "power" if name == "footprints" else "jacobi-anger"}
     renderer = renderer_of(body, view, **options)
     change = rng.normal(size=FIELD.shape)
@@ -209,8 +209,9 @@ def test_sums_over_rings_and_their_transpose(shape, rng):
 
 @pytest.mark.parametrize("shape", [(60, 70), (1, 90), (80, 1)])
 def test_sums_under_wide_lobes_and_their_transpose(shape, rng):
-    """Sums with joined orders must equal sums of single orders, for lobes (Gaussian weights) of very different sizes
-    and directions.
+    """Sums over diffraction orders with Gaussian weights (lobes) must be equal if neighbouring orders are joined.
+
+    The lobes have very different sizes and directions.
     """
     relief = Relief.of(noise(shape))
     first, counts = ([0 if n == 1 else 3 - n // 2 for n in shape], [1 if n == 1 else n - 7 for n in shape])
@@ -241,7 +242,7 @@ def test_sums_under_wide_lobes_and_their_transpose(shape, rng):
 
 
 def test_unused_azimuths_are_not_needed(rng):
-    """Colours of directions in a small range of azimuths must be the same if all azimuths are sampled."""
+    """A polar grid with only the azimuths of the tested directions must give the colours of a grid of all azimuths."""
     turns = np.concatenate([rng.uniform(0.1, 0.12, 20), np.linspace(0.0, 1.0, 400, endpoint=False)])
     vectors = np.column_stack([np.cos(2.0 * np.pi * turns), np.sin(2.0 * np.pi * turns), np.full(420, -1.5)])
     lit = LitPixels(np.arange(420), vectors, np.zeros((420, 3)), np.ones(420), None, IlluminatedMaterial("D65"))
@@ -259,7 +260,7 @@ def test_unused_azimuths_are_not_needed(rng):
 
 @pytest.mark.parametrize("rings", [24, 40])
 def test_splines_of_colour_curves_integrate_smooth_spectra(rings):
-    """The splines must give a spectrum that oscillates with the wavelength the colour of a sum over wavelengths."""
+    """Colours by splines must equal sums over wavelengths, for a spectrum that oscillates every 90 nm."""
     products, nm = colorimetry.colour_products("D65"), np.arange(380.0, 781.0)
     for interval in (0, 17, 64):
         step = math.log(2.0) / rings
@@ -276,8 +277,9 @@ def spectrum(nm):
 
 
 def test_finer_grids_are_used_until_the_tolerance_is_met(points):
-    """The polar grid must become finer until the tolerance is met. If no grid suffices, sums over wavelengths must be
-    used.
+    """The polar grid of spatial frequencies must become finer until the tolerance is met.
+
+    If no grid suffices, sums over wavelengths must be used.
     """
     used = []
     by_rings = picture_model.PictureModel._by_rings
@@ -297,7 +299,7 @@ def test_finer_grids_are_used_until_the_tolerance_is_met(points):
 
 
 def test_deep_surfaces_have_grids(points):
-    """For heights of several wavelengths, a polar grid must meet the default tolerance, without sums over λ."""
+    """For heights of several wavelengths, a polar grid of frequencies must meet the tolerance, without sums over λ."""
     deep = wd.HeightField.of_known_scale(20.0 * FIELD.heights_um[:9, :10], FIELD.pitch_um)
     with mock.patch.object(picture_model.PictureModel, "_by_wavelengths", side_effect=AssertionError):
         value = wd.adjoint.pixels(points, deep, LIGHT, wrt=()).value
@@ -307,7 +309,7 @@ def test_deep_surfaces_have_grids(points):
 
 
 def test_series_with_more_terms_than_kernels_support_use_no_grid(points):
-    """A height range of 20 µm needs more terms than `MOST_TERMS`. Beyond it, kernels would write outside of memory."""
+    """A height range of 20 µm needs more series terms than kernels support. Sums over λ must replace the grid."""
     deep = wd.HeightField.of_known_scale(10.0 * np.sin(np.arange(64.0) * np.pi / 32.0)[None], FIELD.pitch_um)
     with mock.patch.object(picture_model, "PolarGridSums", side_effect=AssertionError):
         value = wd.adjoint.pixels(points, deep, LIGHT, wrt=()).value
@@ -327,7 +329,7 @@ def test_derivatives_by_the_index_of_refraction(square):
 
 
 def test_pictures_of_metals_and_films_have_grids(body, view):
-    """Pictures of metals and thin films must use polar grids, with the reflectances at the wavelengths of the rings."""
+    """Metals and thin films must use polar grids: each ring of the grid uses the reflectance at its wavelengths."""
     film = wd.Material.metal("Cr").coated(wd.Material.dielectric(1.4), 300.0)
     renderer = renderer_of(body, view, ior=None, material=film, tolerance=0.1)
     with mock.patch.object(picture_model.PictureModel, "_by_wavelengths", side_effect=AssertionError):
@@ -357,7 +359,7 @@ def test_pixels_in_the_mirror_direction(square, rng):
 
 
 def test_several_lights_pigment_and_materials_by_part(body, view, rng):
-    """Colours under several lights must add up, and the light of the pigment must not change with the heights."""
+    """Colours under several lights must add up. Changes of heights must not change light from the base colour."""
     pigmented = body.copy()
     material = PBRMaterial(baseColorFactor=[200, 120, 50, 255])
     pigmented.visual = TextureVisuals(uv=body.visual.uv, material=material)

@@ -18,7 +18,10 @@ FILM = wd.Material.metal("Cr").coated(wd.Material.dielectric(1.5), 1000.0)
 
 
 def exact_colours(surface, views, material, illuminant, **settings):
-    """Return XYZ by Gauss quadrature between neighbouring table entries, where the integrand over λ is smooth."""
+    """Return XYZ by Gauss quadrature between neighbouring wavelengths of the tables of material and illuminant.
+
+    There the integrand over λ is smooth.
+    """
     grid, products = colorimetry.VISIBLE_NM, colorimetry.colour_products(illuminant)
     parts = [part for part in (material, getattr(material, "film", None)) if part is not None]
     cuts = np.unique(np.clip(np.concatenate([grid, *[np.asarray(part.wavelengths_nm) for part in parts]]), 380, 780))
@@ -78,9 +81,10 @@ def test_truncation_is_the_largest_error_of_dark_directions_relative_to_a_mirror
 
 @pytest.mark.parametrize(("depth_um", "error"), [(1.0, 1e-12), (1e-3, 1e-10), (1e-5, 1e-7)])
 def test_single_pairs_have_exact_derivatives_by_the_scale_of_heights(depth_um, error):
-    """With a single pair of directions, all values of κ = w/λ are equal. The derivative must still be exact.
+    """For one pair of directions and one wavelength, there is only one value of κ = w/λ.
 
-    The range of κ of the series then has the width 0 and must be widened.
+    The range of κ, for which the series of exp(2πiκh) is made, then has the width 0 and must be widened. The derivative
+    must still be exact.
     """
     field = noise((5, 9), (0.21, 0.17))
     field = wd.HeightField.of_known_scale(field.heights_um / np.ptp(field.heights_um) * depth_um, field.pitch_um)

@@ -165,7 +165,8 @@ def test_the_plan_reports_the_requested_coherence_and_method(options, said, tmp_
     [slow(name) if name == "fingers" else name for name in cli_inputs.GRATINGS if name not in ("dvd", "blu-ray", "cd")],
 )
 def test_info_describes_each_grating(name, monkeypatch, capsys):
-    # With a short coherence window, ``info`` makes its plan several seconds faster.
+    # The command ``info`` makes a plan, which holds numbers of a computation such as wavelengths. With a short
+    # coherence window, this is several seconds faster.
     monkeypatch.setattr(wd, "plan", functools.partial(wd.plan, coherence=wd.Coherence(sigma_um=3.0)))
     assert cli.main(["info", "--heightfield", name, "--tolerance", "0.1"]) == 0
     out = capsys.readouterr().out

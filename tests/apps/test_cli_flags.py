@@ -98,7 +98,8 @@ def test_pixels_need_not_be_square_on_any_command(command, flag):
 ])  # fmt: skip
 @pytest.mark.filterwarnings("ignore::warpdiff.WarpdiffWarning")
 def test_info_reports_pixels_that_are_not_square(tmp_path, capsys, words, size):
-    # A field with missing samples has no plan. It is used here because ``info`` would require a second to make a plan.
+    # The command ``info`` makes no plan (numbers of a computation) for a field with missing samples. This saves a
+    # second.
     heights = 0.05 * np.sin(np.arange(600.0)).reshape(20, 30)
     heights[3, 4] = np.nan
     np.save(tmp_path / "a.npy", heights)

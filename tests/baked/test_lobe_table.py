@@ -33,15 +33,15 @@ def spectrum(fingers):
 
 @pytest.fixture(scope="module")
 def small_spectrum(fingers):
-    """Return a spectrum with so few cells that files are read and written quickly."""
+    """Return a baked spectrum (table of diffracted powers) with so few cells that file tests are fast."""
     return wd.bake_spectrum(fingers, coherence=WIDE, size=64, tolerance=0.1)
 
 
 def test_colours_are_within_the_requested_difference(fingers, lobes):
-    """The colours of baked lobes must differ from the float64 reference by at most the requested ΔE2000.
+    """Baked lobes are a table of colours. Its colours must differ from the reference by at most the requested ΔE2000.
 
-    They are compared in 200 directions that baking has not used. Half of these directions are drawn with probabilities
-    in proportion to their luminance, so that bright directions are included.
+    The reference is computed in float64. The 200 compared directions have not been used by baking. Half of them are
+    drawn with probabilities in proportion to their luminance, so that bright directions are included.
     """
     rng = np.random.default_rng(91)
     lights, views = hemisphere(rng, 20_000), hemisphere(rng, 20_000)
@@ -162,17 +162,17 @@ def test_a_baked_spectrum_equals_the_reflectance_of_directions(fingers, spectrum
     power += np.interp(-uvw[:, 2], kappas, spectrum.zeroth) * lobe
     gains = reflectance_factors.gain(lights, views, normal=1.0, masking=False)
     relative = np.abs(gains * power - exact[:, 0]) / np.maximum(exact[:, 0], 1e-2 * np.percentile(exact, 99.0))
-    # Baking averages the spectrum over cells as wide as a quarter of a lobe's standard deviation. This blurs the
-    # spectrum, so errors of up to 5 % are allowed.
+    # Baking averages the spectrum over cells as wide as a quarter of the standard deviation of a diffraction order
+    # (lobe). This blurs the spectrum, so errors of up to 5 % are allowed.
     assert np.percentile(relative, 90.0) < 0.05
     assert np.sum(gains * power) == pytest.approx(np.sum(exact), rel=0.02)
 
 
 def test_the_powers_of_a_sine_add_up_to_squared_bessel_functions():
-    """Order m of a sine grating has the power J_m². The baked spectrum must contain these powers.
+    """Order m of a sine grating has the power J_m², with Bessel functions J_m. The baked spectrum must contain it.
 
-    The sum over all cells of the spectrum is multiplied by 4πσ², because the integral of a lobe is 1/(4πσ²). The baked
-    cells exclude the zeroth order.
+    The sum over all cells of the spectrum is multiplied by 4πσ², because the integral of the lobe of an order is
+    1/(4πσ²), where σ is the standard deviation of the coherence window. The baked cells exclude the zeroth order.
     """
     sine = wd.gratings.sinusoidal(2.0, 0.2)
     baked = wd.bake_spectrum(sine, coherence=WINDOW, size=256, tolerance=1e-3)
@@ -249,10 +249,10 @@ def test_quantisation_errors_are_at_most_half_a_step():
 
 
 def test_a_polar_grid_interpolates_lobes_of_its_design_width():
-    """Interpolation on a polar grid must reproduce lobes of the width for which the grid is made.
+    """Interpolation on a polar grid of (u, v) must reproduce peaks (lobes) of the width for which the grid is made.
 
     The error may be at most 0.02 of the peak of a lobe. Along the radius, the width of the test lobes is a tenth of
-    |(u, v)|. Lobes in colour tables are at least this wide along the radius, because they contain a range of
+    |(u, v)|. Lobes of orders in colour tables are at least this wide along the radius, because they contain a range of
     wavelengths.
     """
     width = 0.02

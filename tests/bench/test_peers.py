@@ -26,7 +26,7 @@ def runs(peer):
 
 
 def called(heightfield, lights, views, coherence):
-    """Return scattering vectors and gains for pairs of directions, and their colours by the reference."""
+    """Return scattering vectors and geometry factors (gains) for pairs of directions, and colours by the reference."""
     gains = reflectance_factors.gain(lights, views, normal=reflectance_factors.normal_reflectance(1.5), masking=True)
     return -lights - views, gains, reference.reference_reflectance(heightfield, lights, views, coherence)
 
@@ -72,8 +72,8 @@ def test_lines_of_a_grating_have_the_colours_of_the_reference():
     shade = runs(stam_analytic).prepare(heightfield, wd.Coherence(), colours="cie")
     angle = np.radians(np.linspace(-80.0, 80.0, 161))
     views = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=1)
-    # Every second light is moved out of the plane of incidence by half the angular width of an order, to test how
-    # colours depend on v.
+    # Every second light is moved out of the plane of incidence by half the angular width of an order. This tests how
+    # colours depend on v, the component of the scattering vector along the grooves.
     aside = 0.004 * (np.arange(161) % 2)
     lights = np.stack([np.full(161, 0.3), aside, np.sqrt(1.0 - 0.09 - aside**2)], axis=1)
     scattering_vectors, gains, exact = called(heightfield, lights, views, wd.Coherence())
@@ -92,8 +92,8 @@ def test_the_rainbow_follows_the_published_chapter():
     heightfield = wd.gratings.disc("CD", length_um=12.8)
     assert stam_analytic.grating_um(heightfield) == pytest.approx(1.6)
     shade = runs(stam_analytic).prepare(heightfield, wd.Coherence(), colours="rainbow")
-    # For the u of this test, the analytic model reflects the wavelengths 0.75 µm and 0.375 µm. Its rainbow colours show
-    # 0.75 µm as green. They do not include 0.375 µm, so that only green remains.
+    # u is the component of the scattering vector across the grooves. For the u of this test, the analytic model
+    # reflects the wavelengths 0.75 µm and 0.375 µm. Its rainbow colours show 0.75 µm as green and exclude 0.375 µm.
     scattering_vectors = np.array([[0.75 / 1.6, v, -1.5] for v in (0.0, 0.4)])
     red, green, blue = colorimetry.xyz_to_rgb(shade(scattering_vectors, np.ones(2), 1)).T
     assert np.all(green > 0.0)

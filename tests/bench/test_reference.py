@@ -13,7 +13,7 @@ from warpdiff.heightfield.field import HeightField
 from warpdiff.optics.coherence import Coherence
 
 WAVELENGTHS_UM = np.array([0.381, 0.47, 0.56, 0.66, 0.779])
-# number of random directions per surface; with five wavelengths each, more than 200 values are compared
+# Number of random directions per surface. With five wavelengths for each direction, more than 200 values are compared.
 DIRECTIONS = 48
 
 
@@ -39,7 +39,7 @@ KINDS = ["averaged", "centred", "source", "replicas"]
 
 
 def direct_reflectance(heightfield, lights, views, wavelengths, coherence):
-    """Return the reflectance ρ: the power |P|² by the direct sum, times the gain of the float64 reference."""
+    """Return the reflectance ρ: the power |P|² by the direct sum, times the geometry factor (gain) of the reference."""
     gains = reference.gain(lights, views, source=coherence.kind == "source")
     power = direct_sum.window_power(heightfield, coherence, -lights - views, wavelengths, to_lights=lights)
     return gains[:, None] * power

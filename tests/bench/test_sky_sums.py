@@ -16,7 +16,8 @@ from warpdiff.optics.spectra import colour_science
 
 SIGMA_UM = 8.0
 WINDOW = wd.Coherence(sigma_um=SIGMA_UM)
-# A short coherence window, whose wide lobes reduce the noise of sums over directions.
+# A short coherence window. It widens the angles of each diffraction order (lobes), which reduces the noise of sums over
+# directions.
 WIDE = wd.Coherence(sigma_um=1.5)
 FLAT = wd.HeightField(np.zeros((32, 32)), 0.09)
 # The mesh is a square that faces +y. The camera is above it, and tilted away from +y, because azimuths are not defined
@@ -66,8 +67,8 @@ def disc_on_sky():
 def test_a_mirror_shows_the_colours_of_the_sky():
     """A mirror must show the colour that the sky has in the mirror direction.
 
-    The radiance of the sky is a linear function of its polar angle and azimuth. Its mean over the mirror's lobe, which
-    is 0.4° wide, is therefore its value at the centre of the lobe.
+    The radiance of the sky is a linear function of its polar angle and azimuth. The mirror reflects a narrow range of
+    directions (lobe) of 0.4°. The mean radiance over this range is therefore the radiance at its centre.
     """
     polar, azimuth = polar_and_azimuth(32)
     sky = np.stack([1.0 + 0.3 * azimuth, 0.3 + 0.5 * polar, 0.8 + 0.2 * azimuth + 0.1 * polar], axis=-1)
@@ -81,8 +82,8 @@ def test_a_mirror_shows_the_colours_of_the_sky():
 def test_a_mirror_under_a_wide_disc_light_reflects_its_whole_lobe():
     light = wd.DirectionalLight(tuple(AXIS), power=2.0, angular_diameter_deg=10.0)
     result = SkySums(floor(), FLAT, VIEW, WINDOW).under_disc(PIXELS, light, 128, 0).mean(axis=0)
-    # The integral of 4πσ²/λ² times the reflectance over all directions is 1. Under a disc light that contains the lobe,
-    # the reflected light is therefore λ²/(4πσ²), divided by the solid angle of the disc.
+    # The integral of 4πσ²/λ² times the reflectance over all directions is 1. If a disc light contains all directions
+    # that the mirror reflects, the reflected light is λ²/(4πσ²), divided by the solid angle of the disc.
     um = 1e-3 * np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1)
     products = colorimetry.colour_products("D65")
     lobe = um**2 @ products / products[:, 1].sum() / (4.0 * math.pi * SIGMA_UM**2)

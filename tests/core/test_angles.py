@@ -19,7 +19,7 @@ def test_directions_have_the_components_of_their_angles():
 def test_angles_are_those_that_directions_were_made_from(rng):
     theta, phi = rng.uniform(1.0, 89.0, 50), rng.uniform(-179.0, 179.0, 50)
     found_theta, found_phi = angles_deg(wd.direction(theta, phi))
-    # Angles are rounded to ten decimal places.
+    # ``angles_deg`` rounds angles to ten decimal places, so that errors of up to 5e-11 degrees are expected.
     np.testing.assert_allclose(found_theta, theta, rtol=0.0, atol=6e-11)
     np.testing.assert_allclose(found_phi, phi, rtol=0.0, atol=6e-11)
     assert angles_deg(wd.direction(20.0))[0] == 20.0

@@ -29,7 +29,11 @@ def test_bytes_are_limited_except_for_the_last_value():
 
 
 def test_a_lookup_does_not_replace_the_stored_key():
-    """The cache must store the first key, because an equal key used for a look-up may change later."""
+    """The cache must keep the key object with which a value was stored.
+
+    A look-up uses an equal object, which the caller may change later. If the cache stored this object, the stored key
+    would then change, too.
+    """
     cache, first, equal = LruCache(2), Frozen(1), Frozen(1)
     cache.put(first, "value")
     assert cache.get(equal) == "value"

@@ -1,4 +1,7 @@
-"""Kernel calls on the CPU: every element passes through all kernels once, for any slice size and number of threads."""
+"""Kernel calls on the CPU: every element passes through all kernels once, for any slice size and number of threads.
+
+A slice is a group of consecutive elements that one thread processes in one launch of a kernel.
+"""
 
 import gc
 import sys
@@ -16,7 +19,8 @@ from warpdiff.kernels import compile_options
 from warpdiff.kernels.structs import Cells, Sampling
 
 THREADS = (1, 2, 5)
-# The kernels of these tests have the package's compile options. Other options would let Warp recompile its headers.
+# The kernels of these tests have the same compile options as the package. With other options, Warp would compile its
+# own headers again.
 wp.set_module_options(compile_options.options())
 
 

@@ -36,7 +36,7 @@ def build(heightfield, method, kappas, *, adds_powers, terms=40):
 
 
 def basis_at(coefficients, kappas):
-    """Return the basis functions at κ, interpolated by the cubic polynomial that the kernels use."""
+    """Return the basis functions of a series at values of κ = w/λ, by the cubic interpolation that kernels use."""
     steps = (kappas - coefficients.kappa_low) / coefficients.step
     entry = np.minimum(steps.astype(int), len(coefficients.basis) - 4)
     t = (steps - entry)[:, None]
@@ -50,7 +50,10 @@ def basis_at(coefficients, kappas):
 
 
 def transforms(heightfield, block, kappas):
-    """Return H_rs(−κ) of heights centred at zero. The axes of the result are κ and the orders s and r of the block."""
+    """Return the Fourier coefficients H_rs of exp(−2πiκh), for heights h that are centred at zero.
+
+    The axes of the result are κ = w/λ and the orders s and r of the block.
+    """
     h = heightfield.heights_um - (heightfield.heights_um.max() + heightfield.heights_um.min()) / 2.0
     s, r = block.orders()
     return np.stack([np.fft.ifft2(np.exp(-2j * np.pi * k * h))[np.ix_(s, r)] for k in kappas])
@@ -138,7 +141,10 @@ def test_powers_of_flat_fields_and_of_fields_with_few_samples_are_accurate(shape
 
 
 def test_the_basis_does_not_depend_on_the_neighbourhood():
-    """Plans that differ only in the number of neighbouring coefficients per direction must share one fitted basis."""
+    """A plan holds numbers of a computation, such as the number of neighbouring Fourier coefficients per direction.
+
+    Plans that differ only in this number must share one fitted basis.
+    """
     heightfield = surface(0.3)
     plan = wd.plan(heightfield, (0, 0, 1), (0.3, 0, 1))
     extents = [
@@ -157,7 +163,10 @@ def test_the_basis_does_not_depend_on_the_neighbourhood():
 @pytest.mark.parametrize("taps", [4, 6, 8])
 @pytest.mark.parametrize("samples", [2, 9, 64])
 def test_interpolation_between_orders_equals_the_explicit_sum(taps, samples, rng):
-    """Fourier coefficients that are interpolated from multiples of half an order must equal the explicit sum."""
+    """Fourier coefficients at any frequency are interpolated from their values at multiples of half an order.
+
+    They must equal explicit sums.
+    """
     values = np.exp(2j * np.pi * rng.uniform(size=samples))
     place = (np.arange(samples) - samples // 2) / (2 * samples)
     tapered = np.zeros(2 * samples, dtype=complex)
@@ -205,13 +214,14 @@ def test_higher_orders_of_a_shallow_surface_are_accurate(method):
 @pytest.mark.parametrize("parts", [1, 2])
 @pytest.mark.parametrize("shape", [(3, 5), (20, 40)])
 def test_the_strongest_coefficients_are_the_first_64_in_descending_order_of_their_powers(shape, parts, rng):
-    """The powers must be those in the middle of the range of |κ|. Fewer than 64 coefficients are all returned."""
+    """The powers must be computed at the middle of the range of |κ|. Fewer than 64 coefficients are all returned."""
     rows = rng.lognormal(size=(*shape, parts, 2)).astype(np.float32)
     basis = np.stack([np.ones(12), np.arange(-1.0, 11.0)], axis=1).astype(np.float32)
     coefficients = coefficient_basis.Coefficients(rows, basis, 0.0, 0.5, np.zeros(0))
     places, powers = coefficients.strongest
-    # The range of κ ends two steps before the last entry. The middle of the range is a geometric mean of its ends; the
-    # lower end counts as at least 0.1 of the upper end.
+    # ``basis`` has an entry at every step of 0.5 in |κ|, from −0.5 to 5. The upper end of the range counts as one step
+    # before the last entry, at 4.5. The middle of the range is the geometric mean of its ends, where the lower end
+    # counts as at least 0.1 of the upper end.
     entry = math.sqrt(0.1 * 4.5 * 4.5) / 0.5
     values = rows[..., 0].astype(float) + entry * rows[..., 1]
     expected = values[..., 0] if parts == 1 else np.sum(values**2, axis=2)

@@ -75,7 +75,8 @@ FORMS = {
     "200-copies": wd.Coherence("replicas", periods=(1, 200)),
 }  # fmt: skip
 METHODS = ("low-rank", "power", "jacobi-anger", "taylor")
-# The method "power" is only available for kinds of coherence that add powers.
+# Tested pairs of coherence and method. The method "power" is only available if the powers of Fourier coefficients add:
+# for an averaged coherence window and for a source.
 PAIRS = [
     pytest.param(coherence, method, id=f"{name}-{method}")
     for name, coherence in FORMS.items()

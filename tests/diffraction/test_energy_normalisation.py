@@ -187,7 +187,7 @@ def test_grid_weights_are_bilinear_between_the_directions_of_the_grid(rng):
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=1e-12)
     nodes, weights = energy_normalisation.grid_weights(directions)
     values = rng.uniform(size=len(directions))
-    # All nodes in the first row of the grid are the same direction, the normal.
+    # All entries in the first row of the grid are the same direction, the normal.
     columns = np.count_nonzero(directions[:, 2] > 1.0 - 1e-12)
     values[:columns] = 0.5
     np.testing.assert_allclose(np.sum(weights * values[nodes], axis=1), values, atol=1e-6)
@@ -201,7 +201,8 @@ def test_factors_balance_a_symmetric_matrix(contrast, rng):
     """The factors a of a symmetric matrix K with positive elements must satisfy a (K a) = 1."""
     matrix = rng.lognormal(0.0, contrast, (40, 40))
     matrix += matrix.T
-    # The first direction reflects light only into itself. Its factor is exact from the beginning.
+    # The first row and column of the matrix have only the diagonal element 1: a direction that reflects light only into
+    # itself. Its factor is 1.
     matrix[0], matrix[:, 0], matrix[0, 0] = 0.0, 0.0, 1.0
     factors = energy_normalisation._balanced(matrix)
     np.testing.assert_allclose(factors * (matrix @ factors), 1.0, atol=1e-8)

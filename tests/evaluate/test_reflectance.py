@@ -77,8 +77,8 @@ def test_direct_colours_that_have_not_converged_cause_a_warning(line, monkeypatc
 def test_the_brdf_of_a_mirror_in_the_mirror_direction_is_4_pi_sigma_squared_over_lambda_squared():
     """In the mirror direction, the BRDF of a mirror must be 4πσ²/λ². If a direction is below the horizon, it must be 0.
 
-    In all directions the BRDF has the factor R (1 + ωi·ωr)² / (cos θi cos θr w²). In the mirror direction of a perfect
-    mirror (R = 1) this factor is 1.
+    In all directions the BRDF has the factor R (1 + ωi·ωr)² / (cos θi cos θr w²), where w is the component of ωi + ωr
+    along the normal. In the mirror direction of a perfect mirror (R = 1) this factor is 1.
     """
     mirror, wavelengths = wd.HeightField(np.zeros((8, 8)), 0.1), np.array([450.0, 600.0])
     options = {"coherence": SHORT, "ior": math.inf, "energy": "stam"}
@@ -112,8 +112,8 @@ def test_pixels_of_a_map_are_means_of_directions_within_the_unit_disc(line):
     np.testing.assert_allclose(image.coverage, share)
     np.testing.assert_array_equal(image.mask, share > 0.0)
     assert set(np.unique(share)) > {0.0, 1.0}
-    # The largest estimated error of the pixels equals the error that the plan predicts for all directions. Errors are
-    # relative to the norm of a pixel's XYZ, or to a thousandth of the reference luminance if that is larger.
+    # A plan predicts the error of a computation. The largest estimated error of the pixels must equal this prediction.
+    # Errors are relative to the norm of a pixel's XYZ, or to a thousandth of the reference luminance if that is larger.
     np.testing.assert_allclose(image.error[image.mask].max(), plan.error, rtol=1e-3)
     assert not image.error[~image.mask].any()
     assert image.report.refined_share == 0.0

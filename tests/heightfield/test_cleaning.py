@@ -165,8 +165,8 @@ def test_a_background_finer_than_the_pitch_is_refused(pitch, size) -> None:
     field = HeightField.of_known_scale(np.random.default_rng(1).normal(size=(30, 40)), pitch)
     with pytest.raises(ValueError, match=r"size_um must be at least the pitch of \S+ µm, got .*give size_um="):
         field.despiked(size_um=size)
-    # Along an axis with a single sample, ``size_um`` may be less than the pitch. The pitch along this axis is 1000 µm
-    # here, which is more than the default of ``size_um``.
+    # ``size_um`` is the width of the Gaussian in despiking. Along an axis with a single sample, this width may be less
+    # than the pitch. The pitch along this axis is 1000 µm here, which is more than the default width.
     HeightField.of_known_scale(field.heights_um[:1], (1e3, 0.1)).despiked()
 
 

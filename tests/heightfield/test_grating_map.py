@@ -1,4 +1,8 @@
-"""Grating maps: values of dots from numbers, arrays and images, the reference field, and errors."""
+"""Grating maps: values of dots from numbers, arrays and images, the reference field, and errors.
+
+A grating map divides a surface into small rectangles (dots). All dots have the same grating, but each dot has its own
+rotation, factor of the heights (depth scale) and factor of the lengths (pitch scale).
+"""
 
 from __future__ import annotations
 
@@ -31,7 +35,8 @@ def test_transforms_are_relative_to_the_largest_scales() -> None:
     reference = grating_map.reference
     assert reference.height_range_um == pytest.approx(2.0 * CELL.height_range_um)
     assert reference.pitch_um == pytest.approx((1.5 * CELL.pitch_um[0], 1.5 * CELL.pitch_um[1]))
-    # The table resolves a source that is smaller by the ratio of the pitch scales.
+    # All dots share one table of colours, which is made for the largest pitch scale, 1.5. In the dot with the pitch
+    # scale 0.75, a source of 1° has the effect of a source of half this diameter on the table's surface.
     source = wd.Coherence("source", angular_diameter_deg=1.0)
     assert grating_map.table_coherence(source).angular_diameter_deg == pytest.approx(0.5)
     assert grating_map.table_coherence(wd.Coherence()) == wd.Coherence()

@@ -28,6 +28,8 @@ USUAL = {
 def test_verdicts_meet_their_targets_against_rigorous_solutions(energy):
     """The shares of right and wrong verdicts must meet their targets for gratings with known rigorous solutions.
 
+    A verdict on scalar diffraction states its expected error.
+
     The test uses every thirteenth of 748 gratings. ``bench/reproduce/theory_verdict.py`` uses all of them.
     """
     for name, shares in judged(energy, step=13).items():
@@ -73,7 +75,9 @@ def test_normalised_orders_of_mirrors_are_nearer_to_rigorous_solutions(case, mak
 
 
 def test_estimates_of_a_sine_are_their_closed_forms():
-    """For a sine of period P and depth d, each reason of the verdict must have an estimate that equals a closed form.
+    """A verdict on scalar diffraction estimates an error for each reason: steep, narrow and deep grooves.
+
+    For a sine of period P and depth d, the estimates must equal closed forms.
 
     The estimate of "steep" is proportional to the root mean square slope πd/(√2 P). The estimate of "narrow" is
     proportional to 1 − Σ J_m²(πd/λ) over |m| < P/2λ, where J_m are Bessel functions. The estimate of "deep" is
@@ -118,7 +122,7 @@ def test_a_flat_surface_has_an_estimated_error_of_0():
 
 
 def test_the_verdict_does_not_depend_on_pitch_size_position_or_gaps():
-    """A field of 20 periods must have nearly the same verdict as one period.
+    """A field of 20 periods must have nearly the same verdict on scalar diffraction as one period.
 
     The field of 20 periods is shifted and raised, and has one missing sample.
     """
@@ -170,9 +174,9 @@ def test_usual_surfaces_are_qualitative_and_not_warned_of(name):
 
 @pytest.mark.parametrize("call", ["plan", "reflectance", "shade", "order_efficiencies"])
 def test_all_calls_warn_in_the_words_of_the_verdict(call):
-    """On this deep grating, scalar diffraction has the grade invalid for all directions of light and view.
+    """Scalar diffraction is invalid for this deep grating, for all directions of light and view.
 
-    Each call must warn of it with grade, wavelength, error and reason.
+    Each call must warn with the library's verdict on scalar diffraction: grade, wavelength, error and reason.
     """
     heightfield = wd.gratings.sinusoidal(1.0, 2.0, samples=16)
     tube = wd.meshes.tube(segments_along=12, segments_around=12)
@@ -218,7 +222,7 @@ def test_a_plan_file_restores_the_verdict(tmp_path):
 
 
 def test_spectra_are_judged_at_their_own_wavelengths():
-    """The verdict on a spectrum must be made at the wavelengths of the spectrum.
+    """The verdict on scalar diffraction of a spectrum must be made at the wavelengths of the spectrum.
 
     For the tested relief, scalar diffraction has the grade invalid for visible light. At wavelengths ten times as long,
     its grade is qualitative.

@@ -51,10 +51,9 @@ def displayed(encoded):
 
 
 def hue_errors(encoded, bands):
-    """Return the change of each band's hue by a display transform, and the largest hue difference between neighbouring
-    bands.
+    """Return the change of each spectral band's hue by a display transform [degrees].
 
-    Both are in degrees.
+    Also return the largest hue difference between neighbouring bands [degrees].
     """
     hues = hues_deg(displayed(encoded))
     return apart_deg(hues, hues_deg(bands)), float(apart_deg(hues[..., 1:], hues[..., :-1]).max())

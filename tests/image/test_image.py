@@ -31,7 +31,7 @@ ERROR = np.linspace(0.0, 0.1, COVERAGE.size, dtype=np.float32).reshape(COVERAGE.
 
 @pytest.fixture(scope="module")
 def plan() -> wd.Plan:
-    """Return the plan of a flat height field, for pictures in whose tests the plan does not matter."""
+    """Return a plan (method and numbers of a computation), which pictures store. The tests do not depend on it."""
     return wd.plan(wd.HeightField(np.zeros((8, 8)), 0.05), method="direct")
 
 

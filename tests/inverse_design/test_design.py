@@ -71,7 +71,7 @@ def test_gradient_of_the_loss_is_that_of_differences(kind):
 
 @pytest.mark.parametrize("shape", [(1, 24), (6, 8)])
 def test_exchange_computes_the_values_of_the_library(shape):
-    """Coefficients of pixels as explicit sums equal reflectance() and order_efficiencies()."""
+    """Values of a design by explicit sums over its pixels must equal ``reflectance`` and ``order_efficiencies``."""
     profile = wd.profiles.Pixels(0.5, np.zeros(shape), samples=3)
     narrow = wd.Coherence(sigma_um=2.0)
     targets = [
@@ -125,7 +125,7 @@ def test_splitter_meets_its_limits_and_repeats():
     assert 0.15 <= result.levels_um[-1] <= 0.3
     np.testing.assert_allclose(np.diff(result.levels_um), result.levels_um[-1] / 3)
     assert set(np.round(result.heightfield.heights_um.ravel(), 9)) <= set(np.round(result.levels_um, 9))
-    # Each feature is at least 0.8 µm wide, 4 samples.
+    # Each feature must be at least 0.8 µm wide, which is 4 samples. ``row`` begins at an edge of a feature.
     row = result.heightfield.heights_um[0]
     row = np.roll(row, -int(np.flatnonzero(np.diff(row))[0]) - 1)
     assert np.diff(np.flatnonzero(np.append(True, np.append(np.diff(row) != 0, True)))).min() >= 4
@@ -147,7 +147,11 @@ def test_splitter_meets_its_limits_and_repeats():
 
 @pytest.mark.parametrize("levels", [2, 4])
 def test_equal_orders_without_order_0_are_bright(levels):
-    """A flat surface, whose orders are all dark, once counted as perfectly equal, and was the best design."""
+    """A design of equal orders must reflect most light into these orders.
+
+    All orders of a flat surface except order 0 are dark, and thus equal. Such a surface must not count as the best
+    design.
+    """
     target = wd.Target.equal([(0, -1), (0, 1)], UP, 632.8, **MIRROR)
     result = wd.design(wd.profiles.Pixels(0.5, np.zeros((1, 16))), target, levels=levels, starts=2)
     assert result.shares[0] > 0.7
@@ -275,7 +279,7 @@ def test_refused_targets(make, error, message):
 
 
 def test_coefficients_beyond_the_pixels_repeat_with_samples():
-    """Powers of a random field by explicit Fourier sums over samples."""
+    """Fourier coefficients of pixels must equal explicit Fourier sums over the samples of a random height field."""
     profile = wd.profiles.Pixels(0.3, np.zeros((4, 6)), samples=2)
     levels, depth = heights((4, 6))
     surface = profile.surface((depth * levels / 3).ravel())
@@ -289,7 +293,11 @@ def test_coefficients_beyond_the_pixels_repeat_with_samples():
 
 
 def test_fourier_starts_have_the_orders_of_the_target():
-    """Orders on one side of the normal, so that a mirrored start is wrong."""
+    """A search starts from heights that are computed by Fourier transforms, and these heights must have bright orders.
+
+    All target orders are on the same side of the normal. Mirrored heights would be bright on the other side, where the
+    orders must be dark.
+    """
     profile = wd.profiles.Pixels(0.4, np.zeros((8, 30)), samples=2)
     pairs = [(1, 1), (0, 3)]
     target = wd.Target.equal(pairs, UP, 632.8, **MIRROR)
@@ -301,7 +309,10 @@ def test_fourier_starts_have_the_orders_of_the_target():
 
 
 def test_levels_wrap_only_at_a_cycle_of_the_phase(monkeypatch):
-    """For shallow levels, heights of one step above the highest level once became the lowest level: a flat surface."""
+    """A height above the highest level may only become the lowest level if both have the same phase of light.
+
+    The levels of this test are too shallow for this. If heights became the lowest level, the design would be flat.
+    """
     monkeypatch.setattr(pixel_exchange, "_MOST_PRODUCTS", 0.0)
     target = wd.Target.orders({(0, 1): 0.3, (0, -1): 0.3}, UP, 632.8, **MIRROR, energy="stam")
     result = wd.design(wd.profiles.Pixels(0.5, np.zeros((1, 8))), target, levels=2, depth_um=0.05, starts=1)
@@ -310,7 +321,10 @@ def test_levels_wrap_only_at_a_cycle_of_the_phase(monkeypatch):
 
 
 def test_least_features_hold_after_the_exchange():
-    """Binary pixels that gain from single pixels, unless the least feature forbids them."""
+    """Every feature of a design must be at least ``least_feature_um`` wide, after the final exchange of pixels.
+
+    In this design, exchanges of single pixels would lower the loss, but would make narrower features.
+    """
     profile = wd.profiles.Pixels(0.2, np.zeros((1, 48)), samples=1)
     target = wd.Target.equal([(0, m) for m in range(-3, 4)], UP, 632.8, **MIRROR, energy="stam")
     for seed in range(2):

@@ -84,6 +84,8 @@ def test_colours_of_replicated_periods_equal_a_direct_sum_over_many_wavelengths(
 def test_each_direction_uses_the_smallest_sufficient_set_of_wavelengths(kind, rng):
     """A direction must use the smallest set of wavelengths whose number is sufficient for its bandwidth.
 
+    The bandwidth is the number of wavelengths that the direction requires per unit of 1/λ.
+
     The weights of the wavelengths are replaced: X is the index of the set, and Y is 1. The ratio X/Y of a result is
     then the index of the set that the kernel used. For a light source of finite size (coherence of the kind "source"),
     diffraction orders pass a direction at the rate √(d Σ⁻¹ d) as the wavelength changes. Here d is (u, v), and Σ is the

@@ -23,7 +23,10 @@ COUNT = 3000
 
 
 def directions(rng):
-    """Return scattering vectors (a third near the mirror direction), directions to the light, gains and footprints."""
+    """Return scattering vectors (a third near the mirror direction), directions to the light, gains and footprints.
+
+    Gains are geometry factors. A footprint is the change of (u, v) over one standard deviation of the pixel filter.
+    """
     to_lights, to_views = hemisphere(rng, COUNT), hemisphere(rng, COUNT)
     to_views[::3] = to_lights[::3] * [-1.0, -1.0, 1.0] + 0.02 * rng.normal(size=(COUNT // 3, 3))
     to_views /= np.linalg.norm(to_views, axis=1, keepdims=True)
@@ -74,7 +77,8 @@ def test_native_look_ups_equal_the_reference_implementation(fingers, plan, footp
     # Directions for which the native look-up and its reference implementation decide differently are excluded.
     assert np.mean(served) > 0.999
     errors = relative_errors(native, plain)[served]
-    # Native look-ups round positions between two azimuth samples, or between two rings, to 1/64 of their spacing.
+    # The table is a polar grid of (u, v). Native look-ups round positions between two azimuths of this grid, or between
+    # two of its rings, to 1/64 of their distance.
     assert np.median(errors) < 1e-5
     assert np.percentile(errors, 99.0) < 2e-3
     assert errors.max() < 5e-2

@@ -50,20 +50,25 @@ def test_dots_at_hits_repeat_and_row_0_is_on_top(rng: np.random.Generator) -> No
     launch_pipeline([call], rays, device=wp.get_device("cpu"), threads=1)
     hit = pixels.hit.numpy() != 0
     assert np.all(dots.numpy()[~hit] == -1)
-    # Points that are closer to the edge of a dot than the rounding error may be on either side of it.
+    # A dot is a small rectangle of a grating map. Points that are closer to the edge of a dot than the rounding error
+    # may be on either side of it.
     away = np.min(np.abs((uv * [COLUMNS, ROWS]) % 1.0 - 0.5), axis=1) < 0.499
     np.testing.assert_array_equal(dots.numpy()[hit & away], _dots(uv)[hit & away])
 
 
 def test_cells_look_up_dots_at_different_positions(rng: np.random.Generator) -> None:
-    """The subpixel cells of a pixel must find the edge of a dot as accurately as 16 times as many cells would."""
+    """A pixel is divided into 4 × 4 cells, at which dots (small rectangles) of a grating map are looked up.
+
+    The cells must find the edge of a dot as accurately as 16 times as many cells would.
+    """
     across = 4
     camera, mesh, pixels, _ = _scene(across**2, rng)
     pixels.hit.fill_(1)
     pixels.face.fill_(0)
     centres = (np.arange(across) + 0.5) / across - 0.5
     for edge in np.linspace(0.01, 0.49, 25):
-        # The left edge of the dot with u = 0 is at the fraction ``edge`` of the pixel's width, which is 0.5.
+        # The left edge of a dot, at the texture coordinate u = 0, lies within the pixel. Its distance from the pixel's
+        # left edge is ``edge``; the pixel is 0.5 wide.
         x = np.tile(centres, across) * 0.5 + 0.25 - edge
         y = 0.1 - np.repeat(centres, across) * 0.25 * 0.01
         second, third = (x + 3.0) / 8.0, (y + 3.0) / 8.0

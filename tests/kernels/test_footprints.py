@@ -30,7 +30,7 @@ SHORT = wd.Coherence(sigma_um=3.25)
 SOURCE = wd.Coherence("source", angular_diameter_deg=3.0)
 LIGHT = wd.DirectionalLight((0.1, 0.9, 1.2))
 # Number of rays per pixel in the reference picture. With 144 rays, noise of the reference raised the 99th percentile of
-# the measured errors to 0.25. With 400 rays the percentile is 0.06.
+# the measured errors to 0.25. With 400 rays, this percentile is 0.06.
 RAYS = 400
 
 
@@ -45,7 +45,10 @@ def view():
 
 @pytest.fixture(scope="module")
 def pictures(tube, fingers):
-    """Return a picture with footprints, a picture with one ray per pixel, and a reference with 400 rays per pixel."""
+    """Return a picture with footprints, a picture with one ray per pixel, and a reference with 400 rays per pixel.
+
+    With footprints, one look-up gives the mean colour over the area of a pixel.
+    """
     blurred = wd.shade(tube, fingers, LIGHT, view(), coherence=SHORT, tolerance=3e-2)
     plan = dataclasses.replace(blurred.plan, footprint=False)
     points = wd.shade(tube, fingers, LIGHT, view(), plan=plan)
@@ -60,7 +63,7 @@ def errors(image, exact):
 
 
 def to_first_order(spreads):
-    """Return footprints (n, 4): the change of (u, v) along picture rows and columns."""
+    """Return an array of footprints for a kernel, shape (n, 4): changes of (u, v) along picture rows and columns."""
     return wp.array(spreads, dtype=Footprint, device="cpu")
 
 
@@ -75,8 +78,8 @@ def test_footprints_reduce_the_error_of_a_pixel(pictures):
     blurred, points, exact = pictures
     ours, theirs = errors(blurred, exact), errors(points, exact)
     assert len(ours) > 500
-    # The allowed error is limited by the small picture: the azimuth of (u, v) changes by at least 0.1 rad from one
-    # pixel to the next, which makes footprints inaccurate.
+    # The allowed error is large because the picture is small: the azimuth of (u, v) changes by at least 0.1 rad from
+    # one pixel to the next. The linear change of (u, v) within a pixel (footprint) is then inaccurate.
     assert np.median(ours) < 4e-2
     assert np.median(ours) < 0.2 * np.median(theirs)
     assert np.percentile(ours, 90.0) < 0.4 * np.percentile(theirs, 90.0)
@@ -106,9 +109,10 @@ def test_azimuth_samples_form_a_closed_circle(fingers, angle_deg):
 
 @pytest.mark.parametrize(("window", "blurred"), [(SHORT, True), (SHORT, False), (SOURCE, True)])
 def test_a_colour_does_not_depend_on_neighbouring_pixels(fingers, window, blurred, rng):
-    """Colours must not depend on which look-ups share a SIMD batch. The number of threads changes this.
+    """Colours must not depend on which look-ups share a SIMD batch. The composition of batches depends on the threads.
 
-    Compiled code could round differently in incomplete batches, which would change the table row of 1 in 2000 look-ups.
+    Compiled code could round differently in incomplete batches. For 1 in 2000 look-ups, rounding would select another
+    entry of the colour table.
     """
     plan = wd.plan(fingers, coherence=window, method="low-rank", integration="table", tolerance=0.1, strict=False)
     device = wp.get_device("cpu")
@@ -138,7 +142,10 @@ def test_a_colour_does_not_depend_on_neighbouring_pixels(fingers, window, blurre
 
 
 def colours(heightfield, plan, direction_range, uv, footprints):
-    """Return XYZ at (u, v), shape (n, 2), for w = −1.5, computed by a plan's table or by its sampled wavelengths."""
+    """Return XYZ at (u, v), shape (n, 2), for w = −1.5.
+
+    The colours are computed by the plan's colour table, or by sums over the plan's wavelengths if it has no table.
+    """
     device = wp.get_device("cpu")
     xyz = wp.zeros(len(uv), dtype=wp.vec3f, device=device)
     scattering_vectors = wp.array(np.column_stack([uv, np.full(len(uv), -1.5)]), dtype=wp.vec3d, device=device)
@@ -153,11 +160,11 @@ def colours(heightfield, plan, direction_range, uv, footprints):
     [(0.04, 0.05, 4.5e-3, 1.2e-2), (0.12, 0.05, 6e-3, 2.5e-2), (0.05, 0.2, 0.018, 0.11)],
 )
 def test_means_over_footprints_equal_means_of_points(fingers, rng, widest, turn, median, most):
-    """Look-ups of one-dimensional footprints must equal means over 120 points along these footprints.
+    """Look-ups of footprints (ranges of (u, v) in a pixel) must equal means over 120 points along these ranges.
 
-    The footprints are radial or oblique lines in (u, v). Wide footprints are included, because their look-ups skip
-    rings (circles of constant |(u, v)| in the table), and because their Gaussians are skewed as functions of ln |(u,
-    v)|.
+    The footprints are one-dimensional: radial or oblique lines in (u, v). Wide footprints are included, because their
+    look-ups skip rings (circles of constant |(u, v)| in the table), and because their Gaussians are skewed as functions
+    of ln |(u, v)|.
     """
     count = 200
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=0.02)
@@ -181,7 +188,7 @@ def test_means_over_footprints_equal_means_of_points(fingers, rng, widest, turn,
 @pytest.mark.parametrize("distance", [0.0, slow(1.0), 3.0])
 @pytest.mark.parametrize("surface", ["fingers", "lines"])
 def test_means_around_the_mirror_direction_equal_means_of_points(surface, fingers, rng, distance):
-    """Look-ups of footprints close to the mirror direction must equal means over points.
+    """Look-ups of footprints (ranges of (u, v) in a pixel) close to the mirror direction must equal means over points.
 
     These footprints include all polar angles of (u, v). Their centres are 0 to 3 standard deviations away from the
     mirror direction.
@@ -207,11 +214,11 @@ def test_means_around_the_mirror_direction_equal_means_of_points(surface, finger
 
 
 def test_a_wide_footprint_weights_each_ring_by_its_area():
-    """A look-up of a wide footprint must equal a closed form, for a table whose colours are a narrow Gaussian function
-    of |(u, v)|.
+    """A look-up of a wide footprint (range of (u, v) in a pixel) must equal a closed form.
 
-    The footprint and the Gaussian of the table have the mirror direction as their common centre. Near this direction,
-    look-ups of wide footprints skip every second ring.
+    The colours of the table are a narrow Gaussian function of |(u, v)|. The footprint and this Gaussian have the mirror
+    direction as their common centre. Near this direction, look-ups of wide footprints skip every second ring of the
+    table.
     """
     heightfield = wd.gratings.sinusoidal(5.0, 0.14)
     up = (0.0, 0.0, 1.0)
@@ -268,7 +275,9 @@ def seen_by(surface, view, light, face, column, row, *, smooth):
 @pytest.mark.parametrize("smooth", [True, False])
 @pytest.mark.parametrize("place", ["outside", "inside", "orthographic", "far", "sheared"])
 def test_footprints_are_the_derivatives_of_uv_in_the_picture(tube, place, smooth, rng):
-    """Footprints must equal finite differences of (u, v) between rays that intersect the plane of the same face.
+    """Footprints, the derivatives of (u, v) in the picture, must equal finite differences between rays.
+
+    The rays intersect the plane of the same face.
 
     The coarse mesh has sheared tangents, which are not perpendicular to its normals.
     """
@@ -304,7 +313,7 @@ def test_footprints_are_the_derivatives_of_uv_in_the_picture(tube, place, smooth
     cosine = np.sum(pixels.normal.numpy()[hit] * pixels.to_view.numpy()[hit], axis=1)
     facing = cosine > 0.03
     assert np.count_nonzero(facing) > 200
-    # The kernel stores footprints of −u and −v, so only absolute values are compared.
+    # The kernel stores the derivatives (footprints) of −u and −v, so only absolute values are compared.
     size = np.linalg.norm(expected[facing], axis=1, keepdims=True)
     error = np.abs(np.abs(result.numpy()[hit][facing]) - np.abs(expected[facing])) / size
     assert np.percentile(error, 99) < 2e-3
@@ -320,7 +329,7 @@ def test_rings_are_skipped_only_under_illuminants_with_smooth_spectra():
     ("rule", "own", "worst"), [(SPECTRUM_TAPS, 1.1, 0.03), (SPECTRUM_TAPS, 1.8, 0.015), (LINE_TAPS, 0.8, 0.05)]
 )
 def test_few_azimuth_samples_blur_a_gaussian_line(rule, own, worst):
-    """A weighted sum of a few azimuth samples must blur a Gaussian line to a wider Gaussian line.
+    """A weighted sum of a few azimuth samples of a table must blur a Gaussian line to a wider Gaussian line.
 
     The line is stored as spline coefficients at the azimuth samples. For the narrow lines of a source (``LINE_TAPS``),
     the spline itself has an error of 3 % of the peak.

@@ -48,7 +48,8 @@ def test_factors_are_linear_between_angles(rng):
     x, y, z = directions.T
     rows = 4.0 * np.sqrt((1.0 - z) / (1.0 - thresholds.LOWEST))
     share = y / (np.abs(x) + np.abs(y))
-    # The azimuth table has eight columns per turn, so a quarter turn covers two. The first column follows the last.
+    # The table of energy factors has eight columns per turn of the azimuth, so that a quarter turn has two. The first
+    # column follows the last.
     columns = 2.0 * np.where(x < 0.0, 2.0 - share, share % 4.0)
     around = np.column_stack([energy, energy[:, 0]])
     by_column = np.array([[np.interp(c, np.arange(9), row) for row in around] for c in columns])
@@ -86,7 +87,7 @@ def test_the_rotation_of_a_near_light_equals_differences_between_neighbouring_ra
     """The kernel's change of the direction to a near light must equal the difference between two rays 0.0005 pixels
     apart.
 
-    The kernel adds this change to footprints.
+    The kernel adds this change to the change of (u, v) within a pixel (footprint).
     """
     corners = np.array([[-1.0, -0.9, 0.1], [0.9, -1.0, -0.2], [0.1, 1.0, 0.3]])
     plane = np.cross(corners[1] - corners[0], corners[2] - corners[0])

@@ -44,12 +44,13 @@ def call_functions(
 
 
 def test_frames_within_a_footprint_and_shares_of_microfacets_have_closed_forms(rng):
-    """Frames at points of the pixel filter must change (u, v) as the footprint states, for either handedness of the
-    frame.
+    """Frames at points of the pixel filter must change (u, v) as the footprint states, also for left-handed frames.
 
     The footprint has the changes of (u, v) of light from the mirror direction over one standard deviation of the
-    filter, along rows and columns. The fraction of samples drawn from microfacets is the share of the specular
-    reflection in the brightness of the surface under a white sky.
+    filter, along rows and columns.
+
+    The fraction of samples drawn from microfacets must equal the share of the specular reflection in the brightness
+    under a white sky, and be at least 0.2.
     """
     frames, local = np.linalg.qr(rng.normal(size=(COUNT, 3, 3)))[0], hemisphere(rng, COUNT, 0.3)
     frames[::2, 1] *= -1.0

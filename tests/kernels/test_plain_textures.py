@@ -133,6 +133,7 @@ def test_textures_at_the_coordinates_of_the_base_colour_share_them(rng, monkeypa
     monkeypatch.setattr("warpdiff.scene.mesh_import.labelled_parts", lambda _: [(part, "mesh")])
     surface = prepare_surface(trimesh.Trimesh(), plain={"*": True})
     assert surface.maps.metallic_roughness_uvs is None
-    # A surface with a height field does not show these textures, so that they are not decoded.
+    # A surface with a height field does not show textures of metallic, roughness and emission, so that they are not
+    # decoded.
     monkeypatch.setattr("warpdiff.scene.mesh_import.labelled_parts", lambda _: [(dataclasses.replace(part), "mesh")])
     assert not prepare_surface(trimesh.Trimesh(), plain={"*": False}).has_maps

@@ -260,7 +260,8 @@ CELLS = {
 def test_rasterized_cells_equal_traced_cells(mesh, view, level, slices):
     surface = prepare_surface(mesh)
     scene = SceneArrays(surface, device="cpu")
-    # The refined pixels are random and unsorted, and include pixels at the picture's border and outside of the mesh.
+    # The refined pixels, which are divided into subpixel cells, are random and unsorted. They include pixels at the
+    # picture's border and outside of the mesh.
     rng = np.random.default_rng(3)
     chosen = rng.permutation(view.width * view.height)[: view.width * view.height // (2 * level)].astype(np.int32)
     cells = pixel_filter.grid_of(chosen, level, view.width, view.height, wp.get_device("cpu"))

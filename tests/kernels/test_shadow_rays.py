@@ -189,7 +189,8 @@ def test_shadows_have_no_gap_at_common_edges_of_faces(rng):
 
 
 def test_other_points_in_a_grid_cell_do_not_change_a_shadow(rng):
-    # A sheet must occlude points below it, but not points in its own plane, even if both are in the same grid cell.
+    # A sheet must occlude points below it, but not points in its own plane, even if both are in the same cell of the
+    # occluder grid.
     sheet = lid(2.0)
     for _ in range(4):
         sheet = sheet.subdivide()
@@ -211,7 +212,8 @@ def test_other_points_in_a_grid_cell_do_not_change_a_shadow(rng):
 
 
 def test_grid_cells_with_many_faces_occlude_the_points_below(rng):
-    # Stacked sheets put more faces into a grid cell than one SIMD batch has, and several shaded points into each cell.
+    # Stacked sheets put more faces into a cell of the occluder grid than one SIMD batch has. Each cell also has several
+    # shaded points.
     sheets = [lid(2.0).subdivide().subdivide().apply_translation((0.0, 0.0, 0.01 * k)) for k in range(5)]
     surface = surface_of(trimesh.util.concatenate(sheets))
     light = unit((0.0, 0.0, 1.0))
@@ -276,7 +278,8 @@ def test_pictures_with_occluder_grids_equal_pictures_with_the_hierarchy(samples,
         camera_rays, "grid_for", lambda *a, **k: made.append(occluder_grid.grid_for(*a, **k)) or made[-1]
     )
     result = wd.shade(mesh, heightfield, lights, view, **options)
-    # Each light must have a single occluder grid, whatever the number of samples and tiles.
+    # An occluder grid lists the faces that a shadow ray may hit. The renderer requests grids several times (``made``),
+    # but each light must have only one grid.
     assert all(grid.starts.shape[0] for grid in made)
     grid_count = len(made)
     assert len({grid.starts.ptr for grid in made}) == len(lights)

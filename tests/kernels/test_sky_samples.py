@@ -179,10 +179,11 @@ def pixels_with(frames, views, hit):
 
 
 def test_each_sample_scatters_light_from_its_direction_in_the_sky(rng):
-    """The scattering vector must be −ωi − ωr, and the gains proportional to the power of the sky in the direction ωi.
+    """The scattering vector must be −ωi − ωr, where ωi is the direction of a sample in the sky.
 
-    Both must hold for either handedness of the frame, and for both distributions from which directions are drawn (by
-    the colours of the surface, and by the sky).
+    The geometry factors (gains) must be proportional to the power of the sky in this direction. Both must hold for
+    either handedness of the frame, and for both distributions from which directions are drawn: by the colours of the
+    surface, and by the sky.
     """
     frames, views = frames_of_rays(rng), hemisphere(rng, SKY_RAYS, 0.3)
     hit = rng.uniform(size=SKY_RAYS) < 0.9

@@ -57,11 +57,10 @@ def test_cells_add_up_by_the_filter_along_rows_and_columns(level, is_base, rng):
 
 @pytest.mark.parametrize("level", [2, 3])
 def test_the_scatter_of_samples_follows_from_squares_of_four_cells(level, rng):
-    """The kernel's scatter of a subdivided pixel must equal the scatter that is computed from the variances within 2 ×
-    2 cells.
+    """The scatter of a pixel is the standard deviation of its mean over samples of a light.
 
-    Cells that miss the mesh do not add to the variance. In this test, one square of 2 × 2 cells misses the mesh
-    completely.
+    The kernel's scatter of a subdivided pixel must equal that from the variances within 2 × 2 cells. Cells that miss
+    the mesh do not add to the variance. In this test, one square of 2 × 2 cells misses the mesh completely.
     """
     across = 2**level
     colours, hit = rng.lognormal(size=(across, across, 3)).astype(np.float32), rng.uniform(size=(across, across)) < 0.8
@@ -90,9 +89,10 @@ def test_the_scatter_of_samples_follows_from_squares_of_four_cells(level, rng):
 
 @pytest.mark.parametrize("level", [2, 3])
 def test_the_level_of_a_tile_rises_if_its_scatter_causes_an_error_above_the_tolerance(level, rng):
-    """The level of a tile must rise if its scatter causes an error above the tolerance.
+    """A pixel at level n has 2ⁿ × 2ⁿ cells. Its level must rise if the scatter causes an error above the tolerance.
 
-    Only tiles that were shaded at the level of the latest pass may change.
+    The scatter is the standard deviation of the pixel's mean over samples. Only pixels that were shaded at the level of
+    the latest pass may change.
     """
     height, width, floor, tolerance, most = 7, 9, 0.5, 0.05, 5
     shaded = rng.choice([level - 1, level], (height, width), p=[0.3, 0.7])
@@ -163,7 +163,8 @@ def levels_by_hand(quadrants, marks, colours, lighting, floor, tolerance, most):
 def test_levels_follow_from_second_differences_of_colours(rng):
     height, width, floor, tolerance = 7, 9, 0.5, 0.05
     quadrants = rng.lognormal(0.0, 1.0, (height, width, 4, 3)).astype(np.float32)
-    # Where colours change linearly along a row, the kernel must not select a higher level.
+    # Where colours change linearly along a row, a pixel needs no further subdivision: the kernel must not select a
+    # higher level.
     x = np.arange(2 * width, dtype=np.float32).reshape(width, 2)
     quadrants[3:] = (1.0 + x[:, [0, 1, 0, 1], None]) * np.array([1.0, 2.0, 3.0], dtype=np.float32)
     marks = rng.uniform(size=(height, width)) < 0.8
@@ -184,7 +185,7 @@ def test_levels_follow_from_second_differences_of_colours(rng):
     np.testing.assert_allclose(changes.numpy().reshape(height, width), expected, rtol=1e-4, atol=1e-5)
     np.testing.assert_array_equal(chosen.numpy().reshape(height, width), levels)
     assert len(np.unique(levels[:2])) > 2
-    # Level 1 suffices for a pixel if its colour and those of its neighbours change linearly.
+    # Level 1, which is 2 × 2 cells, suffices for a pixel if its colour and those of its neighbours change linearly.
     assert np.all(levels[4:, :] == 1)
 
 

@@ -34,7 +34,7 @@ def in_runs_of(run):
 
 
 def scene():
-    """Return a rough metal that emits light, a matte surface, and a grating with a pigment, side by side."""
+    """Return a rough metal that emits light, a matte surface, and a coloured mesh with a grating, side by side."""
     body = trimesh.Scene()
     metal = PBRMaterial(
         name="metal", baseColorFactor=[255, 200, 0, 255], metallicFactor=1.0, roughnessFactor=0.4,

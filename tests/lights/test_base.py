@@ -62,8 +62,8 @@ def test_a_spotlight_is_a_point_light_times_its_profile(fingers):
     body, position = meshes.tube(segments_along=48, segments_around=24), (0.3, 1.7, 1.4)
     view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=96, height=72)
     coherence = wd.Coherence(sigma_um=4.0)
-    # Both lights use the same plan. Otherwise the plan of the spotlight would differ, because its directions are
-    # darker.
+    # Both pictures use the same plan (method and numbers of a computation). A plan for the spotlight would have other
+    # numbers, because its light is darker in most directions.
     plan = wd.plan(fingers, coherence=coherence, integration="table", tolerance=0.1)
     point, spot = (
         wd.shade(body, fingers, light, view, plan=plan, pigment=0.0, refine=False, layers=("depth",))
@@ -85,9 +85,10 @@ def test_a_spotlight_is_a_point_light_times_its_profile(fingers):
 
 
 def test_launches_are_recorded_again_if_a_spotlight_rotates(fingers):
-    """If a spotlight rotates, the launches of a picture must be recorded again. If it only moves, they must not.
+    """Launches of kernels are recorded once for a picture, and are repeated for the next pictures.
 
-    A recorded launch contains the value of the axis, so that the key of the recording must depend on it.
+    If a spotlight rotates, they must be recorded again, because a recorded launch contains the value of the axis. If
+    the spotlight only moves, they must not.
     """
     body = meshes.tube(segments_along=12, segments_around=12)
     view = wd.View((0.0, 1.6, 3.1), (0.0, 0.0, 0.0), fov_y_deg=27.0, width=8, height=6)
@@ -103,7 +104,7 @@ def test_launches_are_recorded_again_if_a_spotlight_rotates(fingers):
 
 @dataclass(frozen=True)
 class Beam(wd.DirectionalLight):
-    """Directional light with a profile that is 1 in its only direction."""
+    """Directional light with an emission profile that is 1 in the only direction of the light."""
 
     def lobes(self):
         axis = tuple(-np.array(self.to_light) / np.linalg.norm(self.to_light))
@@ -122,7 +123,10 @@ def test_shadows_of_distant_lights_with_a_profile_equal_those_without(fingers):
 
 
 def test_a_profile_dims_the_light_of_the_pigment(fingers):
-    """Where the profile is 1, the pigment must be as bright as under a point light. Elsewhere it must be darker."""
+    """The emission profile must also dim the light that the base colour of the mesh (pigment) reflects.
+
+    Where the profile is 1, this light must be as bright as under a point light. Elsewhere it must be darker.
+    """
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     texture = trimesh.visual.TextureVisuals(
         uv=[[0, 0], [1, 0], [1, 1], [0, 1]],
@@ -143,9 +147,10 @@ def test_a_profile_dims_the_light_of_the_pigment(fingers):
 
 
 def test_lobes_of_all_lights_are_refined_together_unless_a_part_has_its_own_pass(fingers):
-    """The lobes of all lights must form one ``LobeSet``, including those of a light with an emission profile.
+    """A light consists of lobes (Gaussians of directions). One pass of the renderer samples a ``LobeSet`` of lobes.
 
-    Only lobes of a subclass of ``LobeSet`` that has its own pass must stay separate.
+    The lobes of all lights must form one set, including those of a light with an emission profile. Only lobes of a
+    subclass of ``LobeSet`` with its own pass must stay separate.
     """
 
     class OwnPass(LobeSet):

@@ -153,7 +153,7 @@ def test_a_wide_light_has_a_soft_shadow(fingers):
     assert np.count_nonzero(wide.illuminated & ~point.illuminated) > 20
     renderer = wd.Renderer(body, fingers, wd.DirectionalLight(towards), view, plan=wide.plan, pigment=0.0, refine=False)
     renderer.draw(wd.DirectionalLight(towards, angular_diameter_deg=40.0))
-    # The picture ``wide`` uses a table for its own directions, while the renderer uses a table for the whole
+    # The picture ``wide`` uses a colour table for its own directions. The renderer uses a colour table for the whole
     # hemisphere. Their colours therefore differ by up to 5 % of the largest colour.
     assert np.abs(renderer.image().xyz - wide.xyz).max() < 5e-2 * wide.xyz.max()
 
@@ -170,8 +170,8 @@ def test_the_luminance_in_a_penumbra_is_the_visible_share_of_the_disc():
     light = wd.DirectionalLight((0.0, 0.0, 1.0), angular_diameter_deg=10.0)
     flat = wd.HeightField(np.zeros((8, 8)), 0.09)
     options = {"tolerance": 5e-2, "coherence": SHORT, "tangents": (1.0, 0.1, 0.05), "smooth": False}
-    # Only the light that the pigment reflects is compared, because the pigment reflects light from all parts of the
-    # disc equally.
+    # Only the light that the base colour of the mesh (pigment) reflects is compared, because the base colour reflects
+    # light from all parts of the disc equally.
     shown, bare = (
         wd.shade(body, flat, light, view, **options, shadows=each, pigment=1.0).xyz
         - wd.shade(body, flat, light, view, **options, shadows=each, pigment=0.0).xyz
@@ -193,8 +193,9 @@ def test_the_luminance_in_a_penumbra_is_the_visible_share_of_the_disc():
 
 @pytest.mark.slow
 def test_the_best_table_is_used_if_none_meets_the_tolerance_for_single_directions():
-    """If no table meets the tolerance for single directions, as for this grating, the best table must be used, with a
-    warning.
+    """If no colour table meets the tolerance for single directions, as for this grating, the best table must be used.
+
+    The call must warn of it.
     """
     blazed, light = wd.gratings.blazed(1.5, 0.3), wd.DirectionalLight((0.5, 0.3, 1.0), angular_diameter_deg=10.0)
     view = dataclasses.replace(VIEW, width=96, height=72)
@@ -206,8 +207,8 @@ def test_the_best_table_is_used_if_none_meets_the_tolerance_for_single_direction
     bright = inside[np.argsort(image.xyz[tuple(inside.T)][:, 1])[-40::8]]
     exact = sums.under_disc(bright, light, 64, 0)
     errors = np.linalg.norm(image.xyz[tuple(bright.T)] - exact, axis=1) / np.linalg.norm(exact, axis=1)
-    # The error that the table reports for single directions is 0.09. The random directions to the disc light add noise
-    # to this error.
+    # For single directions, the colour table reports an error of 0.09. The random directions to the disc light add
+    # noise to this error.
     assert np.median(errors) < 0.06
     assert errors.max() < 0.2
 
@@ -227,7 +228,7 @@ def test_disc_lights_require_footprints_and_exclude_a_source_coherence(fingers):
 
 @pytest.mark.parametrize(("diameter", "fov_y_deg"), [(20.0, 24.0), slow(4.0, 8.0)])
 def test_the_reflected_rim_of_a_disc_light_is_sharp(diameter, fov_y_deg, square):
-    """A mirror must show a disc light with a rim that is blurred only by the lobe of the coherence window.
+    """A mirror must show a disc light whose rim is blurred only by the angular spread due to the coherence window.
 
     The expected colours are sums over points of the disc.
     """
@@ -248,8 +249,9 @@ def test_the_reflected_rim_of_a_disc_light_is_sharp(diameter, fov_y_deg, square)
 
 
 def test_the_luminance_of_a_mirror_under_a_disc_light_follows_its_formula(square):
-    """Y in the mirror direction of the centre of a disc light must be the share of the light within
-    the window's lobe.
+    """Y in the mirror direction of the centre of a disc light must equal a closed form.
+
+    The closed form is the share of the light within the angular spread (lobe) due to the coherence window.
     """
     flat = wd.HeightField(np.zeros((32, 32)), 0.09)
     view = wd.View.orthographic((0, 0, 4), (0, 0, 0), extent_y=1.0, width=8, height=6)

@@ -69,7 +69,7 @@ def test_colours_under_a_sky_are_sums_of_the_reflectance_over_all_directions(deg
     sky = wd.Environment(np.repeat(grey[..., None], 3, axis=2), directions=1024)
     result = wd.shade(square, heightfield, sky, view, **UNDER | {"coherence": window, "tolerance": tolerance}).xyz
     # All pixels have the same colour, but different samples of the sky. Their mean has less noise than a single pixel,
-    # so that the error of the mean is mainly that of the table.
+    # so that the error of the mean is mainly that of the colour table.
     result = result.mean(axis=(0, 1))
     # The exact colour is a sum over directions to a grey sky of radiance L with the spectrum of D65. A solid angle dω
     # adds ρ L dω / Ω, where Ω = λ²/(4πσ²) is the solid angle of the light to which ρ refers. The grid has equal steps
@@ -140,8 +140,8 @@ def test_the_horizon_cuts_the_zeroth_order_of_a_mirror_under_an_even_sky(square)
     flat, view = wd.HeightField(np.zeros((32, 32)), 0.09), seen_at(85.0)
     sky = wd.Environment(np.ones((4, 8, 3)), directions=16)
     result = wd.shade(square, flat, sky, view, masking=False, **UNDER).xyz[1, 1, 1]
-    # The exact Y is the share of the lobe, a Gaussian in (u, v), above the horizon. The integral is a sum over equal
-    # steps of the light's angle, with dω cos θ = du dv.
+    # The reflection has a Gaussian spread in (u, v), the lobe. The exact Y is the share of the lobe above the horizon.
+    # The integral is a sum over equal steps of the light's angle, with dω cos θ = du dv.
     nm, radius = np.arange(380.0, 781.0), math.sin(math.radians(85.0))
     deviation = 1e-3 * nm[:, None] / (2.0 * math.sqrt(2.0) * math.pi * 8.0)
     step = math.pi / 2.0 / 4000.0
@@ -261,7 +261,8 @@ def test_pigment_and_shadows_under_a_sky_equal_those_under_many_lights():
 
 @pytest.mark.slow
 def test_a_bright_rectangle_of_the_sky_on_a_tube_equals_a_sum_over_directions():
-    # A view of a tube with very elongated footprints, in which the horizon cuts off some orders.
+    # A view of a tube in which (u, v) changes much more along one direction of a pixel than along the other (elongated
+    # footprints). The horizon cuts off some orders.
     view = wd.View((1.5, 2, 4), (0, 0, 0), fov_y_deg=4.4, width=20, height=15)
     heightfield, window = wd.gratings.fingers(size_um=6.4, pitch_um=0.08), wd.Coherence(sigma_um=4.0)
     along = middles(64)[0]

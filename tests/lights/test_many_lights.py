@@ -59,7 +59,8 @@ def test_occluder_grids_are_kept_for_lights_that_do_not_move(fingers, monkeypatc
     """Occluder grids (grids of faces for shadow rays) must not be made again for the next picture if the lights do not
     move.
 
-    The picture has more lights than the mesh stores grids for, so that only the pass of the lights stores all grids.
+    The picture has more lights than the mesh stores grids for. Therefore only the object that samples the lights (pass)
+    stores all grids.
     """
     made, make = [], occluder_grid._made
     monkeypatch.setattr(occluder_grid, "_made", lambda *args, **options: made.append(1) or make(*args, **options))

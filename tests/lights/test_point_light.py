@@ -47,7 +47,7 @@ def test_each_pixel_has_a_light_in_its_own_direction(size, fingers):
 
 
 def test_footprints_include_changes_of_the_direction_to_the_light(fingers):
-    """Footprints must include the change of the direction to a near light within a pixel.
+    """The change of (u, v) within a pixel (footprint) must include that of the direction to a near light.
 
     In an orthographic view of a flat square, no other direction changes within a pixel.
     """
@@ -69,8 +69,8 @@ def test_a_mirror_at_a_distance_of_one_shows_the_power(fingers):
         light = wd.PointLight((0.0, 0.0, distance), power=2.0)
         image = wd.shade(square(), flat, light, view, footprint=False, ior=math.inf, **OPTIONS)
         assert image.xyz[1, 1, 1] == pytest.approx(luminance, rel=1e-2)
-    # The brightness of the pigment decreases with the square of the distance from the light, like that of the
-    # diffracted light.
+    # The base colour of the mesh (pigment) reflects light whose brightness decreases with the square of the distance
+    # from the light source, like that of diffracted light.
     coloured = square()
     coloured.visual = trimesh.visual.TextureVisuals(
         uv=coloured.visual.uv, material=trimesh.visual.material.SimpleMaterial(diffuse=[200, 100, 50, 255])

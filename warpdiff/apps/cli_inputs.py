@@ -46,8 +46,9 @@ _LIGHTS = {name.removesuffix("Light").lower(): name for name in dir(wd) if name.
 # this sky, in the world frame. The direction points up, to the right and towards the default camera.
 _CLEAR_SKY, _SUN_DIRECTION = "clear-sky", (0.6, 1.0, 0.4)
 METAL_SYMBOLS = get_args(Metal)
-# Quantities of the dots of a grating map that the flag ``--map`` sets: rotation of the grating in each dot, factor of
-# its heights, and factor of its lengths.
+# Quantities that the flag ``--map`` sets. A grating map divides a surface into small rectangles (dots), and each dot
+# has a copy of one grating. The quantities are the rotation of a copy, the factor of its heights, and that of its
+# lengths.
 _MAPPED = ("turn_deg", "depth_scale", "pitch_scale")
 # Value of ``--surface`` for a surface without a height field.
 _PLAIN = "plain"
@@ -113,11 +114,11 @@ def height_field_of(options: argparse.Namespace) -> wd.HeightField:
 def surfaces_of(
     options: argparse.Namespace,
 ) -> wd.HeightField | wd.GratingMap | dict[str, wd.HeightField | wd.GratingMap | None]:
-    """Return the height field of the whole mesh; with ``--surface``, return a dictionary of height fields by part.
+    """Return the height field of the whole mesh; with ``--surface``, return a dictionary of height fields by mesh part.
 
-    The dictionary has an entry for all parts that ``--surface`` does not name. The value None is a surface without a
-    height field. With ``--map``, the height field of ``--heightfield`` is the grating (cell) that a grating map repeats
-    in all of its dots.
+    The dictionary has one entry for all parts of the mesh that ``--surface`` does not name. The value None is a surface
+    without a height field. With ``--map``, the height field of ``--heightfield`` is a grating, which a grating map
+    repeats in small rectangles (dots).
     """
     maps = getattr(options, "map", None)
     heightfield = map_of(height_field_of(options), maps)
@@ -149,7 +150,8 @@ def surfaces_of(
 def map_of(cell: wd.HeightField, texts: list[str] | None) -> wd.HeightField | wd.GratingMap:
     """Return the grating map of ``--map`` flags; without such flags, the height field ``cell`` unchanged.
 
-    The map repeats the grating ``cell`` in each dot, with another direction, depth or pitch.
+    A grating map divides the surface into small rectangles (dots). Each dot has the grating ``cell`` with its own
+    direction, depth and pitch.
     """
     if not texts:
         return cell
@@ -173,9 +175,10 @@ def map_of(cell: wd.HeightField, texts: list[str] | None) -> wd.HeightField | wd
 
 
 def _dot_value(text: str, name: str, value: str) -> Any:
-    """Return the values of the dots of a grating map: a number, or the path of an image with a pixel per dot.
+    """Return the values of the dots (small rectangles) of a grating map, from the text after ``NAME=`` of ``--map``.
 
-    The path may be in a tuple with the values for which black and white in the image stand.
+    The result is a number for all dots, or the path of an image with a pixel per dot. The path may be in a tuple with
+    the values for which black and white in the image stand.
     """
     number = _value(value)
     if not isinstance(number, str):
@@ -184,7 +187,8 @@ def _dot_value(text: str, name: str, value: str) -> Any:
     numbers = [_value(end) for end in ends]
     if len(ends) == 2 and all(isinstance(number, (int, float)) for number in numbers):
         return path, *numbers
-    # The name of a file may contain a comma, but does not end in a number.
+    # A text with one comma is accepted as the name of a file, unless the text ends in a number. With two commas, both
+    # texts after the name must be numbers. An image for ``pitch_scale`` always needs the two numbers.
     if len(ends) == 2 or (ends and isinstance(numbers[-1], (int, float))) or name == "pitch_scale":
         raise ArgumentValueError(
             f"{ref('map')} must have two numbers after the image, the values of black and white, got {text!r}: write "
@@ -206,7 +210,8 @@ def _height_field(text: str, flag: str, options: argparse.Namespace) -> wd.Heigh
             )
         return cleaned_of(scan_of(text, options), options)
     loading = given(options, describe(wd.HeightField.load))
-    # With ``--surface``, the height field of another part may be a file.
+    # Options for loading files have no effect on a synthetic grating and are refused. With ``--surface`` they are
+    # accepted, because the height field of another part of the mesh may be a file.
     if loading and not getattr(options, "surface", None):
         raise ArgumentValueError(f"{ref(next(iter(loading)))} is for files, got {ref(flag)} {text!r}: omit it")
     return cleaned_of(made, options)
@@ -236,7 +241,7 @@ def cleaned_of(heightfield: wd.HeightField, options: argparse.Namespace) -> wd.H
 
 
 def coherence_of(options: argparse.Namespace) -> Coherence | None:
-    """Return the coherence that the flags describe; None without such flags."""
+    """Return the coherence (limit of interference) that the flags describe; None without such flags."""
     values = given(options, describe(Coherence))
     return Coherence(**values) if values else None
 

@@ -43,7 +43,10 @@ def lengths(text: str) -> list[float]:
 
 
 def tangents(text: str) -> str | list[float]:
-    """Return the rule or the vector that ``--tangents`` has. Its Python option also accepts an array of vectors."""
+    """Return the value of ``--tangents``: the name of a rule, or the three numbers of a vector.
+
+    In Python, the same option also accepts an array of vectors.
+    """
     if text in TANGENT_RULES:
         return text
     words = text.split()

@@ -80,7 +80,10 @@ def data_folder(data: str | os.PathLike[str] | None = None) -> Path | None:
 
 
 def cleaned_scan(path: str | os.PathLike[str]) -> HeightField:
-    """Load the scan of a snake's skin, and return it levelled, despiked and made periodic."""
+    """Load the scan of a snake's skin, and return it after cleaning.
+
+    The cleaning subtracts a polynomial of degree 2, removes spikes such as dust, and makes opposite edges match.
+    """
     return read(_SCAN, path).levelled(order=2).despiked().periodic()
 
 
@@ -110,7 +113,8 @@ def pictures(data: Path | None, *, scale: float = 1.0) -> list[DemoPicture]:
         return lambda progress: shade(mesh(), *scene, **options, tolerance=_TOLERANCE, progress=progress)
 
     def snake(heightfield: HeightField, view: View, tangent: Tangent = "around") -> Callable[[Progress], Image]:
-        # The pigment is dark, because a bright one would reflect more light than the diffraction orders and hide them.
+        # The base colour of the snake (pigment) is dark. A bright one would reflect more light than the diffraction
+        # orders, and hide them.
         return shaded(lambda: meshes.snake(tangent=tangent), heightfield, snake_lights, view, pigment=0.05)
 
     def two_discs() -> trimesh.Scene:

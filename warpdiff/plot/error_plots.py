@@ -1,4 +1,7 @@
-"""Plots of errors: the estimated error of each pixel, and the predicted errors and the cost of a plan."""
+"""Plots of errors: the estimated error of each pixel, and the predicted errors and the cost of a plan.
+
+A plan holds the numbers of a computation, such as wavelengths and terms of a series.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +24,8 @@ if TYPE_CHECKING:
 # value was chosen. If doubled, more errors have different colours, but errors near the tolerance are harder to
 # distinguish.
 _ERROR_RANGE = 30.0
-# Start of the logarithmic error axis in the plot of a plan, relative to the tolerance. Smaller errors have bars of
-# length 0.
+# Start of the logarithmic error axis in the plot of a plan's predicted errors, relative to the tolerance. Smaller
+# errors have bars of length 0.
 _LEAST_BAR = 1e-4
 
 
@@ -92,6 +95,8 @@ def error_image(
 def plan(plan: Plan, *, ax: Axes | None = None, title: str | None = None) -> Axes:
     """Plot the errors that a plan predicts, by their source; a line marks the tolerance, the title states the cost.
 
+    A plan holds the numbers of a computation, such as wavelengths and terms of a series.
+
     Args:
         plan: Plan, for example of :func:`warpdiff.plan` or ``image.plan``.
         ax: Axes to draw into; None makes a figure.
@@ -139,7 +144,10 @@ def plan(plan: Plan, *, ax: Axes | None = None, title: str | None = None) -> Axe
 
 
 def _summary(plan: Plan) -> str:
-    """Return the title for the plot of a plan: whether it meets its tolerance, its method and its computing time."""
+    """Return the title for the plot of a plan: method, computing time, and whether it meets its tolerance.
+
+    A plan holds the numbers of a computation, such as terms of a series.
+    """
     meets = "meets" if plan.error <= plan.tolerance or plan.method == "direct" else "does not meet"
     terms = "" if plan.method == "direct" else f", {plan.terms} terms"
     table = f", table {_seconds(plan.table_seconds)}" if plan.table_seconds > 0.0 else ""

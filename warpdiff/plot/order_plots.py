@@ -29,7 +29,7 @@ _LINE_LUMINANCE = 0.3
 # A band below the wavelength axis shows the colour of each wavelength. `_BAND_HEIGHT` is the height of the band
 # relative to the height of the plot, and `_BAND_COLOURS` the number of colours in the band.
 _BAND_HEIGHT, _BAND_COLOURS = 0.03, 256
-# RGB components are replaced by at least this number before they are divisors, which prevents a division by zero.
+# Least divisor in a normalisation of RGB colours, which prevents a division by zero for black.
 _LEAST_RGB = 1e-9
 # Maximum number of diffraction orders that a plot against the view angle labels with their numbers. The value is
 # limited by space: more labels overlap.

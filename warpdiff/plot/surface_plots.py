@@ -36,8 +36,8 @@ _SHOWN_POWER = 0.999
 # The frequency axes in the plot of a power spectrum extend at least to this multiple of the highest frequency of the
 # periods that the plot marks. The value is more than 1, so that these marks are not at the edge of the plot.
 _AROUND_PERIODS = 1.4
-# In the plot of a power spectrum, frequencies whose power is below the range of the colours have the darkest colour.
-# `_DARKEST` is the fraction of such frequencies. The range begins at most at `_POWER_RANGE` times the largest power.
+# Lower end of the colour range in the plot of a power spectrum. The fraction `_DARKEST` of the frequencies has a power
+# below this end, and the darkest colour. The lower end is at most `_POWER_RANGE` times the largest power.
 _DARKEST, _POWER_RANGE = 0.3, 1e-2
 # Smallest power on the power axis, relative to the largest power. It applies to the spectrum of a field that is
 # constant along x or y, which is plotted as a line.

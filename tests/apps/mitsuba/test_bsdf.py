@@ -81,8 +81,8 @@ def test_a_spectrum_is_evaluated_as_the_absolute_brdf(fingers, spectrum_file):
     context, si = mi.BSDFContext(), interaction()
     result = np.array([np.array(bsdf.eval(context, si, mi.Vector3f(*map(float, each)))) for each in views])
     relative = np.abs(result - exact) / np.maximum(exact, 1e-2 * np.percentile(exact, 90.0))
-    # The baked spectrum is blurred, because its cells are as wide as a quarter of the lobe's standard deviation. Errors
-    # of 5 % are therefore allowed.
+    # The baked spectrum is blurred, because its cells are as wide as a quarter of the standard deviation of a
+    # diffraction order (lobe). Errors of 5 % are therefore allowed.
     assert np.percentile(relative, 95.0) < 0.05
 
 
@@ -126,7 +126,7 @@ def test_colours_equal_those_of_baked_lobes(lobes_file):
 
 
 def chi_square(bsdf):
-    """Run Mitsuba's chi-square test of ``sample`` against ``pdf``, with cells that resolve lobes of a few degrees."""
+    """Run Mitsuba's chi-square test of ``sample`` against ``pdf``. Its cells resolve order widths of a few degrees."""
 
     def sample(numbers):
         count = dr.width(numbers)
@@ -167,9 +167,9 @@ def test_mean_sample_weights_equal_the_sum_of_order_efficiencies(fingers, spectr
     weights = np.array(weights).reshape(4, count)
     result, noise = weights.mean(axis=1), weights.std(axis=1) / np.sqrt(count)
     orders = wd.order_efficiencies(fingers, to_light, WAVELENGTHS)
-    # The smaller sum contains only orders that are farther from the horizon than the width of a lobe. The horizon cuts
-    # off parts of the other lobes. The efficiencies of these other orders are proportional to 1/cos θr, which diverges
-    # at the horizon.
+    # The lobe of an order is its peak over the directions. The smaller sum contains only orders that are farther from
+    # the horizon than the width of a lobe. The horizon cuts off parts of the other lobes. The efficiencies of these
+    # other orders are proportional to 1/cos θr, which diverges at the horizon.
     clear = np.nan_to_num(orders.to_view[..., 2]) > 0.15
     least = (orders.efficiencies * clear).sum(axis=1)
     assert np.all(result > least - 4.0 * noise - 0.01 * least)

@@ -1,6 +1,7 @@
 """The viewer's page in a real browser; see ``make test-browser`` for the requirements.
 
-The tests operate the page's controls, and compare the pixels of its canvas.
+The tests operate the page's controls, and compare the pixels of its canvas. A plan holds the method and the numbers of
+a computation, such as wavelengths and terms of a series.
 """
 
 import base64
@@ -203,7 +204,8 @@ def test_the_picture_follows_the_settings_and_is_restored_with_them(page):
     ):
         page.set(name, value)
         pixels = page.rest()
-        # The pigment changes only meshes with a base colour. The test mesh has none: its picture must stay the same.
+        # The pigment is the strength of the base colour of a mesh. The test mesh has no base colour, so that the
+        # control "pigment" must not change its picture.
         assert (changed(pixels, first) > 2e-3) == (name != "pigment"), name
         page.set(name, back)
         np.testing.assert_array_equal(page.rest(), first, err_msg=name)
@@ -251,8 +253,8 @@ def test_the_final_picture_equals_that_of_its_python_lines(page, tmp_path, monke
     exec(lines, made)  # noqa: S102 (the viewer's own lines)
     saved = np.asarray(Image.open("picture.png").convert("RGB")).astype(int)
     assert np.abs(pixels - saved).max() <= 1
-    # The page shows Python lines that draw its picture by a `Renderer`. The picture must also equal that of ``shade``
-    # with the plan of this renderer.
+    # The page shows Python lines that draw its picture by a `Renderer`. The function ``shade`` must draw the same
+    # picture if it uses the plan (method and numbers) of this renderer.
     single = re.sub(
         r"tolerance=[^,]+,|coherence=.*\n", "", lines.replace("renderer = wd.Renderer(", "image = wd.shade(")
     )
@@ -260,8 +262,8 @@ def test_the_final_picture_equals_that_of_its_python_lines(page, tmp_path, monke
     exec(single, {"plan": made["renderer"].plan})  # noqa: S102
     saved = np.asarray(Image.open("picture.png").convert("RGB")).astype(int)
     assert np.abs(pixels - saved).max() <= 1
-    # The page also shows a command line that draws its picture. This command makes a plan for the directions of its own
-    # picture, so its pixels agree with the page only approximately.
+    # The page also shows a command line that draws its picture. This command makes its own plan, for the directions of
+    # this one picture. Its pixels therefore agree only approximately with those of the page.
     command = shlex.split(page.page.locator("#command").text_content())
     assert command[:2] == ["warpdiff", "render"]
     assert cli.main(command[1:]) == 0

@@ -175,7 +175,8 @@ def test_python_lines_and_the_command_describe_the_scene_that_the_viewer_renders
     assert words[words.index("--ior") + 1] == "inf"
     assert words[words.index("--coherence") + 1] == "source"
     assert {"--no-masking", "--display"} < set(words)
-    # With normalised energy, no masking is applied, so the scene has no option ``masking``.
+    # With ``energy="normalised"`` the library applies no masking (shadowing between grooves). The scene therefore has
+    # no option ``masking``.
     scene = Scene.of(VALUES | {"energy": "normalised", "masking": False}, NamedFiles())
     assert dict(scene.options).keys() == {"coherence", "energy", "pigment"}
     words = scene.command(VIEW, 0.5, {}).split()

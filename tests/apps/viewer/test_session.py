@@ -115,8 +115,8 @@ def test_environments_illuminate_a_body_and_fill_its_background(sky, monkeypatch
         pixels = np.asarray(Image.open(io.BytesIO(data))).astype(int)
         assert np.abs(pixels - np.round(255.0 * made["shown"])).max() <= 1
         assert made["environment"].rotation_deg == 90.0
-        # The saved file must equal the picture on the page. The command line that the page shows makes a plan of its
-        # own, so that its picture is only similar.
+        # The saved file must equal the picture on the page. The command line that the page shows makes its own plan
+        # (numbers of wavelengths and terms), so that its picture is only similar.
         saved = Image.open(io.BytesIO(studio.saved(page.session, "png")))
         assert np.abs(np.asarray(saved)[..., :3].astype(int) - pixels).max() <= 1
         monkeypatch.chdir(tmp_path)
@@ -152,7 +152,7 @@ def test_a_released_control_is_refined_immediately(studio):
             page.until(
                 lambda message, after=generation: message["kind"] == "picture" and message["generation"] == after + 1
             )
-        # If the settings change while no control is moved, the first picture is unrefined.
+        # If a control changes without a preceding movement (a drag), the first picture is an unrefined preview.
         page.until(is_last)
         studio.request(page.session, page_request(7, azimuth_deg=20.0))
         page.until(is_last)

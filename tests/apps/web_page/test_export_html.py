@@ -160,8 +160,8 @@ def test_a_point_light_equals_that_of_shade(shown, skin, body):
     assert np.median(colour_difference(pixels, exact.display()[..., :3])[inside]) <= 1.0
     assert result[..., 1][inside].sum() == pytest.approx(exact.xyz[..., 1][inside].sum(), rel=0.03)
     assert np.median(result[..., 1][dark]) < 0.05 * np.median(result[..., 1][inside])
-    # A directional light that is as bright in the picture centre gives a clearly different picture from the point
-    # light.
+    # Under a directional light that is as bright in the picture centre, the picture must be clearly different.
+    # Otherwise the test could not detect a page that ignores the position of the point light.
     far = of_view(view, place) | {"lights": [{"to_light": place, "power": 2.0 / np.dot(place, place)}]}
     render(shown, 16, **far)
     assert np.median(colour_difference(canvas(shown), exact.display()[..., :3])[inside]) > 3.0

@@ -92,7 +92,7 @@ def register_mitsuba_bsdf(name: str = NAME) -> None:
 
 
 class _Table:
-    """Table of a baked spectrum or of baked lobes, in arrays of Mitsuba's current variant.
+    """Table of a baked spectrum (powers) or of baked lobes (colours), in arrays of Mitsuba's current variant.
 
     The grid's coordinates are q = (u, v)/λ for a spectrum and (u, v) for colours. The power (or colour) at a point of
     the grid is a sum of functions, each of which is multiplied by a coefficient of this point. The argument of the
@@ -141,14 +141,14 @@ class _Table:
         self.distribution = mi.DiscreteDistribution2D(mi.TensorXf(cells))
 
     def at(self, value: Variant, entries: int) -> Variant:
-        """Return the coordinate, 0 to 1, of a value of κ or w in a texture of ``entries`` texels over κ or w."""
+        """Return the texture coordinate, 0 to 1, of a value of κ = w/λ or w; the texture has ``entries`` texels."""
         import drjit as dr
 
         share = dr.clip((value - self.first) / self.span, 0.0, 1.0)
         return (share * (entries - 1) + 0.5) / entries
 
     def zeroth_at(self, value: Variant) -> Variant:
-        """Return the zeroth order's power at a value of κ, or its colour at a value of w in RGB variants."""
+        """Return the zeroth order's power at a value of κ = w/λ, or its colour at a value of w in RGB variants."""
         import mitsuba as mi
 
         return self.zeroth.eval(mi.Float(self.at(value, self.zeroth.shape[0])))
@@ -161,13 +161,13 @@ class _Table:
         return self.grid.eval(mi.Point2f(x * scale + 0.5, y * scale + 0.5))
 
     def functions_at(self, value: Variant) -> Variant:
-        """Return the values of all basis functions of the baked lobes at a value of κ or w."""
+        """Return the values of all basis functions of the table (baked lobes) at a value of κ = w/λ or w."""
         import mitsuba as mi
 
         return self.functions.eval(mi.Float(self.at(value, self.entries)))
 
     def gaussian(self, x: Variant, y: Variant) -> Variant:
-        """Return the density of the zeroth order's Gaussian lobe at the coordinates (x, y) of the grid."""
+        """Return the density of the zeroth order's Gaussian peak (lobe) at the coordinates (x, y) of the grid."""
         import drjit as dr
 
         return self.peak * dr.exp((x * x + y * y) * (-0.5 / self.deviation**2))
@@ -187,13 +187,13 @@ class _Table:
 
 
 def _spectrum(filename: str) -> _Table:
-    """Return the power spectrum over q and κ from a file of ``BakedSpectrum``, for Mitsuba's spectral variants."""
+    """Return the power spectrum over q = (u, v)/λ and κ = w/λ from a file of ``BakedSpectrum.save``."""
     baked = wd.BakedSpectrum.load(filename)
     deviation = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * baked.sigma_um)
     span = baked.largest_kappa - baked.least_kappa
     entry = round(_TYPICAL_KAPPA * (len(baked.functions) - 1))
-    # The baked powers are multiplied by this factor. The products are the density of the reflected power over q, which
-    # integrates to 1. This density is λ² times the density D over (u, v) of the module's docstring.
+    # The baked powers are multiplied by this factor. The products are the density of the reflected power over the
+    # frequency q = (u, v)/λ, which integrates to 1. This density is λ² times the density over (u, v).
     scale = 4.0 * math.pi * baked.sigma_um**2
     return _Table(
         scale * baked.powers, baked.functions, baked.zeroth, largest=baked.largest_q, first=baked.least_kappa,
@@ -244,7 +244,7 @@ def _bsdf_class(table_of: Variant) -> Variant:
     spectral = bool(mi.is_spectral)
 
     class WarpdiffBSDF(mi.BSDF):  # type: ignore[misc]
-        """BSDF of a height field from baked lobes; the module's docstring has the formulas."""
+        """BSDF of a height field from baked tables; the module's docstring has the formulas."""
 
         def __init__(self, props: Variant) -> None:
             mi.BSDF.__init__(self, props)

@@ -13,7 +13,7 @@ RIGHT = "→"
 
 
 class Html(NamedTuple):
-    """Cell of a table that is HTML text already."""
+    """Cell of a table that contains HTML text. Texts in other cells are escaped."""
 
     html: str
 

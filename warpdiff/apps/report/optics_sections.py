@@ -28,7 +28,7 @@ _GRADES = (
     "Reliable: use colours, and efficiencies that exceed their error. Qualitative: use the positions of colours, and "
     "not their brightness. Invalid: use nothing but the angles of orders."
 )
-# Sentences that explain why scalar diffraction has an error, by the reason that the verdict states.
+# Sentences that explain why scalar diffraction has an error, by the reason in the library's verdict on it.
 _CAUSES = {
     "energy": (
         " Scalar diffraction does not conserve energy: the efficiencies of all orders sum to more or less than the "

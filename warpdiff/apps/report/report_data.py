@@ -213,8 +213,8 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
     data.warnings += _doubts(data)
     progress(0.2)
     data.is_cell = not data.periods and _order_count(part, float(request.wavelengths_nm.min())) <= _MOST_CELL_ORDERS
-    # A single period of a grating may be a tilted plane, such as a blazed groove. Only the mean is subtracted from such
-    # a field.
+    # A single period of a grating may be a tilted plane, such as a blazed groove. Subtraction of the tilt would remove
+    # this groove. Only the mean is therefore subtracted from such a field.
     data.roughness = data.attempt("roughness", lambda: request.heightfield.roughness(0 if data.is_cell else 1))
     progress(0.3)
     _set_geometry(data)
@@ -232,7 +232,8 @@ def collect(request: Request, progress: Callable[[float], None]) -> ReportData:
     progress(0.55)
     views = direction(ANGLES_DEG, data.azimuth_deg)
     for index, sigma in enumerate(request.sigmas_um):
-        # The caller's plan was computed for another coherence window and is not valid for these colours.
+        # The caller's plan holds numbers of wavelengths and terms for another coherence window. It is not valid for
+        # these colours.
         settings = request.settings | {"coherence": Coherence(sigma_um=sigma), "plan": None}
         xyz = data.attempt(
             "colours",
@@ -340,7 +341,8 @@ def wave_azimuth_deg(heightfield: HeightField) -> float:
 def _efficiency_errors(verdicts: Sequence[TheoryVerdict], flat_powers: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the error of an order's efficiency at each wavelength, relative to the incident power.
 
-    A verdict states the expected error of scalar diffraction relative to the power that a flat surface reflects.
+    A verdict on scalar diffraction states this error relative to the power that a flat surface reflects. The result is
+    this error times ``flat_powers``.
     """
     return np.array([min(verdict.error, 1.0) for verdict in verdicts]) * flat_powers
 

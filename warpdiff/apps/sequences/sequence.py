@@ -194,7 +194,8 @@ def _key(renderer: Renderer, shots: Sequence[Shot], saving: Any) -> str:
     _feed(digest, saving)
     state = renderer.__getstate__()
     settings = state["settings"]
-    # Tolerance, method and integration are not hashed themselves. The plan is hashed, and it was computed from them.
+    # Tolerance, method and integration over wavelengths are not hashed themselves. They determine the plan, which holds
+    # the numbers of the computation. The plan is hashed.
     names = {field.name for field in dataclasses.fields(settings)}
     names -= {"tolerance", "method", "integration", "device", "threads"}
     _feed(digest, {name: getattr(settings, name) for name in names})

@@ -50,7 +50,7 @@ EXCLUDED = (
     *("device", "threads"),
     # Options that the viewer sets itself, because it refines a picture in stages until the tolerance is met.
     *("tolerance", "refine", "strict", "plan"),
-    # Options that the planner selects from the tolerance and the coherence.
+    # Options that the library's planner selects automatically, from the tolerance and the coherence.
     *("integration", "footprint", "samples_per_pixel"),
     # Options of the display. Another control selects automatic or locked exposure. The gamut is sRGB, which browsers
     # assume, and saved files have 8 bits per channel.

@@ -72,7 +72,10 @@ def local_directions(
     surface: Surface, view: wd.View, light: wd.DirectionalLight | wd.PointLight, column: int, row: int, *, smooth: bool,
     device: wp.Device, threads: int,
 ) -> LocalDirections | None:  # fmt: skip
-    """Return the local directions where the ray through a pixel's centre hits the body; None without a hit."""
+    """Return the directions to light and viewer at the point where the ray through a pixel's centre hits the body.
+
+    The directions are in the local frame of the point. Without a hit, the result is None.
+    """
     frame = view.frame()
     x = frame.half_width * (2.0 * (column + 0.5) / view.width - 1.0)
     y = frame.half_height * (1.0 - 2.0 * (row + 0.5) / view.height)

@@ -1,4 +1,8 @@
-"""Objects that the pictures of the viewer's pages share: surfaces, height fields, lights and renderers, in caches."""
+"""Objects that the pictures of the viewer's pages share: surfaces, height fields, lights and renderers, in caches.
+
+A renderer refines a picture by dividing pixels into smaller cells until the colours meet the tolerance. A plan holds
+the method and the numbers of a computation, such as wavelengths and terms of a series.
+"""
 
 from __future__ import annotations
 
@@ -76,7 +80,7 @@ class SceneObjects:
         Args:
             scene: Scene without its view.
             view: Camera, whose size is the size of the pictures.
-            refine: Whether the renderer refines pixels.
+            refine: Whether the renderer divides pixels into smaller cells until the colours meet the tolerance.
             report: Function that is called before a slow preparation.
         """
         key = str(scene.mesh), str(scene.heightfield), str(scene.options), *_illuminants(scene), scene.tolerance
@@ -95,8 +99,8 @@ class SceneObjects:
         """
         report()
         heightfield, surface, options = self.height_field(scene), self.surface(scene), scene.shading
-        # A plan depends on the spectra of the lights and not on their directions. Simple lights are therefore used
-        # here.
+        # A plan (method and numbers) depends on the spectra of the lights, but not on their directions. The simplified
+        # lights of an unrefined preview are therefore sufficient here.
         lights = self.lights(scene.at(None))
         options.pop("tangents", None)
         options |= {"device": self.device.alias, "threads": self.threads, "refine": False}
@@ -105,10 +109,12 @@ class SceneObjects:
 
         def plan() -> dict[str, Any]:
             made.append(wd.Renderer(surface, heightfield, lights, view, tolerance=scene.tolerance, **options))
-            # The viewer shows one height field, so that the renderer has a single plan and not one plan per part.
+            # The viewer shows one height field on the whole mesh. The renderer therefore has a single plan (method and
+            # numbers), and not one plan per part of the mesh.
             return {"plan": cast("wd.Plan", made[0].plan).to_json()}
 
-        # The viewer computes one plan for pictures with and without shadows, because shadows do not change a plan.
+        # The viewer computes one plan (method and numbers) for pictures with and without shadows, because shadows do
+        # not change a plan.
         planned = tuple((name, value) for name, value in scene.options if name != "shadows")
         key = "plan", str(planned), *_illuminants(scene), scene.tolerance, heightfield.pitch_um, self.device.alias
         arrays = disk_cache.cached_on_disk(key, heightfield.heights_um, plan)

@@ -236,8 +236,9 @@ class Studio:
                     pictures = len(stages_to(request.values["tolerance"]))
                     if session.generation != request.generation:
                         session.generation = request.generation
-                        # The probe is the point on the body whose local directions the page shows. If only the probe
-                        # has moved, the picture remains valid: it is not drawn again, and its refinement continues.
+                        # The page shows the directions to light and viewer at a point of the body, the probe. If only
+                        # the probe has moved, the picture remains valid: it is not drawn again, and its refinement
+                        # continues.
                         is_drawn = not request.moving and _has_same_picture(session.drawn_request, request)
                         session.stage = min(session.stage, pictures) if is_drawn else 0
                     if session.stage == 0 and _is_released(session, request) and session.picture:
@@ -291,8 +292,8 @@ class Studio:
     def _serve(self, session: Session, request: PageRequest, index: int) -> None:
         """Draw and send the pictures of a request, starting at the stage with the index ``index``.
 
-        If all pictures were sent, send the local directions at the probe, a point that the user selects, and the
-        reflectance map instead.
+        If all pictures were sent, send the directions to light and viewer at the probe, a point that the user selects,
+        and the reflectance map instead.
         """
         progress = self._progress(session, request, index)
         scene = Scene.of(request.values, self.files)
@@ -399,7 +400,7 @@ class Studio:
     def _send_angles_and_map(
         self, session: Session, request: PageRequest, scene: Scene, view: wd.View, progress: Callable[[float], None]
     ) -> None:
-        """Send the local directions at the probe, and the reflectance map for the light at this point.
+        """Send the directions to light and viewer at the probe, and the reflectance map for this light.
 
         The probe is a point on the body that the user selects.
         """
@@ -450,7 +451,7 @@ def _message(kind: str, request: PageRequest, **more: Any) -> dict[str, Any]:
 
 
 def _has_same_picture(drawn: PageRequest | None, request: PageRequest) -> bool:
-    """Whether two requests have the same picture: they may differ in generation, movement and probe."""
+    """Whether two requests have the same picture. They may differ in number (generation), movement and probe point."""
     return drawn is not None and request == dataclasses.replace(
         drawn, generation=request.generation, moving=request.moving, probe=request.probe
     )

@@ -48,14 +48,15 @@ if TYPE_CHECKING:
 # Smallest distance of a point light from the centre of the mesh, in radii of the mesh. The shadow map of a light covers
 # only the half-space in front of the light, so that the light must be outside of the mesh.
 _NEAREST = 1.1
-# Texels per side of the Cartesian grid over (u, v) to which the page resamples the baked lobes, and number of frames
-# that the page averages while nothing moves. Both are limited: twice the texels per side require four times the
+# Texels per side of the Cartesian grid over (u, v) to which the page resamples the table of colours, and number of
+# frames that the page averages while nothing moves. Both are limited: twice the texels per side require four times the
 # graphics memory, and twice the frames require twice the time.
 _SIZE, _FRAMES = 1024, 1024
 # Number of wavelengths over which a page sums the zeroth order. The number is limited because a page allows 64 texture
-# fetches per fragment, of which the look-up in the baked lobes needs most.
+# fetches per fragment, of which the look-up in the table of baked colours needs most.
 _WAVELENGTHS = 10
 # Number of values of |w| at which the page has the power of the zeroth order; it interpolates linearly between them.
+# w is the component of the scattering vector along the normal.
 _ENTRIES_OF_W = 512
 # Largest number of lights of a page. The number is limited because the page renders the mesh and a shadow map for every
 # light in every frame.
@@ -130,7 +131,7 @@ def export_html(
         _check_positions(checked_lights, surface)
         arrays = Arrays()
         header = _add_mesh(arrays, surface) | _add_lobes(arrays, lobes) | _add_display(arrays)
-        # A metal or a coated material transmits no light to the pigment below it.
+        # A metal or a coated material transmits no light to the base colour of the mesh (pigment) below it.
         white = colorimetry.xyz_to_rgb(reflectance_factors.pigment_white(lobes.illuminant, lobes.coherence, 0.0))
         pigmented = pigment > 0.0 and surface.has_base_colour and not lobes.has_material
         header |= {
@@ -280,7 +281,9 @@ def _defined_normals(surface: Surface) -> Any:
 
 
 def _add_lobes(arrays: Arrays, lobes: BakedLobes) -> dict[str, Any]:
-    """Store the baked lobes in the arrays of the page: coefficients, functions of w, and power of the zeroth order.
+    """Store the baked lobes (table of colours over all directions) in the arrays of the page.
+
+    The arrays are the coefficients, the functions of w, and the power of the zeroth order.
 
     The functions of w are stored in groups of four, one group per texel.
 
