@@ -42,11 +42,13 @@ _ENTRIES_OVER_W = 160
 # truncation of these functions causes an error. The error at each |w| is divided by the magnitude of the colours at
 # this |w|, or by this share of their largest magnitude over all |w|, whichever is larger.
 _LEAST_SCALE_OVER_W = 1e-2
-# Number of wavelengths at which the colour curves are sampled between two neighbouring knots of their splines, which
-# are one ring of the table apart. The splines are fitted to these samples.
+# Number of wavelengths at which the colour curves (illuminant times colour-matching function times reflectance) are
+# sampled between two neighbouring knots of their splines. The splines, which have one knot per ring of the table, are
+# fitted to these samples.
 _SAMPLES_PER_NODE = 64
-# In the fit of splines, errors are relative to the values of a colour curve. These values vanish at both ends of the
-# visible range. The divisor of an error is therefore at least this share of the largest value of the curve.
+# Splines are fitted to colour curves (illuminant times colour-matching function times reflectance). Errors of the fit
+# are relative to the values of a curve, which vanish at both ends of the visible range. The divisor of an error is
+# therefore at least this share of the largest value of the curve.
 _LEAST_SCALE = 0.005
 # Colour curves include the reflectance of the material at one angle θd, which is half of the angle between the
 # directions to the light and to the viewer. `_MIDDLE_COSINE` is its cosine. The reflectance at another angle divided by
@@ -68,12 +70,14 @@ _LEAST_SHARE = 0.3
 class SpectrumBasis:
     """Basis functions of |κ| = |w|/λ in which the rows of a power spectrum are expanded.
 
+    A row has the weights of the basis functions (terms) for one point of the spectrum.
+
     Attributes:
         basis_at: Function of an array of |κ|, shape (n,), that returns the basis functions there, shape (n, terms).
         kappas: Smallest and largest |κ| [1/µm].
         sizes: Typical magnitude of the weight of each basis function in the rows, relative to the other weights, shape
             (terms,).
-        share: Permitted error by truncating the functions of w of the colour table, as a share of the tolerance.
+        share: Permitted error by the limited number of functions of w in a colour table, as a share of the tolerance.
         holds_lines: Whether rows are powers per unit area of frequency, as for the coherence of a light source of
             finite size, where diffraction orders are spectral lines. Colours require powers per unit area of (u, v).
             The weights of the colour curves therefore include the factor λ⁻², which converts the first to the second.
@@ -88,7 +92,7 @@ class SpectrumBasis:
 
 @dataclass(frozen=True)
 class SeparableTerm:
-    """Summand of the colours of one octave: a projection of the spectrum to colours, times one factor per ring.
+    """Summand of the colours on the rings of an octave: the spectrum, converted by a matrix, times a factor per ring.
 
     Attributes:
         projection: Index of the matrix in ``Projection.matrices``; several octaves may share a matrix.
@@ -150,8 +154,9 @@ def make_projection(
     )
     norms = np.linalg.norm(matrix, axis=1)
     relative = 1.0 / np.maximum(norms, _LEAST_SCALE_OVER_W * norms.max())[:, None]
-    # The left singular vectors of `matrix` are computed as the eigenvectors of its small Gram matrix. NumPy's singular
-    # value decomposition of the large matrix uses several threads, and is slow if other processes occupy the cores.
+    # The functions of w are left singular vectors of `matrix`, which has one row per |w|. They are computed as the
+    # eigenvectors of the small Gram matrix of `matrix`. NumPy's singular value decomposition of the large matrix uses
+    # several threads, and is slow if other processes occupy the cores.
     matrix *= relative
     values, vectors = np.linalg.eigh(matrix @ matrix.T)
     squares, left = np.maximum(values, 0.0), vectors[:, ::-1]
@@ -169,7 +174,7 @@ def make_projection(
 
 
 def _on_curve(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the reflectance of a material that colour curves include: at one angle θd, and at least a limit > 0."""
+    """Return the reflectance of a material that colour curves include: at one angle θd, with a positive lower limit."""
     # If the largest reflectance is 0, as for air, the number 1 replaces it, because it is a divisor later.
     most = reflectance_at(material, VISIBLE_NM, np.array(_MIDDLE_COSINE)).max() or 1.0
     reflectances = reflectance_at(material, wavelengths_nm, np.array(_MIDDLE_COSINE))

@@ -85,7 +85,8 @@ class MipLayout:
         rings, width = plan.rings_per_octave, blur(plan.coherence)
         step = math.log(2.0) / rings
         # A colour uses up to three rings of the spectrum beyond its octave of frequencies, and the spline of a look-up
-        # uses two further rings. The outermost octave of frequencies ends five rings beyond the largest frequency.
+        # uses two further rings. The outermost octave of frequencies therefore ends five rings beyond the largest
+        # frequency.
         top = math.log(max(highest, width)) + 5.0 * step
         octaves = max(math.ceil((top - math.log(_FLAT_WITHIN_SIGMAS * width)) / math.log(2.0)), 2)
         log_low = top - octaves * math.log(2.0)
@@ -162,7 +163,7 @@ class MipLayout:
         """Return the less blurred mip level from which one octave of ``level`` is computed, by a further blur.
 
         The result is the most blurred level that permits an accurate further blur: the standard deviation of this blur
-        is at least the distance of azimuth samples in the result.
+        is at least the distance of azimuth samples in the returned level.
         """
         width = self.level_blurs[level][octave]
         spacings = [2.0 * math.pi / grid.azimuths[octave] for grid in self.levels[:level]]
@@ -178,8 +179,8 @@ def has_mip_levels(plan: Plan) -> bool:
 def megabytes(plan: Plan) -> float:
     """Return the size of a plan's table [MB].
 
-    A plan may not state the number of functions of w (the normal component) that a table needs. The number of terms of
-    the plan is then used instead.
+    If the plan does not state the number of functions of w (the normal component) in the table, the number of basis
+    terms replaces it.
     """
     return layout_of(plan).rows * 3 * (plan.w_basis_size or plan.terms) * 4e-6
 

@@ -47,7 +47,8 @@ LOG_RED, LOG_BLUE = (
 # Sizes of colour tables, as pairs: rings per octave, and azimuth samples per standard deviation of the spectrum's blur.
 # The two numbers of a pair were chosen so that the errors along the radius and along the azimuth are of similar size.
 TABLE_SIZES = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1), (96, 2.6), (128, 3.0))
-# Order of convergence p: the error of a table with n rings per octave is proportional to n^−p.
+# Order of convergence p. Searches for a table size assume that the error of a table with n rings per octave is
+# proportional to n^−p.
 ERROR_ORDER = 2.0
 # Distance above which neighbouring diffraction orders count as separate, in standard deviations of the peak of an order
 # in the spectrum.
@@ -119,7 +120,11 @@ def azimuth_counts(radii: NDArray[np.floating[Any]], width: float, per_width: fl
 
 
 def inner_radius(coherence: Coherence) -> float:
-    """Return the smallest |(u, v)| that a table serves: 0 for a window, and for a source a multiple of its spread."""
+    """Return the smallest |(u, v)| for which a table has colours, limited by the coherence.
+
+    It is 0 for a coherence window. For a source it is a multiple of the spread, the standard deviation of its
+    directions.
+    """
     return INNER_RADIUS_SPREADS * coherence.spread
 
 
@@ -139,7 +144,7 @@ def ring_count(rings_per_octave: int) -> int:
 
 
 def table_error(rings_per_octave: int, *, few_orders: bool = False) -> float:
-    """Return the typical error of a table's colours; ``few_orders`` is for surfaces with few, separate orders."""
+    """Return the typical error of a table's colours; ``few_orders`` is for few, separate diffraction orders."""
     return float((0.024 if few_orders else 0.008) * (20.0 / rings_per_octave) ** 1.7)
 
 
