@@ -132,7 +132,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         per_w: wp.float32  # number of entries of ``w_basis`` per unit of |w|
         first_rows: wp.array2d(dtype=wp.int32)  # index of the row of azimuth 0, shape (levels, octaves)
         azimuths: wp.array2d(dtype=wp.int32)  # number of azimuth samples, shape (levels, octaves)
-        # Standard deviation of the blur in angle that rows already have [rad], shape (levels, octaves).
+        # Standard deviation of the blur in angle of the rows of each mip level [rad], shape (levels, octaves).
         blurs: wp.array2d(dtype=wp.float32)
         rings_per_octave: wp.int32
         rings_per_log: wp.float32  # number of rings per unit of ln |(u, v)|
@@ -265,8 +265,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Add the XYZ of ``run`` directions per thread, times ``gains``, to ``xyz_out``; ``footprints`` may be empty.
 
-        For a light source of finite size, directions that the table excludes are skipped. The gains of these directions
-        are written to ``unserved_gain``, which is 0 for all other directions.
+        Gains are geometry factors. For a light source of finite size, directions that the table excludes are skipped.
+        The gains of these directions are written to ``unserved_gain``, which is 0 for all other directions.
         """
         begin = (first + wp.tid()) * run
         end = wp.min(begin + run, gains.shape[0])

@@ -86,7 +86,8 @@ def draw_disc(
             on a smaller disc; the Gaussian adds the variance that the smaller disc lacks.
         lobe: Standard deviation of the peak (lobe) of the zeroth order in (u, v).
         pixels: Hits of the rays.
-        tiles: Pixels whose subpixel cells have the rays; if empty, each pixel of the picture has one ray.
+        tiles: Pixels that are divided into subpixel cells with one ray each; if empty, each pixel of the picture has
+        one ray.
         width: Number of pixels per row.
         across: Number of subpixel cells along a side of a pixel.
         sample: Index of the sample among the ``samples`` of each ray.

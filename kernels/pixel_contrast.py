@@ -33,7 +33,10 @@ def signal_difference(scattering_vectors: wp.array(dtype=wp.vec3d), own: wp.int3
 
 @wp.func
 def contrast_weight(scattering_vectors: wp.array(dtype=wp.vec3d), pixel: wp.int32, width: wp.int32) -> wp.float32:
-    """Return the expected error of a pixel, divided by the contrast to its neighbours, from the changes of (u, v)."""
+    """Return the expected error of a pixel, divided by its contrast: its largest colour difference to a neighbour.
+
+    The quotient depends on the changes of (u, v) between the pixel and its neighbours.
+    """
     left = signal_difference(scattering_vectors, pixel, pixel - 1)
     right = signal_difference(scattering_vectors, pixel, pixel + 1)
     above = signal_difference(scattering_vectors, pixel, pixel - width)

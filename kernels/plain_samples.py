@@ -49,8 +49,8 @@ HORIZON = wp.constant(wp.float32(thresholds.HORIZON))
 # largest distance from the disc that counts as near [α].
 LEAST_OF_FACETS, SKY_SHARE, SKY_SHARE_OF_MIRROR = (wp.constant(wp.float32(share)) for share in (0.2, 0.5, 0.1))
 DISC_SHARE, REACH = wp.constant(wp.float32(0.5)), wp.constant(wp.float32(8.0))
-# Smallest cosine of the view direction by which the expected brightness under many lights is divided. Other values
-# would change the noise, not the mean.
+# Under many lights, the expected brightness is divided by the cosine of the view direction. A smaller cosine than this
+# number is replaced by it. Other values would change the noise, not the mean.
 LEAST_VIEW = wp.constant(wp.float32(0.1))
 
 
@@ -130,7 +130,8 @@ def sample_plain_sky(
         transparency: Cut-offs of the materials.
         mesh_id: Id of the mesh with the hierarchy for shadow rays.
         shadows: Whether shadow rays are traced.
-        tiles: Pixels whose cells are the rays; −1 is no pixel. If empty, the rays are one per pixel of the picture.
+        tiles: Pixels that are divided into cells with one ray each; −1 is no pixel. If empty, each pixel of the picture
+        has one ray.
         width: Number of pixels per row.
         across: Number of cells along a side of a pixel.
         sample: Index of the sample among the ``samples`` of each ray.
@@ -146,8 +147,8 @@ def sample_plain_sky(
             continue
         index = sample_index(tiles, width, across, i, sample, samples)
         frame = filtered_frame(pixels, i, footprints[i], filter_point(index))
-        # The roughness varies within the footprint. One of two roughnesses is drawn, whose mean and variance are those
-        # of the roughness in the footprint.
+        # The roughness varies within the footprint. One of two roughnesses is drawn; they have the same mean and
+        # variance as the roughness in the footprint.
         deviations = wp.float32(0.0)
         if has_spread(pixels, i):
             deviations = wp.where((scramble(index) & wp.uint32(1)) != wp.uint32(0), 1.0, -1.0)

@@ -28,8 +28,8 @@ LEVELS = range(1, MOST_LEVEL + 1)
 # Tolerance at and above which the finest level of subpixel cells is MOST_LEVEL − 1. The value was chosen because errors
 # that remain at that level are smaller than this tolerance.
 COARSE_TOLERANCE = 0.05
-# Least level of refinement of pictures without footprints. The value exceeds 0, because the variation of colours within
-# a pixel is unknown with one ray per pixel.
+# Least level of refinement of pictures without footprints; at level n, a pixel has 2ⁿ × 2ⁿ subpixel cells. The value
+# exceeds 0, because the variation of colours within a pixel is unknown with one ray per pixel.
 LEAST_LEVEL_OF_POINTS = 2
 # Estimated error of a pixel with one ray, divided by the contrast between the colours of the pixel and its neighbours:
 # CONTRAST_BASE + CONTRAST_PER_UNEVENNESS · unevenness + CONTRAST_PER_CHANGE · change. The unevenness is the relative

@@ -30,9 +30,9 @@ FACING_AWAY = wp.constant(wp.float32(-1.0e-5))
 
 @wp.struct
 class ShadowGrid:
-    """Grid over a mesh that is projected along the direction to a light.
+    """Grid over a mesh that is projected along the direction to a light, to find faces that occlude the light.
 
-    Each cell has a list of the faces that overlap it.
+    Each cell of the grid has a list of the faces that overlap it.
     """
 
     mesh_id: wp.uint64  # mesh whose bounding-volume hierarchy is used if the grid has no lists
@@ -69,7 +69,7 @@ def light_coordinates(grid: ShadowGrid, position: wp.vec3f) -> wp.vec3d:
 
 @wp.func
 def cell_of(place: wp.float64, low: wp.float64, per_step: wp.float64) -> wp.int32:
-    """Return the column or row of the grid that contains a coordinate.
+    """Return the column or row of the occluder grid that contains a coordinate.
 
     A larger coordinate never has a smaller column or row, in spite of rounding.
     """
@@ -90,9 +90,9 @@ def left_of(a: wp.vec3f, b: wp.vec3f, x: wp.float64, y: wp.float64) -> wp.float6
 
 @wp.func
 def cells_of(grid: ShadowGrid, corners: wp.mat33f) -> wp.vec4i:
-    """Return the first and last column and the first and last row of the grid that a face's bounding box overlaps.
+    """Return the first and last column and the first and last row of the occluder grid that a face overlaps.
 
-    The ranges are empty for a face without area.
+    The ranges are those of the face's bounding box. They are empty for a face without area.
     """
     c0 = corners[0]
     c1 = corners[1]
@@ -112,9 +112,9 @@ def project(
     run: wp.int32,
     cells_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """Project the corners of faces, and count the cells that the bounding box of each face overlaps.
+    """Project the corners of faces along the light, and count the grid cells that each face's bounding box overlaps.
 
-    The count is 0 for faces that are edge-on, and in a closed mesh for faces on the far side from the light.
+    The count is 0 for faces that are edge-on. In a closed mesh it is also 0 for faces that face away from the light.
     """
     for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         p0 = light_coordinates(grid, positions[faces[face, 0]])
@@ -139,7 +139,7 @@ def count(
     run: wp.int32,
     counts_out: wp.array(dtype=wp.int32),
 ):
-    """Count the faces of each cell, which the list of the cell will contain."""
+    """Count the faces that overlap each cell of the occluder grid, to allocate the lists of faces."""
     thread, _ = wp.tid()
     for face in range(first + thread * run, first + (thread + 1) * run):
         cells = cells_of(grid, grid.corners[face])

@@ -107,7 +107,7 @@ class FilteredSums:
 
 @wp.func
 def compact_index(ranks: wp.array(dtype=wp.int32), pixel: wp.int32) -> wp.int32:
-    """Return the index in the arrays of ``FilteredSums`` for a pixel of the picture."""
+    """Return the index of a pixel of the picture in the arrays of ``FilteredSums``."""
     result = pixel
     if ranks.shape[0] > 0:
         result = ranks[pixel]
@@ -134,7 +134,7 @@ def quadrant_at(
 
 @wp.func
 def second_difference2(before: wp.vec4f, own: wp.vec3f, after: wp.vec4f) -> wp.float32:
-    """Return the squared second difference of the colours of three quadrants; 0 without ``before`` or ``after``."""
+    """Return the squared second difference of the colours of three neighbouring quadrants; 0 if one does not exist."""
     second = wp.vec3f(before[0], before[1], before[2]) - 2.0 * own + wp.vec3f(after[0], after[1], after[2])
     return wp.where(before[3] * after[3] > 0.0, wp.length_sq(second), 0.0)
 
@@ -231,7 +231,7 @@ def mean_scatter(
 ) -> wp.float32:  # fmt: skip
     """Return the root mean square of the random scatter of a tile (subdivided pixel) and its neighbours.
 
-    The squares are weighted by the pixel filter.
+    The scatter of a tile is the standard deviation of its mean colour. The squares are weighted by the pixel filter.
     """
     square = wp.float32(0.0)
     weight = wp.float32(0.0)
@@ -378,7 +378,7 @@ def accumulate(
     first: wp.int32, run: wp.int32,
     xyz_out: wp.array(dtype=wp.vec3f), errors_out: wp.array(dtype=wp.float32), illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Add the colours, errors and illuminated pixels of one part of the lights to the sums over all parts."""
+    """Add the colours, errors and illuminated pixels by one light, or a part of it, to the sums over all lights."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         xyz_out[i] = xyz_out[i] + colours[i]
