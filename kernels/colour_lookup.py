@@ -239,7 +239,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         table: Colours, scattering_vectors: wp.array(dtype=wp.vec3d), gains: wp.array(dtype=wp.float32),
         begin: wp.int32, end: wp.int32, xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the XYZ of the scattering vectors from ``begin`` to ``end``, times ``gains``, to ``xyz_out``."""
+        """Add the XYZ of scattering vectors, from ``begin`` to ``end``, times geometry factors (gains)."""
 
     @wp.func_native(
         f"warpdiff::look_up_footprints<{w_basis_size}, {str(source).lower()}, {BATCH}, {MOST_PARTS}>(table, taps, "
@@ -251,7 +251,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         gains: wp.array(dtype=wp.float32), footprints: wp.array(dtype=Footprint), taps: FootprintTaps, begin: wp.int32,
         end: wp.int32, unserved_gain: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the XYZ of the scattering vectors from ``begin`` to ``end``, times ``gains``, to ``xyz_out``.
+        """Add the XYZ of scattering vectors, from ``begin`` to ``end``, times geometry factors (gains).
 
         Each XYZ is the mean over the footprint of the pixel and over the light source.
         """

@@ -45,7 +45,7 @@ def choose_lights(
         pixels: Hits of the rays.
         footprints: Footprints in (u, v) of the rays' pixels or cells, for light from the mirror direction.
         tiles: Pixels that are divided into subpixel cells with one ray each; if empty, each pixel of the picture has
-        one ray.
+            one ray.
         width: Number of pixels per row.
         across: Number of subpixel cells along a side of a pixel.
         sample: Index of the sample among the ``samples`` of each ray.

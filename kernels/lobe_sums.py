@@ -18,8 +18,8 @@ OPTIONS = compile_options.options("lobe_sums.h", max_unroll=1)
 # x, L_x and L_y, the sums of r and of s times each term, and the sum itself. The header ``lobe_sums.h`` writes the same
 # number of values.
 DERIVATIVES = 11
-# Largest number of terms of a series, which callers must check. The number is limited by the stack, which has the
-# polynomials of a pair and their derivatives: 8 bytes × 2 × 1024 = 16 kB.
+# Largest number of terms of a series, which callers must check. The number is limited by the stack. A thread stores the
+# values of the polynomials and of their derivatives there: 8 bytes × 2 × 1024 = 16 kB.
 MOST_TERMS = 1024
 
 

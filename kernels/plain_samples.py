@@ -100,7 +100,7 @@ def specular_reflectance(gloss: Gloss) -> wp.float32:
 
 @wp.func
 def share_of_facets(gloss: Gloss) -> wp.float32:
-    """Return the fraction of the surface's samples drawn from microfacets; the others have a cosine density."""
+    """Return the fraction of a surface's samples drawn from microfacets; others have a density like the cosine."""
     specular = specular_reflectance(gloss)
     diffuse = (1.0 - specular) * mean_of(gloss.diffuse)
     if diffuse <= 0.0:
@@ -131,7 +131,7 @@ def sample_plain_sky(
         mesh_id: Id of the mesh with the hierarchy for shadow rays.
         shadows: Whether shadow rays are traced.
         tiles: Pixels that are divided into cells with one ray each; −1 is no pixel. If empty, each pixel of the picture
-        has one ray.
+            has one ray.
         width: Number of pixels per row.
         across: Number of cells along a side of a pixel.
         sample: Index of the sample among the ``samples`` of each ray.

@@ -16,8 +16,8 @@ from warpdiff.kernels import compile_options
 from warpdiff.kernels.lobe_sums import LobeTable
 
 OPTIONS = compile_options.options("polar_sums.h", max_unroll=1)
-# Number of rings of a block. All rings of a block have the same number of azimuth samples. If the number of rings is
-# doubled, inner rings of a block have up to twice as many samples as they require.
+# Number of rings of a block, which is a group of consecutive rings with the same number of azimuth samples. If the
+# number of rings is doubled, inner rings of a block have up to twice as many samples as they require.
 BLOCK_RINGS = 16
 # Number of consecutive rings that one thread of the transposed sum over rings processes. Each ring is processed by a
 # single thread.

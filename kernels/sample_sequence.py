@@ -93,7 +93,7 @@ def sample_index(
 
     Args:
         tiles: Pixels that are divided into subpixel cells with one ray each; if empty, each pixel of the picture has
-        one ray.
+            one ray.
         width: Number of pixels per row.
         across: Number of subpixel cells along a side of a pixel.
         ray: Index of the ray.

@@ -155,7 +155,7 @@ def fill(
     run: wp.int32,
     ends_out: wp.array(dtype=wp.int32),
 ):
-    """Write the indices of faces into the lists of the cells that they overlap, in arbitrary order.
+    """Write the indices of faces into the lists of the grid cells that the faces overlap, in arbitrary order.
 
     The order depends on the threads, but occlusion does not depend on it. Before the launch, ``ends_out`` has the index
     at which each cell's list begins. After the launch, it has the index at which the list ends.

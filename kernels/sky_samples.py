@@ -226,7 +226,9 @@ def sample_sky(
     gains_out: wp.array2d(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Draw one direction of the sky for each ray, compute its scattering vector and gains, and add the pigment's light.
+    """Draw one direction of the sky for each ray. Compute its scattering vector and gains (geometry factors).
+
+    The light that the pigment (base colour) reflects is added to ``xyz_out``.
 
     Args:
         sky: Powers of the sky by direction.
@@ -243,7 +245,7 @@ def sample_sky(
         mesh_id: Id of the mesh with the hierarchy for shadow rays.
         shadows: Whether shadow rays are traced.
         tiles: Pixels that are divided into cells with one ray each; −1 is no pixel. If empty, each pixel of the picture
-        has one ray.
+            has one ray.
         width: Number of pixels per row.
         across: Number of cells along a side of a pixel.
         sample: Index of the sample among the ``samples`` of each ray.

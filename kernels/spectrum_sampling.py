@@ -129,7 +129,7 @@ def gatherer(lanes: int) -> types.SimpleNamespace:
 
 @functools.cache
 def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
-    """Return the kernels that integrate spectrum rows of ``lanes`` terms over λ.
+    """Return the kernels that integrate spectrum rows over λ. A row has the weights of ``lanes`` basis functions.
 
     The results are coefficients of ``w_basis_size`` functions of w, for X, Y and Z. w is the normal component of the
     scattering vector.

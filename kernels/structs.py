@@ -46,7 +46,7 @@ class Sampling:
 
 @wp.struct
 class Cells:
-    """Set of pixels whose cells are rasterized; each of these pixels has the same number of cells."""
+    """Set of pixels with subpixel cells that are rasterized; each of these pixels has the same number of cells."""
 
     marks: wp.array(dtype=wp.uint64)  # one bit per pixel of the picture; each row begins with a new 64-bit word
     ranks: wp.array(dtype=wp.int32)  # for each pixel of the picture: its index among the pixels of the set

@@ -57,7 +57,7 @@ def splat_cells(
         colours: Colours of the cells, pixel after pixel and row by row.
         hit: Whether the cells hit the mesh.
         pixels: Indices of the pixels; −1 is no pixel.
-        colours_before: Present colours of the picture: by one ray per pixel, or already from cells of an earlier group.
+        colours_before: Present colours of the picture: by one ray per pixel, or by cells that were computed earlier.
         ranks: For each pixel of the picture, its index in the outputs; empty if the pixel itself is the index.
         weights: Filter of one pixel along one axis, shape (3 · 2ⁿ,): values at the cells of the pixel before, of the
             pixel itself, and of the pixel after it.
@@ -73,7 +73,7 @@ def splat_cells(
             that hit nothing count as black.
         changes_out: Differences ‖ΔXYZ‖ between the mean colours and ``colours_before``, at the base level. If
             ``is_sampled``, standard deviations of the mean colours, at any level.
-        levels_out: The level of each tile, set to ``level``.
+        levels_out: The level of each pixel of ``pixels``, set to ``level``.
         lighting_out: Bits ``LIT``, ``UNLIT`` and ``MISSED`` of the cells.
     """
     thread, _ = wp.tid()
@@ -97,7 +97,7 @@ class FilteredSums:
     lighting: wp.array(dtype=wp.uint8)
     # For each subdivided pixel (tile), ``splat_cells`` writes the difference between the mean colour of its cells and
     # the colour by one ray. ``select_levels`` replaces this difference by the estimated error of 2 × 2 cells. For
-    # sampled lights the array has the standard deviation of the mean instead.
+    # lights with random directions, the array has the standard deviation of the mean instead.
     changes: wp.array(dtype=wp.float32)
     ranks: wp.array(dtype=wp.int32)
     # Factors that normalise sums over cells, for each level and each of three pixels in a row. A factor is the integral

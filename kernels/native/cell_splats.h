@@ -48,7 +48,7 @@ WARPDIFF_INLINE float scatter_of(const float* colours, const int* hit, int acros
 }
 
 // Sum the `across` × `across` subpixel cells of a pixel, row by row. `along` has the weights of the cells along one
-// axis: first in the filter of the previous pixel, then in that of the own pixel, then in that of the next pixel.
+// axis: first in the filter of the previous pixel, then in the pixel's filter, then in the next pixel's filter.
 // `is_sampled` states whether each cell has drawn a random direction to the light.
 WARPDIFF_INLINE CellSums sum_cells(
     const float* colours, const int* hit, bool is_sampled, const float* along, int across)

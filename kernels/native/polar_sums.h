@@ -219,7 +219,7 @@ struct ColourRings {
         share = at - (double)entry;
     }
 
-    // Compute the weights in X, Y and Z of ring m among the contributing rings; for other rings, the weights are 0.
+    // Compute the weights in X, Y and Z of contributing ring m. They are 0 if m is not the index of such a ring.
     template <class Pixels>
     WARPDIFF_INLINE void weights(const Pixels& pixels, int m, double* xyz) const
     {
@@ -229,8 +229,8 @@ struct ColourRings {
         for (int c = 0; c < 3; ++c) xyz[c] = inside ? (1.0 - share) * low[c] + share * high[c] : 0.0;
     }
 
-    // Return the reflectance at ring m among the contributing rings; for other rings, return the reflectance at the
-    // nearest contributing ring.
+    // Return the reflectance at contributing ring m. If m is not the index of such a ring, return the reflectance at
+    // the nearest contributing ring.
     template <class Pixels>
     WARPDIFF_INLINE double reflectance(const Pixels& pixels, int pixel, int m) const
     {

@@ -95,7 +95,7 @@ inline void widen(const Table& table, RingLevel& widest, int octave, float varia
     }
 }
 
-// Add the rows on an arc of a ring, from the azimuth `first` to the azimuth `end`. The azimuth `end` is excluded,
+// Add the table rows on an arc of a ring, from the azimuth `first` to the azimuth `end`. The azimuth `end` is excluded,
 // because it may be the first azimuth of the next arc.
 template <int WIDTH>
 WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian, float radius, float blur2,

@@ -69,9 +69,9 @@ _ENTRIES_OF_W, _ENTRIES_OF_KAPPA = 256, 512
 # Grid on which the reflectance R(θd, λ) of a material is stored, where θd is half of the angle between the directions
 # to the light (ωi) and to the viewer (ωr): number of samples over cos θd, and spacing of the wavelengths [nm].
 _ANGLES, _EACH_NM = 65, 5
-# The validation set of directions has two halves, uniform directions and bright directions. `_VALIDATION_SIZE` is the
-# size of each half. `_CANDIDATES` is the number of random directions from which both halves are selected, and `_SEED`
-# is the random seed.
+# Directions in which the error of a table is measured (validation set). One half is uniform; the other half has bright
+# directions. `_VALIDATION_SIZE` is the size of each half. `_CANDIDATES` is the number of random directions from which
+# both halves are selected, and `_SEED` is the random seed.
 _VALIDATION_SIZE, _CANDIDATES, _SEED = 2048, 32_768, 27
 # Before the ΔE2000 of a colour is computed, the colour is scaled to the luminance Y = `_SHOWN`. Colours whose luminance
 # is below a limit, `_FLOOR` times the reference luminance, are multiplied by the same factor as colours at the limit,
@@ -220,7 +220,7 @@ class _Bakery:
                 yield replace(table, error=self._error(table.colours(self._validation_set, zeroth_order=False)))
 
     def _sampled(self, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
-        """Sample pairs of directions: one half is uniform on the hemisphere, the other half favours bright directions.
+        """Sample pairs of directions to light and viewer: half of them uniform on the hemisphere, half of them bright.
 
         Returns:
             Scattering vectors, geometry factors and XYZ of the pairs; and the reference luminance. The reference

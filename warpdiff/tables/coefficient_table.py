@@ -185,7 +185,7 @@ def coefficients_for(
         coherence: Coherence, which selects the grid of frequencies and whether powers or amplitudes are fitted.
         direction_range: Range of directions and wavelengths.
         neighbour_extent: Number of coefficients along (y, x) on either side of a direction that look-ups may read.
-        terms: Number of terms of a series; the fit of a basis selects its own number.
+        terms: Number of terms of a series of exp(2πiκh); the fit of a basis selects its own number.
         threads: Number of Fourier transforms that run in parallel.
         to_fit: Whether the caller needs the series only to fit basis functions to it. The series is then stored in a
             cache of one entry.
@@ -257,7 +257,10 @@ def kernels_for(method: str, coherence: Coherence, terms: int) -> Any:
 def table_for(
     heightfield: HeightField, plan: Plan, direction_range: DirectionRange, *, device: wp.Device, threads: int
 ) -> Table:
-    """Return the table of Fourier coefficients for a plan and the directions of a call, from the cache if possible."""
+    """Return the table of Fourier coefficients for a plan and the directions of a call, from the cache if possible.
+
+    A plan has the numbers of a computation, such as the number of terms.
+    """
     coherence = plan.coherence
     # Basis functions are fitted for a range of directions. Here it is the range of the plan, extended if the directions
     # of the call exceed it. All calls within the range of a plan therefore use the same basis functions.
@@ -333,23 +336,23 @@ def radius(plan: Plan) -> float:
 
 
 def neighbour_extent(plan: Plan, heightfield: HeightField) -> tuple[int, int]:
-    """Return the number of Fourier coefficients along (y, x) on either side of a direction that a table must contain.
+    """Return how many Fourier coefficients a table must contain on either side of q = (u, v)/λ, along (y, x).
 
     All plans whose least Gaussian weight of coefficients is above ``_LEAST_EXTENT_WEIGHT`` have the same extent, so
     that they share one fitted basis.
     """
     if plan.coherence.kind == "replicas":
         return coefficient_sum.TAPS, coefficient_sum.TAPS
-    # At oblique incidence, the coefficients that contribute to a direction for a source lie within an ellipse. The
-    # kernels sum over a parallelogram that contains the ellipse. It extends farther than the ellipse by up to the
-    # factor √2.
+    # For a light source of finite size at oblique incidence, the coefficients that contribute to a direction lie within
+    # an ellipse. The kernels sum over a parallelogram that contains the ellipse. It extends farther than the ellipse by
+    # up to the factor √2.
     around = radius(plan) * (math.sqrt(2.0) if plan.coherence.kind == "source" else 1.0)
     rows, columns = (math.ceil(around * length + 0.5) for length in grid_for(heightfield, plan.coherence).lengths_um)
     return rows, columns
 
 
 def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: IlluminatedMaterial, *, device: wp.Device) -> Any:
-    """Return the struct ``Quadrature`` of a plan and an illuminated material: wavelengths with colour weights."""
+    """Return the struct ``Quadrature``: the wavelengths of a plan, with weights for an illuminant and a material."""
     per_lateral, per_w, constant = plan.bandwidth_um
     largest = per_lateral * plan.max_order_rate + per_w * plan.max_w + constant
     counts = [plan.wavelengths]

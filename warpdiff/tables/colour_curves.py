@@ -132,6 +132,8 @@ def make_projection(
 ) -> Projection:
     """Return the weights that convert the power spectrum on the rings of a plan's table to colours.
 
+    A plan has the numbers of a computation. If it does not set the number of functions of w, its tolerance determines
+    the number. The angle θd is half
     If the plan does not set the number of functions of w, the tolerance of the plan determines it. The angle θd is half
     of the angle between the directions to the light and to the viewer. Because cos θd = |(u, v, w)|/2, the reflectance
     R(θd, λ) of a material is a function of λ, w and the radius |(u, v)| of a ring. The integral over λ therefore
@@ -246,7 +248,10 @@ def _places(rings_per_octave: int, low: float, high: float) -> tuple[NDArray[np.
 
 
 def _ratios_at_roots(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a material's reflectance divided by the one in the colour curves, at Chebyshev nodes of cos θd."""
+    """Return a material's reflectance divided by the one in the colour curves, at Chebyshev nodes of cos θd.
+
+    The colour curves include the reflectance at one angle θd.
+    """
 
     def at_roots(count: int) -> NDArray[np.float64]:
         roots = chebyshev.nodes(0.0, 1.0, count)[:, None]
@@ -297,7 +302,8 @@ def colour_products(illuminated: IlluminatedMaterial) -> NDArray[np.float64]:
 def _projected(products: NDArray[np.float64], rings_per_octave: int) -> NDArray[np.float64]:
     """Return the coefficients of splines that are fitted to the colour curves by least squares.
 
-    The shape is (ring_count(rings_per_octave), 3).
+    A colour curve is illuminant times colour-matching function times reflectance. The shape is
+    (ring_count(rings_per_octave), 3).
     """
     count = ring_count(rings_per_octave)
     # The splines at both ends extend beyond the visible range, and the fit includes the wavelengths there. At these

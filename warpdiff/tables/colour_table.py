@@ -161,7 +161,7 @@ def function_count(
     heightfield: HeightField, plan: Plan, direction_range: DirectionRange, illuminated: IlluminatedMaterial, *,
     device: wp.Device, threads: int,
 ) -> int:  # fmt: skip
-    """Return the number of functions of w (the normal component) that the colours of a plan's table share."""
+    """Return the number of functions of w, the normal component, in the colour table of a plan."""
     source = source_for(heightfield, plan, direction_range, device=device, threads=threads)
     return int(source.projection(plan, illuminated).w_basis.shape[1])
 
@@ -218,16 +218,16 @@ def _fields(
     grid, zeroth, coherence = source.layout.levels[0], source.zeroth, source.key.coherence
     per_log = grid.rings / math.log(2.0)
     # ``lobe2`` is the variance of the peak of a diffraction order in (u, v), divided by the squared wavelength. For a
-    # source it is 0: the peaks of orders then have the same width in (u, v) at all wavelengths, which ``spread2``
-    # describes.
+    # light source of finite size it is 0: the peaks of orders then have the same width in (u, v) at all wavelengths,
+    # which ``spread2`` describes.
     lobe2 = 0.0 if source.has_lines else zeroth.lobe_variance(1.0)
     wavenumbers, weights = colorimetry.uniform_quadrature(_ZEROTH_WAVELENGTHS, illuminated.illuminant)
     reflectances = np.zeros((len(weights), 0))
     if illuminated.material is not None:
         angles = np.linspace(0.0, 1.0, _ZEROTH_ANGLES)
         reflectances = reflectance_at(illuminated.material, 1e3 / wavenumbers[::-1, None], angles)
-    # Rows for all mip levels are allocated now, although only level 0 is filled. On the CPU, allocated rows occupy no
-    # memory until they are written.
+    # Rows for all mip levels (blurred copies) are allocated now, although only level 0 is filled. On the CPU, allocated
+    # rows occupy no memory until they are written.
     layout = source.layout.with_mip_levels() if coherence.adds_powers else source.layout
     return {
         "rows": wp.empty(layout.rows, dtype=kernels.row, device=device),
@@ -253,7 +253,10 @@ def _fields(
 
 
 def _is_smooth(illuminated: IlluminatedMaterial, per_log: float) -> bool:
-    """Whether the colour curves are so smooth in ln λ that sums over every second ring of a table are accurate."""
+    """Whether sums over every second ring of a table are accurate, because colour curves are smooth in ln λ.
+
+    A colour curve is illuminant times colour-matching function times reflectance.
+    """
     products = colour_products(illuminated)
     logs = np.log(np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))
     remainder = np.abs(np.exp(1j * math.pi * per_log * logs) @ products) / products.sum(axis=0)

@@ -110,7 +110,10 @@ class ColourLookup:
         )
 
     def copy_with(self, plan: Plan) -> ColourLookup:
-        """Return a look-up for the same range of directions by another plan; it has separate tables."""
+        """Return a look-up for the same range of directions by another plan (the numbers of a computation).
+
+        The look-up has its own tables.
+        """
         return ColourLookup(
             self.heightfield, plan, self._range, zeroth_order=self._zeroth_order, pitch_scales=self._pitch_scales,
             device=self.device, threads=self._threads,

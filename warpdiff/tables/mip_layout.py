@@ -76,7 +76,7 @@ class MipLayout:
 
     @classmethod
     def for_plan(cls, plan: Plan, highest: float) -> MipLayout:
-        """Return the layout for a plan and for spatial frequencies up to ``highest`` [1/µm], with mip level 0 only."""
+        """Return the layout of a plan's table with mip level 0 only, for frequencies up to ``highest`` [1/µm]."""
         return (cls._of_lines if plan.coherence.kind == "source" else cls._of_window)(plan, highest)
 
     @classmethod
@@ -106,7 +106,7 @@ class MipLayout:
 
     @classmethod
     def _of_lines(cls, plan: Plan, highest: float) -> MipLayout:
-        """Return the layout of a table for a source, whose spectrum is a sum of lines that are added to the grid."""
+        """Return the layout of a table for a light source of finite size: its spectrum is a sum of lines."""
         rings, spread = plan.rings_per_octave, plan.coherence.spread
         step = math.log(2.0) / rings
         # The grid ends three rings beyond the largest frequency, because the spline of a look-up uses these rings, too.
@@ -123,7 +123,7 @@ class MipLayout:
         )  # fmt: skip
 
     def with_mip_levels(self) -> MipLayout:
-        """Return the layout with all mip levels, which are required for means over footprints, and for sources."""
+        """Return the layout with all mip levels, which means over footprints or over light sources require."""
         narrow = np.asarray(self.levels[0].azimuths)
         first = 2.0 * math.pi / narrow
         levels, level_blurs = [self.levels[0]], [self.level_blurs[0]]

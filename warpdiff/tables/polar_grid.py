@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 FEWEST_AZIMUTHS = 16
 # Wavelength in the middle of the visible range [µm].
 MIDDLE_UM = 0.55
-# Number of azimuth samples in tables of sources, relative to other tables. More samples reduce the blur of the table
-# itself. If a source is near the horizon, fewer directions are then excluded from the table and computed by sampled
-# wavelengths. Memory is proportional to the factor.
+# Number of azimuth samples in tables of light sources of finite size, relative to other tables. More samples reduce the
+# blur of the table itself. If a source is near the horizon, fewer directions are then excluded from the table and
+# computed by sampled wavelengths. Memory is proportional to the factor.
 _MORE_AZIMUTHS_OF_SOURCES = 1.5
-# Smallest |(u, v)| for which tables of sources are used, in standard deviations of the directions to the source. Nearer
-# to the mirror direction, where (u, v) = 0, a blur in polar coordinates is inaccurate. At a quarter of this limit, the
-# median error was measured as 4e-2.
+# Smallest |(u, v)| for which tables of light sources of finite size are used, in standard deviations of the directions
+# to the source. Nearer to the mirror direction, where (u, v) = 0, a blur in polar coordinates is inaccurate. At a
+# quarter of this limit, the median error was measured as 4e-2.
 INNER_RADIUS_SPREADS = 30.0
 LOG_RED, LOG_BLUE = (
     math.log(colorimetry.NM_PER_UM / end) for end in (colorimetry.LAMBDA_MAX_NM, colorimetry.LAMBDA_MIN_NM)
@@ -131,7 +131,7 @@ def inner_radius(coherence: Coherence) -> float:
 def blur(coherence: Coherence) -> float:
     """Return the standard deviation of the peak of a diffraction order in the power spectrum [1/µm].
 
-    For a source, the standard deviation depends on the wavelength; the result is for 0.55 µm.
+    For a light source of finite size, the standard deviation depends on the wavelength; the result is for 0.55 µm.
     """
     if coherence.sigma_um is None:
         return coherence.spread / MIDDLE_UM

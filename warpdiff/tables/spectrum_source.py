@@ -213,13 +213,16 @@ class Lines(NamedTuple):
     log_frequencies: NDArray[np.float64]
 
 
-# Number of samples of the polar grid to which each spectral line is added; the cost model uses this number. It was
-# derived as 2 × 7 azimuth samples on each of 3 rings.
+# Number of samples of the polar grid to which each spectral line is added. Predictions of the computing time use this
+# number. It was derived as 2 × 7 azimuth samples on each of 3 rings.
 NODES_OF_LINE = 42.0
 
 
 class LineSpectrum(SpectrumSource):
-    """Power spectrum of an infinite surface for a source: one line at the frequency of each Fourier coefficient."""
+    """Power spectrum of an infinite surface under a light source of finite size: one line per Fourier coefficient.
+
+    The line is at the frequency of the coefficient.
+    """
 
     has_lines, tap_rule = True, LINE_TAPS
 
@@ -291,7 +294,7 @@ class LineSpectrum(SpectrumSource):
 
 
 def source_type(coherence: Coherence) -> type[SpectrumSource]:
-    """Return the class of power spectra for a coherence: spectral lines for a source, otherwise samples."""
+    """Return the class of power spectra for a coherence: spectral lines for the kind "source", otherwise samples."""
     return LineSpectrum if coherence.kind == "source" else WindowedSpectrum
 
 
