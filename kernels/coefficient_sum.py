@@ -343,7 +343,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
                 y = 0
         if wp.static(not adds_powers):
             total = total_re * total_re + total_im * total_im
-        # The power ⟨|P|²⟩ is at most 1. If a plan is used at a κ = w/λ far beyond the range of its series, the series
+        # The power ⟨|P|²⟩ is at most 1. At a κ = w/λ far beyond the range of the series of the coefficients, the series
         # may overflow to infinity or NaN. wp.min then returns 1.
         return window.share * wp.min(total, wp.float32(1.0))
 

@@ -14,9 +14,9 @@ import warp as wp
 from warpdiff.kernels import compile_options
 
 OPTIONS = compile_options.options("lobe_sums.h", max_unroll=1)
-# Number of values per pair that ``differentiate_lobes`` writes: derivatives with respect to q_x, q_y, M_xx, M_xy, M_yy,
-# x, L_x and L_y, the sums of r and of s times each term, and the sum itself. The header ``lobe_sums.h`` writes the same
-# number of values.
+# Number of values per direction and wavelength that ``differentiate_lobes`` writes: derivatives with respect to q_x,
+# q_y, M_xx, M_xy, M_yy, x, L_x and L_y, the sums of r and of s times each term, and the sum itself. The header
+# ``lobe_sums.h`` writes the same number of values.
 DERIVATIVES = 11
 # Largest number of terms of a series, which callers must check. The number is limited by the stack. A thread stores the
 # values of the polynomials and of their derivatives there: 8 bytes × 2 × 1024 = 16 kB.

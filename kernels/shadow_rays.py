@@ -22,9 +22,9 @@ wp.set_module_options(compile_options.options("shadow_rays.h", "atomics.h"))
 # Number of steps per radius of the mesh to which positions are rounded. The value is limited by float32, which
 # represents all whole numbers up to 2^24.
 STEPS = wp.constant(wp.float64(16777216.0))
-# A shadow ray is traced if the cosine between the normal and the direction to the light exceeds this number. It is
-# slightly negative, so that no ray is omitted because of rounding: the rounding error of cosines is smaller than its
-# magnitude, from which it was derived.
+# A shadow ray is traced if the cosine between the normal and the direction to the light exceeds this number. The number
+# is slightly negative, so that no ray is omitted because of rounding. It was derived from the rounding error of
+# cosines, which is smaller than 1e-5.
 FACING_AWAY = wp.constant(wp.float32(-1.0e-5))
 
 
@@ -182,7 +182,7 @@ def look_up(
     grid: ShadowGrid, towards: wp.vec3f, pixels: Pixels, begin: wp.int32, end: wp.int32,
     occluded_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Determine for the hits from ``begin`` to ``end`` whether faces in the lists of the grid occlude the light."""
+    """Determine whether faces in lists of the occluder grid occlude the light, at hits from ``begin`` to ``end``."""
 
 
 @wp.kernel

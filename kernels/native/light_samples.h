@@ -98,9 +98,9 @@ WARPDIFF_INLINE void load_finishes(
     }
 }
 
-// Return the gain: the factor between ⟨|P|²⟩ and ρ (Single 2014, eq. 3.15), times Schlick's reflectance relative to
-// normal incidence. `beyond_normal` is 1/R(0) − 1. The sum 1 + ωi·ωr is computed from the scattering vector, because
-// the direct formula would subtract nearly equal numbers.
+// Return the gain (geometry factor): the factor from the diffracted power ⟨|P|²⟩ to the relative reflectance ρ (Single
+// 2014, eq. 3.15), times Schlick's reflectance relative to normal incidence. `beyond_normal` is 1/R(0) − 1. The sum 1 +
+// ωi·ωr is computed from the scattering vector, because the direct formula would subtract nearly equal numbers.
 WARPDIFF_INLINE double gain_of(
     double u, double v, double w, double cos_i, double cos_r, double beyond_normal, bool masking, bool per_cosine)
 {

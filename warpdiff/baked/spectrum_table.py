@@ -77,7 +77,7 @@ class BakedSpectrum(table_files.SavedTable):
 
     @property
     def coherence(self) -> Coherence:
-        """Averaged window of the spectrum."""
+        """Averaged coherence window of the spectrum."""
         return Coherence(sigma_um=self.sigma_um)
 
     def __repr__(self) -> str:

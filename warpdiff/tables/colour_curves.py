@@ -133,11 +133,9 @@ def make_projection(
     """Return the weights that convert the power spectrum on the rings of a plan's table to colours.
 
     A plan has the numbers of a computation. If it does not set the number of functions of w, its tolerance determines
-    the number. The angle θd is half
-    If the plan does not set the number of functions of w, the tolerance of the plan determines it. The angle θd is half
-    of the angle between the directions to the light and to the viewer. Because cos θd = |(u, v, w)|/2, the reflectance
-    R(θd, λ) of a material is a function of λ, w and the radius |(u, v)| of a ring. The integral over λ therefore
-    includes R, and look-ups need no material.
+    the number. The angle θd is half of the angle between the directions to the light and to the viewer. Because cos θd
+    = |(u, v, w)|/2, the reflectance R(θd, λ) of a material is a function of λ, w and the radius |(u, v)| of a ring. The
+    integral over λ therefore includes R, and look-ups need no material.
     """
     # Smallest and largest |w| for which |κ| = |w|/λ is within the range of the basis functions at all visible
     # wavelengths.

@@ -34,7 +34,8 @@ _REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
 _OWN_BLUR_SPACINGS = 1.1
 # Filter that converts sampled values to coefficients of quadratic splines; its outermost weights are about 1e-6.
 _PREFILTER = np.array(quadratic_spline.prefilter(8))
-# Number of positions between two neighbouring samples for which the weights of taps are tabulated.
+# Number of positions between two neighbouring samples for which the weights of taps (the samples that a look-up adds)
+# are tabulated.
 _TAP_POSITIONS = 64
 # A long footprint is represented by a sum of n narrower Gaussians, its parts. The variance of a part is the variance of
 # the whole footprint, times this number divided by n. If the number is doubled, parts become 1.4 times as wide, and

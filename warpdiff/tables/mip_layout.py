@@ -123,7 +123,7 @@ class MipLayout:
         )  # fmt: skip
 
     def with_mip_levels(self) -> MipLayout:
-        """Return the layout with all mip levels, which means over footprints or over light sources require."""
+        """Return the layout with all mip levels, as means over footprints or over light sources require."""
         narrow = np.asarray(self.levels[0].azimuths)
         first = 2.0 * math.pi / narrow
         levels, level_blurs = [self.levels[0]], [self.level_blurs[0]]

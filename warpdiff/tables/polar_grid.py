@@ -155,7 +155,10 @@ def orders_are_separate(heightfield: HeightField, coherence: Coherence) -> bool:
 
 
 def table_sizes(coherence: Coherence) -> list[tuple[int, float]]:
-    """Return the available table sizes in ascending order, as pairs like those of ``TABLE_SIZES``."""
+    """Return the available table sizes in ascending order.
+
+    A size is a pair: rings per octave, and azimuth samples per standard deviation of the spectrum's blur.
+    """
     factor = _MORE_AZIMUTHS_OF_SOURCES if coherence.kind == "source" else 1.0
     return [(rings_per_octave, factor * azimuths) for rings_per_octave, azimuths in TABLE_SIZES]
 

@@ -301,7 +301,10 @@ def source_type(coherence: Coherence) -> type[SpectrumSource]:
 def source_for(
     heightfield: HeightField, plan: Plan, direction_range: DirectionRange, *, device: wp.Device, threads: int
 ) -> SpectrumSource:
-    """Return the power spectrum for a plan and for the directions of a call, from the cache if possible."""
+    """Return the power spectrum for a plan (the numbers of a computation) and for the directions of a call.
+
+    It is taken from the cache if possible.
+    """
     coefficient_range = CoefficientRange.covering(plan.direction_range.joined(direction_range))
     key = SpectrumKey(
         device.alias, coefficient_range, plan.method, plan.coherence, plan.terms, plan.least_weight,
@@ -338,7 +341,8 @@ def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) 
         # If amplitudes add, the zeroth order interferes with other orders and has no power of its own. The array of its
         # powers is therefore empty.
         power = np.zeros(0, dtype=np.float32)
-        # The number of Chebyshev nodes over κ = w/λ is derived from the fastest oscillation of a power over κ.
+        # Powers are interpolated over κ = w/λ from Chebyshev nodes. Their number is derived from the fastest
+        # oscillation of a power over κ.
         argument = math.pi * (kappas[1] - kappas[0]) * heightfield.height_range_um
         node_count = math.ceil(argument + 4.0 * argument ** (1.0 / 3.0) + 2.0)
         nodes = chebyshev.nodes(*kappas, node_count)
