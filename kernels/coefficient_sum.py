@@ -419,7 +419,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Add the XYZ of each direction, times its geometry factor (gain), to ``xyz_out``.
 
-        Under a source, the XYZ is the mean over a footprint. An empty array ``footprints`` selects single directions.
+        Under a light of finite size, each XYZ is the mean over a footprint, or for one direction without footprints.
         """
         i = first + wp.tid()
         gain = gains[i]

@@ -151,8 +151,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         reflectances: wp.array2d(
             dtype=wp.float32
         )  # R of a material at ``wavenumbers``, by cos θd from 0 to 1; R is 1 if the array is empty
-        # For a source, by octave: variance of the blur over the angle that spectral lines already have in the table
-        # [rad²].
+        # For a light source of finite size, one number per octave: variance of the blur over the angle that spectral
+        # lines already have in the table [rad²].
         line_blurs2: wp.array(dtype=wp.float32)
         spread2: wp.float32  # for a source: variance s² of (u, v) perpendicular to the direction of the light
         inner_radius2: wp.float32  # for a source: the table gives no colours for smaller |(u, v)|²

@@ -46,7 +46,7 @@ class LobePairs:
     centres: wp.array(dtype=wp.vec2d)  # frequency q = (u, v)/λ of the maximum of each pair's weights [1/µm]
     forms: wp.array(dtype=wp.vec3d)  # elements M_xx, M_xy and M_yy of the matrix of the weights exp(−dᵀMd) [µm²]
     places: wp.array(dtype=wp.float64)  # argument x of the Chebyshev series for each pair, −1 to 1
-    # The following arrays are used by the transposed sums only; otherwise they are empty.
+    # The following arrays are used only by the transposed sums, which compute adjoints; otherwise they are empty.
     polynomials: wp.array(dtype=wp.float64)  # values of the Chebyshev polynomials at x, ``terms`` numbers per pair
     adjoints: wp.array(dtype=wp.float64)  # adjoint of the sum of each pair
     begins: wp.array(dtype=wp.int32)  # index of the first pair of each cell, and the number of pairs; sorted by cell

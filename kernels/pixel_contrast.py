@@ -6,8 +6,8 @@ from warpdiff.kernels import compile_options, refinement_levels
 
 wp.set_module_options(compile_options.options())
 
-# Marks of pixels. ``ACTIVE`` pixels are subdivided into cells. ``SHARED`` pixels use the cells of neighbouring pixels.
-# A pixel with the mark 0 keeps the colour of its one ray.
+# Marks of pixels. ``ACTIVE`` pixels are subdivided into subpixel cells with one ray each. ``SHARED`` pixels use the
+# cells of neighbouring pixels. A pixel with the mark 0 keeps the colour of its one ray.
 ACTIVE = wp.constant(wp.uint8(1))
 SHARED = wp.constant(wp.uint8(2))
 CONTRAST_BASE = wp.constant(wp.float32(refinement_levels.CONTRAST_BASE))

@@ -46,7 +46,7 @@ HORIZON = wp.constant(wp.float32(thresholds.HORIZON))
 # `SKY_SHARE` is the fraction drawn by the brightness of the sky for a diffuse or rough surface, and
 # `SKY_SHARE_OF_MIRROR` that for a mirror. `DISC_SHARE` is the fraction of the samples of a disc light drawn from
 # microfacets, if the reflection lobe of the microfacets is narrower than the disc and near the disc. `REACH` is the
-# largest distance from the disc that counts as near [α].
+# largest distance from the disc that counts as near, in units of the roughness parameter α.
 LEAST_OF_FACETS, SKY_SHARE, SKY_SHARE_OF_MIRROR = (wp.constant(wp.float32(share)) for share in (0.2, 0.5, 0.1))
 DISC_SHARE, REACH = wp.constant(wp.float32(0.5)), wp.constant(wp.float32(8.0))
 # Under many lights, the expected brightness is divided by the cosine of the view direction. A smaller cosine than this

@@ -48,7 +48,7 @@ class RingBlocks:
 
 @wp.struct
 class PolarPixels:
-    """Directions whose colours are sums over rings, sorted by their positions in ``places``."""
+    """Directions whose colours are sums over rings, sorted by their ring indices ``places``."""
 
     places: wp.array(dtype=wp.float64)  # ring index (a fraction) of the longest visible wavelength, for each direction
     turns: wp.array(dtype=wp.float64)  # azimuth of (u, v) of each direction [turns], 0 to 1

@@ -48,8 +48,8 @@ class ShadowGrid:
     # For each face: a matrix with one row per corner, counter-clockwise. A row has the positions along ``across`` and
     # ``up`` [steps], and the height, the position along ``towards``.
     corners: wp.array(dtype=wp.mat33f)
-    # Index in ``faces`` at which the list of each cell begins, and index at which the last list ends; empty without
-    # lists.
+    # Index in ``faces`` at which the list of each grid cell begins, and index at which the last list ends; empty
+    # without lists.
     starts: wp.array(dtype=wp.int32)
     faces: wp.array(dtype=wp.int32)  # indices of the faces in the lists, one list after the other
     tops: wp.array(dtype=wp.float32)  # largest height of each listed face

@@ -141,7 +141,7 @@ def power_at(sky: Sky, place: wp.vec2f) -> wp.vec3f:
 
 @wp.func
 def draw_direction(table: SkyDistribution, sky: Sky, point: wp.vec2f) -> wp.vec3f:
-    """Draw a direction in the world frame with a density proportional to the brightness of the sky's blocks."""
+    """Draw a direction in the world frame from the sky's blocks, with a density proportional to their brightness."""
     rows = table.row_cdf.shape[0]
     row = find_step(table.row_cdf, 0, rows, point[0])
     columns = table.column_cdf[row]

@@ -39,7 +39,7 @@ def splat_cells_run(
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
     lighting_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Add the cells of each pixel from ``begin`` to ``end`` to the sums for nine pixels: itself and its neighbours."""
+    """Add the subpixel cells of pixels from ``begin`` to ``end`` to sums for each pixel and its eight neighbours."""
 
 
 @wp.kernel
@@ -88,7 +88,7 @@ def splat_cells(
 class FilteredSums:
     """Sums over the cells of tiles (subdivided pixels), which ``splat_cells`` writes.
 
-    The colours of quadrants and the changes of colour are computed at the base level.
+    The colours of quadrants and the changes of colour are computed at the base level, from the first cells of a tile.
     """
 
     filtered_sums: wp.array2d(dtype=wp.vec4f)

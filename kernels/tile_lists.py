@@ -40,7 +40,7 @@ def luminance_floor(
 ):
     """Compute the floor of relative errors from the histogram of luminances. The kernel runs on one thread.
 
-    Errors of darker pixels are relative to the floor instead of their luminance.
+    The error of a pixel is divided by ‖XYZ‖, or by the floor if the floor is larger.
     """
     total = wp.int32(0)
     for k in range(GROUPS):

@@ -343,8 +343,8 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
         for (int k = from; k < from + ABREAST; ++k) {
             // `across2` is a variance in angle over which colours are smooth. In tables for a coherence window, it is
             // the variance of the footprint plus the squared distance between azimuth samples. In tables of a light
-            // source, the distance is not added: a footprint that such a table serves is wider than the blur of the
-            // spectral lines, which is proportional to this distance.
+            // source, the distance is not added: such a table has colours only for footprints that are wider than the
+            // blur of the spectral lines, which is proportional to this distance.
             const float across2 = parts.aside2[k] + (SOURCE ? 1.0e-12f : parts.spacing[k] * parts.spacing[k]);
             const float variance = parts.deviation[k] * parts.deviation[k], turn = parts.turn_per_ring[k];
             const float sharp = wp::sqrt(per_curves2 + turn * turn / across2 + 1.0f / variance);

@@ -50,8 +50,8 @@ struct ScatteringBatch {
     // `frame` has the tangent, the bitangent and the normal, and `origin` is the origin of the shadow ray. `towards` is
     // the direction to the light and its weight, if each pixel has its own direction. `light` and `uvw` are the
     // direction to the light and the scattering vector in the shading frame. `beyond_normal` is 1/R(0) − 1. `unit` is
-    // the factor from colours relative to a surface's mirror to colours of the picture. `per_cosine` states whether the
-    // gain (geometry factor) is divided by the cosine of the angle between light and normal.
+    // the factor from the colours of a surface to the common scale of the picture. `per_cosine` states whether the gain
+    // (geometry factor) is divided by the cosine of the angle between light and normal.
     Batch<N> frame[3][3], to_view[3], origin[3];
     Batch<N> towards[4];
     Batch<N, double> light[3], uvw[3];

@@ -1,6 +1,6 @@
 // Rasterization: the nearest face of each camera ray. A batch of faces is projected together. Each face is then tested
-// against the rays of the pixels that it may cover, or against batches of cells of subdivided pixels. Only the CPU uses
-// this file; a GPU traces rays through a hierarchy of bounding boxes.
+// against the rays of the pixels that it may cover. If pixels are subdivided into cells with one ray each, it is tested
+// against batches of these rays. Only the CPU uses this file; a GPU traces rays through a hierarchy of bounding boxes.
 
 #pragma once
 
@@ -58,7 +58,7 @@ struct Raster {
     const int* ranks;
     int cells;
     float aside[MOST_CELLS], below[MOST_CELLS];
-    // Largest distance of a cell, and of any ray, from the pixel centre along x or y [pixels].
+    // Largest distance of a subpixel cell, and of any ray, from the pixel centre along x or y [pixels].
     double max_cell_offset, max_offset;
     unsigned long long* nearest;
 

@@ -14,7 +14,7 @@
 
 namespace warpdiff {
 
-// Number of azimuths that are processed together. The value is limited by the lanes of a SIMD vector.
+// Number of azimuths that are processed together. The value is limited by the number of elements of a SIMD vector.
 constexpr int ARC = batch_of(8);
 // Distance from its centre at which the Gaussian of a footprint is truncated [standard deviations]. `OUTWARDS` is for
 // directions away from the mirror direction, and `INWARDS` for directions towards it, where surfaces are brightest. The
@@ -78,7 +78,7 @@ WARPDIFF_INLINE RingLevel ring_level(const Table& table, int level, int octave)
 
 // Replace `widest` by the most blurred mip level in `octave` that the variance of the Gaussian along the ring permits.
 // Rings are processed from the outermost ring inwards. From one octave to the next inner octave, the blur of a level
-// [rad] may double. The search therefore starts one level below the present level.
+// [rad] may double. The search therefore starts with the level that is one step less blurred than the present level.
 template <class Table>
 inline void widen(const Table& table, RingLevel& widest, int octave, float variance)
 {

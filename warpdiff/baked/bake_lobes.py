@@ -56,8 +56,8 @@ _BLUE_UM = 0.43
 # is doubled, the errors of these colours cause a larger share of the ΔE2000.
 _FUNCTIONS_SHARE, _RELATIVE_ERROR = 0.6, 5e-3
 # `_LOOK_UPS` is the typical number of colours that are computed to make a table. `_MOST_S` is the longest accepted time
-# for these colours [s on one core]. The time is estimated, and estimates are too long: with a source of 2° and a patch
-# of 12.8 µm, 83 s were estimated and 25 s measured.
+# for these colours [s on one core]. The time is estimated, and estimates are too long: with a light source of 2° and a
+# patch of 12.8 µm, 83 s were estimated and 25 s measured.
 _LOOK_UPS, _MOST_S = 3e6, 300.0
 # Smallest |w| at which colours are sampled, where w is the component of the scattering vector along the normal. If |w|
 # is smaller, light and view are both near the horizon. Such colours are proportional to w² and need no samples.

@@ -321,7 +321,7 @@ def falloff_um2(coherence: Coherence, wavelength_um: float = 1.0) -> float:
 
     q is the frequency of a direction, and q_rs is the frequency of the coefficient. For an averaged coherence window,
     the weight multiplies powers, and the factor is 4π²σ², where σ is the standard deviation of the window. For a
-    centred window, the weight multiplies amplitudes, and the factor is 2π²σ². For a source with the spread s (the
+    centred window, the weight multiplies amplitudes, and the factor is 2π²σ². For a light source with the spread s (the
     standard deviation of its directions), the weight multiplies powers, and the factor at normal incidence is λ²/2s².
     """
     if coherence.sigma_um is None:

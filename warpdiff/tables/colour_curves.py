@@ -60,9 +60,9 @@ _MIDDLE_COSINE, _PRODUCTS_SHARE = 0.8, 0.02
 # `_MOST_ROOTS` are the smallest and the largest number of nodes. Metals need the fewest nodes; thin films with
 # resonances near the horizon need the most.
 _POLYNOMIALS_ERR, _FEWEST_ROOTS, _MOST_ROOTS = 1e-6, 32, 512
-# Smallest reflectance in colour curves, as a share of the largest reflectance. Smaller reflectances are replaced by it.
-# Thin films reflect nothing at some wavelengths. Without the replacement, ratios to a reflectance of 0 would be
-# infinite.
+# Smallest reflectance in colour curves (illuminant times colour-matching function times reflectance), as a share of the
+# largest reflectance. Smaller reflectances are replaced by it. Thin films reflect nothing at some wavelengths. Without
+# the replacement, ratios to a reflectance of 0 would be infinite.
 _LEAST_SHARE = 0.3
 
 
@@ -181,8 +181,8 @@ def _on_curve(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArra
     return np.asarray(np.maximum(reflectances, _LEAST_SHARE * most))
 
 
-# Only the result of the last call is cached. It does not depend on the illuminant or on the number of functions of w in
-# the table. Tables of one material that are computed one after the other therefore share it.
+# Only the result of the last call is cached. The result does not depend on the illuminant or on the number of functions
+# of w in the table. Tables of one material that are computed one after the other therefore share it.
 @functools.lru_cache(maxsize=1)
 def _material_products(
     material: Material | None, rings_per_octave: int, share: float, layout: MipLayout, low: float, high: float

@@ -47,7 +47,7 @@ class Lookups(tuple["ColourLookup | None", ...]):
 
     @property
     def needs_sampling(self) -> bool:
-        """Whether the colour table of any surface excludes some directions."""
+        """Whether the colour table of any surface excludes directions, which require sampled wavelengths."""
         return any(lookup is not None and lookup.needs_sampling for lookup in self)
 
     @property

@@ -166,7 +166,8 @@ def table_sizes(coherence: Coherence) -> list[tuple[int, float]]:
 def smallest_sufficient_size(plan: Plan, share: float = 1.0) -> tuple[int, float] | None:
     """Return the smallest table size whose typical error is at most ``share`` of a plan's tolerance, or None.
 
-    A size is a pair like those of ``TABLE_SIZES``. None means that no size suffices.
+    A size is a pair: rings per octave, and azimuth samples per standard deviation of the spectrum's blur. None means
+    that no size suffices.
     """
     sizes = table_sizes(plan.coherence)
     return next((size for size in sizes if table_error(size[0]) <= share * plan.tolerance), None)

@@ -320,7 +320,7 @@ def source_for(
 
 
 def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) -> SpectrumSource:
-    """Compute the description of a power spectrum, without its samples."""
+    """Compute the layout, basis functions and zeroth order of a power spectrum, without its samples."""
     coefficients, at, coherence = table.coefficients, table.arguments, plan.coherence
     count = min(plan.terms, coefficients.terms)
     lanes = lanes_of(count)
