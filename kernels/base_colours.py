@@ -21,7 +21,7 @@ def look_up_base_colours(
     camera: Camera, surface: SurfaceArrays, textures: Textures, pixels: Pixels, deviation: wp.float32,
     begin: wp.int32, end: wp.int32,
 ):  # fmt: skip
-    """Look up the base colours of the textured hits with indices from ``begin`` to ``end``."""
+    """Write the base colours from textures at the hits with the indices from ``begin`` to ``end``."""
 
 
 @wp.kernel
@@ -29,7 +29,9 @@ def sample_base_colours(
     camera: Camera, surface: SurfaceArrays, textures: Textures, pixels: Pixels, deviation: wp.float32,
     first: wp.int32, run: wp.int32,
 ):  # fmt: skip
-    """Replace negative base colours by those of textures; ``intersect_known_faces`` writes them at textured hits.
+    """Replace negative base colours by the colours of textures.
+
+    ``intersect_known_faces`` writes a negative base colour where a texture determines the colour.
 
     Args:
         camera: Camera in the units of the mesh.

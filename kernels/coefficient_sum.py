@@ -26,9 +26,9 @@ FORMS = ("averaged", "centred", "source", "replicas")
 # Number of Fourier coefficients along an axis from which the amplitude at a frequency is interpolated. The value is
 # limited by computing time, which is proportional to the square of this number.
 TAPS = 8
-# Under a source, the weights of Fourier coefficients are a Gaussian of (u, v). The footprint of a pixel widens this
-# Gaussian to at most this multiple of its area. The limit was chosen, because the computing time is proportional to the
-# area. Pixels with wider footprints are reported as inaccurate, or are refined.
+# Under a light source of finite size, the weights of Fourier coefficients are a Gaussian of (u, v). The footprint of a
+# pixel widens this Gaussian to at most this multiple of its area. The limit was chosen, because the computing time is
+# proportional to the area. Pixels with wider footprints are reported as inaccurate, or are refined.
 MOST_WIDENED = 16.0
 # The interference factor of N periods, [sin(πNt) / (N sin(πt))]², is 0/0 at its maximum, t = 0. Here t is the distance
 # from the nearest Fourier coefficient of the patch, in spacings of the coefficients. If |N t| is below this number, a
@@ -41,7 +41,7 @@ class Quadrature:
     """Sets of wavelengths with weights in X, Y and Z. Each set has 2^(−1/4) times the wavelengths of the set before.
 
     The bandwidth of a direction is the number of wavelengths that it requires per unit of 1/λ. The first set is for the
-    largest bandwidth of a plan. A direction uses the smallest set that suffices for its bandwidth.
+    largest bandwidth of a computation. A direction uses the smallest set that suffices for its bandwidth.
     """
 
     wavenumbers: wp.array(dtype=wp.float64)  # 1/λ of the wavelengths of all sets [1/µm], one set after the other
@@ -92,12 +92,12 @@ class Window:
     # Distances from q along y and x within which coefficients are summed [spacings of coefficients].
     radius_y: wp.float32
     radius_x: wp.float32
-    # The numbers exp(−2 across) and exp(−2 along). They are used only if the window has the same weights at all
-    # wavelengths.
+    # Factors exp(−2 across) and exp(−2 along), by which the weights of successive coefficients are computed. They are
+    # used only if the window has the same weights at all wavelengths.
     shrink_y: wp.float32
     shrink_x: wp.float32
-    # Area of the Gaussian of the source, divided by the area of the Gaussian that the footprint has widened. Sums are
-    # multiplied by it, so that the result is the mean over the footprint. Without a footprint, it is 1.
+    # Area of the Gaussian of the light source, divided by the area of the Gaussian that the footprint has widened. Sums
+    # are multiplied by it, so that the result is the mean over the footprint. Without a footprint, it is 1.
     share: wp.float32
 
 
@@ -140,7 +140,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
     @wp.struct
     class Table:
         rows: wp.array(dtype=row_t)  # for each coefficient: a row for its power, or two for its real and imaginary part
-        # Basis functions at equal steps in |κ| = |w|/λ. One entry is below the range of |κ|, and two are above it.
+        # Basis functions at equal steps in |κ| = |w|/λ, with one entry below the range of |κ| and two above it.
         basis: wp.array(dtype=row_t)
         kappa_low: wp.float64  # |κ| of the second entry of ``basis`` [1/µm]
         steps: wp.float64  # number of entries of ``basis`` per unit of |κ|
@@ -197,8 +197,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
             of_footprint = area * area
             of_source = p2 * z2
             of_both = z2 * (wp.length_sq(f) + wp.length_sq(g)) + along_f * along_f + along_g * along_g
-            # ``k`` reduces the squared lengths of f and g, so that the determinant is at most MOST_WIDENED² times that
-            # of the source.
+            # ``k`` reduces the squared lengths of the footprint's vectors f and g, so that the determinant is at most
+            # MOST_WIDENED² times that of the source.
             most = of_source * wp.static(MOST_WIDENED * MOST_WIDENED - 1.0)
             k = wp.float32(1.0)
             if of_both + of_footprint > most:
@@ -261,7 +261,8 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
         first_y = wp.int32(wp.ceil(fy - radius_y))
         last_y = wp.int32(wp.floor(fy + radius_y))
         if wp.static(form == "source"):
-            # A footprint may extend beyond the table. A table with all coefficients of the grid is periodic instead.
+            # A footprint may extend beyond the table; the rows outside of it are excluded. A table with the origin 0
+            # has all coefficients and is periodic, so that no row is outside.
             if table.origin_y > 0:
                 first_y = wp.max(first_y, -table.origin_y - iy)
                 last_y = wp.min(last_y, table.origin_y - iy)
@@ -342,7 +343,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
                 y = 0
         if wp.static(not adds_powers):
             total = total_re * total_re + total_im * total_im
-        # The power ⟨|P|²⟩ is at most 1. If a plan is used at a κ = w/λ far beyond the range of its series, the series
+        # The power ⟨|P|²⟩ is at most 1. At a κ = w/λ far beyond the range of the series of the coefficients, the series
         # may overflow to infinity or NaN. wp.min then returns 1.
         return window.share * wp.min(total, wp.float32(1.0))
 
@@ -418,7 +419,7 @@ def kernels(lanes: int, form: str, powers: bool) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Add the XYZ of each direction, times its geometry factor (gain), to ``xyz_out``.
 
-        Under a source, the XYZ is the mean over a footprint. An empty array ``footprints`` selects single directions.
+        Under a light of finite size, each XYZ is the mean over a footprint, or for one direction without footprints.
         """
         i = first + wp.tid()
         gain = gains[i]

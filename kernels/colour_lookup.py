@@ -132,7 +132,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         per_w: wp.float32  # number of entries of ``w_basis`` per unit of |w|
         first_rows: wp.array2d(dtype=wp.int32)  # index of the row of azimuth 0, shape (levels, octaves)
         azimuths: wp.array2d(dtype=wp.int32)  # number of azimuth samples, shape (levels, octaves)
-        # Standard deviation of the blur in angle that rows already have [rad], shape (levels, octaves).
+        # Standard deviation of the blur in angle of the rows of each mip level [rad], shape (levels, octaves).
         blurs: wp.array2d(dtype=wp.float32)
         rings_per_octave: wp.int32
         rings_per_log: wp.float32  # number of rings per unit of ln |(u, v)|
@@ -151,8 +151,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         reflectances: wp.array2d(
             dtype=wp.float32
         )  # R of a material at ``wavenumbers``, by cos θd from 0 to 1; R is 1 if the array is empty
-        # For a source, by octave: variance of the blur over the angle that spectral lines already have in the table
-        # [rad²].
+        # For a light source of finite size, one number per octave: variance of the blur over the angle that spectral
+        # lines already have in the table [rad²].
         line_blurs2: wp.array(dtype=wp.float32)
         spread2: wp.float32  # for a source: variance s² of (u, v) perpendicular to the direction of the light
         inner_radius2: wp.float32  # for a source: the table gives no colours for smaller |(u, v)|²
@@ -239,7 +239,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         table: Colours, scattering_vectors: wp.array(dtype=wp.vec3d), gains: wp.array(dtype=wp.float32),
         begin: wp.int32, end: wp.int32, xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the XYZ of the scattering vectors from ``begin`` to ``end``, times ``gains``, to ``xyz_out``."""
+        """Add the XYZ of scattering vectors, from ``begin`` to ``end``, times geometry factors (gains)."""
 
     @wp.func_native(
         f"warpdiff::look_up_footprints<{w_basis_size}, {str(source).lower()}, {BATCH}, {MOST_PARTS}>(table, taps, "
@@ -251,7 +251,7 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
         gains: wp.array(dtype=wp.float32), footprints: wp.array(dtype=Footprint), taps: FootprintTaps, begin: wp.int32,
         end: wp.int32, unserved_gain: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     ):  # fmt: skip
-        """Add the XYZ of the scattering vectors from ``begin`` to ``end``, times ``gains``, to ``xyz_out``.
+        """Add the XYZ of scattering vectors, from ``begin`` to ``end``, times geometry factors (gains).
 
         Each XYZ is the mean over the footprint of the pixel and over the light source.
         """
@@ -265,8 +265,8 @@ def lookup(w_basis_size: int, source: bool = False) -> types.SimpleNamespace:
     ):  # fmt: skip
         """Add the XYZ of ``run`` directions per thread, times ``gains``, to ``xyz_out``; ``footprints`` may be empty.
 
-        For a light source of finite size, directions that the table excludes are skipped. The gains of these directions
-        are written to ``unserved_gain``, which is 0 for all other directions.
+        Gains are geometry factors. For a light source of finite size, directions that the table excludes are skipped.
+        The gains of these directions are written to ``unserved_gain``, which is 0 for all other directions.
         """
         begin = (first + wp.tid()) * run
         end = wp.min(begin + run, gains.shape[0])

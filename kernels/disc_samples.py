@@ -52,7 +52,8 @@ def disc_edge(radius: wp.float32, extent: wp.float32) -> wp.float32:
 
     Args:
         radius: Radius of the light [rad].
-        extent: Standard deviation of the Gaussian of a sample, in radii of the light, at most 0.5.
+        extent: Standard deviation of the Gaussian of directions that a sample represents, in radii of the light, at
+            most 0.5.
     """
     return 2.0 * wp.sin(0.5 * radius * wp.sqrt(wp.max(1.0 - 4.0 * extent * extent, 0.0)))
 
@@ -82,11 +83,12 @@ def draw_disc(
     Args:
         lights: All lights. The two vectors in ``deviations`` of a disc light are half as long as its radius [rad].
         light_index: Index of the disc light.
-        extent: Standard deviation of the Gaussian of a sample, in radii of the disc, at most 0.5. Directions are drawn
-            on a smaller disc; the Gaussian adds the variance that the smaller disc lacks.
+        extent: Standard deviation of the Gaussian of directions that a sample represents, in radii of the disc, at most
+            0.5. Directions are drawn on a smaller disc; the Gaussian adds the variance that the smaller disc lacks.
         lobe: Standard deviation of the peak (lobe) of the zeroth order in (u, v).
         pixels: Hits of the rays.
-        tiles: Pixels whose subpixel cells have the rays; if empty, each pixel of the picture has one ray.
+        tiles: Pixels that are divided into subpixel cells with one ray each; if empty, each pixel of the picture has
+            one ray.
         width: Number of pixels per row.
         across: Number of subpixel cells along a side of a pixel.
         sample: Index of the sample among the ``samples`` of each ray.

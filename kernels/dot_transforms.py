@@ -1,7 +1,10 @@
 """Dots of grating maps: scattering vectors, directions to the light and footprints in the frame of each dot's cell.
 
-A dot whose cell is turned by φ, with heights times d and lengths times p, has the power spectrum of the cell at (p
-R(−φ) (u, v), d w). Gains (geometry factors) are computed from the directions at the surface before this transformation.
+A grating map divides a surface into rectangles of its texture coordinates (dots). Each dot shows a copy of one height
+field (the cell of the map) with another direction, depth and pitch. A dot with its cell turned by φ, with heights times
+d and lengths times p, has the power spectrum of the cell at (p R(−φ) (u, v), d w). Here (u, v, w) is the scattering
+vector, and R is a rotation. Gains (geometry factors) are computed from the directions at the surface before this
+transformation.
 """
 
 import warp as wp
@@ -13,12 +16,12 @@ from warpdiff.kernels.structs import Camera, Footprint, Pixels, SurfaceArrays
 
 wp.set_module_options(compile_options.options("dot_transforms.h"))
 
-# Change of the signal from one dot to the next, in units of (u, v); refinement estimates errors from changes of the
-# signal between pixels. The value was chosen far above the largest |(u, v)|, which is 2. With any such value, the
-# estimated error between two neighbouring dots is the full difference of their colours.
+# Offset that is added to (u, v) from one dot of a grating map to the next. Refinement estimates errors of pixels from
+# changes of (u, v) between them. The value was chosen far above the largest |(u, v)|, which is 2. With any such value,
+# the estimated error between two neighbouring dots is the full difference of their colours.
 SIGNAL_OF_DOT = wp.constant(wp.float64(64.0))
-# Share of the pixel filter that lies beyond the neighbouring pixels on one side. Derived from the filter: a Gaussian
-# with a standard deviation of 0.5 pixel that is truncated at 1.5 pixels, beyond a distance of 1 pixel.
+# Share of the pixel filter that lies beyond the neighbouring pixels on one side, more than 1 pixel from the centre. It
+# was derived from the filter: a Gaussian with a standard deviation of 0.5 pixel that is truncated at 1.5 pixels.
 SHARE_BEYOND_NEIGHBOURS = wp.constant(wp.float32(refinement_levels.share_beyond(1.0)))
 
 
@@ -29,7 +32,7 @@ def find_dots_run(
     camera: Camera, mesh: SurfaceArrays, pixels: Pixels, rows: wp.int32, columns: wp.int32, across: wp.int32,
     begin: wp.int32, end: wp.int32, dots_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """Find the dots of the hits from ``begin`` to ``end``."""
+    """Find the dots of a grating map at the hits from ``begin`` to ``end``."""
 
 
 @wp.kernel
@@ -38,9 +41,10 @@ def find_dots(
     first: wp.int32, run: wp.int32,
     dots_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """Find the dot of each hit: its row times ``columns`` plus its column, or −1 without a hit.
+    """Find the index of the dot at each hit: its row times ``columns`` plus its column, or −1 without a hit.
 
-    A pixel has ``across`` cells per side. Each ray of a cell finds its dot at another position within the cell.
+    A dot is a rectangle of a grating map. A pixel has ``across`` subpixel cells per side. The ray of each cell looks up
+    its dot at another position within the cell.
     """
     thread, _ = wp.tid()
     begin = first + thread * run
@@ -65,7 +69,10 @@ def transform_samples(
     scattering_vectors_out: wp.array(dtype=wp.vec3d), to_lights_out: wp.array(dtype=wp.vec3f),
     footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
-    """Transform the samples of hits on a surface with a grating map. Samples elsewhere become 0.
+    """Transform the scattering vectors at hits on a surface with a grating map to the frames of its dots.
+
+    Directions to the light and footprints are transformed, too. At all other hits, the results are 0. A dot is a
+    rectangle of the map with its own pitch p, turn φ and depth d, relative to one height field.
 
     Args:
         transforms: Transform of each dot: p cos φ, p sin φ, d, and the length that is given to directions to the light.
@@ -117,7 +124,7 @@ def scale_gains(
     gains: wp.array(dtype=wp.float32), first: wp.int32, run: wp.int32,
     gains_out: wp.array(dtype=wp.float32),
 ):  # fmt: skip
-    """Multiply gains by a function of cos θd = |(u, v, w)|/2, which is tabulated from 0 to 1."""
+    """Multiply gains (geometry factors) by a function of cos θd = |(u, v, w)|/2, which is tabulated from 0 to 1."""
     thread, _ = wp.tid()
     last = ratios.shape[0] - 1
     for i in range(first + thread * run, first + (thread + 1) * run):
@@ -166,11 +173,11 @@ def signals_of_dots(
     begins: wp.bool, first: wp.int32, run: wp.int32,
     signals_out: wp.array(dtype=wp.vec3d),
 ):  # fmt: skip
-    """Copy scattering vectors, moved on a grating map by an amount that differs between neighbouring dots.
+    """Copy scattering vectors, with an offset on a grating map that differs between neighbouring dots.
 
-    Refinement compares the written vectors of neighbouring pixels. A large difference indicates that colours may change
-    unevenly from one pixel to the next. The arguments are those of :func:`transform_samples`. If ``begins`` is false,
-    only the results of hits on the surface with the map are written.
+    A dot is a rectangle of the map. Refinement compares the written vectors of neighbouring pixels. A large difference
+    indicates that colours may change unevenly from one pixel to the next. The arguments are those of
+    :func:`transform_samples`. If ``begins`` is false, only the results of hits on the surface with the map are written.
     """
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
@@ -191,11 +198,12 @@ def mark_edges_of_dots(
     width: wp.int32, floor: wp.array(dtype=wp.float32), bound: wp.float32, first: wp.int32, run: wp.int32,
     errors_out: wp.array(dtype=wp.float32), marks_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Mark pixels to subdivide because of dots that ``pixel_contrast.estimate_errors`` does not find.
+    """Mark pixels for subdivision because of dots that ``pixel_contrast.estimate_errors`` does not find.
 
-    ``estimate_errors`` compares the colours of a pixel and of the eight pixels around it. The filter of a pixel extends
-    half a pixel further, so that a bright dot there contributes to the pixel. If dots are smaller than pixels, some
-    dots are between the rays of neighbouring pixels. All pixels with such small dots are subdivided.
+    A dot is a rectangle of a grating map. ``estimate_errors`` compares the colours of a pixel and of the eight pixels
+    around it. The filter of a pixel extends half a pixel further, so that a bright dot two pixels away contributes to
+    the pixel. If dots are smaller than pixels, some dots are between the rays of neighbouring pixels. All pixels with
+    such small dots are subdivided.
 
     Args:
         signals: Results of :func:`signals_of_dots`.

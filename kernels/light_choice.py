@@ -44,7 +44,8 @@ def choose_lights(
             to the brightness from the table.
         pixels: Hits of the rays.
         footprints: Footprints in (u, v) of the rays' pixels or cells, for light from the mirror direction.
-        tiles: Pixels whose subpixel cells have the rays; if empty, each pixel of the picture has one ray.
+        tiles: Pixels that are divided into subpixel cells with one ray each; if empty, each pixel of the picture has
+            one ray.
         width: Number of pixels per row.
         across: Number of subpixel cells along a side of a pixel.
         sample: Index of the sample among the ``samples`` of each ray.

@@ -1,5 +1,8 @@
 """Light samples: scattering vectors, gains and footprints at hits under one light.
 
+A gain is a geometry factor times Schlick's ratio of reflectances. A footprint is the Gaussian over (u, v) that a pixel
+covers. The pigment is the base colour of the mesh below its height field.
+
 ωi and ωr are the unit vectors to the light and to the viewer, in the frame of the surface.
 """
 
@@ -18,9 +21,9 @@ wp.set_module_options(compile_options.options("light_samples.h", "footprints.h")
 
 @wp.struct
 class Lights:
-    """Lights and their reflection by the pigment.
+    """Lights, and the colour of their reflection by the pigment (the base colour of the mesh below its height field).
 
-    The fields are arrays, so that a recorded graph can be replayed with other lights.
+    The fields are arrays, so that a recorded CUDA graph can be replayed with other lights.
     """
 
     # Homogeneous coordinates of each light: the direction to a distant light and 0, or the position of a light and 1.
@@ -52,8 +55,8 @@ class Reflection:
     )  # by finish: whether gains are divided by the light's cosine, for coherence of kind "source"
     masking: wp.bool
     transmittances: wp.array2d(dtype=wp.vec3f)  # 1 − R in linear RGB, by finish and cosine of the angle from the normal
-    # Factors a of the energy normalisation for each surface, tabulated by the angle from the normal and the azimuth. If
-    # the array is empty, the energy of Stam's model is not normalised.
+    # Factors a of the energy normalisation for each surface, by which the orders of a perfect mirror sum to 1. They are
+    # tabulated by the angle from the normal and the azimuth. If the array is empty, no energy is normalised.
     energy: wp.array3d(dtype=wp.float32)
 
 
@@ -70,7 +73,7 @@ def scattering_vectors_run(
     gains_out: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Compute scattering vectors, directions to the light and gains of pixels, and add hits to the coverage."""
+    """Compute scattering vectors, directions to the light and gains (geometry factors) of pixels, and count hits."""
 
 
 @wp.func
@@ -81,7 +84,7 @@ def away_from(place: wp.vec4d, point: wp.vec3f) -> wp.vec3d:
 
 @wp.func
 def finish_of(reflection: Reflection, face: wp.int32) -> wp.int32:
-    """Return the finish of a face."""
+    """Return the index of the finish of a face. A finish is a surface with one of its materials."""
     if reflection.finishes.shape[0] == 0:
         return 0
     return reflection.finishes[face]
@@ -89,7 +92,11 @@ def finish_of(reflection: Reflection, face: wp.int32) -> wp.int32:
 
 @wp.func
 def transmittance(reflection: Reflection, finish: wp.int32, cosine: wp.float32) -> wp.vec3f:
-    """Return the transmittance of a finish to the pigment below it, in linear RGB, for the cosine of an angle."""
+    """Return the transmittance (1 − R) of a surface in linear RGB, for the cosine of an angle from the normal.
+
+    It is the share of the light that reaches the pigment (base colour) below the surface. A finish is a surface with
+    one of its materials.
+    """
     last = reflection.transmittances.shape[1] - 1
     place = wp.clamp(cosine, 0.0, 1.0) * wp.float32(last)
     entry = wp.min(wp.int32(place), last - 1)
@@ -107,10 +114,10 @@ def scattering_vectors(
     gains_out: wp.array(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f), coverage_out: wp.array(dtype=wp.float64),
     illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Compute scattering vectors, directions to the light and gains of pixels under one of the lights.
+    """Compute scattering vectors, directions to the light and gains (geometry factors) of pixels under one light.
 
     All pixels that hit the mesh get a scattering vector; pixels that the light does not reach have a gain of 0. The
-    kernel also adds the light that the pigment reflects to ``xyz_out``, adds the number ``counted`` to
+    kernel also adds the light that the pigment (base colour) reflects to ``xyz_out``, adds the number ``counted`` to
     ``coverage_out`` where a ray hits the mesh, and marks illuminated pixels in ``illuminated_out``. Empty arrays are
     not written. If ``begins`` is true, ``coverage_out`` and ``illuminated_out`` are set to 0 first. If ``resets`` is
     true, ``xyz_out`` is set to 0 first. ``occluded`` marks pixels in shadow; an empty array marks none. ``towards`` has
@@ -146,7 +153,10 @@ def scattering_vectors(
 
 @wp.func
 def energy_factor(reflection: Reflection, surface: wp.int32, direction: wp.vec3f) -> wp.float32:
-    """Return the factor a of the energy normalisation for a direction in the surface's frame, from a table."""
+    """Return the energy normalisation of a surface for a direction in its frame: a factor a from a table.
+
+    With these factors, the orders of a perfect mirror sum to 1.
+    """
     rows = reflection.energy.shape[1]
     columns = reflection.energy.shape[2]
     if rows == 0:
@@ -175,7 +185,7 @@ def balance_energy(
     reflection: Reflection, first: wp.int32, run: wp.int32,
     gains_out: wp.array(dtype=wp.float32),
 ):  # fmt: skip
-    """Multiply gains by the factors a(ωi) a(ωr) of the energy normalisation."""
+    """Multiply gains (geometry factors) by factors a(ωi) a(ωr), with which orders of a perfect mirror sum to 1."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         if gains_out[i] > 0.0:
@@ -193,7 +203,7 @@ def add_light_rotation(
     deviation: wp.float32, first: wp.int32, run: wp.int32,
     footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
-    """Add to footprints the change of the direction to a point light between the points that a footprint covers."""
+    """Add to footprints the change of (u, v) by a point light: its direction changes within the area of a pixel."""
     place = lights.places[light_index]
     eye = wp.vec3f(camera.axes[0])
     back = wp.vec3f(camera.axes[3])
@@ -280,8 +290,8 @@ def add_light_extent(
             x = wp.dot(deviation, pixels.tangent[i])
             y = wp.dot(deviation, pixels.bitangent[i])
             if towards.shape[0] > 0:
-                # The Gaussian of a sample spreads only perpendicularly to the sampled direction. An isotropic
-                # covariance is added here, and its part along the direction is subtracted below.
+                # The Gaussian of a sample extends only perpendicularly to the sampled direction. The same covariance
+                # along all axes is added here, and its part along the sampled direction is subtracted below.
                 x = wp.where(axis == 0, own, 0.0)
                 y = wp.where(axis == 1, own, 0.0)
             xx += x * x
@@ -302,7 +312,7 @@ def add_source_extent(
     lights: Lights, light_index: wp.int32, pixels: Pixels, first: wp.int32, run: wp.int32,
     footprints_out: wp.array(dtype=Footprint),
 ):  # fmt: skip
-    """Widen footprints in (u, v) by the extent of a light at a position.
+    """Widen footprints in (u, v) by the extent of a light at a position, such as a disc.
 
     The two vectors in ``lights.deviations`` are standard deviations of the light's position along two axes.
     """
@@ -330,7 +340,10 @@ def select_finish(
     finish: wp.int32, first: wp.int32, run: wp.int32,
     gains_out: wp.array(dtype=wp.float32),
 ):  # fmt: skip
-    """Copy the gains of pixels whose faces have the given finish, and set the gains of all other pixels to 0."""
+    """Copy the gains of pixels with a given finish, and set the gains of all other pixels to 0.
+
+    A gain is a geometry factor. A finish is a surface with one of its materials.
+    """
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         gain = gains[i]

@@ -14,12 +14,12 @@ import warp as wp
 from warpdiff.kernels import compile_options
 
 OPTIONS = compile_options.options("lobe_sums.h", max_unroll=1)
-# Number of values per pair that ``differentiate_lobes`` writes: derivatives with respect to q_x, q_y, M_xx, M_xy, M_yy,
-# x, L_x and L_y, the sums of r and of s times each term, and the sum itself. The header ``lobe_sums.h`` writes the same
-# number of values.
+# Number of values per direction and wavelength that ``differentiate_lobes`` writes: derivatives with respect to q_x,
+# q_y, M_xx, M_xy, M_yy, x, L_x and L_y, the sums of r and of s times each term, and the sum itself. The header
+# ``lobe_sums.h`` writes the same number of values.
 DERIVATIVES = 11
-# Largest number of terms of a series, which callers must check. The number is limited by the stack, which has the
-# polynomials of a pair and their derivatives: 8 bytes × 2 × 1024 = 16 kB.
+# Largest number of terms of a series, which callers must check. The number is limited by the stack. A thread stores the
+# values of the polynomials and of their derivatives there: 8 bytes × 2 × 1024 = 16 kB.
 MOST_TERMS = 1024
 
 
@@ -41,12 +41,12 @@ class LobeTable:
 
 @wp.struct
 class LobePairs:
-    """Pairs of a direction and a wavelength, with the Gaussian weights of their sums."""
+    """Pairs of a direction and a wavelength. A pair has a sum of Fourier coefficients with Gaussian weights."""
 
     centres: wp.array(dtype=wp.vec2d)  # frequency q = (u, v)/λ of the maximum of each pair's weights [1/µm]
     forms: wp.array(dtype=wp.vec3d)  # elements M_xx, M_xy and M_yy of the matrix of the weights exp(−dᵀMd) [µm²]
     places: wp.array(dtype=wp.float64)  # argument x of the Chebyshev series for each pair, −1 to 1
-    # The following arrays are used by the transposed sums only; otherwise they are empty.
+    # The following arrays are used only by the transposed sums, which compute adjoints; otherwise they are empty.
     polynomials: wp.array(dtype=wp.float64)  # values of the Chebyshev polynomials at x, ``terms`` numbers per pair
     adjoints: wp.array(dtype=wp.float64)  # adjoint of the sum of each pair
     begins: wp.array(dtype=wp.int32)  # index of the first pair of each cell, and the number of pairs; sorted by cell
@@ -56,29 +56,35 @@ class LobePairs:
 
 @wp.func_native(f"return warpdiff::sum_lobe<{MOST_TERMS}>(table, pairs, pair);")
 def sum_lobe(table: LobeTable, pairs: LobePairs, pair: wp.int32) -> wp.float64:
-    """Return the sum of the weighted Fourier coefficients of a pair."""
+    """Return the weighted sum of Fourier coefficients for a pair of a direction and a wavelength."""
 
 
 @wp.func_native(f"warpdiff::differentiate_lobe<{MOST_TERMS}>(table, pairs, pair, derivatives_out);")
 def differentiate_lobe(
     table: LobeTable, pairs: LobePairs, pair: wp.int32, derivatives_out: wp.array2d(dtype=wp.float64)
 ):
-    """Compute the derivatives of the sum of a pair, and write them to the pair's row."""
+    """Compute the derivatives of the sum of a pair (a direction and a wavelength), and write them to the pair's row."""
 
 
 @wp.func_native("warpdiff::write_polynomials(table, pairs, pair);")
 def write_polynomials(table: LobeTable, pairs: LobePairs, pair: wp.int32):
-    """Write the values of the Chebyshev polynomials of a pair, which the transposed sums use."""
+    """Write the values of the Chebyshev polynomials for a pair of a direction and a wavelength.
+
+    The transposed sums use these values.
+    """
 
 
 @wp.func_native("warpdiff::spread_lobes(table, pairs, cell, rows_out);")
 def spread_lobes(table: LobeTable, pairs: LobePairs, cell: wp.int32, rows_out: wp.array2d(dtype=wp.float64)):
-    """Add the contributions of all pairs to the adjoint of one Fourier coefficient's series."""
+    """Add the contributions of all pairs (a direction and a wavelength) to the adjoint of one Fourier coefficient.
+
+    An adjoint is the derivative of a loss. The coefficient is a series, and the adjoint has one number per term.
+    """
 
 
 @wp.kernel(module="unique", module_options=OPTIONS)
 def sum_lobes(table: LobeTable, pairs: LobePairs, first: wp.int32, sums_out: wp.array(dtype=wp.float64)):
-    """Compute the sum of the weighted Fourier coefficients of each pair."""
+    """Compute the weighted sum of Fourier coefficients for each pair of a direction and a wavelength."""
     pair = first + wp.tid()
     sums_out[pair] = sum_lobe(table, pairs, pair)
 
@@ -87,17 +93,20 @@ def sum_lobes(table: LobeTable, pairs: LobePairs, first: wp.int32, sums_out: wp.
 def differentiate_lobes(
     table: LobeTable, pairs: LobePairs, first: wp.int32, derivatives_out: wp.array2d(dtype=wp.float64)
 ):
-    """Compute the derivatives of the sum of each pair; `DERIVATIVES` lists their order."""
+    """Compute the derivatives of the sum of each pair (a direction and a wavelength), in the order of `DERIVATIVES`."""
     differentiate_lobe(table, pairs, first + wp.tid(), derivatives_out)
 
 
 @wp.kernel(module="unique", module_options=OPTIONS)
 def evaluate_polynomials(table: LobeTable, pairs: LobePairs, first: wp.int32):
-    """Write the values of the Chebyshev polynomials of each pair to ``LobePairs.polynomials``."""
+    """Write the values of the Chebyshev polynomials to ``LobePairs.polynomials``, for each direction and wavelength."""
     write_polynomials(table, pairs, first + wp.tid())
 
 
 @wp.kernel(module="unique", module_options=OPTIONS)
 def spread_pairs(table: LobeTable, pairs: LobePairs, first: wp.int32, rows_out: wp.array2d(dtype=wp.float64)):
-    """Add the adjoints of pairs to those of the coefficients in their sums, one cell of the block per thread."""
+    """Compute the adjoints of Fourier coefficients from those of the sums in which they occur.
+
+    An adjoint is the derivative of a loss. Each thread processes one coefficient.
+    """
     spread_lobes(table, pairs, first + wp.tid(), rows_out)

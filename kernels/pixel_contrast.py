@@ -6,8 +6,8 @@ from warpdiff.kernels import compile_options, refinement_levels
 
 wp.set_module_options(compile_options.options())
 
-# Marks of pixels. ``ACTIVE`` pixels are subdivided into cells. ``SHARED`` pixels use the cells of neighbouring pixels.
-# A pixel with the mark 0 keeps the colour of its one ray.
+# Marks of pixels. ``ACTIVE`` pixels are subdivided into subpixel cells with one ray each. ``SHARED`` pixels use the
+# cells of neighbouring pixels. A pixel with the mark 0 keeps the colour of its one ray.
 ACTIVE = wp.constant(wp.uint8(1))
 SHARED = wp.constant(wp.uint8(2))
 CONTRAST_BASE = wp.constant(wp.float32(refinement_levels.CONTRAST_BASE))
@@ -33,7 +33,10 @@ def signal_difference(scattering_vectors: wp.array(dtype=wp.vec3d), own: wp.int3
 
 @wp.func
 def contrast_weight(scattering_vectors: wp.array(dtype=wp.vec3d), pixel: wp.int32, width: wp.int32) -> wp.float32:
-    """Return the expected error of a pixel, divided by the contrast to its neighbours, from the changes of (u, v)."""
+    """Return the expected error of a pixel, divided by its contrast: its largest colour difference to a neighbour.
+
+    The quotient depends on the changes of (u, v) between the pixel and its neighbours.
+    """
     left = signal_difference(scattering_vectors, pixel, pixel - 1)
     right = signal_difference(scattering_vectors, pixel, pixel + 1)
     above = signal_difference(scattering_vectors, pixel, pixel - width)

@@ -82,10 +82,10 @@ def has_spread(pixels: Pixels, ray: wp.int32) -> wp.bool:
 
 @wp.func
 def blurred(gloss: Gloss, covariance: wp.vec3f, w: wp.float32) -> Gloss:
-    """Return the parameters of the BRDF, blurred by a footprint whose covariance of (u, v) is given.
+    """Return the parameters of the BRDF, blurred by a footprint with a given covariance of (u, v).
 
-    The slope of the half vector is (u, v)/w for the scattering vector (u, v, w). Its covariance is therefore that of
-    (u, v), divided by w².
+    The slope of the half vector is (u, v)/w for the scattering vector (u, v, w). The covariance of the slope is
+    therefore the covariance of (u, v), divided by w².
     """
     result = gloss
     added = covariance / (w * w)
@@ -134,7 +134,7 @@ def facet_density(alpha2: wp.float32, x: wp.float32, y: wp.float32) -> wp.float3
 
 @wp.func
 def blurred_density(gloss: Gloss, x: wp.float32, y: wp.float32) -> wp.float32:
-    """Return the distribution D, blurred by the footprint, at the microfacet whose normal has the slopes x and y."""
+    """Return the GGX distribution D at the slopes x and y of a microfacet's normal, blurred by the footprint."""
     result = facet_density(gloss.spread, x, y)
     if gloss.core > 1.0e-4:
         # The Gaussian is a density of slopes. Division by cos⁴ of the microfacet's angle converts it to the form of D.
@@ -199,8 +199,8 @@ def add_plain_reflection(
         light = to_lights[i]
         scattering_vector = scattering_vectors[i]
         view = -wp.vec3f(scattering_vector) - light
-        # The roughness varies within the footprint. Two roughnesses, whose mean and variance are those of the roughness
-        # in the footprint, represent it.
+        # The roughness varies within the footprint. It is represented by two roughnesses with the same mean and
+        # variance.
         spreads = has_spread(pixels, i)
         gloss = gloss_at(materials, pixels, i, view, wp.where(spreads, -1.0, 0.0))
         if gloss.alpha2 == 0.0:

@@ -46,11 +46,11 @@ HORIZON = wp.constant(wp.float32(thresholds.HORIZON))
 # `SKY_SHARE` is the fraction drawn by the brightness of the sky for a diffuse or rough surface, and
 # `SKY_SHARE_OF_MIRROR` that for a mirror. `DISC_SHARE` is the fraction of the samples of a disc light drawn from
 # microfacets, if the reflection lobe of the microfacets is narrower than the disc and near the disc. `REACH` is the
-# largest distance from the disc that counts as near [α].
+# largest distance from the disc that counts as near, in units of the roughness parameter α.
 LEAST_OF_FACETS, SKY_SHARE, SKY_SHARE_OF_MIRROR = (wp.constant(wp.float32(share)) for share in (0.2, 0.5, 0.1))
 DISC_SHARE, REACH = wp.constant(wp.float32(0.5)), wp.constant(wp.float32(8.0))
-# Smallest cosine of the view direction by which the expected brightness under many lights is divided. Other values
-# would change the noise, not the mean.
+# Under many lights, the expected brightness is divided by the cosine of the view direction. A smaller cosine than this
+# number is replaced by it. Other values would change the noise, not the mean.
 LEAST_VIEW = wp.constant(wp.float32(0.1))
 
 
@@ -100,7 +100,7 @@ def specular_reflectance(gloss: Gloss) -> wp.float32:
 
 @wp.func
 def share_of_facets(gloss: Gloss) -> wp.float32:
-    """Return the fraction of the surface's samples drawn from microfacets; the others have a cosine density."""
+    """Return the fraction of a surface's samples drawn from microfacets; others have a density like the cosine."""
     specular = specular_reflectance(gloss)
     diffuse = (1.0 - specular) * mean_of(gloss.diffuse)
     if diffuse <= 0.0:
@@ -130,7 +130,8 @@ def sample_plain_sky(
         transparency: Cut-offs of the materials.
         mesh_id: Id of the mesh with the hierarchy for shadow rays.
         shadows: Whether shadow rays are traced.
-        tiles: Pixels whose cells are the rays; −1 is no pixel. If empty, the rays are one per pixel of the picture.
+        tiles: Pixels that are divided into cells with one ray each; −1 is no pixel. If empty, each pixel of the picture
+            has one ray.
         width: Number of pixels per row.
         across: Number of cells along a side of a pixel.
         sample: Index of the sample among the ``samples`` of each ray.
@@ -146,8 +147,8 @@ def sample_plain_sky(
             continue
         index = sample_index(tiles, width, across, i, sample, samples)
         frame = filtered_frame(pixels, i, footprints[i], filter_point(index))
-        # The roughness varies within the footprint. One of two roughnesses is drawn, whose mean and variance are those
-        # of the roughness in the footprint.
+        # The roughness varies within the footprint. One of two roughnesses is drawn; they have the same mean and
+        # variance as the roughness in the footprint.
         deviations = wp.float32(0.0)
         if has_spread(pixels, i):
             deviations = wp.where((scramble(index) & wp.uint32(1)) != wp.uint32(0), 1.0, -1.0)

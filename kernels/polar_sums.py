@@ -16,8 +16,8 @@ from warpdiff.kernels import compile_options
 from warpdiff.kernels.lobe_sums import LobeTable
 
 OPTIONS = compile_options.options("polar_sums.h", max_unroll=1)
-# Number of rings of a block. All rings of a block have the same number of azimuth samples. If the number of rings is
-# doubled, inner rings of a block have up to twice as many samples as they require.
+# Number of rings of a block, which is a group of consecutive rings with the same number of azimuth samples. If the
+# number of rings is doubled, inner rings of a block have up to twice as many samples as they require.
 BLOCK_RINGS = 16
 # Number of consecutive rings that one thread of the transposed sum over rings processes. Each ring is processed by a
 # single thread.
@@ -48,7 +48,7 @@ class RingBlocks:
 
 @wp.struct
 class PolarPixels:
-    """Directions whose colours are sums over rings, sorted by their positions in ``places``."""
+    """Directions whose colours are sums over rings, sorted by their ring indices ``places``."""
 
     places: wp.array(dtype=wp.float64)  # ring index (a fraction) of the longest visible wavelength, for each direction
     turns: wp.array(dtype=wp.float64)  # azimuth of (u, v) of each direction [turns], 0 to 1
@@ -67,7 +67,7 @@ class PolarPixels:
 def sample_azimuth_rings(
     table: LobeTable, grid: RingBlocks, direction: wp.int32, values_out: wp.array2d(dtype=wp.float64)
 ):
-    """Compute the spectrum at the rings of a block along one azimuth."""
+    """Compute the spectrum along one azimuth, at the rings of a block (a group of consecutive rings)."""
 
 
 @wp.func_native(f"warpdiff::spread_rings<{BLOCK_RINGS}>(table, grid, values, cell, rows_out);")
@@ -75,7 +75,7 @@ def spread_rings(
     table: LobeTable, grid: RingBlocks, values: wp.array2d(dtype=wp.float64), cell: wp.int32,
     rows_out: wp.array2d(dtype=wp.float64),
 ):  # fmt: skip
-    """Add the contributions of all rings to the adjoint of one Fourier coefficient's series."""
+    """Add the contributions of all rings to the adjoint (derivative of a loss) of one Fourier coefficient's series."""
 
 
 @wp.func_native(f"warpdiff::sum_rings<{BLOCK_RINGS}, {MOST_TERMS}>(grid, values, pixels, pixel, xyz_out);")
@@ -88,14 +88,17 @@ def sum_rings(
 
 @wp.func_native(f"warpdiff::spread_pixels<{BLOCK_RINGS}, {TOGETHER}, {MOST_TERMS}>(grid, pixels, group, values_out);")
 def spread_pixels(grid: RingBlocks, pixels: PolarPixels, group: wp.int32, values_out: wp.array2d(dtype=wp.float64)):
-    """Add the contributions of all directions to the adjoints of a few rings."""
+    """Add the contributions of all directions to the adjoints of the values at a few rings.
+
+    An adjoint is the derivative of a loss.
+    """
 
 
 @wp.kernel(module="unique", module_options=OPTIONS)
 def sample_spectrum_rings(
     table: LobeTable, grid: RingBlocks, first: wp.int32, values_out: wp.array2d(dtype=wp.float64)
 ):
-    """Compute the spectrum on all rings, one azimuth of a block per thread."""
+    """Compute the spectrum on all rings. Each thread computes one azimuth of a block (a group of consecutive rings)."""
     sample_azimuth_rings(table, grid, first + wp.tid(), values_out)
 
 
@@ -104,7 +107,10 @@ def spread_spectrum_rings(
     table: LobeTable, grid: RingBlocks, values: wp.array2d(dtype=wp.float64), first: wp.int32,
     rows_out: wp.array2d(dtype=wp.float64),
 ):  # fmt: skip
-    """Add the adjoints of the spectrum on all rings to those of coefficients, one cell of the block per thread."""
+    """Compute the adjoints of Fourier coefficients from those of the spectrum on all rings.
+
+    An adjoint is the derivative of a loss. Each thread processes one coefficient.
+    """
     spread_rings(table, grid, values, first + wp.tid(), rows_out)
 
 
@@ -121,5 +127,8 @@ def sum_rings_of_pixels(
 def spread_pixels_to_rings(
     grid: RingBlocks, pixels: PolarPixels, first: wp.int32, values_out: wp.array2d(dtype=wp.float64)
 ):
-    """Add the adjoints of directions' colours to the adjoints of the rings in these colours, a few rings per thread."""
+    """Compute the adjoints of the values at rings from those of the colours to which they contribute.
+
+    An adjoint is the derivative of a loss. Each thread processes a few rings.
+    """
     spread_pixels(grid, pixels, first + wp.tid(), values_out)

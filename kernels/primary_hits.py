@@ -67,7 +67,7 @@ def pixel_offset(sample: wp.int32, samples: wp.int32, seed: wp.int32, pixel: wp.
     return result
 
 
-# Number of cells of a pixel at the finest level. The value was derived from the index of that level.
+# Number of subpixel cells of a pixel at the finest level of refinement.
 _MOST_CELLS = max(refinement_levels.rays_at(level) for level in refinement_levels.LEVELS)
 
 
@@ -162,7 +162,7 @@ def place_samples(
     sample: wp.int32, samples: wp.int32, seed: wp.int32, first: wp.int32, run: wp.int32,
     offsets_out: wp.array(dtype=wp.vec2d),
 ):  # fmt: skip
-    """Compute the position of one of several rays in each pixel, by ``pixel_offset``."""
+    """Compute the position of one of several rays within each pixel, by ``pixel_offset``."""
     for pixel in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         offsets_out[pixel] = pixel_offset(sample, samples, seed, pixel)
 

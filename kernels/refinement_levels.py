@@ -28,8 +28,8 @@ LEVELS = range(1, MOST_LEVEL + 1)
 # Tolerance at and above which the finest level of subpixel cells is MOST_LEVEL − 1. The value was chosen because errors
 # that remain at that level are smaller than this tolerance.
 COARSE_TOLERANCE = 0.05
-# Least level of refinement of pictures without footprints. The value exceeds 0, because the variation of colours within
-# a pixel is unknown with one ray per pixel.
+# Least level of refinement of pictures without footprints; at level n, a pixel has 2ⁿ × 2ⁿ subpixel cells. The value
+# exceeds 0, because the variation of colours within a pixel is unknown with one ray per pixel.
 LEAST_LEVEL_OF_POINTS = 2
 # Estimated error of a pixel with one ray, divided by the contrast between the colours of the pixel and its neighbours:
 # CONTRAST_BASE + CONTRAST_PER_UNEVENNESS · unevenness + CONTRAST_PER_CHANGE · change. The unevenness is the relative
@@ -41,16 +41,16 @@ CONTRAST_BASE, CONTRAST_PER_UNEVENNESS, CONTRAST_PER_CHANGE = 0.008, 0.52, 0.55
 # the pixel and its neighbours. The value was fitted so that the error of 95 of 100 pixels is smaller than estimated
 # (docs/decisions/textures.md). If the value is doubled, more pixels are refined.
 CONTRAST_OF_TEXTURE = 0.2
-# The level of a tile is selected from the predicted change of its colour if its cells were smaller. This change is
-# multiplied by CAUTION, and at edges also by EDGE_FACTOR. A tile is at an edge if it and its neighbours have both
-# illuminated cells and dark or empty cells. Both factors were fitted to the mesh of a snake, and tested on other bodies
-# and surfaces (docs/decisions/adaptive_sampling.md). If both factors are doubled, tiles require 1.4 times as many cells
-# per axis.
+# The level of a tile (a pixel that is divided into cells) is selected from the predicted change of its colour if its
+# cells were smaller. This change is multiplied by CAUTION, and at edges also by EDGE_FACTOR. A tile is at an edge if it
+# and its neighbours have both illuminated cells and dark or empty cells. Both factors were fitted to the mesh of a
+# snake, and tested on other bodies and surfaces (docs/decisions/adaptive_sampling.md). If CAUTION is doubled, tiles
+# require 1.4 times as many cells per axis.
 CAUTION, EDGE_FACTOR = 2.0, 1.5
-# A refined pixel is a weighted sum over the cells of nine tiles: its own tile and the tiles of its neighbours. The
-# estimated error of the pixel is ERROR_PER_CHANGES times the root sum of squares of the errors of these tiles. The
-# error of a tile is assumed to decrease as n^−ERROR_ORDER, where n is the number of its cells along an axis. Both
-# numbers were fitted so that the error of 95 of 100 pixels is smaller than estimated.
+# A refined pixel is a weighted sum over the cells of nine tiles (pixels that are divided into cells): its own tile and
+# the tiles of its neighbours. The estimated error of the pixel is ERROR_PER_CHANGES times the root sum of squares of
+# the errors of these tiles. The error of a tile is assumed to decrease as n^−ERROR_ORDER, where n is the number of its
+# cells along an axis. Both numbers were fitted so that the error of 95 of 100 pixels is smaller than estimated.
 ERROR_ORDER, ERROR_PER_CHANGES = 1.75, 0.6
 # Estimated error of a mean over random samples, divided by the standard deviation of the mean. The value is limited by
 # computing time: if it is doubled, pictures with lights whose directions are drawn at random require four times as many

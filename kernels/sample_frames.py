@@ -14,7 +14,7 @@ from warpdiff.kernels.structs import Footprint, Pixels
 
 @wp.struct
 class Frame:
-    """Shading frame at the hit of a ray (tangent, bitangent and normal), and the view direction in this frame."""
+    """Shading frame at the hit of a ray (tangent, bitangent, normal), and the direction to the viewer in this frame."""
 
     tangent: wp.vec3f
     bitangent: wp.vec3f

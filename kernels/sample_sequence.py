@@ -92,7 +92,8 @@ def sample_index(
     """Return the index in the (0, 2) sequence for one of the samples of a ray.
 
     Args:
-        tiles: Pixels whose subpixel cells have the rays; if empty, each pixel of the picture has one ray.
+        tiles: Pixels that are divided into subpixel cells with one ray each; if empty, each pixel of the picture has
+            one ray.
         width: Number of pixels per row.
         across: Number of subpixel cells along a side of a pixel.
         ray: Index of the ray.

@@ -22,17 +22,17 @@ wp.set_module_options(compile_options.options("shadow_rays.h", "atomics.h"))
 # Number of steps per radius of the mesh to which positions are rounded. The value is limited by float32, which
 # represents all whole numbers up to 2^24.
 STEPS = wp.constant(wp.float64(16777216.0))
-# A shadow ray is traced if the cosine between the normal and the direction to the light exceeds this number. It is
-# slightly negative, so that no ray is omitted because of rounding: the rounding error of cosines is smaller than its
-# magnitude, from which it was derived.
+# A shadow ray is traced if the cosine between the normal and the direction to the light exceeds this number. The number
+# is slightly negative, so that no ray is omitted because of rounding. It was derived from the rounding error of
+# cosines, which is smaller than 1e-5.
 FACING_AWAY = wp.constant(wp.float32(-1.0e-5))
 
 
 @wp.struct
 class ShadowGrid:
-    """Grid over a mesh that is projected along the direction to a light.
+    """Grid over a mesh that is projected along the direction to a light, to find faces that occlude the light.
 
-    Each cell has a list of the faces that overlap it.
+    Each cell of the grid has a list of the faces that overlap it.
     """
 
     mesh_id: wp.uint64  # mesh whose bounding-volume hierarchy is used if the grid has no lists
@@ -48,8 +48,8 @@ class ShadowGrid:
     # For each face: a matrix with one row per corner, counter-clockwise. A row has the positions along ``across`` and
     # ``up`` [steps], and the height, the position along ``towards``.
     corners: wp.array(dtype=wp.mat33f)
-    # Index in ``faces`` at which the list of each cell begins, and index at which the last list ends; empty without
-    # lists.
+    # Index in ``faces`` at which the list of each grid cell begins, and index at which the last list ends; empty
+    # without lists.
     starts: wp.array(dtype=wp.int32)
     faces: wp.array(dtype=wp.int32)  # indices of the faces in the lists, one list after the other
     tops: wp.array(dtype=wp.float32)  # largest height of each listed face
@@ -69,7 +69,7 @@ def light_coordinates(grid: ShadowGrid, position: wp.vec3f) -> wp.vec3d:
 
 @wp.func
 def cell_of(place: wp.float64, low: wp.float64, per_step: wp.float64) -> wp.int32:
-    """Return the column or row of the grid that contains a coordinate.
+    """Return the column or row of the occluder grid that contains a coordinate.
 
     A larger coordinate never has a smaller column or row, in spite of rounding.
     """
@@ -90,9 +90,9 @@ def left_of(a: wp.vec3f, b: wp.vec3f, x: wp.float64, y: wp.float64) -> wp.float6
 
 @wp.func
 def cells_of(grid: ShadowGrid, corners: wp.mat33f) -> wp.vec4i:
-    """Return the first and last column and the first and last row of the grid that a face's bounding box overlaps.
+    """Return the first and last column and the first and last row of the occluder grid that a face overlaps.
 
-    The ranges are empty for a face without area.
+    The ranges are those of the face's bounding box. They are empty for a face without area.
     """
     c0 = corners[0]
     c1 = corners[1]
@@ -112,9 +112,9 @@ def project(
     run: wp.int32,
     cells_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """Project the corners of faces, and count the cells that the bounding box of each face overlaps.
+    """Project the corners of faces along the light, and count the grid cells that each face's bounding box overlaps.
 
-    The count is 0 for faces that are edge-on, and in a closed mesh for faces on the far side from the light.
+    The count is 0 for faces that are edge-on. In a closed mesh it is also 0 for faces that face away from the light.
     """
     for face in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         p0 = light_coordinates(grid, positions[faces[face, 0]])
@@ -139,7 +139,7 @@ def count(
     run: wp.int32,
     counts_out: wp.array(dtype=wp.int32),
 ):
-    """Count the faces of each cell, which the list of the cell will contain."""
+    """Count the faces that overlap each cell of the occluder grid, to allocate the lists of faces."""
     thread, _ = wp.tid()
     for face in range(first + thread * run, first + (thread + 1) * run):
         cells = cells_of(grid, grid.corners[face])
@@ -155,7 +155,7 @@ def fill(
     run: wp.int32,
     ends_out: wp.array(dtype=wp.int32),
 ):
-    """Write the indices of faces into the lists of the cells that they overlap, in arbitrary order.
+    """Write the indices of faces into the lists of the grid cells that the faces overlap, in arbitrary order.
 
     The order depends on the threads, but occlusion does not depend on it. Before the launch, ``ends_out`` has the index
     at which each cell's list begins. After the launch, it has the index at which the list ends.
@@ -182,7 +182,7 @@ def look_up(
     grid: ShadowGrid, towards: wp.vec3f, pixels: Pixels, begin: wp.int32, end: wp.int32,
     occluded_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Determine for the hits from ``begin`` to ``end`` whether faces in the lists of the grid occlude the light."""
+    """Determine whether faces in lists of the occluder grid occlude the light, at hits from ``begin`` to ``end``."""
 
 
 @wp.kernel

@@ -123,7 +123,7 @@ def place_in_sky(sky: Sky, along: wp.vec3f) -> wp.vec2f:
 
 @wp.func
 def power_at(sky: Sky, place: wp.vec2f) -> wp.vec3f:
-    """Return the power per solid angle at a position in the sky, by bilinear interpolation between cell centres."""
+    """Return the power per solid angle at a position in the sky, by bilinear interpolation between its pixels."""
     height = sky.powers.shape[0]
     width = sky.powers.shape[1]
     x = place[0] * wp.float32(width) - 0.5
@@ -141,7 +141,7 @@ def power_at(sky: Sky, place: wp.vec2f) -> wp.vec3f:
 
 @wp.func
 def draw_direction(table: SkyDistribution, sky: Sky, point: wp.vec2f) -> wp.vec3f:
-    """Draw a direction in the world frame with a density proportional to the brightness of the sky's blocks."""
+    """Draw a direction in the world frame from the sky's blocks, with a density proportional to their brightness."""
     rows = table.row_cdf.shape[0]
     row = find_step(table.row_cdf, 0, rows, point[0])
     columns = table.column_cdf[row]
@@ -171,7 +171,7 @@ def density_of_direction(table: SkyDistribution, place: wp.vec2f) -> wp.float32:
 def gain_over_cosine(
     reflection: Reflection, finish: wp.int32, uv: wp.vec2f, light: wp.vec3f, view: wp.vec3f
 ) -> wp.float32:  # fmt: skip
-    """Return the gain of ``light_samples.h`` divided by cos θi.
+    """Return the gain (geometry factor) of ``light_samples.h`` divided by cos θi.
 
     The integral over the sky is computed over (u, v) instead of solid angle ω, and du dv = dω cos θi.
     """
@@ -198,7 +198,7 @@ def mirror_deflections(
     """Compute scattering vectors for light from the mirror direction, and count hits.
 
     The footprints of a sky's samples are computed from these scattering vectors, before any direction of the sky is
-    drawn. Gains are 1 at all hits, because a sky illuminates every point.
+    drawn. Gains (geometry factors) are 1 at all hits, because a sky illuminates every point.
     """
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
@@ -226,7 +226,9 @@ def sample_sky(
     gains_out: wp.array2d(dtype=wp.float32), xyz_out: wp.array(dtype=wp.vec3f),
     illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Draw one direction of the sky for each ray, compute its scattering vector and gains, and add the pigment's light.
+    """Draw one direction of the sky for each ray. Compute its scattering vector and gains (geometry factors).
+
+    The light that the pigment (base colour) reflects is added to ``xyz_out``.
 
     Args:
         sky: Powers of the sky by direction.
@@ -242,7 +244,8 @@ def sample_sky(
         transparency: Cut-offs of the materials; empty if all faces are opaque.
         mesh_id: Id of the mesh with the hierarchy for shadow rays.
         shadows: Whether shadow rays are traced.
-        tiles: Pixels whose cells are the rays; −1 is no pixel. If empty, the rays are one per pixel of the picture.
+        tiles: Pixels that are divided into cells with one ray each; −1 is no pixel. If empty, each pixel of the picture
+            has one ray.
         width: Number of pixels per row.
         across: Number of cells along a side of a pixel.
         sample: Index of the sample among the ``samples`` of each ray.

@@ -79,7 +79,7 @@ def resampler(lanes: int, powers: bool, width: int) -> types.SimpleNamespace:
 
 @functools.cache
 def gatherer(lanes: int) -> types.SimpleNamespace:
-    """Return the kernel that adds the lines of a line spectrum on azimuths, and the type of the resulting rows."""
+    """Return the kernel that sums the spectral lines near each azimuth, and the type of the resulting rows."""
     row_t = wp.types.vector(length=lanes, dtype=wp.float32)
 
     @wp.kernel(module="unique", module_options=OPTIONS)
@@ -129,7 +129,7 @@ def gatherer(lanes: int) -> types.SimpleNamespace:
 
 @functools.cache
 def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
-    """Return the kernels that integrate spectrum rows of ``lanes`` terms over λ.
+    """Return the kernels that integrate spectrum rows over λ. A row has the weights of ``lanes`` basis functions.
 
     The results are coefficients of ``w_basis_size`` functions of w, for X, Y and Z. w is the normal component of the
     scattering vector.
@@ -205,7 +205,7 @@ def projector(lanes: int, w_basis_size: int) -> types.SimpleNamespace:
 
 @functools.cache
 def adder(w_basis_size: int) -> wp.Kernel:
-    """Return the kernel that multiplies rows of colours by factors and adds them to the rows of a colour table."""
+    """Return the kernel that adds rows of colours to the rows of a colour table, times a factor for each ring."""
     row_t = lookup(w_basis_size).row
 
     @wp.kernel(module="unique", module_options=OPTIONS)

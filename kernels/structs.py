@@ -21,8 +21,8 @@ class Camera:
     """Camera, in units in which the mesh fills the unit sphere around the origin."""
 
     # Five vectors: origin; unit vectors to the right, up and back; half the width and height of the picture. They are
-    # in an array, so that a recorded graph can be replayed for new views. With an array of structs, compilation would
-    # take half a second longer.
+    # in an array, so that a recorded CUDA graph can be replayed for new views. With an array of structs, compilation
+    # would take half a second longer.
     axes: wp.array(dtype=wp.vec3d)
     orthographic: wp.bool
     width: wp.int32
@@ -31,7 +31,7 @@ class Camera:
 
 @wp.struct
 class Sampling:
-    """Positions of rays in pixels: at the centre, at one offset per pixel, or at all cells of some pixels."""
+    """Positions of rays in pixels: at the centre, at one offset per pixel, or at all subpixel cells of some pixels."""
 
     # Pixels that are divided into cells, with one ray per cell; −1 stands for no pixel. The array is empty if no pixel
     # is divided.
@@ -46,7 +46,7 @@ class Sampling:
 
 @wp.struct
 class Cells:
-    """Set of pixels whose cells are rasterized; each of these pixels has the same number of cells."""
+    """Set of pixels with subpixel cells that are rasterized; each of these pixels has the same number of cells."""
 
     marks: wp.array(dtype=wp.uint64)  # one bit per pixel of the picture; each row begins with a new 64-bit word
     ranks: wp.array(dtype=wp.int32)  # for each pixel of the picture: its index among the pixels of the set

@@ -39,7 +39,7 @@ def splat_cells_run(
     changes_out: wp.array(dtype=wp.float32), levels_out: wp.array(dtype=wp.uint8),
     lighting_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Add the cells of each pixel from ``begin`` to ``end`` to the sums for nine pixels: itself and its neighbours."""
+    """Add the subpixel cells of pixels from ``begin`` to ``end`` to sums for each pixel and its eight neighbours."""
 
 
 @wp.kernel
@@ -57,7 +57,7 @@ def splat_cells(
         colours: Colours of the cells, pixel after pixel and row by row.
         hit: Whether the cells hit the mesh.
         pixels: Indices of the pixels; −1 is no pixel.
-        colours_before: Present colours of the picture: by one ray per pixel, or already from cells of an earlier group.
+        colours_before: Present colours of the picture: by one ray per pixel, or by cells that were computed earlier.
         ranks: For each pixel of the picture, its index in the outputs; empty if the pixel itself is the index.
         weights: Filter of one pixel along one axis, shape (3 · 2ⁿ,): values at the cells of the pixel before, of the
             pixel itself, and of the pixel after it.
@@ -73,7 +73,7 @@ def splat_cells(
             that hit nothing count as black.
         changes_out: Differences ‖ΔXYZ‖ between the mean colours and ``colours_before``, at the base level. If
             ``is_sampled``, standard deviations of the mean colours, at any level.
-        levels_out: The level of each tile, set to ``level``.
+        levels_out: The level of each pixel of ``pixels``, set to ``level``.
         lighting_out: Bits ``LIT``, ``UNLIT`` and ``MISSED`` of the cells.
     """
     thread, _ = wp.tid()
@@ -88,7 +88,7 @@ def splat_cells(
 class FilteredSums:
     """Sums over the cells of tiles (subdivided pixels), which ``splat_cells`` writes.
 
-    The colours of quadrants and the changes of colour are computed at the base level.
+    The colours of quadrants and the changes of colour are computed at the base level, from the first cells of a tile.
     """
 
     filtered_sums: wp.array2d(dtype=wp.vec4f)
@@ -97,7 +97,7 @@ class FilteredSums:
     lighting: wp.array(dtype=wp.uint8)
     # For each subdivided pixel (tile), ``splat_cells`` writes the difference between the mean colour of its cells and
     # the colour by one ray. ``select_levels`` replaces this difference by the estimated error of 2 × 2 cells. For
-    # sampled lights the array has the standard deviation of the mean instead.
+    # lights with random directions, the array has the standard deviation of the mean instead.
     changes: wp.array(dtype=wp.float32)
     ranks: wp.array(dtype=wp.int32)
     # Factors that normalise sums over cells, for each level and each of three pixels in a row. A factor is the integral
@@ -107,7 +107,7 @@ class FilteredSums:
 
 @wp.func
 def compact_index(ranks: wp.array(dtype=wp.int32), pixel: wp.int32) -> wp.int32:
-    """Return the index in the arrays of ``FilteredSums`` for a pixel of the picture."""
+    """Return the index of a pixel of the picture in the arrays of ``FilteredSums``."""
     result = pixel
     if ranks.shape[0] > 0:
         result = ranks[pixel]
@@ -134,7 +134,7 @@ def quadrant_at(
 
 @wp.func
 def second_difference2(before: wp.vec4f, own: wp.vec3f, after: wp.vec4f) -> wp.float32:
-    """Return the squared second difference of the colours of three quadrants; 0 without ``before`` or ``after``."""
+    """Return the squared second difference of the colours of three neighbouring quadrants; 0 if one does not exist."""
     second = wp.vec3f(before[0], before[1], before[2]) - 2.0 * own + wp.vec3f(after[0], after[1], after[2])
     return wp.where(before[3] * after[3] > 0.0, wp.length_sq(second), 0.0)
 
@@ -231,7 +231,7 @@ def mean_scatter(
 ) -> wp.float32:  # fmt: skip
     """Return the root mean square of the random scatter of a tile (subdivided pixel) and its neighbours.
 
-    The squares are weighted by the pixel filter.
+    The scatter of a tile is the standard deviation of its mean colour. The squares are weighted by the pixel filter.
     """
     square = wp.float32(0.0)
     weight = wp.float32(0.0)
@@ -378,7 +378,7 @@ def accumulate(
     first: wp.int32, run: wp.int32,
     xyz_out: wp.array(dtype=wp.vec3f), errors_out: wp.array(dtype=wp.float32), illuminated_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Add the colours, errors and illuminated pixels of one part of the lights to the sums over all parts."""
+    """Add the colours, errors and illuminated pixels by one light, or a part of it, to the sums over all lights."""
     thread, _ = wp.tid()
     for i in range(first + thread * run, first + (thread + 1) * run):
         xyz_out[i] = xyz_out[i] + colours[i]

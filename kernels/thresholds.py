@@ -10,9 +10,9 @@ LOWEST = 0.0349
 # Errors are relative to a value, or to a floor f if the value is smaller. This number is the floor as a share of the
 # reference luminance Y*. It was chosen freely: with twice as much, dark pixels are refined less.
 FLOOR = 1e-3
-# Share of the directions or pixels whose error must be within the tolerance. The reference luminance Y* is at least the
-# percentile of the luminance Y at this share. The value was chosen so that a few outliers do not determine plans. With
-# a larger share, they would.
+# Share of the directions or pixels that must have an error within the tolerance. The reference luminance Y* is at least
+# the percentile of the luminance Y at this share. The value is below 1, so that a few outliers do not determine the
+# result. With a larger share, they would.
 PERCENTILE = 0.99
 # Least floor of relative errors (the smallest divisor of an error), which prevents division by 0 in black pictures. The
 # value is the smallest normal float32.

@@ -38,7 +38,10 @@ def luminance_floor(
     histogram: wp.array(dtype=wp.int32),
     floor_out: wp.array(dtype=wp.float32),
 ):
-    """Compute the floor of relative errors from the histogram of luminances. The kernel runs on one thread."""
+    """Compute the floor of relative errors from the histogram of luminances. The kernel runs on one thread.
+
+    The error of a pixel is divided by ‖XYZ‖, or by the floor if the floor is larger.
+    """
     total = wp.int32(0)
     for k in range(GROUPS):
         total += histogram[k]
@@ -75,7 +78,7 @@ def running_max(
     begins: wp.bool,
     most_out: wp.array(dtype=wp.int32),
 ):
-    """Set the output to a count if the count is larger than the output. With ``begins``, set it in any case."""
+    """Set the output to a count if the count exceeds the output. If ``begins`` is true, set it in any case."""
     most_out[0] = wp.where(begins, counts[0], wp.max(counts[0], most_out[0]))
 
 
@@ -99,7 +102,7 @@ def dilate_marks(
     run: wp.int32,
     levels_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Set the level of marked pixels and of their neighbours to ``level``, and the level of all other pixels to 0."""
+    """Set the refinement level of marked pixels and of their neighbours to ``level``, and of all other pixels to 0."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         is_near = marks_around(marks, i, width, height)[1] != wp.uint8(0)
         levels_out[i] = wp.where(is_near, level, wp.uint8(0))
@@ -110,7 +113,7 @@ def mark_shared(
     levels: wp.array(dtype=wp.uint8), width: wp.int32, height: wp.int32, first: wp.int32, run: wp.int32,
     marks_out: wp.array(dtype=wp.uint8),
 ):  # fmt: skip
-    """Mark a pixel as ``SHARED`` if it has no mark, but the pixel and its eight neighbours all have a level."""
+    """Mark a pixel as ``SHARED`` if it has no mark, and if it and its eight neighbours all have a level above 0."""
     for i in range(first + wp.tid() * run, first + (wp.tid() + 1) * run):
         if marks_out[i] == wp.uint8(0) and marks_around(levels, i, width, height)[0] != wp.uint8(0):
             marks_out[i] = SHARED

@@ -66,7 +66,7 @@ def first_opaque(
     surface: SurfaceArrays, textures: Textures, transparency: Transparency, mesh_id: wp.uint64, start: wp.vec3f,
     along: wp.vec3f, far: wp.float32, seed: wp.uint32, index: wp.int32,
 ) -> wp.int32:  # fmt: skip
-    """Return the first face that a ray hits and does not pass; −1 if there is no such face up to a distance."""
+    """Return the first face that a ray hits and does not pass within the distance ``far``; −1 if there is none."""
     travelled = wp.float32(0.0)
     layer = wp.int32(0)
     for step in range(MOST_LAYERS + 1):
@@ -108,7 +108,7 @@ def pass_transparent(
     first: wp.int32, run: wp.int32,
     nearest_out: wp.array(dtype=wp.uint64),
 ):  # fmt: skip
-    """For each ray whose nearest face lets it pass, write the index of the first face behind that does not.
+    """Replace the nearest face of each ray by the first face that the ray does not pass, if the nearest is transparent.
 
     Args:
         camera: Camera in the units of the mesh.

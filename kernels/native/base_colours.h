@@ -42,9 +42,10 @@ struct UvFootprint {
     }
 };
 
-// Replace the negative base colours of the hits from `begin` to `end` by those of the textures of their materials, or
-// by black without a texture. `deviation` is the standard deviation of the rays' filter [pixels]. If it is 0, textures
-// are sampled at points.
+// Replace the negative base colours of the hits from `begin` to `end`. A negative base colour marks a hit where a
+// texture may determine the colour. The result is the colour of the texture of the material, or black without a
+// texture. `deviation` is the standard deviation of the filter of each ray [pixels]. If it is 0, textures are sampled
+// at points.
 template <class Camera, class Surface, class Textures, class Pixels>
 WARPDIFF_INLINE void look_up_base_colours(const Camera& camera, const Surface& surface, const Textures& textures,
     const Pixels& pixels, float deviation, float least_facing, int begin, int end)

@@ -1,5 +1,5 @@
-// Splatting of subpixel cells: the colour of each cell is added to its pixel and to the eight pixels around it, with
-// the weights of the pixel filter.
+// Splatting of subpixel cells (parts of a pixel with one ray each): the colour of each cell is added to its pixel and
+// to the eight pixels around it, with the weights of the pixel filter.
 
 #pragma once
 
@@ -47,9 +47,9 @@ WARPDIFF_INLINE float scatter_of(const float* colours, const int* hit, int acros
     return wp::sqrt(sum) / (float)(across * across);
 }
 
-// Sum the `across` × `across` cells of a pixel, row by row. `along` has the weights of the cells along one axis: first
-// for the previous pixel, then for the pixel of the cells, then for the next pixel. `is_sampled` states whether each
-// cell has drawn a random direction to the light.
+// Sum the `across` × `across` subpixel cells of a pixel, row by row. `along` has the weights of the cells along one
+// axis: first in the filter of the previous pixel, then in the pixel's filter, then in the next pixel's filter.
+// `is_sampled` states whether each cell has drawn a random direction to the light.
 WARPDIFF_INLINE CellSums sum_cells(
     const float* colours, const int* hit, bool is_sampled, const float* along, int across)
 {
@@ -81,10 +81,10 @@ WARPDIFF_INLINE CellSums sum_cells(
 
 // Sum the subpixel cells of the subdivided pixels with the indices from `begin` to `end` in a list, and store the sums.
 // The index −1 marks no pixel. If each cell has a random direction to the light, `changes_out` receives the standard
-// deviation of the mean colour of each pixel. Otherwise `changes_out` and `quadrants_out` are written only if
-// `is_base`: the base level is the level from whose cells the final level of a pixel is selected. `changes_out` then
-// receives the change from the pixel's colour before its subdivision, `colours_before`. `quadrants_out` receives the
-// mean colours of the pixel's quadrants.
+// deviation of the mean colour of each pixel. Otherwise `changes_out` and `quadrants_out` are written only if `is_base`
+// is true. It states that these are the first cells of a pixel, from whose colours the final number of cells is
+// selected. `changes_out` then receives the change from the pixel's colour before its subdivision, `colours_before`.
+// `quadrants_out` receives the mean colours of the pixel's quadrants.
 template <class Colours, class Hits, class Numbers, class Sums, class Quadrants, class Bytes>
 WARPDIFF_INLINE void splat_cells(const Colours& colours, const Hits& hit, const Hits& pixels,
     const Colours& colours_before, const Hits& ranks, const Numbers& weights, int level, bool is_base, bool is_sampled,

@@ -34,7 +34,7 @@ struct Colour {
     float xyz[3];
 };
 
-// Return X, Y and Z of pixel i: the scalar products of a sum of rows with the basis functions at the pixel's w.
+// Return X, Y and Z of pixel i: the scalar products of a sum of table rows with the basis functions at the pixel's w.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE Colour colour_at_w(const Table& table, const Row<WIDTH>& sum, const AtW<N>& at_w, int i)
 {
@@ -56,8 +56,8 @@ WARPDIFF_INLINE Colour colour_at_w(const Table& table, const Row<WIDTH>& sum, co
     return result;
 }
 
-// Convert a weighted sum of rows to a colour, multiply the colour by `share`, and add it to pixel i. The colour may be
-// slightly negative, because some weights with which rings are added are negative. Negative colours count as 0.
+// Convert a weighted sum of table rows to a colour, multiply the colour by `share`, and add it to pixel i. The colour
+// may be slightly negative, because some weights of rows are negative. Negative colours count as 0.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE void add_colour(
     const Table& table, const Row<WIDTH>& sum, const AtW<N>& at_w, int i, float share, float* xyz)
@@ -79,8 +79,8 @@ WARPDIFF_INLINE void add_zeroth_order(
     const float* const weights = numbers<const float>(table.weights);
     const float* const powers = numbers<const float>(table.zeroth_order);
     const float least = wavenumbers[0];
-    // Skip directions in which the Gaussian of the zeroth order around u = v = 0 is below exp(−24) = 4e-11 at all
-    // wavelengths.
+    // Skip directions in which the Gaussian of the zeroth order, which is centred on u = v = 0, is below exp(−24) =
+    // 4e-11 at all wavelengths.
     if (u * u + v * v >= 48.0f * (table.lobe2 / (least * least) + xx + yy)) return;
     // Interpolate the reflectance of the material linearly between two tabulated angles. The angle is θd, half of the
     // angle between light and view. Its cosine is |(u, v, w)|/2.

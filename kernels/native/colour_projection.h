@@ -1,6 +1,6 @@
-// Computation of the colours in a table from the power spectrum. The integral over λ is a weighted sum over rings,
-// because (u, v)/λ moves from ring to ring as λ changes. An azimuth is a line of constant polar angle in the plane of
-// frequencies (u, v)/λ, and a ring is a circle in this plane. The spectrum is stored as one row per ring and azimuth; a
+// Computation of the colours in a table from the power spectrum. An azimuth is a line of constant polar angle in the
+// plane of frequencies (u, v)/λ, and a ring is a circle in this plane. As λ changes, (u, v)/λ moves from ring to ring.
+// The integral over λ is therefore a weighted sum over rings. The spectrum is stored as one row per ring and azimuth; a
 // row has the weights of basis functions (terms). A few azimuths are processed together.
 //
 // (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
@@ -31,8 +31,8 @@ struct AzimuthRows {
     }
 };
 
-// Interpolate the rows of the spectrum on all rings halfway between two azimuths, by the Lagrange polynomial through
-// the four nearest azimuths on each side.
+// Interpolate the rows of the spectrum halfway between two azimuths, on all rings. The Lagrange polynomial through the
+// four nearest azimuths on each side is used.
 template <int TERMS, class Rows>
 WARPDIFF_INLINE void interpolate_halfway(
     const Rows& values, long long first, int before, int azimuths, int rings, typename AzimuthRows<TERMS>::Vector* out)
@@ -107,8 +107,8 @@ WARPDIFF_INLINE void filter_to_spline(typename AzimuthRows<TERMS>::Vector* rows,
     }
 }
 
-// Division of a row's W_BASIS_SIZE coefficients, one for each basis function of w (the normal component of the
-// scattering vector), into SIMD vectors. The last vector may overlap the one before it.
+// Division of a row into SIMD vectors. The row has W_BASIS_SIZE coefficients, one for each basis function of w (the
+// normal component of the scattering vector). The last vector may overlap the vector before it.
 template <int W_BASIS_SIZE>
 struct FunctionVectors {
     static constexpr int LANES = ON_GPU ? 1 : W_BASIS_SIZE > 4 ? 8 : 4;
@@ -163,8 +163,8 @@ WARPDIFF_INLINE void project_ring(const float* row, long long apart, const float
                 *(Vector*)(out + b * out_apart + c * W_BASIS_SIZE + Functions::first(p)) = sum[b][c][p];
 }
 
-// Compute colours along AZIMUTHS azimuths from `length` rows of the spectrum per azimuth. The first colour belongs to
-// the ring of the row with the index `skipped`.
+// Compute colours along AZIMUTHS azimuths from `length` rows of the spectrum per azimuth. The first `skipped` rows
+// belong to rings before the ring of the first colour.
 template <int TERMS, int W_BASIS_SIZE, int AZIMUTHS, class Rows, class Matrices, class Weights, class Colours>
 WARPDIFF_INLINE void project_azimuths(Rows& sequence, int at, int length, int skipped, const Matrices& matrices,
     const Weights& weights, int terms, int rings, int first_azimuth, Colours& rows_out)

@@ -1,4 +1,4 @@
-// Dots of a grating map at hits. A dot is a rectangle in texture coordinates.
+// Dots of a grating map at hits. A grating map gives each rectangle of texture coordinates (dot) its own grating.
 
 #pragma once
 
@@ -6,7 +6,8 @@
 
 namespace warpdiff {
 
-// Return the index of the dot at a texture coordinate. The range from 0 to 1 has `count` dots and is repeated.
+// Return the index of the dot (a rectangle of a grating map) at a texture coordinate. The range from 0 to 1 has `count`
+// dots and is repeated.
 WARPDIFF_INLINE int dot_on_axis(float coordinate, int count)
 {
     const bool is_inside = coordinate >= 0.0f && coordinate <= 1.0f;
@@ -14,14 +15,14 @@ WARPDIFF_INLINE int dot_on_axis(float coordinate, int count)
     return wp::clamp((int)(fraction * (float)count), 0, count - 1);
 }
 
-// Find the dots of the hits from `begin` to `end`. The index of a dot is its row times `columns` plus its column; row 0
-// is at v = 1.
+// Find the dots (rectangles of a grating map) at the hits from `begin` to `end`. The index of a dot is its row times
+// `columns` plus its column; row 0 is at v = 1.
 //
-// At level n, a pixel has `across` = 2ⁿ cells per side. The edges of dots are often parallel to rows or columns of the
-// picture. The ray of each cell therefore looks up its dot at another position within the cell: rows of cells differ in
-// the position to the right, and columns of cells in the position downwards. The 4ⁿ positions of a pixel's rays along
-// an axis are then all different (multi-jittered sampling, Chiu et al. 1994), so that edges are resolved as well as by
-// 4ⁿ cells per side.
+// At level n of refinement, a pixel has `across` = 2ⁿ subpixel cells per side, each with one ray. The edges of dots are
+// often parallel to rows or columns of the picture. The rays of different cells therefore look up their dots at
+// different positions within the cell: rows of cells differ in the position to the right, and columns of cells in the
+// position downwards. The 4ⁿ positions of a pixel's rays along an axis are then all different (multi-jittered sampling,
+// Chiu et al. 1994), so that edges are resolved as well as by 4ⁿ cells per side.
 template <class Camera, class Surface, class Pixels, class Numbers>
 WARPDIFF_INLINE void find_dots(const Camera& camera, const Surface& surface, const Pixels& pixels, int rows,
     int columns, int across, float least_facing, int begin, int end, Numbers& dots_out)

@@ -21,9 +21,9 @@
 
 namespace warpdiff {
 
-// Number of pixels, or of parts of footprints, that a vectorised loop processes at a time. Loops always process a
-// multiple of this number, so that no vector is filled only in part. In a vector that is filled only in part, compiled
-// code would round differently.
+// Number of pixels, or of parts of footprints, that a vectorised loop processes at a time. The number of iterations is
+// rounded up to a multiple of it, so that all vectors are full. Compiled code would round differently in a vector that
+// is filled only in part.
 constexpr int ABREAST = batch_of(8);
 // Largest number of rings per segment, which is a group of rings that are processed together. On the CPU, the value is
 // limited by local arrays, in which the weights and table rows of all rings are stored. A GPU needs no such arrays.
@@ -59,24 +59,25 @@ struct Footprints {
     Batch<N> light_x, light_y, light_z;        // direction to the light source, in the surface's frame
     Batch<N> row_u, row_v, column_u, column_v; // changes of (u, v) by one standard deviation of the pixel filter
     // `xx`, `xy` and `yy` are the covariance of (u, v). `source2` is the square root of the determinant of the
-    // covariance that a light source causes. `angle2` and `ratio2` are the variances of the polar angle and of ln |(u,
-    // v)|, and `both` is their covariance. (`along_u`, `along_v`) is the change of (u, v) by one standard deviation of
-    // the polar angle. `parts` is the number of parts into which a footprint is divided.
+    // covariance of (u, v) over a light source. `angle2` and `ratio2` are the variances of the polar angle and of ln
+    // |(u, v)|, and `both` is their covariance. (`along_u`, `along_v`) is the change of (u, v) by one standard
+    // deviation of the polar angle. `parts` is the number of parts into which a footprint is divided.
     Batch<N> xx, xy, yy, source2;
     Batch<N> angle2, ratio2, both;
     Batch<N> along_u, along_v, parts;
     AtW<N> at_w;
 };
 
-// Parts of the footprints of several pixels: a wide footprint is divided into parts, which are looked up separately. A
-// part has a position in the table, and its colour is a mean (blur) over rings and azimuths.
+// Parts of the footprints of several pixels. A footprint with a large range of polar angles is divided into parts,
+// which are looked up separately. A part has a position in the table, and its colour is a weighted mean over rings and
+// azimuths.
 template <int N>
 struct Parts {
     int count;
     Batch<N, int> pixel;
     Batch<N> share, u, v, angle2, ratio2, both;
-    // `turns` and `place` are the polar angle [turns] and the index of the ring at the centre of a part. `deviation`
-    // and `skew` are the standard deviation and the skewness of a part across the rings.
+    // `turns` and `place` are the polar angle [turns] and the index of the ring at the centre of a part. `deviation` is
+    // the standard deviation of a part across the rings, and `skew` a sixth of its skewness.
     Batch<N> turns, place, deviation, skew;
     Batch<N> turn_per_ring, aside2, half_ratio2, spacing;
     Batch<N, int> apart, step, taps, begin, end, first_weight;
@@ -98,8 +99,8 @@ struct Segments {
     Batch<N, int> azimuths, first_row;
 };
 
-// Rows of the table that are added for one ring, one row per azimuth: index of the first row, number of rows, and index
-// of the first weight.
+// Rows of the table that are added for one ring, one row per azimuth. `row` is the index of the first row, `count` the
+// number of rows, and `taps` the index of the first weight in the table of weights.
 struct RingRows {
     int row, count, taps;
 };
@@ -146,8 +147,8 @@ WARPDIFF_INLINE void load_footprints(
             pixels.row_u[i] = pixels.row_v[i] = pixels.column_u[i] = pixels.column_v[i] = 0.0f;
 }
 
-// Return the squared length of a pixel's direction to the light. It is 1, unless the lengths of directions are pitch
-// scales of the dots of a grating map.
+// Return the squared length of a pixel's direction to the light. It is 1, unless the lengths are pitch scales: factors
+// by which the gratings of a grating map are stretched.
 template <int N, class Table>
 WARPDIFF_INLINE float squared_length(const Table& table, const Footprints<N>& pixels, int i)
 {
@@ -156,15 +157,17 @@ WARPDIFF_INLINE float squared_length(const Table& table, const Footprints<N>& pi
 }
 
 // Compute the covariances of footprints, in (u, v) and in polar coordinates, and the number of parts of each footprint.
-// `SCALED` states whether the lengths of directions to the light are pitch scales of the dots of a grating map.
+// `SCALED` states whether the lengths of directions to the light are pitch scales: factors by which the gratings of a
+// grating map are stretched.
 template <bool SOURCE, bool SCALED, int MOST_PARTS, int N, class Table>
 WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels, int count)
 {
     for (int from = 0; from < count; from += ABREAST)
         for (int i = from; i < from + ABREAST; ++i) {
             // The covariance of (u, v) over a light source of spread s is Σs = s² (I − t tᵀ). I is the unit matrix, and
-            // the vector t is the projection of the direction to the light onto the surface. If directions to the light
-            // have the pitch scales p of dots as their lengths, the covariance is p² Σs = s² (p² I − (p t) (p t)ᵀ).
+            // the vector t is the projection of the direction to the light onto the surface. On a grating map, the
+            // direction to the light may have the factor p as its length, by which the pitch is scaled. The covariance
+            // is then p² Σs = s² (p² I − (p t) (p t)ᵀ).
             const float spread2 = SOURCE ? table.spread2 : 0.0f, t0 = pixels.light_x[i], t1 = pixels.light_y[i];
             const float length2 = SCALED ? squared_length(table, pixels, i) : 1.0f;
             const float row_u = pixels.row_u[i], row_v = pixels.row_v[i];
@@ -190,10 +193,10 @@ WARPDIFF_INLINE void find_covariances(const Table& table, Footprints<N>& pixels,
 }
 
 // Return whether the table of a light source of finite size excludes the colour of a pixel. It does so near the mirror
-// direction, and if the blur by the source is narrower than the blur that the rows of the table already have. A
-// footprint may be split into parts. The different angles of the parts then account for the share `cut` of the
-// footprint's variance in angle. The remaining share, `within`, is the variance of the angle within each part. Only
-// this variance is compared with the blur of the rows.
+// direction. It also does so if the blur by the source is narrower than the blur that the rows of the table already
+// have. If a footprint is split into parts, a share `cut` of its variance in angle is the variance between the parts.
+// The remaining share, `within`, is the variance within each part. Only this variance is compared with the blur of the
+// rows.
 template <int N, class Table>
 WARPDIFF_INLINE bool is_unserved(const Table& table, const Footprints<N>& pixels, int i, float within, float cut)
 {
@@ -217,15 +220,15 @@ WARPDIFF_INLINE bool is_wide(const Table& table, const Footprints<N>& pixels, in
     return pixels.xx[i] + pixels.yy[i] > WIDE * WIDE * uv2;
 }
 
-// Index of the pixel that is processed next, and index of the part of its footprint that is processed next.
+// Position in a list of footprints: the index of the next pixel, and the index of the next part of its footprint.
 struct NextPart {
     int pixel, part;
 };
 
 // Divide footprints into parts, until all footprints are divided or the batch of parts is full. Store the (u, v) and
-// the covariance of each part, and the fraction that it contributes to the colour of its pixel. Pixels with wide
-// footprints get no parts: their colours are computed and added by this function. The function also adds the zeroth
-// order for all pixels.
+// the covariance of each part, and the fraction of the colour of its pixel that it contributes. Pixels with footprints
+// that are wide compared with |(u, v)| get no parts: their colours are computed and added here. The zeroth order of all
+// pixels is added, too.
 template <bool SOURCE, int MOST_PARTS, int WIDTH, int N, class Table, class UnservedGain>
 WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const float* gains,
     const Footprints<N>& pixels, int begin, int count, NextPart& next, Parts<N>& parts, UnservedGain& unserved_gain,
@@ -287,8 +290,8 @@ WARPDIFF_INLINE void next_parts(const Table& table, const float* splits, const f
     }
 }
 
-// Compute the position of each part of a footprint in the table, and its standard deviations: one across the rings of
-// the table, the other across the azimuths.
+// Compute the position of each part of a footprint in the table. Compute also its two standard deviations: across the
+// rings of the table, and across the azimuths.
 template <int N, class Table>
 WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
 {
@@ -300,8 +303,8 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
             const float ratio_share = smaller(WIDEST_RATIO / wp::sqrt(larger(of_ratio2, 1.0e-12f)), 1.0f);
             const float angle2 = of_angle2 * turn_share * turn_share, ratio2 = of_ratio2 * ratio_share * ratio_share;
             const float both = parts.both[k] * turn_share * ratio_share;
-            // The mean of ln |(u, v)| over a Gaussian differs from its value at the centre. The mean is computed to
-            // second order.
+            // The mean of ln |(u, v)| over a Gaussian differs from the value of ln |(u, v)| at the centre. The mean is
+            // computed to second order.
             LogPolar at = log_polar(parts.u[k], parts.v[k], table.least_uv);
             at.log2 += 0.721347520f * (angle2 - ratio2);
             parts.turns[k] = at.turns;
@@ -323,14 +326,14 @@ WARPDIFF_INLINE void place_parts(const Table& table, Parts<N>& parts)
         }
 }
 
-// Select the rings that are added for each part of a footprint: first and last index, spacing and weights of the rings.
+// Select the rings that are added for each part of a footprint: first and last ring, spacing and weights of the rings.
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGaussian cut, Parts<N>& parts)
 {
     const int octaves = table.azimuths.shape[1], fractions = taps.weights.shape[1], most_taps = taps.weights.shape[2];
     const int all_rings = octaves * table.rings_per_octave;
     const float per_log = table.rings_per_log, per_curves2 = 1.0f / (CURVES * CURVES * per_log * per_log);
-    // This loop only reads values at computed indices. It is separate from the other loops, because compilers do not
+    // This loop reads table entries at computed indices. It is separate from the other loops, because compilers do not
     // vectorise a loop that contains such reads and has several outputs.
     for (int from = 0; from < parts.count; from += ABREAST)
         for (int k = from; k < from + ABREAST; ++k)
@@ -340,8 +343,8 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
         for (int k = from; k < from + ABREAST; ++k) {
             // `across2` is a variance in angle over which colours are smooth. In tables for a coherence window, it is
             // the variance of the footprint plus the squared distance between azimuth samples. In tables of a light
-            // source, the distance is not added: a footprint that such a table serves is wider than the blur of the
-            // spectral lines, which is proportional to this distance.
+            // source, the distance is not added: such a table has colours only for footprints that are wider than the
+            // blur of the spectral lines, which is proportional to this distance.
             const float across2 = parts.aside2[k] + (SOURCE ? 1.0e-12f : parts.spacing[k] * parts.spacing[k]);
             const float variance = parts.deviation[k] * parts.deviation[k], turn = parts.turn_per_ring[k];
             const float sharp = wp::sqrt(per_curves2 + turn * turn / across2 + 1.0f / variance);
@@ -370,7 +373,7 @@ WARPDIFF_INLINE void choose_rings(const Table& table, const Taps& taps, CutGauss
         }
 }
 
-// Index of the part of a footprint that is processed next, and index of the ring that is processed next.
+// Position in a list of parts of footprints: the index of the next part, and the index of the next ring of that part.
 struct NextRing {
     int part, ring;
 };
@@ -399,8 +402,8 @@ WARPDIFF_INLINE void next_segments(const Table& table, const Parts<N>& parts, Ne
     }
 }
 
-// Select the mip level of each segment, a group of rings within one octave. For each segment, compute the azimuth, the
-// blur over the angle and the first row on its level.
+// Select a mip level (a blurred copy of the table) for each segment, a group of rings within one octave. For each
+// segment, compute the azimuth, the blur over the angle and the first row on its level.
 template <bool SOURCE, int N, class Table, class Taps>
 WARPDIFF_INLINE void place_segments(const Table& table, const Taps& taps, const Parts<N>& parts, Segments<N>& segments)
 {
@@ -443,9 +446,9 @@ WARPDIFF_INLINE float gaussian_weight(const Segments<N>& segments, CutGaussian c
     return falloff * larger(1.0f + segments.skew[s] * t * (t2 - 3.0f), 0.0f);
 }
 
-// Compute the azimuth of the footprint's centre at the m-th ring of a segment (a group of rings), and the remaining
-// blur as an index of the table of weights. The width of a footprint in (u, v) is the same at all rings, so that its
-// angular width is inversely proportional to the radius.
+// Compute the azimuth of the footprint's centre at the m-th ring of a segment (a group of rings). Compute also the blur
+// that the mip level lacks, as an index of the table of weights. The width of a footprint in (u, v) is the same at all
+// rings, so that its angular width is inversely proportional to the radius.
 template <int N, class Table, class Taps>
 WARPDIFF_INLINE void place_ring(
     const Table& table, const Taps& taps, const Segments<N>& segments, int s, int m, float& position, int& step)
@@ -457,8 +460,8 @@ WARPDIFF_INLINE void place_ring(
         (float)((int)taps.weights.shape[0] - 1));
 }
 
-// Return which rows around an azimuth are added for the m-th ring of a segment (a group of rings), `count` in number.
-// Return also the index of the weights of these rows.
+// Return the `count` rows around an azimuth that are added for the m-th ring of a segment (a group of rings). Return
+// also the index of the weights of these rows.
 template <int N, class Table, class Taps>
 WARPDIFF_INLINE RingRows rows_of_ring(const Table& table, const Taps& taps, const Segments<N>& segments, int s, int m,
     float position, int step, int count)
@@ -477,9 +480,9 @@ WARPDIFF_INLINE RingRows rows_of_ring(const Table& table, const Taps& taps, cons
     };
 }
 
-// Rows and weights of all rings of segments. A segment is a group of consecutive rings. On the CPU, rows and weights
-// are stored for a whole batch before any ring is summed. A GPU computes the rows and weights of a ring when it sums
-// the ring.
+// Table rows and weights of all rings of segments. A segment is a group of consecutive rings. On the CPU, they are
+// stored for a whole batch before any ring is summed. A GPU computes the rows and weights of a ring when it sums the
+// ring.
 template <int N>
 struct SegmentRings {
     static constexpr int RINGS = ON_GPU ? 1 : SEGMENT_RINGS;
@@ -529,8 +532,8 @@ struct SegmentRings {
     }
 };
 
-// Sum the rows of segments. After the last segment of a part of a footprint, convert the sum to a colour and add this
-// colour to the pixel.
+// Add the table rows of segments (groups of rings). After the last segment of a part of a footprint, convert the sum to
+// a colour and add this colour to the pixel.
 template <int WIDTH, int N, class Table, class Taps>
 WARPDIFF_INLINE void sum_segments(const Table& table, const Taps& taps, CutGaussian cut, const Footprints<N>& pixels,
     const Parts<N>& parts, const Segments<N>& segments, SegmentRings<N>& rings, WeighedRows<WIDTH>& sum, float* xyz)

@@ -57,9 +57,9 @@ struct FootprintBatch {
     }
 };
 
-// Derivatives of the barycentric coordinates of a hit with respect to displacements in the picture plane. If the ray is
-// displaced, the hit point is displaced by a vector in the plane of the face: the displacement of the ray plus a
-// multiple of the view direction. `facing` is −1 if the back of the face is towards the camera.
+// Derivatives of the barycentric coordinates of a hit with respect to displacements of the camera ray in the picture
+// plane. The hit point then moves in the plane of the face: by the displacement of the ray plus a multiple of the view
+// direction. `facing` is −1 if the back of the face is towards the camera, and 1 otherwise.
 struct HitDifferentials {
     float view[3], of_share1[3], of_share2[3], across[3];
     float slide1, slide2, scale, per_unit, facing;
@@ -86,7 +86,7 @@ struct HitDifferentials {
     }
 };
 
-// Derivatives of a hit, and of the quantities that are interpolated with its barycentric coordinates.
+// Derivatives of a hit, and of the vertex attributes that are interpolated with its barycentric coordinates.
 struct FaceDifferentials : HitDifferentials {
     float normal1[3], normal2[3], tangent1[3], tangent2[3], blend[3], tangent[3];
 };

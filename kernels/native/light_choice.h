@@ -16,8 +16,8 @@ namespace warpdiff {
 // the innermost ring counts as light near the mirror direction. The value was chosen freely: other values change the
 // noise, not the mean.
 constexpr float OCTAVES_OF_MIRROR = 2.0f;
-// Largest number of groups of lights for which the summed brightness is stored. The value is limited by the size of a
-// local array.
+// Lights are divided into at most this number of groups, and the summed brightness of each group is stored. The value
+// is limited by the size of a local array.
 constexpr int GROUPS = 32;
 // Least sum of the cosines of light and view, which is |w|. A smaller |w| would make geometry factors (gains) too
 // large.
@@ -51,8 +51,8 @@ struct ScatteringPoint {
     }
 };
 
-// Compute the expected brightness of a point under N lights from the index `first` on, without shadows. The brightness
-// is 0 for lights below the horizon.
+// Compute the expected brightness of a point under N lights, without shadows. `first` is the index of the first light.
+// The brightness is 0 for lights below the horizon.
 template <int N, class Lights, class Table>
 WARPDIFF_INLINE void expect_brightness(
     const Lights& lights, const Table& table, const ScatteringPoint& point, float diffuse, int first, Batch<N>& result)

@@ -12,8 +12,8 @@
 
 namespace warpdiff {
 
-// Sums per pixel over several samples: XYZ, coverage and illumination. With `resets_xyz` or `resets_coverage`, the sums
-// are set to 0 before values are added.
+// Sums per pixel over several samples of lights: colours XYZ, share of the samples that hit the mesh (coverage), and
+// whether light arrives. With `resets_xyz` or `resets_coverage`, the sums are set to 0 before values are added.
 struct SumsOfPixels {
     float* xyz;
     double* coverage;
@@ -48,10 +48,10 @@ struct LightPlace {
 template <int N>
 struct ScatteringBatch {
     // `frame` has the tangent, the bitangent and the normal, and `origin` is the origin of the shadow ray. `towards` is
-    // the direction to the light and its weight, if each pixel has a light direction of its own. `light` and `uvw` are
-    // the direction to the light and the scattering vector in the shading frame. `beyond_normal` is 1/R(0) − 1. `unit`
-    // is the factor that converts colours to the unit of the picture. `per_cosine` states whether the gain is divided
-    // by the cosine of the angle between light and normal.
+    // the direction to the light and its weight, if each pixel has its own direction. `light` and `uvw` are the
+    // direction to the light and the scattering vector in the shading frame. `beyond_normal` is 1/R(0) − 1. `unit` is
+    // the factor from the colours of a surface to the common scale of the picture. `per_cosine` states whether the gain
+    // (geometry factor) is divided by the cosine of the angle between light and normal.
     Batch<N> frame[3][3], to_view[3], origin[3];
     Batch<N> towards[4];
     Batch<N, double> light[3], uvw[3];
@@ -78,7 +78,7 @@ struct ScatteringBatch {
     }
 };
 
-// Set the parameters of each pixel's finish. A finish is a surface with one of its materials.
+// Set the parameters of each pixel's finish, which is a surface with one of its materials.
 template <int N, class Pixels, class Reflection>
 WARPDIFF_INLINE void load_finishes(
     const Pixels& pixels, const Reflection& reflection, int from, int count, ScatteringBatch<N>& batch)
@@ -98,9 +98,9 @@ WARPDIFF_INLINE void load_finishes(
     }
 }
 
-// Return the gain: the factor between ⟨|P|²⟩ and ρ (Single 2014, eq. 3.15), times Schlick's reflectance relative to
-// normal incidence. `beyond_normal` is 1/R(0) − 1. The sum 1 + ωi·ωr is computed from the scattering vector, because
-// the direct formula would subtract nearly equal numbers.
+// Return the gain (geometry factor): the factor from the diffracted power ⟨|P|²⟩ to the relative reflectance ρ (Single
+// 2014, eq. 3.15), times Schlick's reflectance relative to normal incidence. `beyond_normal` is 1/R(0) − 1. The sum 1 +
+// ωi·ωr is computed from the scattering vector, because the direct formula would subtract nearly equal numbers.
 WARPDIFF_INLINE double gain_of(
     double u, double v, double w, double cos_i, double cos_r, double beyond_normal, bool masking, bool per_cosine)
 {
@@ -112,8 +112,8 @@ WARPDIFF_INLINE double gain_of(
     return schlick * overlap * overlap * (mask < 1.0 ? mask : 1.0) / (w * w * cos_r * (per_cosine ? cos_i : 1.0));
 }
 
-// Compute the scattering vectors and gains of a batch of pixels. The gain is 0 where the light or the viewer is below
-// the horizon.
+// Compute the scattering vectors and gains (geometry factors) of a batch of pixels. The gain is 0 where the light or
+// the viewer is below the horizon.
 template <int N, class Reflection>
 WARPDIFF_INLINE void scatter(const LightPlace& light, bool has_directions, const Reflection& reflection, double scale,
     double horizon, ScatteringBatch<N>& batch)
@@ -149,9 +149,9 @@ WARPDIFF_INLINE void scatter(const LightPlace& light, bool has_directions, const
     }
 }
 
-// Compute the scattering vectors, light directions and gains of the pixels from `begin` to `end`. Each pixel that hits
-// the mesh gets a scattering vector, even in shadow, because the error estimate of a neighbouring pixel compares this
-// vector with the vector of that pixel. `counted` is added to the coverage of these pixels.
+// Compute the scattering vectors, light directions and gains (geometry factors) of the pixels from `begin` to `end`.
+// Each pixel that hits the mesh gets a scattering vector, even in shadow, because the error estimate of a neighbouring
+// pixel compares the two vectors. `counted` is added to the coverage of these pixels.
 template <int BATCH, class Pixels, class Vector, class Directions, class Reflection, class Flags,
     class ScatteringVectors, class Lights, class Gains, class Colours, class Coverage>
 WARPDIFF_INLINE void find_scattering_vectors(const Pixels& pixels, const Vector& place, const Directions& towards,

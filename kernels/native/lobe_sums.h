@@ -12,8 +12,8 @@
 
 namespace warpdiff {
 
-// Number of values that `differentiate_lobe` writes per pair: derivatives with respect to q_x, q_y, M_xx, M_xy, M_yy,
-// x, L_x and L_y, the sums of r and of s times the terms, and the sum itself.
+// Number of values that `differentiate_lobe` writes per pair of a direction and a wavelength: derivatives with respect
+// to q_x, q_y, M_xx, M_xy, M_yy, x, L_x and L_y, the sums of r and of s times the terms, and the sum itself.
 constexpr int LOBE_DERIVATIVES = 11;
 
 // Compute the first `count` Chebyshev polynomials at x.
@@ -41,8 +41,8 @@ WARPDIFF_INLINE void chebyshev_slopes(double x, int count, double* values)
     }
 }
 
-// Gaussian weights (a lobe) of one pair, and the rows and columns of the block of Fourier coefficients in which these
-// weights are not negligible.
+// Gaussian weights (a lobe) for a pair of a direction and a wavelength. The struct also has the rows and columns of the
+// block of Fourier coefficients in which these weights are not negligible.
 struct Lobe {
     double qx, qy, xx, xy, yy, step_x, step_y, exponent;
     int first_row, last_row, first_column, last_column;
@@ -105,7 +105,8 @@ WARPDIFF_INLINE const double* coefficient_row(const Table& table, int row, int c
     return numbers<const double>(table.coefficients) + (long long)place * table.terms;
 }
 
-// Return the sum of the weighted Fourier coefficients of a pair. A series has at most MOST_TERMS terms.
+// Return the weighted sum of Fourier coefficients for a pair of a direction and a wavelength. Each coefficient is a
+// series of at most MOST_TERMS terms.
 template <int MOST_TERMS, class Table, class Pairs>
 WARPDIFF_INLINE double sum_lobe(const Table& table, const Pairs& pairs, int pair)
 {
@@ -122,7 +123,7 @@ WARPDIFF_INLINE double sum_lobe(const Table& table, const Pairs& pairs, int pair
     return sum;
 }
 
-// Compute the derivatives of the sum of a pair, in the order of `LOBE_DERIVATIVES`.
+// Compute the derivatives of the sum of a pair (a direction and a wavelength), in the order of `LOBE_DERIVATIVES`.
 template <int MOST_TERMS, class Table, class Pairs, class Values>
 WARPDIFF_INLINE void differentiate_lobe(const Table& table, const Pairs& pairs, int pair, Values& derivatives_out)
 {
@@ -148,7 +149,8 @@ WARPDIFF_INLINE void differentiate_lobe(const Table& table, const Pairs& pairs, 
             sums[3] -= 2.0 * dx * dy * value;
             sums[4] -= dy * dy * value;
             sums[5] += weight * dot_rows(coefficient, slopes, table.terms);
-            // The coefficient is at the frequency r/L_x, so that d_x grows by r/L_x² per unit of L_x.
+            // The frequency of the coefficient is r/L_x. The distance d_x from it therefore grows by r/L_x² per unit of
+            // L_x.
             sums[6] += along_x * r * lobe.step_x * lobe.step_x;
             sums[7] += along_y * s * lobe.step_y * lobe.step_y;
             sums[8] += r * value;
@@ -159,7 +161,7 @@ WARPDIFF_INLINE void differentiate_lobe(const Table& table, const Pairs& pairs, 
     for (int k = 0; k < LOBE_DERIVATIVES; ++k) out[k] = sums[k];
 }
 
-// Write the values of the Chebyshev polynomials of a pair, which `spread_lobes` uses.
+// Write the values of the Chebyshev polynomials of a pair (a direction and a wavelength), which `spread_lobes` uses.
 template <class Table, class Pairs>
 WARPDIFF_INLINE void write_polynomials(const Table& table, const Pairs& pairs, int pair)
 {
@@ -167,11 +169,12 @@ WARPDIFF_INLINE void write_polynomials(const Table& table, const Pairs& pairs, i
     chebyshev_polynomials(numbers<const double>(pairs.places)[pair], table.terms, out);
 }
 
-// Add the contributions of all pairs near a coefficient to the adjoint of its series: the transpose of `sum_lobe`.
+// Add the contributions of all nearby pairs (a direction and a wavelength) to the adjoint of one Fourier coefficient.
+// An adjoint is the derivative of a loss. The function is the transpose of `sum_lobe`.
 //
 // The frequencies of the block of Fourier coefficients are divided into cells, one per coefficient. Pairs are sorted by
-// the cell that contains their centre q, and `begins` has the first pair of each cell. Cells that are at most `reach_y`
-// and `reach_x` away are searched.
+// the cell that contains their centre q, and `begins` has the first pair of each cell. Cells at most `reach_y` rows and
+// `reach_x` columns away are searched.
 template <class Table, class Pairs, class Values>
 WARPDIFF_INLINE void spread_lobes(const Table& table, const Pairs& pairs, int cell, Values& rows_out)
 {

@@ -14,8 +14,8 @@ struct PixelBatch {
     Batch<N> share0, share1;                              // barycentric coordinates of the first two corners
     Batch<N> to_view[3];
 
-    // Load the `count` pixels from the index `from` on. Pixels whose rays hit no face, and entries after the last
-    // pixel, get the corners of an arbitrary face, and 0 for all other values.
+    // Load the `count` pixels from the index `from` on. A pixel without a hit gets the corners of an arbitrary face,
+    // and 0 for all other values. Entries after the last pixel are copies of the first pixel.
     template <class Surface, class Pixels>
     WARPDIFF_INLINE void load(const Surface& surface, const Pixels& pixels, int from, int count)
     {

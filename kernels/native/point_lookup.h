@@ -10,7 +10,7 @@
 
 namespace warpdiff {
 
-// Positions of N points in the colour table, and the rows that their colours require.
+// Positions of N points (u, v) in the colour table, and the rows that their colours require.
 template <int N>
 struct Points {
     Batch<N> u = {}, v = {}, w = {};
@@ -39,8 +39,8 @@ WARPDIFF_INLINE void place_points(const Table& table, Points<N>& points)
     for (int i = 0; i < N; ++i) points.at_w.set(i, table, points.w[i]);
 }
 
-// Return the table row of a ring on the first of the three azimuths around an angle. `aside` receives the distance of
-// the angle from the middle azimuth, in distances of azimuths.
+// Return the first table row of a ring that a look-up adds: the row on the first of the three azimuths around an angle.
+// `aside` receives the distance of the angle from the middle azimuth [spacings of azimuths].
 template <int WIDTH, class Table>
 WARPDIFF_INLINE const float* row_at(const Table& table, float turns, int ring, int octave, float& aside)
 {
@@ -68,7 +68,7 @@ WARPDIFF_INLINE void locate_rows(const Table& table, Points<N>& points, int i, b
     }
 }
 
-// Return the weighted sum of a point's nine rows: three rings on three azimuths.
+// Return the weighted sum of the nine table rows around a point: three rings on three azimuths.
 template <int WIDTH, int N, class Table>
 WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& points, int i)
 {
@@ -100,8 +100,8 @@ WARPDIFF_INLINE Row<WIDTH> sum_of_rows(const Table& table, const Points<N>& poin
 
 // Add the XYZ of the scattering vectors from `begin` to `end`, at most BATCH, multiplied by geometry factors (gains).
 //
-// While one direction is looked up, the rows for the direction with an index larger by AHEAD are fetched from memory.
-// With a larger AHEAD, rows would be evicted from the first-level cache before their use.
+// While one direction is looked up, the table rows for the direction with an index larger by AHEAD are fetched from
+// memory. With a larger AHEAD, rows would be evicted from the first-level cache before their use.
 template <int W_BASIS_SIZE, int BATCH, int AHEAD, class Table, class ScatteringVectors, class Gains, class Colours>
 WARPDIFF_INLINE void look_up_points(const Table& table, const ScatteringVectors& scattering_vectors, const Gains& gains,
     int begin, int end, Colours& xyz_out)

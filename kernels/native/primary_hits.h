@@ -15,7 +15,8 @@ struct KnownHits {
     Batch<N, double> right = {}, down = {};
 };
 
-// Corners of the faces that a batch of rays hits, and the results: direction to the viewer and barycentric coordinates.
+// Corners of the faces that a batch of rays hits. The results of the intersection are the directions to the viewer and
+// the barycentric coordinates.
 template <int N>
 struct Intersections {
     Batch<N> corner[3][3], to_view[3], share[2];

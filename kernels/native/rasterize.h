@@ -1,6 +1,6 @@
 // Rasterization: the nearest face of each camera ray. A batch of faces is projected together. Each face is then tested
-// against the rays of the pixels that it may cover, or against batches of cells of subdivided pixels. Only the CPU uses
-// this file; a GPU traces rays through a hierarchy of bounding boxes.
+// against the rays of the pixels that it may cover. If pixels are subdivided into cells with one ray each, it is tested
+// against batches of these rays. Only the CPU uses this file; a GPU traces rays through a hierarchy of bounding boxes.
 
 #pragma once
 
@@ -26,8 +26,8 @@ constexpr double PER_PIXEL = 1 << 14;
 // Distance of the near plane from the eye [radii of the mesh]. The camera shows only parts of faces beyond this plane;
 // the other parts are cut off.
 constexpr double NEAR_PLANE = 1.0e-9;
-// Number of faces per batch, and number of cells per batch. `FACES` is limited by the lanes of SIMD vectors, and
-// `CELLS` by the number of registers.
+// Number of faces per batch, and number of subpixel cells per batch. `FACES` is limited by the number of elements of
+// SIMD vectors, and `CELLS` by the number of registers.
 constexpr int FACES = 16, CELLS = 8;
 
 WARPDIFF_INLINE double lesser(double a, double b)
@@ -51,14 +51,14 @@ struct Raster {
     // away, float32 could not distinguish the distances of different faces without this subtraction.
     double before;
     const double* offsets; // offset of each pixel's ray from the pixel centre; null if rays are at the centres
-    // Pixels that are subdivided into cells. `marks` has one bit per pixel of the picture, in words of 64 bits. `ranks`
-    // has the index of each subdivided pixel among all subdivided pixels. `aside` and `below` are the offsets of the
-    // cells from the pixel centre [pixels].
+    // Pixels that are subdivided into cells, with one ray per cell. `marks` has one bit per pixel of the picture, in
+    // words of 64 bits. `ranks` has the index of each subdivided pixel among all subdivided pixels. `aside` and `below`
+    // are the offsets of the cells from the pixel centre [pixels].
     const unsigned long long* marks; // null if pixels are not subdivided
     const int* ranks;
     int cells;
     float aside[MOST_CELLS], below[MOST_CELLS];
-    // Largest distance of a cell, and of any ray, from the pixel centre along x or y [pixels].
+    // Largest distance of a subpixel cell, and of any ray, from the pixel centre along x or y [pixels].
     double max_cell_offset, max_offset;
     unsigned long long* nearest;
 
@@ -166,7 +166,7 @@ WARPDIFF_INLINE void keep_nearest(
     keep_smallest(picture.nearest + ray, (unsigned long long)bits << 32 | (unsigned int)triangles.face[i]);
 }
 
-// Test triangle i against one ray per pixel, for the pixels of a row from `left` to `end` (excluded).
+// Test whether triangle i covers the ray of each pixel of a row, for the pixels from `left` to `end` (excluded).
 template <class Picture>
 WARPDIFF_INLINE void visit_pixels(const Picture& picture, const Triangles& triangles, int i, int row, int left, int end)
 {
@@ -181,7 +181,7 @@ WARPDIFF_INLINE void visit_pixels(const Picture& picture, const Triangles& trian
     }
 }
 
-// Test triangle i against the cells of one subdivided pixel.
+// Test whether triangle i covers the rays of the cells of one subdivided pixel.
 template <class Picture>
 WARPDIFF_INLINE void visit_cells(const Picture& picture, const Triangles& triangles, int i, int row, int column)
 {
@@ -216,7 +216,8 @@ WARPDIFF_INLINE void visit_cells(const Picture& picture, const Triangles& triang
     }
 }
 
-// Test triangle i against the cells of the subdivided pixels of a row, from `left` to `end` (excluded).
+// Test whether triangle i covers the rays of the cells of the subdivided pixels of a row, from `left` to `end`
+// (excluded).
 template <class Picture>
 WARPDIFF_INLINE void visit_split_pixels(
     const Picture& picture, const Triangles& triangles, int i, int row, int left, int end)
@@ -231,7 +232,7 @@ WARPDIFF_INLINE void visit_split_pixels(
     }
 }
 
-// Test all triangles of a batch against the rays of the pixels that they may cover.
+// Test which of the rays of nearby pixels the triangles of a batch cover.
 template <class Picture>
 inline void visit_rays(const Picture& picture, Triangles& triangles)
 {
@@ -321,8 +322,8 @@ WARPDIFF_INLINE void add_clipped(const Picture& picture, const ClippedFace& clip
             const double* const corner = clipped.corner[which[c]];
             project_corner(picture, corner[0], corner[1], corner[2], triangles, c, i);
         }
-        // Each entry of `rises` is that of the edge opposite to a corner. The diagonal is an edge of both triangles,
-        // which run along it in opposite directions and therefore have opposite values.
+        // Each entry of `rises` is for the edge opposite to a corner. The diagonal is an edge of both triangles. The
+        // triangles run along it in opposite directions, and therefore have opposite values.
         triangles.rises[0][i] = clipped.rises[k - 1];
         triangles.rises[1][i] = k == clipped.count - 1 ? clipped.rises[k] : false;
         triangles.rises[2][i] = k == 2 ? clipped.rises[0] : true;

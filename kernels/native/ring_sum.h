@@ -14,7 +14,7 @@
 
 namespace warpdiff {
 
-// Number of azimuths that are processed together. The value is limited by the lanes of a SIMD vector.
+// Number of azimuths that are processed together. The value is limited by the number of elements of a SIMD vector.
 constexpr int ARC = batch_of(8);
 // Distance from its centre at which the Gaussian of a footprint is truncated [standard deviations]. `OUTWARDS` is for
 // directions away from the mirror direction, and `INWARDS` for directions towards it, where surfaces are brightest. The
@@ -26,14 +26,14 @@ constexpr float OUTWARDS = 3.2f, INWARDS = 4.5f;
 // `WITHIN` times the smaller standard deviation. If the distance was doubled everywhere, sums over narrow Gaussians
 // would be inaccurate.
 constexpr float RINGS_APART = 0.1f, RINGS_PER_DEVIATION = 1.2f, WITHIN = 0.5f;
-// Smallest radius of the rings that are added. It is the smaller of two products. One is `INNERMOST` times the smaller
-// standard deviation of the Gaussian. The other is `INNERMOST_OF_LOBE` times the standard deviation of an order's peak
-// in (u, v). `NARROWEST` is the least standard deviation of the Gaussian, relative to the standard deviation of the
-// peak. The values are limited by time: smaller values add more rings.
+// Smallest radius |(u, v)| of the rings that are added. It is the smaller of two products: `INNERMOST` times the
+// smaller standard deviation of the footprint's Gaussian, and `INNERMOST_OF_LOBE` times the standard deviation of the
+// peak of a diffraction order in (u, v). `NARROWEST` is the least standard deviation of the Gaussian, relative to that
+// of the peak. The values are limited by time: smaller values add more rings.
 constexpr float INNERMOST = 0.1f, INNERMOST_OF_LOBE = 0.3f, NARROWEST = 0.3f;
-// Rule for the mip level whose rows are added. `MOST_BLUR2` is the maximum variance of the blur of the level, relative
-// to the variance of the Gaussian along the ring. `AZIMUTHS_APART` is the maximum distance of the level's azimuths, in
-// standard deviations of the Gaussian.
+// Rule for the mip level (a blurred copy of the table) from which rows are added. `MOST_BLUR2` is the maximum variance
+// of the blur of the level, relative to the variance of the footprint's Gaussian along the ring. `AZIMUTHS_APART` is
+// the maximum distance of the level's azimuths, in standard deviations of the Gaussian.
 constexpr float MOST_BLUR2 = 0.7f, AZIMUTHS_APART = 1.0f;
 
 // A Gaussian over (u, v): its mean and the inverse of its covariance.
@@ -41,9 +41,9 @@ struct Gaussian2 {
     float u, v, uu, uv, vv;
 };
 
-// Mip level from which the rings of one octave are added. `spacing` is the distance of its azimuths [rad]. `blur2` is
-// the variance of the blur of its rows minus the variance of the spline between azimuths [rad²]. If the variance of the
-// Gaussian along a ring is at least `until`, the next level is used.
+// Mip level (a blurred copy of the table) from which the rings of one octave are added. `spacing` is the distance of
+// its azimuths [rad]. `blur2` is the variance of the blur of its rows minus the variance of the spline between azimuths
+// [rad²]. If the variance of the Gaussian along a ring is at least `until`, the next level is used.
 struct RingLevel {
     int octave, level, azimuths, first_row;
     float spacing, blur2, until;
@@ -77,8 +77,8 @@ WARPDIFF_INLINE RingLevel ring_level(const Table& table, int level, int octave)
 }
 
 // Replace `widest` by the most blurred mip level in `octave` that the variance of the Gaussian along the ring permits.
-// Rings are processed from the outermost ring inwards. In the next octave inwards, the same level may have twice the
-// blur [rad]. The search therefore starts with the level that is one step less blurred than the present level.
+// Rings are processed from the outermost ring inwards. From one octave to the next inner octave, the blur of a level
+// [rad] may double. The search therefore starts with the level that is one step less blurred than the present level.
 template <class Table>
 inline void widen(const Table& table, RingLevel& widest, int octave, float variance)
 {
@@ -95,7 +95,7 @@ inline void widen(const Table& table, RingLevel& widest, int octave, float varia
     }
 }
 
-// Add the rows on an arc of a ring, from the azimuth `first` to the azimuth `end`. The azimuth `end` is excluded,
+// Add the table rows on an arc of a ring, from the azimuth `first` to the azimuth `end`. The azimuth `end` is excluded,
 // because it may be the first azimuth of the next arc.
 template <int WIDTH>
 WARPDIFF_INLINE void add_arc(WeighedRows<WIDTH>& sum, const Gaussian2& gaussian, float radius, float blur2,
@@ -158,8 +158,8 @@ inline WeighedRows<WIDTH> sum_over_rings(const Table& table, float u, float v, f
     // The octave −1 means that no mip level has been selected yet.
     RingLevel level = {-1};
     while (ring >= 0 && radius > innermost) {
-        // The nearer a ring is to the mirror direction, the larger is the angle that the Gaussian covers on it. Wider
-        // mip levels then suffice.
+        // The nearer a ring is to the mirror direction, the larger is the angle that the Gaussian covers on it. More
+        // blurred mip levels then suffice.
         const int octave = (int)((float)ring * table.octaves_per_ring);
         const float variance = narrow2 / (radius * larger(radius, middle));
         if (octave != level.octave || variance >= level.until) widen(table, level, octave, variance);

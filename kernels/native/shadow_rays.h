@@ -13,8 +13,9 @@ namespace warpdiff {
 // Number of faces of a list that are tested together. The value is limited by the size of local arrays.
 constexpr int LISTED = 32;
 
-// A batch of points. A point has two coordinates perpendicular to the light [steps], a height towards the light, the
-// index of its grid cell (−1 if no test is required), and a mark if it is occluded.
+// A batch of points from which shadow rays start. A point has two coordinates perpendicular to the light [steps], and a
+// height towards the light. `cell` is the index of its grid cell, or −1 if no test is required. `occluded` is 1 if a
+// face occludes the light.
 template <int N>
 struct ShadowPoints {
     Batch<N, double> x, y, z;

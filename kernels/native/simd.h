@@ -16,7 +16,7 @@ constexpr bool ON_GPU = true;
 constexpr bool ON_GPU = false;
 #endif
 
-// Number of elements per batch: `on_cpu` on the CPU, 1 on a GPU.
+// Number of elements that loops process together (a batch): `on_cpu` on the CPU, 1 on a GPU.
 constexpr int batch_of(int on_cpu)
 {
     return ON_GPU ? 1 : on_cpu;
@@ -117,8 +117,8 @@ WARPDIFF_INLINE int cyclic(int index, int count)
     return left < 0 ? left + count : left;
 }
 
-// Begin to fetch data from memory that is used soon. On a GPU the function does nothing: the GPU runs other threads
-// while one thread waits for memory.
+// Begin to fetch data that is used soon from memory into the cache. On a GPU the function does nothing: the GPU runs
+// other threads while one thread waits for memory.
 WARPDIFF_INLINE void prefetch(const float* at)
 {
 #if !defined(__CUDA_ARCH__)

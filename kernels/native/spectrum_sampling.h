@@ -10,8 +10,8 @@
 
 namespace warpdiff {
 
-// `TAPS` is the number of Gaussian weights that are computed together. For `KNOWN_ROWS` rows of Fourier coefficients,
-// the range of contributing columns is computed in advance.
+// `TAPS` is the number of Gaussian weights that are computed together. `KNOWN_ROWS` is the number of rows of Fourier
+// coefficients for which the range of contributing columns is computed in advance.
 constexpr int TAPS = 16, KNOWN_ROWS = 64;
 
 // Range of the Fourier coefficients that contribute to a point of the frequency plane, relative to the coefficient
@@ -104,8 +104,9 @@ WARPDIFF_INLINE Row<WIDTH> sample_spectrum(const Table& table, const Neighbours&
     return total;
 }
 
-// Return the power at WIDTH values of κ = w/λ from a weighted sum of amplitude rows. In a row, the terms of the real
-// part precede those of the imaginary part. `basis` has the values of each basis function at the WIDTH values of κ.
+// Return the power at WIDTH values of κ = w/λ from a weighted sum of rows. A row has the amplitude of a Fourier
+// coefficient: the terms of its real part precede those of its imaginary part. `basis` has the values of each basis
+// function at the WIDTH values of κ.
 template <int TERMS, int WIDTH>
 WARPDIFF_INLINE Row<WIDTH> powers_of(const Row<2 * TERMS>& amplitudes, const float* basis)
 {

@@ -20,8 +20,8 @@ constexpr int MOST_PROBES = 12;
 // bilinear interpolation. The value was fitted (docs/decisions/textures.md): twice the distance leaves gaps between the
 // probes.
 constexpr float PROBE_SPACING = 1.5f;
-// Range of probes on both sides along the long axis [standard deviations of the footprint]. The Gaussian beyond this
-// range is neglected.
+// Probes (bilinear look-ups) extend up to this distance on both sides along the long axis [standard deviations of the
+// footprint]. The Gaussian beyond it is neglected.
 constexpr float PROBE_RANGE = 2.0f;
 // Smallest variance of a footprint that counts as covering the whole image [texels²]. The value is limited because
 // squares of larger numbers exceed the range of float32.
@@ -37,7 +37,8 @@ struct TextureLevel {
     int width, height;
 };
 
-// Texture of a table. `row` has the index of its first level, the number of its levels, and its wrap mode on both axes.
+// Texture with the index `number`. `row` has the index of its first level, the number of its levels, and its wrap mode
+// on both axes.
 template <class Textures>
 struct Texture {
     const float* texels;

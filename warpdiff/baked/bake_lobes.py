@@ -50,32 +50,34 @@ _TABLE_SIZES = ((8, 0.7), (12, 0.8), (16, 0.9), (24, 1.0), (32, 1.2), (48, 1.5),
 # The grid of a table must resolve lobes (the peaks of diffraction orders over (u, v)) at this wavelength [µm]. Lobes of
 # shorter wavelengths are narrower, but contribute little to the visible colour.
 _BLUE_UM = 0.43
-# `_FUNCTIONS_SHARE` is the share of the accepted ΔE2000 that the truncation of the set of functions of w may cause.
-# `_RELATIVE_ERROR` is the relative tolerance of the sampled colours XYZ, per unit of the accepted ΔE2000. If
-# `_RELATIVE_ERROR` is doubled, the errors of these colours cause a larger share of the ΔE2000.
+# A table stores colours as sums of products: a coefficient for (u, v) times a function of w, the normal component of
+# the scattering vector. `_FUNCTIONS_SHARE` is the share of the accepted ΔE2000 that the limited number of functions may
+# cause. `_RELATIVE_ERROR` is the relative tolerance of the sampled colours XYZ, per unit of the accepted ΔE2000. If it
+# is doubled, the errors of these colours cause a larger share of the ΔE2000.
 _FUNCTIONS_SHARE, _RELATIVE_ERROR = 0.6, 5e-3
 # `_LOOK_UPS` is the typical number of colours that are computed to make a table. `_MOST_S` is the longest accepted time
-# for these colours [s on one core]. The time is estimated, and estimates are too long: with a source of 2° and a patch
-# of 12.8 µm, 83 s were estimated and 25 s measured.
+# for these colours [s on one core]. The time is estimated, and estimates are too long: with a light source of 2° and a
+# patch of 12.8 µm, 83 s were estimated and 25 s measured.
 _LOOK_UPS, _MOST_S = 3e6, 300.0
 # Smallest |w| at which colours are sampled, where w is the component of the scattering vector along the normal. If |w|
 # is smaller, light and view are both near the horizon. Such colours are proportional to w² and need no samples.
 _SMALLEST_W = 0.06
-# Numbers of equally spaced samples that a table stores: `_ENTRIES_OF_W` over |w| for each function of w, and
-# `_ENTRIES_OF_KAPPA` over |κ| = |w|/λ for the power of the zeroth order.
+# Numbers of equally spaced samples that a table stores. `_ENTRIES_OF_W` is for each function of |w|, where w is the
+# normal component of the scattering vector. `_ENTRIES_OF_KAPPA` is for the power of the zeroth order as a function of
+# |κ| = |w|/λ.
 _ENTRIES_OF_W, _ENTRIES_OF_KAPPA = 256, 512
 # Grid on which the reflectance R(θd, λ) of a material is stored, where θd is half of the angle between the directions
 # to the light (ωi) and to the viewer (ωr): number of samples over cos θd, and spacing of the wavelengths [nm].
 _ANGLES, _EACH_NM = 65, 5
-# The validation set of directions has two halves, uniform directions and bright directions. `_VALIDATION_SIZE` is the
-# size of each half. `_CANDIDATES` is the number of random directions from which both halves are selected, and `_SEED`
-# is the random seed.
+# Directions in which the error of a table is measured (validation set). One half is uniform; the other half has bright
+# directions. `_VALIDATION_SIZE` is the size of each half. `_CANDIDATES` is the number of random directions from which
+# both halves are selected, and `_SEED` is the random seed.
 _VALIDATION_SIZE, _CANDIDATES, _SEED = 2048, 32_768, 27
 # Before the ΔE2000 of a colour is computed, the colour is scaled to the luminance Y = `_SHOWN`. Colours whose luminance
 # is below a limit, `_FLOOR` times the reference luminance, are multiplied by the same factor as colours at the limit,
 # so that they remain dark.
 _SHOWN, _FLOOR = 0.2, 1e-3
-# Measured peak memory while a table is computed [bytes per node of its polar grid].
+# Measured peak memory while a table is computed [bytes per sample of its polar grid].
 _BYTES_A_NODE = 170
 # Largest height range of a height field that can be baked [µm]. For larger height ranges, the powers of Fourier
 # coefficients oscillate so fast as functions of w that their samples require more than a minute.
@@ -166,9 +168,9 @@ class _Bakery:
             threads=evaluation.threads,
         )  # fmt: skip
         self._validation_set, self._gains, self._reference, self._bright = self._sampled(_SEED)
-        # The powers of the Fourier coefficients oscillate as functions of w. The number of Chebyshev nodes over |w| is
-        # computed from the phase of these oscillations at the shortest wavelength, plus a margin that convergence
-        # requires.
+        # Colours are sampled at Chebyshev nodes over |w|. The powers of the Fourier coefficients oscillate as functions
+        # of w. The number of nodes is computed from the phase of these oscillations at the shortest wavelength, plus a
+        # margin that convergence requires.
         phase = math.pi * LARGEST_KAPPA * evaluation.heightfield.height_range_um
         self._ws = chebyshev.nodes(_SMALLEST_W, LARGEST_W, math.ceil(phase + 4.0 * phase ** (1.0 / 3.0) + 4.0))
 
@@ -218,7 +220,7 @@ class _Bakery:
                 yield replace(table, error=self._error(table.colours(self._validation_set, zeroth_order=False)))
 
     def _sampled(self, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
-        """Sample pairs of directions: one half is uniform on the hemisphere, the other half favours bright directions.
+        """Sample pairs of directions to light and viewer: half of them uniform on the hemisphere, half of them bright.
 
         Returns:
             Scattering vectors, geometry factors and XYZ of the pairs; and the reference luminance. The reference
@@ -284,9 +286,10 @@ class _Bakery:
         return np.asarray(basis)
 
     def _error(self, colours: NDArray[Any]) -> float:
-        """Return the 99th percentile of ΔE2000 over uniform or over bright directions, whichever is larger.
+        """Return the 99th percentile of ΔE2000 between ``colours`` and reference colours in the validation directions.
 
-        The zeroth order is excluded, because table and reference compute the zeroth order by the same formula.
+        The larger of two percentiles is returned: over uniform and over bright directions. The zeroth order is
+        excluded, because tables and reference compute it by the same formula.
         """
         if self._bright <= 0.0:
             return 0.0

@@ -108,8 +108,8 @@ def bake_spectrum(
 def _shares(size: int, largest: float, orders: NDArray[np.float64], falloff: float) -> NDArray[np.float32]:
     """Return the mean of each diffraction order's Gaussian lobe over each cell of an axis, shape (size, orders).
 
-    The lobe of an order is exp(−(a (q − q_r))²). Here q_r is the order's frequency, an element of ``orders`` [1/µm],
-    and a is ``falloff`` [µm]. The cells divide the range of q from −``largest`` to ``largest``.
+    The cells are ``size`` equal intervals of q from −``largest`` to ``largest``. The lobe (peak) of an order is exp(−(a
+    (q − q_r))²). Here q_r is the order's frequency, an element of ``orders`` [1/µm], and a is ``falloff`` [µm].
     """
     from scipy.special import erf
 

@@ -35,7 +35,7 @@ def lobe_grid(rings: int, azimuths: tuple[int, ...]) -> PolarGrid:
 
 
 def ring_of_largest(rings: int, azimuths: tuple[int, ...]) -> int:
-    """Return the index of the ring with |(u, v)| = 2; cubic interpolation also requires the next larger ring."""
+    """Return the index of the ring with |(u, v)| = 2; cubic interpolation also uses the next larger ring."""
     return rings * len(azimuths) - 2
 
 
@@ -61,7 +61,7 @@ def spline_coefficients(grid: PolarGrid, values: NDArray[np.float32]) -> NDArray
 
 
 def interpolated(grid: PolarGrid, coefficients: NDArray[np.float32], uv: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Interpolate at points (u, v), shape (n, 2): by splines along four rings, and by cubics across the rings."""
+    """Interpolate values at points (u, v), shape (n, 2), by splines along four rings and by cubics across the rings."""
     u, v = uv.T
     last = ring_of_largest(grid.rings, grid.azimuths)
     ring = np.log2(np.maximum(np.hypot(u, v) / _LARGEST, 0.5 * 2.0 ** (-last / grid.rings))) * grid.rings + last

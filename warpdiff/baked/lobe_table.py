@@ -41,8 +41,8 @@ _BYTES_PER_LOOK_UP = 400
 # A file may have a grid with at most these numbers of rings per octave, of octaves, and of azimuth samples per ring. A
 # file with larger numbers counts as damaged.
 _MOST_RINGS, _MOST_OCTAVES, _MOST_AZIMUTHS = 512, 64, 2**20
-# Largest values of arguments: cells per side of a Cartesian grid, and wavelength at which a lobe's variance is computed
-# [µm].
+# Largest values of arguments. `_MOST_SIZE` is the largest number of cells per side of a Cartesian grid. `_LONGEST_UM`
+# is the longest wavelength for which the variance of a lobe (the peak of a diffraction order) is computed [µm].
 _MOST_SIZE, _LONGEST_UM = 2048, 10.0
 _KINDS = ("averaged", "source")
 
@@ -154,7 +154,7 @@ class BakedLobes(table_files.SavedTable):
 
     @forks.cached_property
     def coefficients(self) -> NDArray[np.float32]:
-        """Spline coefficients of X, Y and Z at the nodes of (u, v), for K functions of w, shape (nodes, 3, K)."""
+        """Spline coefficients of X, Y and Z at samples (nodes) of (u, v), for K functions of w, shape (nodes, 3, K)."""
         return quantisation.dequantise(self.scale, self.exponents, self.mantissas)
 
     def colours(self, scattering_vectors: ArrayLike, *, zeroth_order: bool = True) -> NDArray[np.float32]:
@@ -185,13 +185,14 @@ class BakedLobes(table_files.SavedTable):
         return np.asarray(result, dtype=np.float32)
 
     def cartesian(self, size: int = 1024) -> NDArray[np.float32]:
-        """Return the coefficients c_k at the cell centres of a Cartesian grid over (u, v); 0 where |(u, v)| exceeds 2.
+        """Return the coefficients c_k of the functions of w on a Cartesian grid over (u, v); 0 for |(u, v)| > 2.
 
         Args:
             size: Number of cells from −2 to 2 along each axis, 2 to 2048.
 
         Returns:
-            Coefficients, shape (size, size, 3, K), float32; the first index is along v, the second along u.
+            Coefficients at the centres of the cells, shape (size, size, 3, K), float32; the first index is along v, the
+            second along u.
         """
         validation.count(size, "size", least=2, most=_MOST_SIZE)
         memory.require_memory(
@@ -243,7 +244,7 @@ class BakedLobes(table_files.SavedTable):
         return result
 
     def lobe_variance(self, wavelength_um: float) -> float:
-        """Return the variance along u or v of a diffraction order's lobe at a wavelength, at most 10 µm."""
+        """Return the variance of a diffraction order's lobe (peak) along u or v at a wavelength of at most 10 µm."""
         wavelength_um = validation.positive(wavelength_um, "wavelength_um", most=_LONGEST_UM)
         return self._zeroth.lobe_variance(wavelength_um)
 
@@ -282,7 +283,10 @@ class BakedLobes(table_files.SavedTable):
 
 
 def normal_reflectance(lobes: BakedLobes, ior: float | None) -> float:
-    """Return R(0) for an index of refraction, in which None means 1.5. For lobes with a baked material, return 1."""
+    """Return the reflectance R(0) at normal incidence for an index of refraction; None means 1.5.
+
+    For lobes with a baked material, return 1, because their colours already include its reflectance.
+    """
     if not lobes.has_material:
         return check_reflection(ior, None)[0]
     if ior is not None:

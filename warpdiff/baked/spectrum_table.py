@@ -27,11 +27,12 @@ _MOST_SIZE = 8192
 class BakedSpectrum(table_files.SavedTable):
     """Table of the power ⟨|P|²⟩ of a height field under an averaged window: Σ_k s_k(q) f_k(|κ|) plus the zeroth order.
 
-    P is the mean of exp(ik(wh + ux + vy)), weighted by the window. q is (u, v)/λ, and κ is w/λ. Each cell contains the
-    mean over its area, so that the total power does not depend on the size of the cells. The cells exclude the zeroth
-    order, |H₀₀(κ)|² exp(−4π²σ²|q|²), whose factor |H₀₀|² is in ``zeroth``. H are the Fourier coefficients of exp(2πiκh)
-    over the patch, and H₀₀ is the one of frequency 0. Together, cells and zeroth order are normalised: 4πσ² times the
-    integral of the power over q is Σ|H|² = 1. Files contain the attributes by name.
+    P is the mean of exp(ik(wh + ux + vy)) over the surface, weighted by the window. q is (u, v)/λ, and κ is w/λ. A
+    square of q is divided into cells. Each cell contains the mean of s_k over its area, so that the total power does
+    not depend on the size of the cells. The cells exclude the zeroth order, |H₀₀(κ)|² exp(−4π²σ²|q|²), whose factor
+    |H₀₀|² is in ``zeroth``. H are the Fourier coefficients of exp(2πiκh) over the patch, and H₀₀ is the one of
+    frequency 0. Together, cells and zeroth order are normalised: 4πσ² times the integral of the power over q is Σ|H|² =
+    1. Files contain the attributes by name.
 
     Attributes:
         sigma_um: Standard deviation σ of the window [µm].
@@ -76,7 +77,7 @@ class BakedSpectrum(table_files.SavedTable):
 
     @property
     def coherence(self) -> Coherence:
-        """Averaged window of the spectrum."""
+        """Averaged coherence window of the spectrum."""
         return Coherence(sigma_um=self.sigma_um)
 
     def __repr__(self) -> str:

@@ -35,7 +35,7 @@ class SavedTable(ReadOnlyArrays):
 
     @classmethod
     def _from_arrays(cls, arrays: dict[str, Any]) -> Self:
-        """Make a table from the arrays of a file. Arrays that describe no table raise an exception of any type."""
+        """Make a table from the arrays of a file. Invalid arrays may raise an exception of any type."""
         return cls(**{name: value if value.ndim else float(value) for name, value in arrays.items()})
 
     def save(self, path: str | os.PathLike[str]) -> Path:

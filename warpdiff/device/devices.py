@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 
-# Largest number of threads that compile or load kernels. The number was chosen because each compiling thread first
-# reads Warp's headers, which takes seconds.
+# Largest number of threads that compile or load kernels at the same time. The number is small because each of these
+# threads first reads Warp's headers, which takes seconds of computing time.
 _LOADERS = 2
 _loading: dict[wp.Module, Future[None]] = {}
 # Longest time that ``os.fork`` waits for kernels that are being compiled or loaded [s]. It was chosen because a fork
@@ -39,7 +39,8 @@ def resolve_device(device: str | wp.Device | None) -> wp.Device:
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_ERROR
     if wp.config.kernel_cache_dir is None and "WARP_CACHE_PATH" not in os.environ and not _has_cache_folder():
-        # If the user has no home folder, Warp would create a folder named "~" in the working directory.
+        # If the user has no home folder, Warp would store compiled kernels in a new folder named "~" in the working
+        # directory. A temporary folder is used instead.
         wp.config.kernel_cache_dir = _own_folder().name
     _start(asks_for_cuda=device is not None and "cpu" not in str(device))
     try:
@@ -94,8 +95,8 @@ def resolve_threads(threads: int | None) -> int:
 def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> list[Future[None]]:
     """Start to compile or load kernels for the CPU on other threads; return a future for each kernel.
 
-    At most `_LOADERS` threads compile, because the first compilation on each thread reads Warp's headers, which takes
-    seconds.
+    For a GPU, nothing is started, and the list is empty. At most `_LOADERS` threads compile, because the first
+    compilation on each thread reads Warp's headers, which takes seconds.
     """
     if not device.is_cpu:
         return []
@@ -103,8 +104,6 @@ def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> list[Future[None]]:
     with _load_lock:
         for kernel in kernels:
             if kernel.module not in _loading:
-                # CPU kernels are compiled for blocks of one thread, because Warp launches kernels on the CPU in such
-                # blocks.
                 _loading[kernel.module] = _loaders().submit(_load, kernel.module, device)
         return [_loading[kernel.module] for kernel in kernels]
 
@@ -122,6 +121,7 @@ def _loaders() -> ThreadPoolExecutor:
 
 def _load(module: wp.Module, device: wp.Device) -> None:
     try:
+        # Warp launches kernels on the CPU in blocks of one thread. Kernels are compiled for this block size.
         wp.load_module(module, device, block_dim=1)
     except OSError as error:
         raise _cache_error(error) from error
@@ -183,8 +183,7 @@ def _before_fork() -> None:
     for module, loading in _loading.items():
         if loading in done:
             _loaded[module] = Future()
-            # The new future gets the result of the original one: its exception, or None if the kernels were loaded
-            # without error.
+            # The new future gets the exception of the original one, or None if the kernels were loaded without error.
             _loaded[module].set_exception(loading.exception())
     lock = codegen_lock()
     if lock is not None and lock.acquire(timeout=_MOST_WAIT_S):

@@ -31,15 +31,16 @@ _MOST_AT_ONCE, _TURNS_PER_THREAD = 32_768, 4
 
 @dataclass(frozen=True)
 class KernelCall:
-    """Warp kernel with its arguments.
+    """Warp kernel with its arguments, for launches over ranges of elements such as the rays of a picture.
 
     Attributes:
-        kernel: Warp kernel. The last input of the kernel is ``first``, the index of the first thread of a launch.
+        kernel: Warp kernel. Its inputs end with ``first``, the index at which a launch begins, and with ``run`` if
+            ``in_runs`` is True.
         inputs: Inputs before ``first``.
         outputs: Arrays that the kernel writes.
-        in_runs: Whether the kernel has another input ``run`` after ``first``: the number of indices that one thread
-            processes in a loop. On the CPU, one run is a slice. The kernel's arguments, up to a kilobyte, are then read
-            once per slice instead of once per index.
+        in_runs: Whether the kernel has the input ``run``: the number of indices that one thread processes in a loop. On
+            the CPU, this number is the size of a slice, a range of elements. The kernel's arguments, up to a kilobyte,
+            are then read once per slice instead of once per index.
         block: Number of elements that the kernel processes per index, for example all subpixel cells of a pixel.
             ``first`` and ``run`` count blocks.
         free: Launches that Warp has recorded on the CPU for repeated use, and that no thread is using now.
@@ -135,9 +136,10 @@ def launch_pipeline(
 ) -> None:  # fmt: skip
     """Launch kernels in sequence. Results at an element may depend only on the same element of earlier kernels.
 
-    On the CPU a launch is a serial loop that releases the interpreter lock. Slices therefore run in parallel on
-    threads, each slice through all kernels. The result depends neither on the number of threads nor on the slices. On a
-    GPU, and while launches are recorded, each kernel is launched once over all elements.
+    On the CPU a launch is a serial loop that releases the interpreter lock. Threads therefore process slices (ranges of
+    elements) in parallel, each slice through all kernels. The result depends neither on the number of threads nor on
+    the slices. On a GPU, and while launches are recorded in a CUDA graph, each kernel is launched once over all
+    elements.
 
     Args:
         steps: Kernel calls in their order.
@@ -156,9 +158,8 @@ def launch_pipeline(
         at_once = max(min(_MOST_AT_ONCE // size, slices // (_TURNS_PER_THREAD * threads)), 1)
         take = Pipeline(steps).slices(indices, size, at_once)
         # Each call of ``take`` processes the next ``at_once`` slices, or fewer at the end. The operating system may
-        # pause a thread just before this thread calls ``take``. The last slices would then wait until the thread
-        # continues. There is therefore one additional call of ``take`` for each other thread, and such a call processes
-        # these slices.
+        # pause a thread just before its call. The slices of this call would then wait until the thread continues. There
+        # is therefore one additional call for each other thread, which processes these slices.
         times = -(-slices // at_once) + (threads - 1 if at_once > 1 else 0)
         parallel_for(lambda _: take(), range(times), threads=threads, progress=progress)
         return

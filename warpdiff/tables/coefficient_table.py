@@ -1,9 +1,11 @@
 """Tables of the Fourier coefficients of a height field on a device, in the layout that kernels read, with a cache.
 
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
-light and to the viewer. The component w is along the normal, and κ is w/λ. A row has the numbers of one Fourier
-coefficient: its weights of the basis functions of κ (terms). "Source" means a light source of finite size (coherence of
-the kind "source").
+light and to the viewer. The component w is along the normal, and κ is w/λ. A coefficient is a Fourier coefficient of
+exp(2πiκh), a function of κ. It is a sum of basis functions of κ (terms) with weights: those of a series of exp(2πiκh),
+or functions that are fitted to the series. A row of a table has the weights of one coefficient. A plan has the numbers
+of a computation, such as its wavelengths and terms. "Source" means a light source of finite size (coherence of the kind
+"source").
 """
 
 from __future__ import annotations
@@ -42,16 +44,16 @@ if TYPE_CHECKING:
 LANES = 8
 # Smallest number of wavelengths in a quadrature. A quadrature is a numerical integral over the wavelength.
 _FEWEST_WAVELENGTHS = 16
-# A coefficient table contains all Fourier coefficients whose Gaussian weight in the sum of a direction is at least this
-# number, even those that the plan excludes by a larger least weight. Plans that differ only in their least weight can
-# therefore share a table.
+# A direction sums Fourier coefficients with Gaussian weights. A table contains all coefficients whose weight is at
+# least this number. A plan (the numbers of a computation) may exclude more of them by a larger least weight. Plans that
+# differ only in their least weight can therefore share a table.
 _LEAST_EXTENT_WEIGHT = 1e-14
-# Smallest number of intervals between wavelengths for replicated patches. The value is limited by the interpolation of
-# the power of one patch, which uses cubics through four neighbouring wavelengths.
+# Smallest number of intervals between the wavelengths of an integral, for replicated patches. The value is limited by
+# the interpolation of the power of one patch, which uses cubics through four neighbouring wavelengths.
 _FEWEST_INTERVALS = 4
-# A quadrature is a numerical integral over the wavelength. Its size, the number of wavelengths, must be one of certain
-# permitted sizes. The value is the number of permitted sizes from one size to twice that size. Plans with the same size
-# share a quadrature. With more permitted sizes, plans would share it less often.
+# An integral over the wavelength (quadrature) may have only certain numbers of wavelengths. The value is the number of
+# permitted sizes from one size to twice that size. Computations with the same size share a quadrature. With more
+# permitted sizes, they would share it less often.
 SETS_PER_OCTAVE = 4
 # Measured peak memory while the wavelengths and weights of an integral over the wavelength are computed
 # [bytes per wavelength].
@@ -60,10 +62,10 @@ _BYTES_PER_WAVELENGTH = 370.0
 # directions to the light and to the viewer. The error of linear interpolation between these values is at most 1e-4; it
 # is largest near the horizon.
 _ANGLES = 513
-# Measured peak memory while coefficients are computed [bytes]. `_BYTES_OF_SERIES` and `_BYTES_OF_FIT` are bytes per
-# coefficient and term: the first for a series, and the second for the fit of basis functions to the series.
-# `_BYTES_PER_SAMPLE` is the number of bytes per frequency of the Fourier transform; each thread adds `_BYTES_OF_THREAD`
-# per frequency.
+# Measured peak memory while Fourier coefficients are computed [bytes]. A coefficient is a series in κ = w/λ, to which
+# basis functions may be fitted. `_BYTES_OF_SERIES` and `_BYTES_OF_FIT` are bytes per coefficient and term, for the
+# series and for the fit. `_BYTES_PER_SAMPLE` is the number of bytes per frequency of the Fourier transform; each thread
+# adds `_BYTES_OF_THREAD` per frequency.
 _BYTES_OF_SERIES, _BYTES_OF_FIT, _BYTES_PER_SAMPLE, _BYTES_OF_THREAD = 16.0, 36.0, 8.0, 18.0
 
 
@@ -99,16 +101,17 @@ class CoefficientRange:
 
 @dataclass(frozen=True)
 class CoefficientsKey:
-    """Cache key of the coefficients of a height field: everything on which they depend except its heights.
+    """Cache key of the Fourier coefficients of a height field: everything on which they depend except its heights.
 
     Attributes:
         block: Range of the orders (r, s) whose coefficients are stored.
         kappas: Smallest and largest |κ| = |w|/λ [1/µm].
         method: One of ``coefficient_basis.METHODS``.
-        terms: Number of terms of the series from which the coefficients are computed.
+        terms: Number of terms of the series of exp(2πiκh), from which the coefficients are computed.
         fits_powers: Whether a basis is fitted to powers |H|² of the coefficients H instead of amplitudes H.
-        is_tapered: Whether coefficients are also computed at half orders of the patch, as replicas require. The height
-            samples are then weighted before the Fourier transform (`Grid.taper`).
+        is_tapered: Whether coefficients are also computed at half orders of the patch, as the coherence "replicas" (a
+            finite number of periods) requires. The height samples are then weighted before the Fourier transform
+            (`Grid.taper`).
     """
 
     block: Block
@@ -122,6 +125,8 @@ class CoefficientsKey:
 @dataclass(frozen=True)
 class RowsKey:
     """Cache key of the coefficient rows on a device: everything on which the rows depend except the heights.
+
+    A row has the weights of basis functions of κ (terms) for one Fourier coefficient.
 
     Attributes:
         device: Name of the device.
@@ -160,7 +165,7 @@ class Table:
 
 
 def lanes_of(terms: int) -> int:
-    """Return the padded length of a table row with ``terms`` basis terms: a multiple of ``LANES``."""
+    """Return the padded length of a table row with weights of ``terms`` basis functions, a multiple of ``LANES``."""
     return LANES * math.ceil(terms / LANES)
 
 
@@ -180,7 +185,7 @@ def coefficients_for(
         coherence: Coherence, which selects the grid of frequencies and whether powers or amplitudes are fitted.
         direction_range: Range of directions and wavelengths.
         neighbour_extent: Number of coefficients along (y, x) on either side of a direction that look-ups may read.
-        terms: Number of terms of a series; the fit of a basis selects its own number.
+        terms: Number of terms of a series of exp(2πiκh); the fit of a basis selects its own number.
         threads: Number of Fourier transforms that run in parallel.
         to_fit: Whether the caller needs the series only to fit basis functions to it. The series is then stored in a
             cache of one entry.
@@ -228,7 +233,7 @@ def coefficients_for(
         if series is not None:
             cache.coefficients.put(key, series)
         # ``cache.fitted_to`` contains the series to which the last basis was fitted. Two cached series would require
-        # twice the memory. ``fitted_to`` is therefore emptied: its series is now in ``cache.coefficients``, or is no
+        # twice the memory. ``fitted_to`` is therefore emptied: its series was moved to ``cache.coefficients``, or is no
         # longer needed.
         cache.fitted_to.clear()
     return cache.coefficients.get_or_make(key, make), block, grid
@@ -244,7 +249,7 @@ def grid_for(heightfield: HeightField, coherence: Coherence) -> Grid:
 
 
 def kernels_for(method: str, coherence: Coherence, terms: int) -> Any:
-    """Return the kernels that sum coefficients, for table rows with ``terms`` terms."""
+    """Return the kernels that sum Fourier coefficients, for table rows with weights of ``terms`` basis functions."""
     powers = coefficient_basis.holds_powers(method, adds_powers=coherence.adds_powers)
     return coefficient_sum.kernels(lanes_of(terms), coherence.kind, powers)
 
@@ -252,11 +257,13 @@ def kernels_for(method: str, coherence: Coherence, terms: int) -> Any:
 def table_for(
     heightfield: HeightField, plan: Plan, direction_range: DirectionRange, *, device: wp.Device, threads: int
 ) -> Table:
-    """Return the table of Fourier coefficients for a plan and the directions of a call, from the cache if possible."""
+    """Return the table of Fourier coefficients for a plan and the directions of a call, from the cache if possible.
+
+    A plan has the numbers of a computation, such as the number of terms.
+    """
     coherence = plan.coherence
-    # Fitted basis functions depend on the range of directions for which they are fitted. Here, this range is the range
-    # of the plan. It is extended only if the call exceeds it. All calls within the range of a plan therefore use the
-    # same basis.
+    # Basis functions are fitted for a range of directions. Here it is the range of the plan, extended if the directions
+    # of the call exceed it. All calls within the range of a plan therefore use the same basis functions.
     direction_range = plan.direction_range.joined(direction_range)
     coefficients, block, grid = coefficients_for(
         heightfield, plan.method, coherence, direction_range, neighbour_extent(plan, heightfield), terms=plan.terms,
@@ -301,7 +308,7 @@ def table_for(
 
 
 def without_zeroth_order(table: Table) -> Table:
-    """Return a new table with copies of the rows in which the zeroth order (the mean plane's reflection) is 0."""
+    """Set the zeroth order (the mean plane's reflection) of a table to 0, in a copy of its rows; return the table."""
     arguments = table.arguments
     rows = arguments.rows.numpy().copy()
     rows[arguments.origin_y * arguments.count_x + arguments.origin_x] = 0.0
@@ -314,7 +321,7 @@ def falloff_um2(coherence: Coherence, wavelength_um: float = 1.0) -> float:
 
     q is the frequency of a direction, and q_rs is the frequency of the coefficient. For an averaged coherence window,
     the weight multiplies powers, and the factor is 4π²σ², where σ is the standard deviation of the window. For a
-    centred window, the weight multiplies amplitudes, and the factor is 2π²σ². For a source with the spread s (the
+    centred window, the weight multiplies amplitudes, and the factor is 2π²σ². For a light source with the spread s (the
     standard deviation of its directions), the weight multiplies powers, and the factor at normal incidence is λ²/2s².
     """
     if coherence.sigma_um is None:
@@ -323,29 +330,29 @@ def falloff_um2(coherence: Coherence, wavelength_um: float = 1.0) -> float:
 
 
 def radius(plan: Plan) -> float:
-    """Return the distance in frequency [1/µm] up to which each direction includes Fourier coefficients."""
+    """Return the distance from q = (u, v)/λ up to which a direction may use Fourier coefficients of a table [1/µm]."""
     falloff = falloff_um2(plan.coherence, plan.lambda_min_nm * 1e-3)
     return math.sqrt(-math.log(min(plan.least_weight, _LEAST_EXTENT_WEIGHT)) / falloff)
 
 
 def neighbour_extent(plan: Plan, heightfield: HeightField) -> tuple[int, int]:
-    """Return the number of Fourier coefficients along (y, x) on either side of a direction that a table must contain.
+    """Return how many Fourier coefficients a table must contain on either side of q = (u, v)/λ, along (y, x).
 
     All plans whose least Gaussian weight of coefficients is above ``_LEAST_EXTENT_WEIGHT`` have the same extent, so
     that they share one fitted basis.
     """
     if plan.coherence.kind == "replicas":
         return coefficient_sum.TAPS, coefficient_sum.TAPS
-    # At oblique incidence, the coefficients that contribute to a direction for a source lie within an ellipse. The
-    # kernels sum over a parallelogram that contains the ellipse. It extends farther than the ellipse by up to the
-    # factor √2.
+    # For a light source of finite size at oblique incidence, the coefficients that contribute to a direction lie within
+    # an ellipse. The kernels sum over a parallelogram that contains the ellipse. It extends farther than the ellipse by
+    # up to the factor √2.
     around = radius(plan) * (math.sqrt(2.0) if plan.coherence.kind == "source" else 1.0)
     rows, columns = (math.ceil(around * length + 0.5) for length in grid_for(heightfield, plan.coherence).lengths_um)
     return rows, columns
 
 
 def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: IlluminatedMaterial, *, device: wp.Device) -> Any:
-    """Return the struct ``Quadrature`` of a plan and an illuminated material: wavelengths with colour weights."""
+    """Return the struct ``Quadrature``: the wavelengths of a plan, with weights for an illuminant and a material."""
     per_lateral, per_w, constant = plan.bandwidth_um
     largest = per_lateral * plan.max_order_rate + per_w * plan.max_w + constant
     counts = [plan.wavelengths]
@@ -385,7 +392,7 @@ def quadrature_for(heightfield: HeightField, plan: Plan, illuminated: Illuminate
 
 
 def wavelength_set_size(count: float) -> int:
-    """Return the smallest permitted number of wavelengths that is at least ``count``, or at most 2 % less."""
+    """Return the smallest permitted number of wavelengths that is at least 98 % of ``count``."""
     steps = math.ceil(SETS_PER_OCTAVE * math.log2(max(count, 1.0) / _FEWEST_WAVELENGTHS) - 0.1)
     return int(_FEWEST_WAVELENGTHS * 2.0 ** (max(steps, 0) / SETS_PER_OCTAVE) + 0.5)
 
@@ -398,8 +405,8 @@ def _taps(count: int) -> NDArray[np.float32]:
 def _set_taps(table: Any, kernels: Any, heightfield: HeightField, device: wp.Device) -> None:
     """Store the gridding kernel, which interpolates between stored frequencies, in the struct of a coefficient table.
 
-    The gridding kernel is stored as polynomials. Along an axis with a single height sample, one constant weight of 1
-    replaces these polynomials.
+    The gridding kernel is stored as polynomials of the position between two frequencies. Along an axis with a single
+    height sample, a constant weight of 1 replaces the polynomials.
     """
     taps = _taps(coefficient_sum.TAPS)
     constant_x = np.zeros((1, coefficient_sum.TAPS), dtype=np.float32)
@@ -411,7 +418,10 @@ def _set_taps(table: Any, kernels: Any, heightfield: HeightField, device: wp.Dev
 
 
 def _rotated(rows: NDArray[np.float32], phase: NDArray[np.complex128]) -> NDArray[np.float32]:
-    """Return rows of amplitudes, shape (my, mx, 2, terms), multiplied by complex phase factors, shape (my, mx)."""
+    """Return amplitudes multiplied by phase factors of shape (my, mx).
+
+    The rows of the real and imaginary parts of the amplitudes have the shape (my, mx, 2, terms).
+    """
     cosine, sine = (part.astype(np.float32)[:, :, None] for part in (phase.real, phase.imag))
     re, im = rows[:, :, 0], rows[:, :, 1]
     return np.stack([re * cosine - im * sine, re * sine + im * cosine], axis=2)

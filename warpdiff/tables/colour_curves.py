@@ -42,11 +42,13 @@ _ENTRIES_OVER_W = 160
 # truncation of these functions causes an error. The error at each |w| is divided by the magnitude of the colours at
 # this |w|, or by this share of their largest magnitude over all |w|, whichever is larger.
 _LEAST_SCALE_OVER_W = 1e-2
-# Number of wavelengths at which the colour curves are sampled between two neighbouring knots of their splines, which
-# are one ring of the table apart. The splines are fitted to these samples.
+# Number of wavelengths at which the colour curves (illuminant times colour-matching function times reflectance) are
+# sampled between two neighbouring knots of their splines. The splines, which have one knot per ring of the table, are
+# fitted to these samples.
 _SAMPLES_PER_NODE = 64
-# In the fit of splines, errors are relative to the values of a colour curve. These values vanish at both ends of the
-# visible range. The divisor of an error is therefore at least this share of the largest value of the curve.
+# Splines are fitted to colour curves (illuminant times colour-matching function times reflectance). Errors of the fit
+# are relative to the values of a curve, which vanish at both ends of the visible range. The divisor of an error is
+# therefore at least this share of the largest value of the curve.
 _LEAST_SCALE = 0.005
 # Colour curves include the reflectance of the material at one angle θd, which is half of the angle between the
 # directions to the light and to the viewer. `_MIDDLE_COSINE` is its cosine. The reflectance at another angle divided by
@@ -58,9 +60,9 @@ _MIDDLE_COSINE, _PRODUCTS_SHARE = 0.8, 0.02
 # `_MOST_ROOTS` are the smallest and the largest number of nodes. Metals need the fewest nodes; thin films with
 # resonances near the horizon need the most.
 _POLYNOMIALS_ERR, _FEWEST_ROOTS, _MOST_ROOTS = 1e-6, 32, 512
-# Smallest reflectance in colour curves, as a share of the largest reflectance. Smaller reflectances are replaced by it.
-# Thin films reflect nothing at some wavelengths. Without the replacement, ratios to a reflectance of 0 would be
-# infinite.
+# Smallest reflectance in colour curves (illuminant times colour-matching function times reflectance), as a share of the
+# largest reflectance. Smaller reflectances are replaced by it. Thin films reflect nothing at some wavelengths. Without
+# the replacement, ratios to a reflectance of 0 would be infinite.
 _LEAST_SHARE = 0.3
 
 
@@ -68,12 +70,14 @@ _LEAST_SHARE = 0.3
 class SpectrumBasis:
     """Basis functions of |κ| = |w|/λ in which the rows of a power spectrum are expanded.
 
+    A row has the weights of the basis functions (terms) for one point of the spectrum.
+
     Attributes:
         basis_at: Function of an array of |κ|, shape (n,), that returns the basis functions there, shape (n, terms).
         kappas: Smallest and largest |κ| [1/µm].
         sizes: Typical magnitude of the weight of each basis function in the rows, relative to the other weights, shape
             (terms,).
-        share: Permitted error by truncating the functions of w of the colour table, as a share of the tolerance.
+        share: Permitted error by the limited number of functions of w in a colour table, as a share of the tolerance.
         holds_lines: Whether rows are powers per unit area of frequency, as for the coherence of a light source of
             finite size, where diffraction orders are spectral lines. Colours require powers per unit area of (u, v).
             The weights of the colour curves therefore include the factor λ⁻², which converts the first to the second.
@@ -88,7 +92,7 @@ class SpectrumBasis:
 
 @dataclass(frozen=True)
 class SeparableTerm:
-    """Summand of the colours of one octave: a projection of the spectrum to colours, times one factor per ring.
+    """Summand of the colours on the rings of an octave: the spectrum, converted by a matrix, times a factor per ring.
 
     Attributes:
         projection: Index of the matrix in ``Projection.matrices``; several octaves may share a matrix.
@@ -128,10 +132,10 @@ def make_projection(
 ) -> Projection:
     """Return the weights that convert the power spectrum on the rings of a plan's table to colours.
 
-    If the plan does not set the number of functions of w, the tolerance of the plan determines it. The angle θd is half
-    of the angle between the directions to the light and to the viewer. Because cos θd = |(u, v, w)|/2, the reflectance
-    R(θd, λ) of a material is a function of λ, w and the radius |(u, v)| of a ring. The integral over λ therefore
-    includes R, and look-ups need no material.
+    A plan has the numbers of a computation. If it does not set the number of functions of w, its tolerance determines
+    the number. The angle θd is half of the angle between the directions to the light and to the viewer. Because cos θd
+    = |(u, v, w)|/2, the reflectance R(θd, λ) of a material is a function of λ, w and the radius |(u, v)| of a ring. The
+    integral over λ therefore includes R, and look-ups need no material.
     """
     # Smallest and largest |w| for which |κ| = |w|/λ is within the range of the basis functions at all visible
     # wavelengths.
@@ -150,8 +154,9 @@ def make_projection(
     )
     norms = np.linalg.norm(matrix, axis=1)
     relative = 1.0 / np.maximum(norms, _LEAST_SCALE_OVER_W * norms.max())[:, None]
-    # The left singular vectors of `matrix` are computed as the eigenvectors of its small Gram matrix. NumPy's singular
-    # value decomposition of the large matrix uses several threads, and is slow if other processes occupy the cores.
+    # The functions of w are left singular vectors of `matrix`, which has one row per |w|. They are computed as the
+    # eigenvectors of the small Gram matrix of `matrix`. NumPy's singular value decomposition of the large matrix uses
+    # several threads, and is slow if other processes occupy the cores.
     matrix *= relative
     values, vectors = np.linalg.eigh(matrix @ matrix.T)
     squares, left = np.maximum(values, 0.0), vectors[:, ::-1]
@@ -169,15 +174,15 @@ def make_projection(
 
 
 def _on_curve(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the reflectance of a material that colour curves include: at one angle θd, and at least a limit > 0."""
+    """Return the reflectance of a material that colour curves include: at one angle θd, with a positive lower limit."""
     # If the largest reflectance is 0, as for air, the number 1 replaces it, because it is a divisor later.
     most = reflectance_at(material, VISIBLE_NM, np.array(_MIDDLE_COSINE)).max() or 1.0
     reflectances = reflectance_at(material, wavelengths_nm, np.array(_MIDDLE_COSINE))
     return np.asarray(np.maximum(reflectances, _LEAST_SHARE * most))
 
 
-# Only the result of the last call is cached. It does not depend on the illuminant or on the number of functions of w in
-# the table. Tables of one material that are computed one after the other therefore share it.
+# Only the result of the last call is cached. The result does not depend on the illuminant or on the number of functions
+# of w in the table. Tables of one material that are computed one after the other therefore share it.
 @functools.lru_cache(maxsize=1)
 def _material_products(
     material: Material | None, rings_per_octave: int, share: float, layout: MipLayout, low: float, high: float
@@ -241,7 +246,10 @@ def _places(rings_per_octave: int, low: float, high: float) -> tuple[NDArray[np.
 
 
 def _ratios_at_roots(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a material's reflectance divided by the one in the colour curves, at Chebyshev nodes of cos θd."""
+    """Return a material's reflectance divided by the one in the colour curves, at Chebyshev nodes of cos θd.
+
+    The colour curves include the reflectance at one angle θd.
+    """
 
     def at_roots(count: int) -> NDArray[np.float64]:
         roots = chebyshev.nodes(0.0, 1.0, count)[:, None]
@@ -292,7 +300,8 @@ def colour_products(illuminated: IlluminatedMaterial) -> NDArray[np.float64]:
 def _projected(products: NDArray[np.float64], rings_per_octave: int) -> NDArray[np.float64]:
     """Return the coefficients of splines that are fitted to the colour curves by least squares.
 
-    The shape is (ring_count(rings_per_octave), 3).
+    A colour curve is illuminant times colour-matching function times reflectance. The shape is
+    (ring_count(rings_per_octave), 3).
     """
     count = ring_count(rings_per_octave)
     # The splines at both ends extend beyond the visible range, and the fit includes the wavelengths there. At these

@@ -39,19 +39,20 @@ if TYPE_CHECKING:
     from warpdiff.tables.colour_curves import Projection
     from warpdiff.tables.mip_layout import MipLayout
 
-# A look-up with a wide footprint may add the colours of only every second ring (decimation). This is accurate if the
-# colour curves (illuminant times colour-matching functions times reflectance) are smooth over ln λ. The sum over every
-# second ring confuses (aliases) one frequency over ln λ with a constant: the frequency of a full oscillation per two
-# rings. `_MOST_AT_ALIAS` is the upper limit for the Fourier transform of the colour curves at that frequency, relative
-# to the transform at frequency 0. `_SAFE_DEVIATIONS` is the least distance of that frequency from the largest frequency
-# of the power spectrum over ln λ, in standard deviations of the Fourier transform of the look-up's Gaussian.
-# `_NO_DECIMATION` is the value of the field `decimation_scale` that disables decimation.
+# A look-up with a wide footprint may skip rings (decimation), for example every second one. The sum over every second
+# ring cannot distinguish a constant from an oscillation with a period of two rings (aliasing). Two quantities over ln λ
+# must therefore be small at the frequency of this oscillation. The first is the Fourier transform of the colour curves
+# (illuminant times colour-matching functions times reflectance). `_MOST_AT_ALIAS` is its upper limit there, relative to
+# its value at frequency 0. The second is the power spectrum, weighted by the Gaussian of the look-up.
+# `_SAFE_DEVIATIONS` is the least distance of the largest frequency of the power spectrum from that frequency, in
+# standard deviations of the Gaussian's Fourier transform. `_NO_DECIMATION` is a value of the field `decimation_scale`
+# with which no ring is skipped.
 _MOST_AT_ALIAS, _SAFE_DEVIATIONS, _NO_DECIMATION = 0.05, 4.2, 1e6
 # `_ZEROTH_WAVELENGTHS` is the number of wavelengths at which look-ups integrate the zeroth order. For this integral,
 # the reflectance of the material is tabulated at `_ZEROTH_ANGLES` values of cos θd. θd is half of the angle between the
 # directions to the light and to the viewer.
 _ZEROTH_WAVELENGTHS, _ZEROTH_ANGLES = 40, 512
-# Number of azimuth samples that a CPU thread processes in one launch while a table is computed.
+# Number of azimuth samples that a CPU thread processes in one launch of a kernel while a table is computed.
 _AZIMUTHS_OF_SLICE = 32
 
 
@@ -110,15 +111,16 @@ class ColourTable:
     def with_pitch_scales(self) -> ColourTable:
         """Return a table whose look-ups take the length of each direction to the light as a pitch scale.
 
-        The pitch scale is the ratio by which a dot of a grating map is scaled.
+        A grating map divides a surface into small areas (dots). The pitch scale of a dot is the factor by which its
+        grating is stretched in the surface.
         """
         return replace(self, fields={**self.fields, "has_pitch_scales": True})
 
     def fill(self, levels: range, compute: Callable[[int, int, wp.array], None], **options: Any) -> None:
-        """Fill the rows of some mip levels with spline coefficients.
+        """Fill the rows of some mip levels with the coefficients of splines.
 
-        ``compute`` writes the values of one octave of a level. The splines
-        pass through these values.
+        A row has the colour at one ring and azimuth. ``compute`` writes the colours of one octave of a level, through
+        which the splines pass.
         """
         grid = self.layout.levels[0]
         values = wp.empty(max(grid.azimuths) * grid.rings, dtype=self.kernels.row, device=options["device"])
@@ -135,8 +137,8 @@ def table_for(
 ) -> ColourTable:  # fmt: skip
     """Return the colour table for a plan and for the directions of a call, from the cache if possible.
 
-    The table has mip levels only if the plan requires them, even if the cached table has more. Results therefore depend
-    on the plan and not on earlier calls.
+    A plan has the numbers of a computation. The table has mip levels (blurred copies) only if the plan requires them,
+    even if the cached table has more. Results therefore depend on the plan and not on earlier calls.
     """
     cache = TableCache.of(heightfield)
     source = source_for(heightfield, plan, direction_range, device=device, threads=threads)
@@ -159,7 +161,7 @@ def function_count(
     heightfield: HeightField, plan: Plan, direction_range: DirectionRange, illuminated: IlluminatedMaterial, *,
     device: wp.Device, threads: int,
 ) -> int:  # fmt: skip
-    """Return the number of functions of w (the normal component) that the colours of a plan's table share."""
+    """Return the number of functions of w, the normal component, in the colour table of a plan."""
     source = source_for(heightfield, plan, direction_range, device=device, threads=threads)
     return int(source.projection(plan, illuminated).w_basis.shape[1])
 
@@ -167,7 +169,7 @@ def function_count(
 def _made(
     source: SpectrumSource, plan: Plan, illuminated: IlluminatedMaterial, cache: TableCache, **options: Any
 ) -> ColourTable:
-    """Compute a new colour table with mip level 0 only."""
+    """Compute a new colour table with mip level 0 only, which is not blurred."""
     projection, samples = source.projection(plan, illuminated), cache.spectra.get(source.key)
     memory.require_memory(
         1e6 * megabytes(plan) + (source.sampled_bytes if samples is None else 0.0),
@@ -212,20 +214,20 @@ def _fields(
     source: SpectrumSource, projection: Projection, illuminated: IlluminatedMaterial, kernels: types.SimpleNamespace,
     device: wp.Device,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the values of the fields of the struct ``Colours`` without the layout; the rows are not filled yet."""
+    """Return the fields of the struct ``Colours`` by name, except those of the layout. The rows are not filled yet."""
     grid, zeroth, coherence = source.layout.levels[0], source.zeroth, source.key.coherence
     per_log = grid.rings / math.log(2.0)
     # ``lobe2`` is the variance of the peak of a diffraction order in (u, v), divided by the squared wavelength. For a
-    # source it is 0: the peaks of orders then have the same width in (u, v) at all wavelengths, which ``spread2``
-    # describes.
+    # light source of finite size it is 0: the peaks of orders then have the same width in (u, v) at all wavelengths,
+    # which ``spread2`` describes.
     lobe2 = 0.0 if source.has_lines else zeroth.lobe_variance(1.0)
     wavenumbers, weights = colorimetry.uniform_quadrature(_ZEROTH_WAVELENGTHS, illuminated.illuminant)
     reflectances = np.zeros((len(weights), 0))
     if illuminated.material is not None:
         angles = np.linspace(0.0, 1.0, _ZEROTH_ANGLES)
         reflectances = reflectance_at(illuminated.material, 1e3 / wavenumbers[::-1, None], angles)
-    # Rows for all mip levels are allocated now, although only level 0 is filled. On the CPU, allocated rows occupy no
-    # memory until they are written.
+    # Rows for all mip levels (blurred copies) are allocated now, although only level 0 is filled. On the CPU, allocated
+    # rows occupy no memory until they are written.
     layout = source.layout.with_mip_levels() if coherence.adds_powers else source.layout
     return {
         "rows": wp.empty(layout.rows, dtype=kernels.row, device=device),
@@ -251,7 +253,10 @@ def _fields(
 
 
 def _is_smooth(illuminated: IlluminatedMaterial, per_log: float) -> bool:
-    """Whether the colour curves are so smooth in ln λ that sums over every second ring are accurate."""
+    """Whether sums over every second ring of a table are accurate, because colour curves are smooth in ln λ.
+
+    A colour curve is illuminant times colour-matching function times reflectance.
+    """
     products = colour_products(illuminated)
     logs = np.log(np.arange(colorimetry.LAMBDA_MIN_NM, colorimetry.LAMBDA_MAX_NM + 1))
     remainder = np.abs(np.exp(1j * math.pi * per_log * logs) @ products) / products.sum(axis=0)

@@ -28,12 +28,14 @@ if TYPE_CHECKING:
 # level, whose standard deviation b doubles from level to level. The remaining variance is therefore less than (2b)² −
 # b² = 3b². Because b is at most 1.2 distances of samples, the value must exceed 3 · 1.2².
 _REMAINING_BLURS, _MOST_REMAINING_VARIANCE = 96, 4.4
-# Typical standard deviation of the blur of the spectrum in a mip level, in distances of azimuth samples. In level 0,
-# this blur is from 0.9 to 2.1. The weights for spectra under a window are fitted to this blur.
+# Typical standard deviation of the blur of the spectrum in a mip level, in distances of azimuth samples. In level 0, it
+# is at least 0.9, the smallest number of samples per standard deviation. The weights for spectra under a window are
+# fitted to this blur.
 _OWN_BLUR_SPACINGS = 1.1
 # Filter that converts sampled values to coefficients of quadratic splines; its outermost weights are about 1e-6.
 _PREFILTER = np.array(quadratic_spline.prefilter(8))
-# Number of positions between two neighbouring samples for which the weights of taps are tabulated.
+# Number of positions between two neighbouring samples for which the weights of taps (the samples that a look-up adds)
+# are tabulated.
 _TAP_POSITIONS = 64
 # A long footprint is represented by a sum of n narrower Gaussians, its parts. The variance of a part is the variance of
 # the whole footprint, times this number divided by n. If the number is doubled, parts become 1.4 times as wide, and
@@ -43,7 +45,7 @@ _VARIANCE_WITHIN_PARTS = 1.2
 
 @dataclass(frozen=True)
 class TapRule:
-    """Rule for the weights of taps: samples along the azimuth or the rings whose sum approximates a Gaussian blur.
+    """Rule for the weights of taps: samples along the azimuth or the rings that are added for a Gaussian blur.
 
     Attributes:
         radius_sigmas: Smallest extent of the taps on either side, in standard deviations of the blur.
@@ -58,7 +60,7 @@ class TapRule:
 
 @functools.cache
 def footprint_taps(device: str, rule: TapRule) -> Any:
-    """Return the struct ``FootprintTaps`` with the weights of look-ups, for the name of a device and a tap rule."""
+    """Return the struct ``FootprintTaps`` with the weights by which look-ups add samples, for a device and a rule."""
     result = colour_lookup.FootprintTaps()
     weights, lengths = _tap_weights(2 * colour_lookup.HALF_TAPS, rule)
     result.weights = wp.array(weights, dtype=wp.float32, device=device)
@@ -86,7 +88,7 @@ def _parts(most: int) -> NDArray[np.float64]:
 
 
 def _tap_weights(most: int, rule: TapRule) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Return the weights of taps for tabulated variances and positions, and the number of taps for each variance.
+    """Return the weights of taps (samples that a look-up adds), and the number of taps for each tabulated variance.
 
     The shape of the weights is (variances, positions, most). A tabulated position is the centre of the Gaussian
     relative to the centre of the taps, from −1/2 to 1/2 distances of neighbouring samples.
@@ -138,7 +140,7 @@ def _closest(places: NDArray[np.float64], variance: float) -> NDArray[np.float64
 
 @functools.cache
 def _inverse_products(count: int) -> NDArray[np.float64]:
-    """Return the inverse matrix of the normal equations of the fit of the weights of ``count`` taps.
+    """Return the inverse matrix of the normal equations of a fit of ``count`` weights.
 
     The entries of the matrix are products of two spline coefficients of a Gaussian, integrated over the position of the
     Gaussian.
@@ -155,6 +157,6 @@ def _filtered(at: NDArray[np.float64], filters: NDArray[np.float64], variance: f
     return np.asarray(gaussian @ filters / math.sqrt(2.0 * math.pi * variance))
 
 
-# For spectral lines, taps extend further than for a smooth spectrum under a coherence window, because the tails of
-# single lines are visible.
+# Taps are the samples that a look-up adds. For spectral lines they extend further than for a smooth spectrum under a
+# coherence window, because the tails of single lines are visible.
 SPECTRUM_TAPS, LINE_TAPS = TapRule(2.5, _closest), TapRule(3.1, _cut_off)

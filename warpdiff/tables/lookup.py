@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Multiply-adds of one look-up for each function of w in a colour table. The number was derived as three colour channels
-# times 3 × 3 spline coefficients.
+# Number of multiply-add operations of one look-up for each function of w in a colour table; w is the normal component
+# of the scattering vector. The number was derived as three colour channels times 3 × 3 spline coefficients.
 MULTIPLY_ADDS_OF_FUNCTION = 27.0
 # Number of derived tables that a `ColourLookup` caches for its callers. The colours under a sky are such a table. Two
 # entries suffice for two skies that alternate.
@@ -47,7 +47,7 @@ class Lookups(tuple["ColourLookup | None", ...]):
 
     @property
     def needs_sampling(self) -> bool:
-        """Whether the colour table of any surface excludes some directions."""
+        """Whether the colour table of any surface excludes directions, which require sampled wavelengths."""
         return any(lookup is not None and lookup.needs_sampling for lookup in self)
 
     @property
@@ -57,11 +57,11 @@ class Lookups(tuple["ColourLookup | None", ...]):
 
 
 class ColourLookup:
-    """Look-up of XYZ by scattering vector: the kernels of a plan, with their tables from the cache if possible.
+    """Look-up of XYZ by scattering vector, with the kernels of a plan, and with its tables from the cache if possible.
 
     Attributes:
         heightfield: Height field whose colours are looked up.
-        plan: Plan that the kernels and tables follow.
+        plan: Plan (the numbers of a computation) that determines the kernels and tables.
         device: Warp device on which the tables are and the kernels run.
         derived: Cache of tables that callers compute by this look-up. The callers choose the keys.
     """
@@ -72,8 +72,9 @@ class ColourLookup:
     ) -> None:  # fmt: skip
         """Prepare the look-up for a range of directions; tables are computed at the first use.
 
-        ``pitch_scales`` states that the length of a direction to the light is the pitch scale of a dot of a grating
-        map. It is only for light sources of finite size (coherence of the kind "source").
+        ``pitch_scales`` states that the length of a direction to the light is a pitch scale: the factor by which the
+        grating of a small area (dot) of a grating map is stretched. It is only for light sources of finite size
+        (coherence of the kind "source").
         """
         self.heightfield, self.plan, self.device, self._threads = heightfield, plan, device, threads
         self._range, self._zeroth_order, self._pitch_scales = direction_range, zeroth_order, pitch_scales
@@ -109,7 +110,10 @@ class ColourLookup:
         )
 
     def copy_with(self, plan: Plan) -> ColourLookup:
-        """Return a look-up for the same range of directions by another plan; it has separate tables."""
+        """Return a look-up for the same range of directions by another plan (the numbers of a computation).
+
+        The look-up has its own tables.
+        """
         return ColourLookup(
             self.heightfield, plan, self._range, zeroth_order=self._zeroth_order, pitch_scales=self._pitch_scales,
             device=self.device, threads=self._threads,

@@ -76,7 +76,7 @@ class MipLayout:
 
     @classmethod
     def for_plan(cls, plan: Plan, highest: float) -> MipLayout:
-        """Return the layout for a plan and for spatial frequencies up to ``highest`` [1/µm], with mip level 0 only."""
+        """Return the layout of a plan's table with mip level 0 only, for frequencies up to ``highest`` [1/µm]."""
         return (cls._of_lines if plan.coherence.kind == "source" else cls._of_window)(plan, highest)
 
     @classmethod
@@ -85,7 +85,8 @@ class MipLayout:
         rings, width = plan.rings_per_octave, blur(plan.coherence)
         step = math.log(2.0) / rings
         # A colour uses up to three rings of the spectrum beyond its octave of frequencies, and the spline of a look-up
-        # uses two further rings. The outermost octave of frequencies ends five rings beyond the largest frequency.
+        # uses two further rings. The outermost octave of frequencies therefore ends five rings beyond the largest
+        # frequency.
         top = math.log(max(highest, width)) + 5.0 * step
         octaves = max(math.ceil((top - math.log(_FLAT_WITHIN_SIGMAS * width)) / math.log(2.0)), 2)
         log_low = top - octaves * math.log(2.0)
@@ -105,7 +106,7 @@ class MipLayout:
 
     @classmethod
     def _of_lines(cls, plan: Plan, highest: float) -> MipLayout:
-        """Return the layout of a table for a source, whose spectrum is a sum of lines that are added to the grid."""
+        """Return the layout of a table for a light source of finite size: its spectrum is a sum of lines."""
         rings, spread = plan.rings_per_octave, plan.coherence.spread
         step = math.log(2.0) / rings
         # The grid ends three rings beyond the largest frequency, because the spline of a look-up uses these rings, too.
@@ -122,7 +123,7 @@ class MipLayout:
         )  # fmt: skip
 
     def with_mip_levels(self) -> MipLayout:
-        """Return the layout with all mip levels, which are required for means over footprints, and for sources."""
+        """Return the layout with all mip levels, as means over footprints or over light sources require."""
         narrow = np.asarray(self.levels[0].azimuths)
         first = 2.0 * math.pi / narrow
         levels, level_blurs = [self.levels[0]], [self.level_blurs[0]]
@@ -162,7 +163,7 @@ class MipLayout:
         """Return the less blurred mip level from which one octave of ``level`` is computed, by a further blur.
 
         The result is the most blurred level that permits an accurate further blur: the standard deviation of this blur
-        is at least the distance of azimuth samples in the result.
+        is at least the distance of azimuth samples in the returned level.
         """
         width = self.level_blurs[level][octave]
         spacings = [2.0 * math.pi / grid.azimuths[octave] for grid in self.levels[:level]]
@@ -178,8 +179,8 @@ def has_mip_levels(plan: Plan) -> bool:
 def megabytes(plan: Plan) -> float:
     """Return the size of a plan's table [MB].
 
-    A plan may not state the number of functions of w (the normal component) that a table needs. The number of terms of
-    the plan is then used instead.
+    If the plan does not state the number of functions of w (the normal component) in the table, the number of basis
+    terms replaces it.
     """
     return layout_of(plan).rows * 3 * (plan.w_basis_size or plan.terms) * 4e-6
 

@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 FEWEST_AZIMUTHS = 16
 # Wavelength in the middle of the visible range [µm].
 MIDDLE_UM = 0.55
-# Number of azimuth samples in tables of sources, relative to other tables. More samples reduce the blur of the table
-# itself. If a source is near the horizon, fewer directions are then excluded from the table and computed by sampled
-# wavelengths. Memory is proportional to the factor.
+# Number of azimuth samples in tables of light sources of finite size, relative to other tables. More samples reduce the
+# blur of the table itself. If a source is near the horizon, fewer directions are then excluded from the table and
+# computed by sampled wavelengths. Memory is proportional to the factor.
 _MORE_AZIMUTHS_OF_SOURCES = 1.5
-# Smallest |(u, v)| for which tables of sources are used, in standard deviations of the directions to the source. Nearer
-# to the mirror direction, where (u, v) = 0, a blur in polar coordinates is inaccurate. At a quarter of this limit, the
-# median error was measured as 4e-2.
+# Smallest |(u, v)| for which tables of light sources of finite size are used, in standard deviations of the directions
+# to the source. Nearer to the mirror direction, where (u, v) = 0, a blur in polar coordinates is inaccurate. At a
+# quarter of this limit, the median error was measured as 4e-2.
 INNER_RADIUS_SPREADS = 30.0
 LOG_RED, LOG_BLUE = (
     math.log(colorimetry.NM_PER_UM / end) for end in (colorimetry.LAMBDA_MAX_NM, colorimetry.LAMBDA_MIN_NM)
@@ -47,7 +47,8 @@ LOG_RED, LOG_BLUE = (
 # Sizes of colour tables, as pairs: rings per octave, and azimuth samples per standard deviation of the spectrum's blur.
 # The two numbers of a pair were chosen so that the errors along the radius and along the azimuth are of similar size.
 TABLE_SIZES = ((8, 0.9), (12, 1.0), (16, 1.1), (24, 1.3), (32, 1.5), (48, 1.8), (64, 2.1), (96, 2.6), (128, 3.0))
-# Order of convergence p: the error of a table with n rings per octave is proportional to n^−p.
+# Order of convergence p. Searches for a table size assume that the error of a table with n rings per octave is
+# proportional to n^−p.
 ERROR_ORDER = 2.0
 # Distance above which neighbouring diffraction orders count as separate, in standard deviations of the peak of an order
 # in the spectrum.
@@ -119,14 +120,18 @@ def azimuth_counts(radii: NDArray[np.floating[Any]], width: float, per_width: fl
 
 
 def inner_radius(coherence: Coherence) -> float:
-    """Return the smallest |(u, v)| that a table serves: 0 for a window, and for a source a multiple of its spread."""
+    """Return the smallest |(u, v)| for which a table has colours, limited by the coherence.
+
+    It is 0 for a coherence window. For a source it is a multiple of the spread, the standard deviation of its
+    directions.
+    """
     return INNER_RADIUS_SPREADS * coherence.spread
 
 
 def blur(coherence: Coherence) -> float:
     """Return the standard deviation of the peak of a diffraction order in the power spectrum [1/µm].
 
-    For a source, the standard deviation depends on the wavelength; the result is for 0.55 µm.
+    For a light source of finite size, the standard deviation depends on the wavelength; the result is for 0.55 µm.
     """
     if coherence.sigma_um is None:
         return coherence.spread / MIDDLE_UM
@@ -139,7 +144,7 @@ def ring_count(rings_per_octave: int) -> int:
 
 
 def table_error(rings_per_octave: int, *, few_orders: bool = False) -> float:
-    """Return the typical error of a table's colours; ``few_orders`` is for surfaces with few, separate orders."""
+    """Return the typical error of a table's colours; ``few_orders`` is for few, separate diffraction orders."""
     return float((0.024 if few_orders else 0.008) * (20.0 / rings_per_octave) ** 1.7)
 
 
@@ -150,7 +155,10 @@ def orders_are_separate(heightfield: HeightField, coherence: Coherence) -> bool:
 
 
 def table_sizes(coherence: Coherence) -> list[tuple[int, float]]:
-    """Return the available table sizes in ascending order, as pairs like those of ``TABLE_SIZES``."""
+    """Return the available table sizes in ascending order.
+
+    A size is a pair: rings per octave, and azimuth samples per standard deviation of the spectrum's blur.
+    """
     factor = _MORE_AZIMUTHS_OF_SOURCES if coherence.kind == "source" else 1.0
     return [(rings_per_octave, factor * azimuths) for rings_per_octave, azimuths in TABLE_SIZES]
 
@@ -158,7 +166,8 @@ def table_sizes(coherence: Coherence) -> list[tuple[int, float]]:
 def smallest_sufficient_size(plan: Plan, share: float = 1.0) -> tuple[int, float] | None:
     """Return the smallest table size whose typical error is at most ``share`` of a plan's tolerance, or None.
 
-    A size is a pair like those of ``TABLE_SIZES``. None means that no size suffices.
+    A size is a pair: rings per octave, and azimuth samples per standard deviation of the spectrum's blur. None means
+    that no size suffices.
     """
     sizes = table_sizes(plan.coherence)
     return next((size for size in sizes if table_error(size[0]) <= share * plan.tolerance), None)

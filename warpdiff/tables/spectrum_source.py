@@ -43,14 +43,14 @@ if TYPE_CHECKING:
 # Smallest |κ| = |w|/λ of the basis functions of a spectrum, as a share of the largest |κ|. At smaller |κ|, all
 # diffraction orders except the zeroth order are negligible.
 _SMALLEST_KAPPA = 1e-3
-# Permitted errors by truncating the set of functions of w of a colour table, as shares of the tolerance.
-# `_FUNCTIONS_SHARE` is for spectra in which powers |H|² of Fourier coefficients add. `_CARDINALS_SHARE` is for other
-# spectra, which are interpolated by polynomials in |κ|. A sum of the terms of such a polynomial may be much smaller
-# than its single terms, so that an error of a term counts more.
+# Permitted errors by the limited number of functions of w in a colour table, as shares of the tolerance; w is the
+# normal component of the scattering vector. `_FUNCTIONS_SHARE` is for spectra in which powers |H|² of Fourier
+# coefficients add. `_CARDINALS_SHARE` is for other spectra, which are interpolated by polynomials in |κ| = |w|/λ. A sum
+# of the terms of such a polynomial may be much smaller than its single terms, so that an error of a term counts more.
 _FUNCTIONS_SHARE, _CARDINALS_SHARE = 0.5, 0.05
-# `_ROWS_FOR_TERM_SIZES` is the number of Fourier coefficients from whose rows the typical size of each basis term is
-# computed. `_LEAST_TERM_SIZE` is the smallest size that is assumed for a term, relative to the size of the largest
-# term.
+# A row has the weights of basis functions (terms) for one Fourier coefficient. `_ROWS_FOR_TERM_SIZES` is the number of
+# rows from which the typical size of each weight is computed. `_LEAST_TERM_SIZE` is the smallest size that is assumed,
+# relative to the largest one.
 _ROWS_FOR_TERM_SIZES, _LEAST_TERM_SIZE = 4096, 1e-3
 # Number of values of |κ| = |w|/λ at which the power of the zeroth order is tabulated.
 _ZEROTH_ENTRIES = 2048
@@ -116,7 +116,7 @@ class SpectrumSource(ABC):
 
     @abstractmethod
     def kernels(self, w_basis_size: int) -> list[Any]:
-        """Return all kernels that sample the spectrum and project it to colours; callers load these kernels."""
+        """Return all kernels that sample the spectrum and convert it to colours; callers load these kernels."""
 
     @abstractmethod
     def sampled(self, **options: Any) -> Any:
@@ -163,7 +163,7 @@ class WindowedSpectrum(SpectrumSource):
         return spectrum_sampling.resampler(lanes, self.table.coefficients.rows.shape[2] == 1, width)
 
     def kernels(self, w_basis_size: int) -> list[Any]:
-        """Return the kernel that samples the spectrum, and the kernel that projects two octaves of it to colours."""
+        """Return the kernel that samples the spectrum, and the kernel that converts two octaves of it to colours."""
         return [self._sampler.resample, self.projection_kernels(w_basis_size).project]
 
     def sampled(self, **options: Any) -> list[wp.array]:
@@ -183,11 +183,11 @@ class WindowedSpectrum(SpectrumSource):
         return [values, *(wp.array(counts, dtype=wp.int32, device=device) for counts in (starts, grid.azimuths))]
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Return a function that projects samples of the spectrum, in one octave and the next octave, to colours."""
+        """Return a function that converts samples of the spectrum, in one octave and the next octave, to colours."""
         azimuths, terms, rings = self.layout.levels[0].azimuths, len(self.basis.sizes), self.layout.spectrum.rings
-        # Working memory, in which each azimuth sample has room for the values on all rings of one octave and on some
-        # rings of the next octave. On the CPU, the threads use only the beginning of this memory. The unused part of
-        # the allocation occupies no memory.
+        # Working memory for the projection to colours. Each azimuth sample has room for the values on all rings of one
+        # octave and on some rings of the next octave. On the CPU, the threads use only the beginning of this memory.
+        # The unused part of the allocation occupies no memory.
         length = rings + len(curves) - 1 + FILTER_REACH
         sequence = wp.empty(azimuths[-1] * length, dtype=samples[0].dtype, device=options["device"])
 
@@ -213,13 +213,16 @@ class Lines(NamedTuple):
     log_frequencies: NDArray[np.float64]
 
 
-# Number of samples of the polar grid to which each spectral line is added; the cost model uses this number. It was
-# derived as 2 × 7 azimuth samples on each of 3 rings.
+# Number of samples of the polar grid to which each spectral line is added. Predictions of the computing time use this
+# number. It was derived as 2 × 7 azimuth samples on each of 3 rings.
 NODES_OF_LINE = 42.0
 
 
 class LineSpectrum(SpectrumSource):
-    """Power spectrum of an infinite surface for a source: one line at the frequency of each Fourier coefficient."""
+    """Power spectrum of an infinite surface under a light source of finite size: one line per Fourier coefficient.
+
+    The line is at the frequency of the coefficient.
+    """
 
     has_lines, tap_rule = True, LINE_TAPS
 
@@ -228,7 +231,7 @@ class LineSpectrum(SpectrumSource):
         return spectrum_sampling.gatherer(self.at_kappas.shape[1])
 
     def kernels(self, w_basis_size: int) -> list[Any]:
-        """Return the kernel that adds spectral lines to azimuths, and the kernel that projects the sums to colours."""
+        """Return the kernel that adds spectral lines to azimuths, and the kernel that converts the sums to colours."""
         return [self._sampler.gather, self.projection_kernels(w_basis_size).project_lines]
 
     def sampled(self, **_options: Any) -> Lines:
@@ -254,7 +257,7 @@ class LineSpectrum(SpectrumSource):
         return Lines(coefficient_rows[order], angles[order], 0.5 * np.log(squared[inside][order]))
 
     def projector(self, samples: Any, curves: wp.array, **options: Any) -> Callable[[int, wp.array, wp.array], None]:
-        """Return a function that adds the spectral lines of one octave to a grid, and projects the sums to colours."""
+        """Return a function that adds the spectral lines of one octave to a grid, and converts the sums to colours."""
         grid, sampler, terms, device = self.layout.spectrum, self._sampler, len(self.basis.sizes), options["device"]
         rings = grid.rings + len(curves) - 1 + 2 * FILTER_REACH
 
@@ -291,14 +294,17 @@ class LineSpectrum(SpectrumSource):
 
 
 def source_type(coherence: Coherence) -> type[SpectrumSource]:
-    """Return the class of power spectra for a coherence: spectral lines for a source, otherwise samples."""
+    """Return the class of power spectra for a coherence: spectral lines for the kind "source", otherwise samples."""
     return LineSpectrum if coherence.kind == "source" else WindowedSpectrum
 
 
 def source_for(
     heightfield: HeightField, plan: Plan, direction_range: DirectionRange, *, device: wp.Device, threads: int
 ) -> SpectrumSource:
-    """Return the power spectrum for a plan and for the directions of a call, from the cache if possible."""
+    """Return the power spectrum for a plan (the numbers of a computation) and for the directions of a call.
+
+    It is taken from the cache if possible.
+    """
     coefficient_range = CoefficientRange.covering(plan.direction_range.joined(direction_range))
     key = SpectrumKey(
         device.alias, coefficient_range, plan.method, plan.coherence, plan.terms, plan.least_weight,
@@ -314,7 +320,7 @@ def source_for(
 
 
 def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) -> SpectrumSource:
-    """Compute the description of a power spectrum, without its samples."""
+    """Compute the layout, basis functions and zeroth order of a power spectrum, without its samples."""
     coefficients, at, coherence = table.coefficients, table.arguments, plan.coherence
     count = min(plan.terms, coefficients.terms)
     lanes = lanes_of(count)
@@ -335,7 +341,8 @@ def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) 
         # If amplitudes add, the zeroth order interferes with other orders and has no power of its own. The array of its
         # powers is therefore empty.
         power = np.zeros(0, dtype=np.float32)
-        # The number of Chebyshev nodes over κ = w/λ is derived from the fastest oscillation of a power over κ.
+        # Powers are interpolated over κ = w/λ from Chebyshev nodes. Their number is derived from the fastest
+        # oscillation of a power over κ.
         argument = math.pi * (kappas[1] - kappas[0]) * heightfield.height_range_um
         node_count = math.ceil(argument + 4.0 * argument ** (1.0 / 3.0) + 2.0)
         nodes = chebyshev.nodes(*kappas, node_count)
@@ -352,7 +359,7 @@ def _made(heightfield: HeightField, plan: Plan, table: Table, key: SpectrumKey) 
 
 
 def _term_sizes(rows: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the typical size of each basis term in ``rows``, shape (terms,).
+    """Return the typical size of the weight of each basis function (term) in ``rows``, shape (terms,).
 
     The size is the root mean square over the rows, after each row is divided by its norm.
     """

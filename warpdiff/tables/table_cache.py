@@ -31,8 +31,8 @@ class TableCache:
 
     Attributes:
         coefficients: Fourier coefficients on the host.
-        fitted_to: Coefficients of the series to which the last basis functions were fitted. They are moved or deleted
-            when a caller requests coefficients of a series for evaluation.
+        fitted_to: Series of the coefficients to which the last basis functions were fitted. It is moved to
+            ``coefficients`` or deleted when a caller requests coefficients as a series.
         rows: Rows of Fourier coefficients on devices, with their basis functions.
         sources: Descriptions of the power spectra for colour tables, without the samples of these spectra.
         spectra: Samples of the power spectrum that was computed last, from which tables for other illuminants and

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Number of height levels of the histogram from which the zeroth order is computed. With this number, the phases of the
-# light from the heights have an error of at most 1e-4 rad.
+# Number of height levels of the histogram from which the zeroth order is computed. Rounding to levels causes an error
+# of the phase 2πκh. With this number, the error is at most about 2.5e-4 rad per µm of the height range.
 _HEIGHTS = 65_536
 
 
