@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[2]
 # Time after the planned end for which tests may still be running [s]. A test that is still running after this time
-# counts as hanging. The value was chosen; if it is doubled, a hanging test is reported later.
+# counts as hanging. The value was chosen by hand; if it is doubled, a hanging test is reported later.
 GRACE_S = 900.0
 
 

@@ -1,7 +1,8 @@
 """Choice of the table size with closed-form errors: the smallest sufficient table, in few steps.
 
-The size of a table is its number of rings per octave. A ring is a circle of constant |(u, v)|, and w is the normal
-component of the scattering vector (u, v, w). A table is sufficient if its error is at most the target.
+A table stores colours on rings, and interpolates between rings. A ring is a circle of constant |(u, v)|, and w is the
+normal component of the scattering vector (u, v, w). A colour is a sum of basis functions of w. The size of a table is
+its number of rings per octave (factor of two in |(u, v)|/λ). A table is sufficient if its error is at most the target.
 """
 
 import dataclasses
@@ -32,7 +33,8 @@ class Tables:
     """Stand-in for a trial of tables. The error is a closed form, by default of second order in the ring spacing.
 
     Tables with at least ``sufficient`` rings per octave meet the target. For plans without a table, the function
-    ``sampled`` returns the error; its argument is the number of terms of the plan's basis.
+    ``sampled`` returns the error as a function of the number of basis terms, by which a plan expands Fourier
+    coefficients.
     """
 
     validation_set = range(5)
@@ -143,8 +145,7 @@ def test_more_functions_of_w_are_tried_where_rings_do_not_help(fingers, plan, ri
 
 
 def test_more_functions_of_w_are_tried_where_rings_help_by_less_than_their_order(fingers, plan):
-    """If twice as many rings do not reduce the error by a factor of 4, a table with more basis functions of w must be
-    tried.
+    """If twice as many rings do not divide the error by 4, a table with more basis functions of w must be tried.
 
     Errors of interpolation between rings are of second order. A smaller improvement shows that the basis functions of w
     limit the accuracy.
