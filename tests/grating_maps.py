@@ -1,4 +1,8 @@
-"""Cards with a grating map, and the same cards without a map, with one mesh part per dot, as a reference."""
+"""Cards with a grating map, and the same cards without a map, with one mesh part per dot, as a reference.
+
+A grating map is an array of dots. Each dot turns the same height field, the cell, and scales its depth and pitch. A
+card is a flat rectangle.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +37,10 @@ def card(
 def parts_of(
     grating_map: wd.GratingMap, coherence: wd.Coherence
 ) -> tuple[trimesh.Scene, dict[str, wd.Surface], NDArray[np.float64]]:
-    """Return a scene with one mesh part per dot, scaled height fields by part, and turned tangents by vertex."""
+    """Return the reference of a map: a scene with one part per dot, height fields by part, and tangents by vertex.
+
+    The height field of a part has the scaled depth and pitch of the dot. Its tangents are turned.
+    """
     rows, columns = grating_map.shape
     scene, surfaces, tangents = trimesh.Scene(), {}, []
     for row in range(rows):

@@ -6,9 +6,10 @@ pixels at once, with series instead of logarithms, exponentials and arc tangents
 (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
 light and to the viewer. w is its component along the normal.
 
-A colour table has rings of constant |(u, v)|, and equally spaced azimuth samples on each ring. A row of the table has
-the coefficients of one azimuth sample: XYZ is their sum, weighted by basis functions of w. Rows of higher mip levels
-are blurred along the rings, and have fewer azimuth samples.
+A footprint is the range of (u, v) that a pixel covers, as a Gaussian. A colour table has rings of constant |(u, v)|,
+and equally spaced azimuth samples on each ring. A row of the table has the coefficients of one azimuth sample: XYZ is
+their sum, weighted by basis functions of w. Rows of higher mip levels are blurred along the rings, and have fewer
+azimuth samples.
 """
 
 import functools

@@ -1,4 +1,7 @@
-"""Base colours of scenes whose parts lack colours, textures or texture coordinates."""
+"""Base colours of scenes whose parts lack colours, textures or texture coordinates.
+
+A plain surface has no height field, and reflects by its base colour.
+"""
 
 import itertools
 

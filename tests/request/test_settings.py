@@ -50,7 +50,8 @@ print(json.dumps({
     "viewer": [each for each in schema if each["name"] == "sparkle"], "options": shown.getvalue(),
 }))
 """
-# Script that calls public functions with an option of display transforms; each must pass it to the transform.
+# Script that calls public functions with an option of display transforms. Each function must pass the option to the
+# transform.
 DISPLAY_PROBE = """
 import inspect, json, types, warpdiff as wd
 from warpdiff.apps.cli import main

@@ -17,7 +17,8 @@ HF = wd.HeightField(np.zeros((8, 8)), 0.05)
 LIGHT = wd.DirectionalLight((0.0, 0.0, 1.0))
 VIEW = wd.View((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), width=4, height=3)
 MESH = wd.meshes.disc(segments=8, rings=1)
-# The plan is for a single direction, because such a plan needs no search, and every test process imports this file.
+# The plan (numbers of a computation) is for a single direction. Such a plan needs no search and is made quickly; every
+# test process imports this file.
 PLAN = wd.plan(HF, UP, UP)
 CENTRED_PLAN = wd.plan(HF, UP, UP, coherence=wd.Coherence("centred"))
 IMAGE = wd.Image(
@@ -224,7 +225,7 @@ SAVES = [
 
 
 def changed(**fields):
-    """Return a copy of the plan with other values in some fields."""
+    """Return a copy of ``PLAN`` with other values in some fields."""
     return dataclasses.replace(PLAN, **fields)
 
 
@@ -247,7 +248,7 @@ def options_of(name: str) -> set[str]:
 
 @pytest.fixture
 def no_kernel(monkeypatch):
-    """Fail the test if it launches a kernel."""
+    """Fail the test if it launches a kernel, because invalid arguments must be refused before."""
     launched = []
     monkeypatch.setattr(wp, "launch", lambda kernel, *_, **__: launched.append(kernel))
     yield

@@ -39,7 +39,7 @@ def actions(command):
 
 
 def written(action, draw):
-    """Return the words that give one option random values on the command line."""
+    """Return the words of a command line that give random values to one option."""
     count = 0 if action.nargs == 0 else action.nargs if isinstance(action.nargs, int) else 1
     return [*action.option_strings[:1], *(draw(st.sampled_from(VALUES)) for _ in range(count))]
 

@@ -1,4 +1,8 @@
-"""Cache of tables: its size in bytes, its keys, and tables with and without mip levels."""
+"""Cache of tables: its size in bytes, its keys, and tables with and without mip levels.
+
+A table stores the colours of a surface by scattering vector. Its mip levels are blurred copies. A plan has the numbers
+of a computation, from which a table is made.
+"""
 
 import ast
 import dataclasses
@@ -59,8 +63,8 @@ def test_the_size_of_the_cache_is_that_of_its_distinct_arrays(heightfield, coher
     assert len(cached) == 2
     arrays = {array.ptr: array for entry in cached for array in arrays_of(entry.struct)}
     if not coherence.adds_powers:
-        # A table of amplitudes (centred window) has only mip level 0, so that the part of its arrays for other levels
-        # stays unused.
+        # A table of amplitudes (centred window) cannot be blurred. It has only mip level 0, so that the part of its
+        # arrays for other levels stays unused.
         unfilled = {entry.fields["rows"].ptr: entry.layout.rows for entry in cached}
         arrays = {ptr: array[: unfilled.get(ptr, len(array))] for ptr, array in arrays.items()}
     assert cache.nbytes == sum(array.size * wp.types.type_size_in_bytes(array.dtype) for array in arrays.values())
@@ -68,9 +72,7 @@ def test_the_size_of_the_cache_is_that_of_its_distinct_arrays(heightfield, coher
 
 
 def test_a_table_without_levels_stays_without_them(heightfield):
-    """A call that uses no mip levels must get the same results after another call has added mip levels to the cached
-    table.
-    """
+    """A call without mip levels must get the same table after another call has added mip levels to the cached table."""
     plan = plan_of(heightfield, COHERENCES[0])
     before = table(heightfield, plan)
     levels = table(heightfield, dataclasses.replace(plan, footprint=True))
