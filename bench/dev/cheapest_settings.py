@@ -46,7 +46,7 @@ FEWER = (8, 10, 11, 13)
 # 2^(1/4). `SPLITS` are the tried shares of the part for the order rate in the sum of the other two parts.
 CONSTANTS = 2.0 ** (-np.arange(25) / 4.0)
 SPLITS = (1.0, 0.95, 0.9, 0.8, 0.7, 0.5, 0.25, 0.0)
-# Number of values that are tried for a number in a plan, from the smallest value on that meets the tolerance.
+# For two numbers in a plan: how many values are tried, beginning with the smallest value that meets the tolerance.
 # `MORE_TERMS` applies to the number of terms of the series. `MORE_EXPONENTS` applies to the exponent a of the least
 # weight exp(−a) of neighbouring Fourier coefficients.
 MORE_TERMS, MORE_EXPONENTS = 3, 5
@@ -64,9 +64,10 @@ CHUNK = 64
 
 
 class Call:
-    """Directions of one configuration (inputs of a plan), with the reference colours of these directions.
+    """Directions of one call, with the reference colours of these directions.
 
-    Methods compute the colours and errors of these directions by a plan.
+    Methods compute the colours and errors of these directions by a plan: the numbers of a computation, such as
+    wavelengths and terms of a series.
     """
 
     def __init__(
@@ -116,7 +117,7 @@ class Call:
         return self._arrays[repeats]
 
     def prepared(self, plan: wd.Plan, repeats: int = 1) -> Any:
-        """Make the tables of a plan, and return a function that computes the colours of the directions by this plan."""
+        """Make tables of Fourier coefficients for a plan, and return a function that computes colours of directions."""
         heightfield, slices = self.case.heightfield, 8 if repeats == 1 else 64
         table = coefficient_table.table_for(
             heightfield, plan, self.direction_range, device=self.device, threads=self.threads
@@ -276,7 +277,7 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
 
 
 def _neighbourhoods(call: Call, plan: wd.Plan, automatic: wd.Plan) -> list[wd.Plan]:
-    """Return variants of a plan with different numbers of neighbouring coefficients or, for replicas, ``subdivisions``.
+    """Return variants of a plan with other numbers of neighbours or, for replicated patches, of ``subdivisions``.
 
     The first variant has the smallest number of neighbouring Fourier coefficients with which the plan meets the
     tolerance.

@@ -48,7 +48,7 @@ QUANTILES = (0.5, 0.99, 0.999)
 
 
 def frame_times(mesh: Any, surface: wd.HeightField, device: str, frames: int, **options: Any) -> dict[str, float]:
-    """Return the time of the first frame, including plan and tables, and median and maximum of the others [ms]."""
+    """Return the time of the first frame, with preparation, and the median and maximum of the other frames [ms]."""
     seconds = []
     begin = time.perf_counter()
     renderer = wd.Renderer(mesh, surface, *moved(mesh, 0), device=device, pigment=0.0, **options)

@@ -26,7 +26,7 @@ PITCH_UM = 0.09  # sample spacing of the synthetic surfaces [µm]
 
 
 class Configuration(NamedTuple):
-    """Inputs of a plan: surface, coherence, tolerance and directions."""
+    """Inputs of a plan (numbers of wavelengths and terms): surface, coherence, tolerance and directions."""
 
     surface: str
     heightfield: wd.HeightField

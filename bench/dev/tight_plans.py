@@ -50,6 +50,8 @@ TIMED = 4
 class Result(NamedTuple):
     """Comparison of an automatic plan with the cheapest setting, and of predicted with actual errors, as ratios.
 
+    The automatic plan has the numbers of wavelengths and terms that the library selects for a call.
+
     Attributes:
         ratio: Time of the automatic plan over the time of the cheapest setting.
         predicted: Error that the plan predicts over the actual error, on directions for which the plan was made.
@@ -66,7 +68,7 @@ class Result(NamedTuple):
 
 
 def compare(case: Configuration, *, rounds: int, threads: int | None) -> tuple[str, Result | None]:
-    """Make the automatic plan, find and time the cheapest setting, and return a row of the table and the ratios."""
+    """Make the library's plan for a call, find and time the cheapest setting; return a table row and the ratios."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:

@@ -133,7 +133,8 @@ def worker_rows(threads: int | None) -> dict[str, Callable[[], Call]]:
         return lambda _: wd.reflectance(heights, *vectors, threads=threads)
 
     def plans(coherence: Any, heights: Any, **options: Any) -> Callable[[], Call]:
-        # The package caches plans of height fields. Each call therefore makes a new height field.
+        # The package caches the plan (numbers of wavelengths and terms) of a height field. Each call therefore makes a
+        # new height field.
         return lambda: (
             lambda _: wd.plan(
                 wd.HeightField(heights.heights_um, heights.pitch_um), coherence=coherence, threads=threads, **options

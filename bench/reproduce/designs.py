@@ -108,7 +108,7 @@ def splitter(seeds: range) -> None:
 
 
 def rigorous_splitters(seed: int) -> None:
-    """Print scalar and rigorous uniformity errors of 1 × 7 splitters on aluminium."""
+    """Print uniformity errors of 1 × 7 beam splitters on aluminium, by scalar diffraction and by a rigorous solver."""
     target = wd.Target.equal([(0, m) for m in range(-3, 4)], UP, WAVELENGTH_NM, **MIRROR)
     for levels in (8, 2):
         for size in PIXELS:
@@ -126,7 +126,7 @@ def rigorous_splitters(seed: int) -> None:
 
 
 def rigorous_colours(seeds: range, max_harmonics: int) -> None:
-    """Print scalar and rigorous colour differences of foils on aluminium."""
+    """Print colour differences of foils on aluminium, by scalar diffraction and by a rigorous solver."""
     for levels in (2, 8):
         for seed in seeds:
             result, _ = foil(levels, seed)

@@ -68,8 +68,8 @@ def transforms(rng: np.random.Generator) -> None:
         field = wd.HeightField(depth_scale * diagonal, scale * size / count)
         cell = wd.HeightField(straight, size / count)
         exact = window_power(field, coherence, vectors, WAVELENGTHS_UM, to_lights=lights)
-        # A light source of finite size blurs the scattering vectors by its spread s. In a dot with the pitch scale p,
-        # lengths are p times as large, so that the blur at the transformed vectors is p·s.
+        # A light source of finite size blurs the scattering vectors by its spread s. A dot of a grating map with the
+        # pitch scale p has p times as large lengths, so that the blur at the transformed vectors is p·s.
         mapped = (vectors @ back.T) * [scale, scale, depth_scale]
         result = window_power(cell, scaled, mapped, WAVELENGTHS_UM, to_lights=lights @ back.T)
         difference = np.abs(result - exact).max() / np.abs(exact).max()
@@ -79,7 +79,10 @@ def transforms(rng: np.random.Generator) -> None:
 
 
 def made(cell: wd.HeightField, shape: tuple[int, int], rng: np.random.Generator, *, pitch: bool) -> wd.GratingMap:
-    """Return a map with dots of random turn and scales. The grooves of many dots diffract light into the view."""
+    """Return a grating map: an array of gratings (dots) with random directions and scales.
+
+    Many dots diffract light into the view.
+    """
     turn = rng.uniform(85.0, 95.0, shape)
     scale = rng.uniform(0.7, 1.4, shape) if pitch else 1.0
     return wd.GratingMap(cell, turn_deg=turn, depth_scale=rng.uniform(0.2, 1.0, shape), pitch_scale=scale)

@@ -29,7 +29,8 @@ import warpdiff as wd
 PAGE = Path(__file__).parents[2] / "docs" / "contributing" / "add_a_light.md"
 # Tolerance of the compared pictures, and tolerance of the reference picture.
 TOLERANCE, OF_REFERENCE = 0.1, 0.03
-# Numbers of lobes that are compared, and number of lobes of the reference.
+# Numbers of lobes that are compared, and number of lobes of the reference. A lobe is a Gaussian of directions that
+# replaces a part of the line light.
 COUNTS, MOST = (4, 8, 16, 32), 256
 # Relative errors are divided by the colour of the pixel, or by this share of the 99th percentile of ‖XYZ‖ over
 # illuminated pixels if that is larger.

@@ -131,7 +131,7 @@ def refined(error_of: Callable[[Setting], float], most: int, target: float) -> t
 
 
 def compare(scene: Scene, coherence: wd.Coherence, pixels: int) -> None:
-    """Measure and time all settings of the published algorithm for one kind of coherence, and print a table.
+    """Measure and time all settings of the published algorithm for one limit of interference, and print a table.
 
     Also print two comparisons of the library with the published algorithm: errors at equal time, and times at equal
     error.

@@ -49,7 +49,7 @@ CHUNK = 1 << 15
 
 
 def neighbours(heightfield: wd.HeightField, to_light: Floats, to_view: Floats, wavelengths_nm: Floats) -> Floats:
-    """Return the reflectance ρ by the 3 × 3 coefficients around the one that floor() selects, without masking.
+    """Return the reflectance ρ by 3 × 3 Fourier coefficients around the one that floor() selects, without masking.
 
     Args:
         heightfield: Height field.

@@ -104,7 +104,7 @@ def reference_spectral(
 ):  # fmt: skip
     """Return reflectances ρ of unit vectors (n, 3) in the local frame at m wavelengths, shape (n, m).
 
-    The coherence is a name, such as "averaged", with ``sigma`` [µm], or a coherence object.
+    The coherence (limit of interference) is a name, such as "averaged", with ``sigma`` [µm], or a coherence object.
     """
     step = step_of(coherence, sigma, centre)
     wavelengths = np.asarray(wavelengths_um, dtype=np.float64)
@@ -171,7 +171,7 @@ def reference_reflectance(
 ):  # fmt: skip
     """Return XYZ of unit vectors (n, 3) in the local frame, shape (n, 3).
 
-    The coherence is a name, such as "averaged", with ``sigma`` [µm], or a coherence object.
+    The coherence (limit of interference) is a name, such as "averaged", with ``sigma`` [µm], or a coherence object.
     """
     step = step_of(coherence, sigma, centre)
     ior = math.inf if material is not None else ior

@@ -26,7 +26,7 @@ STEP, REGISTER = 2.0 ** (1 / 4), 8
 
 @pytest.fixture(scope="module")
 def start(fingers):
-    """Return a plan from which searches start.
+    """Return a plan (numbers of a computation) from which searches start.
 
     It has 32 terms of the series, and more neighbouring Fourier coefficients and wavelengths than are required.
     """
@@ -80,7 +80,7 @@ def cost(trial, plan):
 def exhaustive(trial, start, target):
     """Return the least cost of all plans whose error is at most ``target``.
 
-    The plans are all combinations of several numbers of terms, neighbourhoods and bandwidths.
+    The plans are all combinations of several numbers of terms, neighbours and wavelengths (bandwidths).
     """
     counts = range(REGISTER, start.terms + 1, REGISTER), range(12), range(13)
     per_rate, per_w, constant = start.bandwidth_um

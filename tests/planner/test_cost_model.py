@@ -95,7 +95,8 @@ def test_lines_of_a_source_cost_in_proportion_to_the_area_and_grow_with_terms():
     lines = 2.0 * math.pi * mip_layout.layout_of(plan).highest ** 2
     area = math.prod(heightfields[1].size_um) - math.prod(heightfields[0].size_um)
     assert increases[0, 0] == pytest.approx(lines * area * (150.0 + 42.0 * 8.0))
-    # Each spectral line costs 150 multiply-adds. It is added to 42 table entries, each with one multiply-add per term.
+    # When a table is made, each spectral line costs 150 multiply-adds. It is added to 42 table entries, each with one
+    # multiply-add per term.
     assert increases[1, 0] / increases[0, 0] == pytest.approx((150.0 + 42.0 * 16.0) / (150.0 + 42.0 * 8.0))
 
 
@@ -120,7 +121,8 @@ def test_directions_cost_as_many_wavelengths_as_they_require():
 def test_neighbours_lie_in_a_rectangle_of_orders_around_a_direction():
     """The number of neighbours must be the product of 2 · radius · length over all axes with more than one sample.
 
-    The radius is that of the neighbourhood in 1/µm, and the length is that of the patch in µm.
+    Neighbours are the Fourier coefficients that contribute to a direction. The radius is that of their frequencies
+    around the direction in 1/µm, and the length is that of the patch in µm.
     """
     line, field = noise((1, 16)), noise((6, 16))
     plan = dataclasses.replace(wd.plan(field, [0, 0, 1], [0.6, 0, 0.8]), terms=8, adaptive=False)

@@ -34,7 +34,7 @@ class Case:
 
     @property
     def automatic(self):
-        """Return the error of the automatic plan's colours relative to ``exact``.
+        """Return the error of the colours that the library computes with its own settings, relative to ``exact``.
 
         A warning or a refusal fails the test.
         """

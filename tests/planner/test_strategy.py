@@ -82,10 +82,11 @@ def test_the_range_of_several_directions_and_the_whole_hemisphere_covers_each(re
 
 @pytest.mark.parametrize(("kind", "saving"), [("averaged", 2.6), ("centred", 3.0), ("source", 2.2), ("replicas", 4.0)])
 def test_a_search_starts_from_the_number_of_directions_that_repay_its_time(kind, saving):
-    """A search must start only if it costs less than it saves by a cheaper plan for the directions of the call.
+    """A search for a cheaper plan must start only if it costs less than this plan saves in the call.
 
-    A search costs as much as the evaluation of 16,000 directions with the plan that it finds. An evaluation with the
-    upper-bound plan costs ``saving`` times as much as with the plan of the search.
+    A plan has the numbers of a computation. A search costs as much as the evaluation of 16,000 directions with the plan
+    that it finds. An evaluation with the upper-bound plan costs ``saving`` times as much as with the plan of the
+    search.
     """
     request = SimpleNamespace(method="auto", integration="auto")
     upper = SimpleNamespace(max_order_rate=1.0, method="low-rank", coherence=SimpleNamespace(kind=kind))
@@ -106,7 +107,7 @@ def test_an_explicit_method_that_adds_powers_is_tried_on_sixteen_directions():
 
 
 def test_a_table_may_cost_what_it_saves_in_three_calls(fingers):
-    """A table may cost at most as much as it saves in three calls.
+    """A table of colours may cost at most as much as it saves in three calls.
 
     Without a table, each of these calls would use the plan of a search, which is 2.6 times cheaper than the upper-bound
     plan. The search costs as much as the evaluation of 16,000 directions with its plan.
@@ -173,7 +174,7 @@ def test_the_coarse_plan_that_finds_bright_directions_has_8_terms_and_half_of_th
 def test_a_table_is_used_if_it_meets_the_tolerance_or_is_explicit(
     request_of_fingers, monkeypatch, options, error, expected
 ):
-    """A table must be used if its error is within the tolerance, or if the caller requests a table.
+    """A table of colours must be used if its error is within the tolerance, or if the caller requests a table.
 
     For pixels with a footprint, colours are means over a part of the table. Their errors are smaller than those of
     single points, so that the error is not multiplied by the safety factor of 1.6.

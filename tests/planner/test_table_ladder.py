@@ -18,7 +18,7 @@ from warpdiff.tables import mip_layout, polar_grid
 
 TOLERANCE, TARGET = 1e-2, 1e-2 / 1.6
 SIZES = dict(polar_grid.TABLE_SIZES)
-# Table size, in rings per octave, that the search tries first at ``TOLERANCE``.
+# Table size that the search tries first at ``TOLERANCE``: number of rings per factor of two in |(u, v)|.
 FIRST = 48
 
 
@@ -134,6 +134,8 @@ def test_the_largest_table_is_the_largest_that_fits_into_memory(fingers, plan, m
 @pytest.mark.parametrize(("richer", "expected"), [(0.6, (64, 12)), (0.8, None)])
 def test_more_functions_of_w_are_tried_where_rings_do_not_help(fingers, plan, richer, expected):
     """If more rings do not reduce the error, a table with more basis functions of w must be tried.
+
+    Rings are circles of constant |(u, v)|, at which a table has colours as functions of w.
 
     If that table does not meet the target either, the search must end without a table.
     """

@@ -24,7 +24,11 @@ ILLUMINANTS = "D65", "A"
 
 
 def trial_of(request, lights, views):
-    """Return the trial of a call, and the upper-bound plan of the call."""
+    """Return the trial of a call, and the upper-bound plan of the call.
+
+    A trial evaluates plans (numbers of wavelengths and terms) on sampled directions. The upper-bound plan suffices for
+    any surface.
+    """
     direction_range, sample, _ = strategy.directions_of(request, lights, views)
     coarse = strategy._coarse_plan(request, direction_range)
     upper = strategy.bounds.upper_bound_plan(request, direction_range, method="low-rank", tolerance=request.tolerance)
@@ -34,7 +38,10 @@ def trial_of(request, lights, views):
 
 @pytest.fixture(scope="module")
 def colours(fingers):
-    """Return a trial of 60 directions under two illuminants, an upper-bound plan, and the directions."""
+    """Return a trial of 60 directions under two illuminants, an upper-bound plan, and the directions.
+
+    A trial evaluates plans (numbers of wavelengths and terms) on sampled directions.
+    """
     rng = np.random.default_rng(7)
     lights, views = hemisphere(rng, 60, 0.3), hemisphere(rng, 60, 0.3)
     request = Evaluation.of(fingers, PlanSettings(coherence=SHORT, tolerance=1e-1), illuminants=ILLUMINANTS)

@@ -27,7 +27,7 @@ WIDE_SOURCE = wd.Coherence("source", angular_diameter_deg=4.0)
 
 
 def _map(cell: wd.HeightField, shape: tuple[int, int], *, seed: int = 0, pitch: bool = True) -> wd.GratingMap:
-    """Return a map whose dots differ in direction, depth and pitch.
+    """Return a grating map with gratings (dots) that differ in direction, depth and pitch.
 
     Most dots diffract light of ``LIGHT`` into ``VIEW``.
     """
@@ -49,7 +49,7 @@ def _map(cell: wd.HeightField, shape: tuple[int, int], *, seed: int = 0, pitch: 
     ids=["1-D source", "source", "averaged", "centred", "periods"],
 )
 def test_a_map_equals_one_part_per_dot(cell: wd.HeightField, coherence: wd.Coherence) -> None:
-    """The dots of a map must have the colours of parts with turned tangents and scaled height fields."""
+    """The dots of a grating map must have the colours of mesh parts with turned tangents and scaled height fields."""
     grating_map = _map(cell, (3, 4), pitch=coherence.kind == "source")
     options: dict[str, Any] = {"coherence": coherence, "tolerance": 1e-2, "footprint": False, "ior": np.inf}
     image = wd.shade(card(), grating_map, LIGHT, VIEW, **options)

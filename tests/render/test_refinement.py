@@ -30,7 +30,7 @@ SIZE = 24, 18
 
 @pytest.fixture(scope="module")
 def table(fingers):
-    """Return a plan with a table so fine that most of a picture's error comes from the averaging over footprints."""
+    """Return a plan with so fine a table of colours that most of the error comes from the averaging over footprints."""
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=3e-3)
     return dataclasses.replace(plan, footprint=True, tolerance=5e-2)
 
@@ -124,7 +124,8 @@ def test_reported_errors_bound_and_rank_the_true_ones(truth, fingers, table):
 def test_more_cells_are_never_worse(truth, fingers, table):
     """More subpixel cells must not increase errors, neither with footprints nor with point samples.
 
-    Footprints require a colour table. The second plan has no table, so that its cells are point samples.
+    With footprints, a cell has the mean colour of its area, which requires a colour table. The second plan has no
+    table, so that its cells are point samples.
     """
     mesh, camera, exact = truth
     for plan in (table, dataclasses.replace(table, coherence=table.coherence, rings_per_octave=0)):
@@ -177,7 +178,10 @@ def test_unrefined_pixels_have_the_requested_number_of_cells(fingers, table):
 
 
 def test_pictures_without_a_table_for_means_sum_points(fingers):
-    """With ``footprint=True`` but without a table of colours, each pixel must be the mean of many point samples."""
+    """With ``footprint=True`` but without a table of colours, each pixel must be the mean of many point samples.
+
+    The coherence model "centred" has no tables of means.
+    """
     mesh, coherence = BODIES["lumpy"](), wd.Coherence("centred", sigma_um=3.25)
     plan = wd.plan(fingers, coherence=coherence, method="low-rank", tolerance=3e-3)
     exact = by_points(mesh, fingers, LIGHT, view("lumpy"), plan, points=8)

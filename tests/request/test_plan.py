@@ -106,8 +106,10 @@ def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
 def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
     """The plan of a search must cost less than an upper-bound plan, and must meet the tolerance.
 
-    It must also meet the tolerance on directions that the search has not tried. The error that the plan predicts must
-    be at most ten times the measured error.
+    A plan has the numbers of a computation. An upper-bound plan suffices for any surface.
+
+    The plan must also meet the tolerance on directions that the search has not tried. The error that the plan predicts
+    must be at most ten times the measured error.
     """
     lights, views = hemisphere(rng, 40_000), hemisphere(rng, 40_000)
     few = wd.plan(rough, lights[:8], views[:8], coherence=coherence, method="low-rank")
@@ -285,7 +287,7 @@ def test_one_row_is_constant_along_y():
 
 
 def test_results_of_an_explicit_plan_do_not_depend_on_other_directions(rough, rng):
-    """Results of an explicit plan must not depend on the other directions of the call.
+    """Results by a plan that the caller gives must not depend on the other directions of the call.
 
     The series uses basis functions that are fitted to the height field. The fit must depend only on the range of
     directions in the plan, not on the directions themselves.

@@ -139,8 +139,8 @@ def test_a_coarse_pitch_causes_a_warning_about_aliasing(rough):
         wd.plan(coarse, at_angle(30.0), method="direct")
     with pytest.warns(wd.WarpdiffWarning, match="finer pitch"):
         wd.reflectance(coarse, at_angle(60.0), at_angle(50.0))
-    # Directions with order rates that the pitch supports cause no warning. At longer wavelengths, the pitch supports
-    # more directions.
+    # Directions with large |(u, v)| require a small pitch of the height samples. Directions for which the pitch
+    # suffices cause no warning. At longer wavelengths, it suffices for more directions.
     wd.plan(coarse, at_angle(20.0), at_angle(20.0))
     wd.spectral_reflectance(coarse, at_angle(30.0), at_angle(45.0), [700.0])
     wd.plan(rough, method="direct")

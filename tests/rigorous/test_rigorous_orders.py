@@ -166,8 +166,8 @@ def test_designs_are_checked_rigorously():
     np.testing.assert_allclose(check.achieved["achieved"], [direct[0, m][0] for m in (-1, 0, 1)])
     assert check.converged == 1.0
     assert check.uniformity_errors[0] < 0.25
-    # Scalar diffraction is accurate for shallow grooves with a long period. Its colour must nearly equal the rigorous
-    # one.
+    # Scalar diffraction is accurate for shallow grooves with a long period. Its colour must nearly equal that by the
+    # rigorous solver.
     grooves = wd.gratings.lamellar(5.0, 0.05, samples=40)
     coherence = wd.Coherence(sigma_um=3.0)
     target = wd.Target.colour((0.3, 0.5, 0.1), UP, wd.direction(5.0), material=ALUMINIUM, coherence=coherence)

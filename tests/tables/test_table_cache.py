@@ -51,7 +51,8 @@ def arrays_of(struct):
 def test_the_size_of_the_cache_is_that_of_its_distinct_arrays(heightfield, coherence):
     """The size of the cache must be the total size of its arrays, each of which counts once.
 
-    Arrays of tables have space for mip levels. This space counts only after the levels have been computed.
+    Arrays of tables have space for mip levels (blurred copies). This space counts only after the levels have been
+    computed.
     """
     plan = plan_of(heightfield, coherence)
     blurred = dataclasses.replace(plan, footprint=True)
