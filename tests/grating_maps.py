@@ -24,7 +24,7 @@ LIGHT = wd.DirectionalLight((0.0, 0.5, 1.0))
 def card(
     *, uvs: bool = True, left: float = 0.0, right: float = 1.0, top: float = 1.0, bottom: float = 0.0
 ) -> trimesh.Trimesh:
-    """Return a rectangle, whose sides are given as shares of the whole card, with texture coordinates from 0 to 1."""
+    """Return a part of a flat card, with sides as shares of the whole card and texture coordinates from 0 to 1."""
     x = WIDTH * (np.array([left, right, right, left]) - 0.5)
     y = HEIGHT * (np.array([bottom, bottom, top, top]) - 0.5)
     visual = trimesh.visual.TextureVisuals(uv=np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]))

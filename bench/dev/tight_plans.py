@@ -42,8 +42,8 @@ from warpdiff.planner import cost_model
 if TYPE_CHECKING:
     from bench.dev.plan_configurations import Configuration
 
-# Number of candidates with the lowest predicted cost that are timed. The cheapest candidate of each method is timed,
-# too.
+# Number of settings (candidates) with the lowest predicted cost that are timed. The cheapest candidate of each method
+# is timed, too.
 TIMED = 4
 
 

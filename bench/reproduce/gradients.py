@@ -138,7 +138,7 @@ def errors(count: int) -> None:
 
 
 def measured(values: np.ndarray | None = None) -> wd.Measured:
-    """Return measured data with the orders of the synthetic grating. Their values are 0 if no values are given."""
+    """Return data as if measured: efficiencies of orders of the synthetic grating, 0 if no values are given."""
     wavelengths, orders = (450.0, 550.0, 650.0), [(0, m) for m in (-2, -1, 0, 1, 2)]
     lights = np.repeat(wd.direction([10.0, 40.0]), 15, axis=0)
     values = np.zeros(30) if values is None else values

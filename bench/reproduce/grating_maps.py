@@ -46,7 +46,10 @@ WAVELENGTHS_UM = np.array([0.42, 0.5, 0.58, 0.7])
 
 
 def transforms(rng: np.random.Generator) -> None:
-    """Print the largest difference of the powers of both direct sums, relative to the largest power."""
+    """Print the largest difference of powers between two direct sums, relative to the largest power.
+
+    One sum is over turned and scaled heights. The other is over the original heights, at transformed vectors.
+    """
     z, azimuth = rng.uniform(0.5, 1.0, (2, 60)), rng.uniform(0.0, 2.0 * np.pi, (2, 60))
     side = np.sqrt(1.0 - z * z)
     lights, views = np.stack([side * np.cos(azimuth), side * np.sin(azimuth), z], axis=-1)

@@ -39,7 +39,7 @@ _TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
 
 
 class Reading(NamedTuple):
-    """Heights [µm] in the order of the picture, NaN for missing samples, and the size (Ly, Lx) of the field [µm]."""
+    """Heights [µm] with the top row first, NaN for missing samples, and the size (Ly, Lx) of the field [µm]."""
 
     heights_um: np.ndarray
     size_um: tuple[float, float]
@@ -114,7 +114,7 @@ def text_readings(path: Path) -> list[Reading]:
 
 
 def agree(field: wd.HeightField, reading: Reading, *, is_text: bool) -> bool:
-    """Whether a height field equals an independent reading."""
+    """Whether a height field equals the reading of the same file by an independent program."""
     heights = field.heights_um
     # An independent reading has the top row of the picture first. If the attribute `rows` of a file is "up", the
     # library's field has the opposite order of rows, which is reversed here. A text with x, y and z has no picture, so

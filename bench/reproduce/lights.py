@@ -99,7 +99,7 @@ def random_cases(seed: int) -> Iterator[tuple[str, np.ndarray, Any, wd.HeightFie
 
 
 def distances(xyz: np.ndarray, exact: np.ndarray, bright: float = 0.0) -> np.ndarray:
-    """Return errors of colours ``xyz`` (n, 3) compared with ``exact``, by the error measure of ``tolerance``.
+    """Return errors of colours ``xyz`` (n, 3) relative to the size of the exact colours ``exact``.
 
     ``bright`` is the 99th percentile of Y over the whole picture. Errors of colours that are darker than a thousandth
     of it are relative to this thousandth.

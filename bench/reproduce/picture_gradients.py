@@ -113,7 +113,7 @@ def wd_gain(lights: np.ndarray, views: np.ndarray) -> np.ndarray:
 
 
 def cost(scan: wd.HeightField, size: tuple[int, int]) -> None:
-    """Print the cost of value and gradient of a picture relative to the library's value on a new surface."""
+    """Print the cost of a picture and its gradient, relative to ``wd.shade`` for a surface without cached tables."""
     renderer, tube, view = renderer_of(scan, size)
     # The noise differs from run to run. For a surface that an earlier run used, the library would read the tables from
     # its disk cache, and the measured time would be too short.

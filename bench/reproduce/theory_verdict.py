@@ -73,7 +73,7 @@ class Grating(NamedTuple):
 
 
 class Shares(NamedTuple):
-    """Counts and shares of gratings by the grade of the verdict on them.
+    """Counts and shares of gratings by grade: reliable, qualitative or invalid by a predicted error (verdict).
 
     Three of the shares have targets, see ``meets_targets``.
     """
@@ -142,7 +142,10 @@ def gratings(energy: str | None, *, step: int = 1) -> list[Grating]:
 
 
 def judged(energy: str | None, *, step: int = 1) -> dict[str, Shares]:
-    """Return shares for verdicts on calls and on heights, and for all, fitted and held-out gratings."""
+    """Return counts and shares of gratings by grade, for verdicts on calls and on the heights alone.
+
+    There are shares of all gratings, of those used for fitting, and of held-out gratings.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
         population = gratings(energy, step=step)
@@ -159,7 +162,7 @@ def judged(energy: str | None, *, step: int = 1) -> dict[str, Shares]:
 
 
 def mean_error_by_rise(cosine: float) -> float:
-    """Return the mean error of mirror gratings used for fitting, with normalised energy.
+    """Return the mean error of the perfect mirrors that were used for fitting, with normalised energy.
 
     The normalisation gives full weight to orders if the cosine of their angle from the normal exceeds a limit.
     ``cosine`` replaces this limit.

@@ -173,7 +173,7 @@ class Coefficients:
             # 4·spread).
             width = REDDEST * self.step.spread / (length + 4.0 * self.step.spread)
         else:
-            # For an averaged coherence window, this is the standard deviation in τ = 1/λ of the Gaussian weight of a
+            # For an averaged coherence window, `width` is the standard deviation in τ = 1/λ of the Gaussian weight of a
             # coefficient. For a centred window, amplitudes have a Gaussian weight that is wider by √2. The power is a
             # product of two amplitudes and has the same width as for an averaged window.
             width = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * self.step.sigma_um * max(length, 1e-9))

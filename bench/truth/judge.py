@@ -48,7 +48,10 @@ LEAST = 1e-10
 
 
 class Result(NamedTuple):
-    """Results of a call for its illuminated directions. ``read`` marks directions on which the planner tried plans."""
+    """Results of a call for its illuminated directions.
+
+    ``read`` marks directions on which the planner has tried numbers of wavelengths and terms.
+    """
 
     xyz: np.ndarray  # colours of the directions, shape (n, 3)
     to_light: np.ndarray  # directions to the light, shape (n, 3)
@@ -81,7 +84,7 @@ class Figure(NamedTuple):
 
 @contextmanager
 def witnessed() -> Iterator[list[np.ndarray]]:
-    """Record the scattering vectors (u, v, w) for which the planner computes trial colours in the ``with`` block."""
+    """Record, in the ``with`` block, the scattering vectors for which the planner computes colours to compare plans."""
     vectors: list[np.ndarray] = []
 
     class Witness(trial.Trial):

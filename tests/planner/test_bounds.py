@@ -139,7 +139,8 @@ def test_a_source_requires_the_samples_of_a_window_at_equal_ratios_of_the_wavele
     band, band_of_log = 1.0 / 0.38 - 1.0 / 0.78, math.log(0.78 / 0.38)
     wider = band_of_log / 0.38 / band
     np.testing.assert_allclose(of_source[1:], wider * np.array(of_window[1:]))
-    # A source and a window require the same number of samples per standard deviation of an order's Gaussian.
+    # In a spectrum, a diffraction order is a Gaussian of 1/λ or of ln λ. A source and a window require the same number
+    # of wavelengths per standard deviation of this Gaussian.
     of_deviation = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * 5.0)
     assert of_source[0] * band * source.spread / band_of_log == pytest.approx(of_window[0] * of_deviation)
 

@@ -20,7 +20,8 @@ from warpdiff.planner.coordinate_search import Coordinate
 
 # Target of the search for a tolerance of 0.01: the tolerance divided by the safety factor of 1.6.
 TOLERANCE, TARGET = 1e-2, 1e-2 / 1.6
-# Ratio of neighbouring bandwidths that a search tries (4 steps per factor of 2), and number of terms per SIMD register.
+# Ratio of successive bandwidths (wavelengths per unit of 1/λ) that a search tries, 4 steps per factor of 2; and number
+# of terms of a series per SIMD register.
 STEP, REGISTER = 2.0 ** (1 / 4), 8
 
 
@@ -208,7 +209,8 @@ def test_the_safety_factor_of_predicted_errors_depends_on_the_directions_that_we
 ):
     """If the validation set has all directions of a call, the predicted error must be 1.6 times the measured error.
 
-    Otherwise this factor must be up to 2. In all cases the predicted error must be at least a tenth of the tolerance.
+    The validation set has the directions on which the error is measured. If it has only a part of them, the factor must
+    be up to 2. In all cases the predicted error must be at least a tenth of the tolerance.
     """
     trial = SimpleNamespace(bright=(bright, bright))
     assert coordinate_search.predicted_error(error, start, trial) == pytest.approx(predicted)
@@ -311,7 +313,8 @@ def test_fewer_wavelengths_are_subdivided_more_under_replicated_periods(fingers)
 def test_searches_of_all_tolerances_try_the_same_bandwidths_and_weights(fingers, tolerance):
     """Searches at all tolerances must try plans on the same grid of bandwidths and least weights.
 
-    The bandwidths are those of a tolerance of 0.01 times powers of 2^(1/4). The least weights are powers of e.
+    The bandwidth is the number of wavelengths per unit of 1/λ, and the least weight selects the Fourier coefficients of
+    a sum. The bandwidths are those of a tolerance of 0.01 times powers of 2^(1/4). The least weights are powers of e.
     """
     plans = [
         wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], method="low-rank", tolerance=t) for t in (1e-2, tolerance)

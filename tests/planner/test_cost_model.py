@@ -19,7 +19,7 @@ from warpdiff.tables import mip_layout
 
 
 def sampling(heightfield, plan, **changes):
-    """Return the cost of one direction if the plan uses all its wavelengths for it (``adaptive=False``)."""
+    """Return the predicted multiply-adds of one direction that uses all wavelengths (``adaptive=False``)."""
     plan = dataclasses.replace(plan, adaptive=False, **changes)
     return cost_model.sampling_multiply_adds(heightfield, plan, np.array([0.5]), np.array([1.0]))
 

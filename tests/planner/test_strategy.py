@@ -93,8 +93,9 @@ def test_a_search_starts_from_the_number_of_directions_that_repay_its_time(kind,
     count = 16_000.0 / (saving - 1.0)
     for share, pays in [(0.99, False), (1.01, True)]:
         assert strategy._pays_to_search(request, upper, SimpleNamespace(max_order_rate=1.0), share * count) is pays
-    # The upper-bound plan may have too few wavelengths for the call: here its largest order rate is 1.0, and that of
-    # the call is 1.1. A search must then start for any number of directions.
+    # The order rate is how fast diffraction orders pass a direction as 1/λ changes. Here, the wavelengths of the
+    # upper-bound plan suffice up to a rate of 1.0, and the call has 1.1. A search must then start for any number of
+    # directions.
     assert strategy._pays_to_search(request, upper, SimpleNamespace(max_order_rate=1.1), 1.0)
 
 

@@ -169,6 +169,8 @@ def test_the_last_table_is_tried_with_more_functions_of_w(fingers, plan):
 def test_the_fewest_terms_whose_expected_error_is_within_half_of_the_target_are_used(fingers, plan):
     """The table must have the smallest number of basis terms whose expected error is at most half of the target.
 
+    The terms are those of the functions that expand Fourier coefficients.
+
     With 8 terms, the measured error equals the target. The residuals of the fit of the basis predict that 10 terms
     reduce this error by a factor of 3.2.
     """

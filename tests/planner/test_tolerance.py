@@ -29,7 +29,7 @@ def scan_or_none() -> wd.HeightField | None:
 def check(case: Configuration, count: int = 400) -> None:
     """Check that the error of a call is within the call's tolerance in ``count`` of its directions.
 
-    In calls with many directions, the planner has used none of the ``count`` directions.
+    In calls with many directions, the planner has used none of these directions to select wavelengths and terms.
     """
     result = judge.evaluate(case)
     chosen, weights = judge.sampled(result, np.random.default_rng(SEED))
@@ -141,7 +141,7 @@ def test_the_judged_error_detects_errors_of_two_per_cent_of_all_or_of_the_bright
 
 
 def test_a_plan_of_the_fewest_wavelengths_is_repaired(fingers):
-    """A plan with the smallest set of wavelengths must get more wavelengths if its error is too large.
+    """A call must get more than the smallest set of wavelengths if its error is too large.
 
     For this call, the error with the smallest set is three times the tolerance.
     """

@@ -28,8 +28,9 @@ def test_the_training_and_the_validation_set_each_represent_all_candidates(rng):
         assert sample.weights.sum() == pytest.approx(7000.0, rel=0.2)
         steep = -(sample.scattering_vectors + sample.to_lights)[:, 2] > 0.5
         assert sample.weights[steep].sum() / sample.weights.sum() == pytest.approx(share, abs=0.12)
-        # For 2.25 draws, one is uniform, one by brightness, and 0.25 only from the edge cases. A fifth of all
-        # candidates are edge cases, and therefore a fifth of the directions that the first two kinds draw.
+        # Of 2.25 drawn directions, one is drawn uniformly, one by brightness, and 0.25 from the edge cases alone. A
+        # fifth of all candidates are edge cases. The share of edge cases among the first two kinds is therefore a
+        # fifth, too.
         edge_cases = set(map(tuple, sample.to_lights)) & set(map(tuple, lights[:200]))
         assert len(edge_cases) / len(sample) == pytest.approx((0.2 + 0.2 + 0.25) / 2.25, abs=0.06)
 
@@ -68,6 +69,8 @@ def test_directions_drawn_with_large_probabilities_appear_only_once(rng):
 def test_the_few_directions_at_an_order_are_candidates(axis, rng):
     """The directions at the first order of a grating must become candidates even if there are only twelve of them.
 
+    The planner draws the directions on which it evaluates plans from the candidates.
+
     All other directions are away from the order, or are dim.
     """
     grating = wd.gratings.sinusoidal(2.0, 0.1)
@@ -99,7 +102,7 @@ def test_the_few_directions_at_an_order_are_candidates(axis, rng):
 
 
 def test_directions_with_extreme_angles_are_edge_cases(rng):
-    """Directions with extreme angles must be edge cases.
+    """Directions with extreme angles must be edge cases, at which the planner expects large errors.
 
     They have the most grazing lights or views, or the largest or smallest |(u, v)|, the tangential part of the
     scattering vector.

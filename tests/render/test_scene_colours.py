@@ -35,7 +35,8 @@ def texture(colour):
     return Image.new("RGB", (3, 5), colour)
 
 
-# Kinds of parts by name: a function that makes the part, and its base colour on plain surfaces.
+# Kinds of parts by name: a function that makes the part, and its base colour as a plain surface (without a height
+# field).
 KINDS = {
     "bare": (quad, (1, 1, 1)),
     "unnamed metal": (lambda: quad(PBRMaterial(metallicFactor=1.0, roughnessFactor=0.4)), (1, 1, 1)),

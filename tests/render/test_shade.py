@@ -240,8 +240,9 @@ def test_pictures_are_the_same_bit_for_bit(samples, snake, fingers):
 
 
 def test_many_samples_per_pixel_change_only_the_rim():
-    """With 16 samples per pixel, only pixels at the rim of the mesh may be partly covered; the mean colour must not
-    change.
+    """With 16 samples per pixel, only pixels at the rim of the mesh may be partly covered.
+
+    The mean colour must be that with one sample per pixel.
     """
     disc = whole_disc()
     view = wd.View((0.5, -1.2, 2.2), (0, 0, 0), fov_y_deg=60.0, width=64, height=48)
@@ -393,8 +394,9 @@ def test_illuminated_pixels_are_finite_and_positive(name, request):
 
 
 def test_the_belly_shows_no_seam(fingers):
-    """Neighbouring pixels on both sides of the texture's seam, on the belly of the snake, must not differ more than
-    other neighbouring pixels.
+    """The picture must show no seam where the texture begins and ends, on the belly of the snake.
+
+    Neighbouring pixels on both sides of the seam must not differ more than other neighbouring pixels.
     """
     tube = meshes.tube(bend_deg=0.0, segments_along=96, segments_around=64)
     # The view is from below, and the seam lies on the border between the two middle columns of the picture.

@@ -235,7 +235,7 @@ def test_type_checkers_report_misspelt_options(checker, tmp_path):
 
 
 def legal(option: Option) -> st.SearchStrategy:
-    """Return a strategy for the legal values of an option, derived from its description."""
+    """Return a Hypothesis strategy (random values) for the legal values of an option, derived from its description."""
     if option.choices:
         return st.sampled_from(option.choices)
     if option.kind == "flag":

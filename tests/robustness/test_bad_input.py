@@ -207,7 +207,8 @@ PLANS = [
     ("max_uv", 3.0, r"max_uv must be a finite number, at least 0 and at most 2\.001"),
 ]  # fmt: skip
 
-# Errors of ``Image.save`` that do not follow from the descriptions of its options.
+# Calls of ``Image.save`` with invalid arguments, and the errors that they raise. The other invalid arguments follow
+# from the descriptions of the options, and are tested in test_refusals.py.
 SAVES = [
     ("out.jpg", {}, ValueError, "path must end in .exr or .png, got 'out.jpg'"),
     ("out", {}, ValueError, "path must end in .exr or .png, got 'out'"),
@@ -280,7 +281,7 @@ def test_invalid_shared_options_are_refused(function, option, value, error, mess
 @pytest.mark.parametrize("kind", ["centred", "replicas"])
 @pytest.mark.usefixtures("no_kernel")
 def test_power_series_are_refused_for_coherences_that_add_amplitudes(function, kind):
-    """The message must list all methods that the coherence model allows, but not the requested method."""
+    """Series of powers must be refused for coherences that add amplitudes, with a list of the allowed methods."""
     coherence = wd.Coherence(kind, periods=(2, 2) if kind == "replicas" else None)
     with pytest.raises(ValueError, match=f"method='power' .* kind='{kind}'") as refused:
         EVALUATE[function](method="power", coherence=coherence)

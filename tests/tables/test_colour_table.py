@@ -214,7 +214,8 @@ def test_points_are_splines_through_the_rows(fingers, rng):
     options = {"device": wp.get_device("cpu"), "threads": 1}
     table = colour_table.table_for(fingers, plan, plan.direction_range, IlluminatedMaterial("D65"), **options).struct
     firsts, rays = table.first_rows.numpy()[0], table.azimuths.numpy()[0]
-    # ``seams`` are the ring indices at which the last two octaves begin.
+    # An octave is a set of rings over a factor of two in |(u, v)|. ``seams`` are the ring indices at which the last two
+    # octaves begin.
     last = len(rays) * table.rings_per_octave - table.ring_of_one
     seams = last - table.rings_per_octave * np.arange(1, 3)
     anywhere = rng.uniform(seams[1] - 3.0, last - 3.0, 300)

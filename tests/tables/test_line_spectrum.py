@@ -67,7 +67,8 @@ def test_a_mirror_shows_the_source(incidence_deg):
     """A perfect mirror must show a white image of the source.
 
     At a distance d in (u, v) from the mirror direction, the brightness of the image is exp(−½ dᵀΣ⁻¹d), with the
-    covariance Σ of the source. One tested distance is within the inner radius of the table, and one is beyond it.
+    covariance Σ of the source. One tested distance is below the smallest |(u, v)| for which the table has colours, and
+    one is above it.
     """
     flat = wd.HeightField(np.zeros((64, 64)), 0.09)
     plan = wd.plan(flat, coherence=SOURCE, method="low-rank")

@@ -90,7 +90,10 @@ def test_a_table_without_levels_stays_without_them(heightfield):
 
 
 def test_equal_plans_share_a_table(heightfield):
-    """Plans with equal values must share a table. They do, because keys of the cache are frozen dataclasses."""
+    """Plans (numbers of a computation) with equal values must share a table of colours in the cache.
+
+    The keys of the cache are frozen dataclasses, which are equal if their values are.
+    """
     plan = plan_of(heightfield, COHERENCES[0])
     first = table(heightfield, plan)
     again = table(heightfield, dataclasses.replace(plan), IlluminatedMaterial("D65"))
