@@ -199,7 +199,7 @@ def work(threads: int | None) -> None:
         text = line.strip()
         if text in rows:
             call = rows[text]()
-            # The first call of a task is not timed, because it also makes tables and loads compiled kernels.
+            # The first call of a task is not timed, because this call also makes tables and loads compiled kernels.
             call(0)
             answer = timed(call, 1)
         else:

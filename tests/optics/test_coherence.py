@@ -28,7 +28,7 @@ def small(rng):
 
 
 def tiled_power(heightfield, periods, scattering_vector, wavelength):
-    """Return |P|², the squared mean of exp(2πi(κh + q·x)) over all samples of all periods."""
+    """Return |P|²; P is the mean of exp(2πi(κh + q·x)) over the heights h at x of all samples of all periods."""
     u, v, w = scattering_vector / wavelength
     h = np.tile(heightfield.heights_um, periods)
     y = np.arange(h.shape[0])[:, None] * heightfield.pitch_um[0]

@@ -135,9 +135,8 @@ def test_the_largest_table_is_the_largest_that_fits_into_memory(fingers, plan, m
 def test_more_functions_of_w_are_tried_where_rings_do_not_help(fingers, plan, richer, expected):
     """If more rings do not reduce the error, a table with more basis functions of w must be tried.
 
-    Rings are circles of constant |(u, v)|, at which a table has colours as functions of w.
-
-    If that table does not meet the target either, the search must end without a table.
+    If the second table does not meet the target either, the search must end without a table. Rings are circles of
+    constant |(u, v)|, at which a table has colours as functions of w.
     """
     trial = Tables(fingers, plan, law=lambda table: 1.5 * TARGET * (richer if table.w_basis_size > 8 else 1.0))
     table = trial.smallest()

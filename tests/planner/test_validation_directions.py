@@ -1,8 +1,8 @@
 """Training and validation sets are disjoint, and each set represents the whole call.
 
 Both are sets of directions of a call. The planner searches a plan (numbers of wavelengths and terms) on the training
-set, and measures its error on the validation set. Both are drawn from candidates. Edge cases are candidates at which a
-large error is likely.
+set, and measures its error on the validation set. Both are drawn from candidates. Edge cases are candidates near strong
+diffraction orders, or with extreme angles or geometry factors.
 """
 
 import numpy as np
@@ -102,7 +102,7 @@ def test_the_few_directions_at_an_order_are_candidates(axis, rng):
 
 
 def test_directions_with_extreme_angles_are_edge_cases(rng):
-    """Directions with extreme angles must be edge cases, at which the planner expects large errors.
+    """Directions with extreme angles must be edge cases, which always become candidates of the planner.
 
     They have the most grazing lights or views, or the largest or smallest |(u, v)|, the tangential part of the
     scattering vector.

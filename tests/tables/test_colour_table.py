@@ -74,8 +74,8 @@ def test_the_smallest_tables_have_approximate_colours(fingers, rng):
     plan = wd.plan(fingers, lights, views, coherence=SHORT, method="low-rank", tolerance=1e-2)
     exact = wd.reflectance(fingers, lights, views, plan=plan)
     for nodes in (4, 5, 7):
-        # All table sizes have the same number of basis functions of w, because each number requires another compiled
-        # kernel.
+        # All table sizes have the same number of basis functions of w, the normal component of the scattering vector.
+        # Each number would require another compiled kernel.
         sized = dataclasses.replace(plan, rings_per_octave=nodes, azimuths_per_width=1.1, w_basis_size=12)
         errors = relative_errors(wd.reflectance(fingers, lights, views, plan=sized), exact)
         assert np.median(errors) < 0.2
