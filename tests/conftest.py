@@ -56,7 +56,7 @@ def scan(scan_path):
 
 @pytest.fixture(scope="session")
 def fingers():
-    """Return a 12.8 µm patch of random fingers. With short coherence windows its diffraction orders overlap."""
+    """Return a patch with random elongated bumps (fingers), 12.8 µm wide. Its orders overlap under short windows."""
     import warpdiff as wd
 
     return wd.gratings.fingers(size_um=12.8, seed=4)
@@ -151,8 +151,8 @@ def hemisphere(rng: np.random.Generator, count: int, lowest: float = 0.05) -> np
 def launch(kernel, dim, inputs=(), outputs=(), *, device="cpu") -> None:
     """Compile a kernel by the threads of the library, and launch it.
 
-    Each thread that compiles first reads Warp's headers, which takes 1 to 2 s of processor time. If the main thread
-    compiled the kernel, it would have to read the headers, too.
+    Each thread reads Warp's headers before its first compilation, which takes 1 to 2 s of processor time. The threads
+    of the library have read them already; the main thread has not.
     """
     import warp as wp
 
@@ -171,7 +171,7 @@ def write_image(path: Path, pixels: np.ndarray) -> None:
 
 
 def coherence_of(kind: str, sigma_um=None, angular_diameter_deg=3.0, periods=(2, 3)):
-    """Return a coherence model of the given kind: a window width, a source diameter or a number of periods."""
+    """Return a coherence model (limit of interference): a window, a source diameter or a number of periods."""
     import warpdiff as wd
 
     if kind == "source":

@@ -30,8 +30,9 @@ def count(in_tests: int, in_soak: int) -> int:
 
 
 def begin(shares: int, shares_left: int) -> None:
-    """Set the end time of the test that runs next. Time that earlier tests did not use is divided among all remaining
-    tests.
+    """Set the end time of the test that runs next.
+
+    Time that earlier tests did not use is divided among all remaining tests.
     """
     global _until  # noqa: PLW0603 (each process runs one test at a time)
     _until = time.time() + (_END - time.time()) * shares / shares_left

@@ -1,4 +1,7 @@
-"""Fuzzed arguments: Hypothesis strategies for all options, and calls of every public function with them."""
+"""Fuzzed arguments: Hypothesis strategies for all options, and calls of every public function with them.
+
+A Hypothesis strategy describes random values of an argument.
+"""
 
 import ast
 import dataclasses
@@ -101,13 +104,14 @@ def _of_its_kind(option: Option) -> st.SearchStrategy:
 
 
 WAVY = wd.HeightField(0.05 * np.sin(np.arange(120.0)).reshape(1, -1) + np.zeros((8, 1)), 0.1)
-# Classes that only the library creates are not fuzzed. Errors and warnings are excluded because they accept any text.
+# Classes that are not called with random arguments. Only the library creates objects of most of these classes. Errors
+# and warnings accept any text.
 MADE_BY_THE_LIBRARY = {"BakedLobes", "BakedSpectrum", "Comparison", "Image", "OrderEfficiencies", "Period"}
 MADE_BY_THE_LIBRARY |= {"Periods", "ReflectanceSpectra", "Report", "Roughness", "ScanReport", "ToleranceError"}
 MADE_BY_THE_LIBRARY |= {"WarpdiffWarning", "Fit", "Measured", "Minimum", "Design", "Target", "RigorousEfficiencies"}
 # Methods that only the renderer calls are not fuzzed, because their arguments are already checked.
 CALLED_BY_PICTURES = {"lobes", "parts", "table_coherence"}
-# Objects on which methods are called, by class. Methods of the classes in ``FUZZED_OWNERS`` are also called on fuzzed
+# Objects on which methods are called, by class. Methods of the classes in ``FUZZED_OWNERS`` are also called on random
 # objects of these classes.
 OWNERS = {
     "Environment": lambda: wd.Environment(np.ones((2, 4, 3)), directions=16),

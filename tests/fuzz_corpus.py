@@ -147,7 +147,7 @@ def gltf_scenes():
 
 
 def tables():
-    """Write files of optics, measurements, cameras, plans and baked tables."""
+    """Write files of materials, measurements, cameras, plans (numbers of computations) and exported colours."""
     head = "REFERENCES: |\n    A. Author, 2000\nDATA:\n"
     files = {
         "index/table.yml": head + "  - type: tabulated nk\n    data: |\n        0.38 1.5 0.1\n        0.78 1.4 0.2\n",

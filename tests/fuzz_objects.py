@@ -50,7 +50,7 @@ def axes():
 
 @functools.cache
 def simple_plan() -> wd.Plan:
-    """Return a plan for one direction, which needs no kernel."""
+    """Return a plan (numbers of a computation) for one direction, which is made without a kernel."""
     return wd.plan(HEIGHTFIELD, UP, UP, coherence=SHORT)
 
 

@@ -1,4 +1,8 @@
-"""Cards with a grating map, and the same cards without a map, with one mesh part per dot, as a reference."""
+"""Cards with a grating map, and the same cards without a map, with one mesh part per dot, as a reference.
+
+A grating map is an array of dots. Each dot turns the same height field, the cell, and scales its depth and pitch. A
+card is a flat rectangle.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +24,7 @@ LIGHT = wd.DirectionalLight((0.0, 0.5, 1.0))
 def card(
     *, uvs: bool = True, left: float = 0.0, right: float = 1.0, top: float = 1.0, bottom: float = 0.0
 ) -> trimesh.Trimesh:
-    """Return a rectangle, whose sides are given as shares of the whole card, with texture coordinates from 0 to 1."""
+    """Return a part of a flat card, with sides as shares of the whole card and texture coordinates from 0 to 1."""
     x = WIDTH * (np.array([left, right, right, left]) - 0.5)
     y = HEIGHT * (np.array([bottom, bottom, top, top]) - 0.5)
     visual = trimesh.visual.TextureVisuals(uv=np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]))
@@ -33,7 +37,10 @@ def card(
 def parts_of(
     grating_map: wd.GratingMap, coherence: wd.Coherence
 ) -> tuple[trimesh.Scene, dict[str, wd.Surface], NDArray[np.float64]]:
-    """Return a scene with one mesh part per dot, scaled height fields by part, and turned tangents by vertex."""
+    """Return the reference of a map: a scene with one part per dot, height fields by part, and tangents by vertex.
+
+    The height field of a part has the scaled depth and pitch of the dot. Its tangents are turned.
+    """
     rows, columns = grating_map.shape
     scene, surfaces, tangents = trimesh.Scene(), {}, []
     for row in range(rows):

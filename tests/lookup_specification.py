@@ -6,9 +6,10 @@ pixels at once, with series instead of logarithms, exponentials and arc tangents
 (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
 light and to the viewer. w is its component along the normal.
 
-A colour table has rings of constant |(u, v)|, and equally spaced azimuth samples on each ring. A row of the table has
-the coefficients of one azimuth sample: XYZ is their sum, weighted by basis functions of w. Rows of higher mip levels
-are blurred along the rings, and have fewer azimuth samples.
+A footprint is the range of (u, v) that a pixel covers, as a Gaussian. A colour table has rings of constant |(u, v)|,
+and equally spaced azimuth samples on each ring. A row of the table has the coefficients of one azimuth sample: XYZ is
+their sum, weighted by basis functions of w. Rows of higher mip levels are blurred along the rings, and have fewer
+azimuth samples.
 """
 
 import functools
@@ -22,8 +23,8 @@ from warpdiff.kernels.compile_options import options
 from warpdiff.kernels.indices import cyclic
 from warpdiff.kernels.structs import Footprint
 
-# Constants of the rules that approximate footprints. ``kernels/native/footprint_lookup.h`` has equal constants and
-# explains them.
+# Constants of the rules that approximate footprints: the ranges of (u, v) that pixels cover.
+# ``kernels/native/footprint_lookup.h`` has equal constants and explains them.
 WIDE = wp.constant(wp.float32(0.25))
 MOST_TURN = wp.constant(wp.float32(0.1))
 WIDEST_ANGLE = wp.constant(wp.float32(0.5))
@@ -33,7 +34,8 @@ MOST_APART = wp.constant(wp.float32(1.5))
 CURVES = wp.constant(wp.float32(0.047))
 DEVIATIONS = wp.constant(wp.float32(colour_lookup.DEVIATIONS))
 CUT_PER_VARIANCE = wp.constant(wp.float32(1.0 / colour_lookup.variance_before(colour_lookup.DEVIATIONS)))
-# Constants of the rules that add rings. ``kernels/native/ring_sum.h`` has equal constants and explains them.
+# Constants of the rules that add rings: circles of constant |(u, v)| in a table. ``kernels/native/ring_sum.h`` has
+# equal constants and explains them.
 OUTWARDS, INWARDS = wp.constant(wp.float32(3.2)), wp.constant(wp.float32(4.5))
 RINGS_APART, RINGS_PER_DEVIATION = wp.constant(wp.float32(0.1)), wp.constant(wp.float32(1.2))
 WITHIN = wp.constant(wp.float32(0.5))
@@ -370,8 +372,8 @@ def lookup(w_basis_size: int, source: bool = False) -> Any:
         taps: FootprintTaps,
         run: wp.int32,
         first: wp.int32,
-        # Sums over the directions, written by this kernel: the gain of directions whose colour the table cannot give,
-        # and XYZ.
+        # Sums over the directions, written by this kernel: the gain (geometry factor and masking) of directions whose
+        # colour the table cannot give, and XYZ.
         unserved_gain: wp.array(dtype=wp.float32),
         xyz_out: wp.array(dtype=wp.vec3f),
     ):

@@ -57,7 +57,7 @@ def draw_roughly(monkeypatch):
     for name in ("shade", "Renderer"):
         function = getattr(wd, name)
         with_window = rough(function, tolerance=0.3, coherence=window)
-        # Grating maps whose pitch differs between dots require the coherence model "source".
+        # If the dots of a grating map (an array of gratings) differ in pitch, the coherence model must be "source".
         of_maps = rough(function, tolerance=0.3, coherence=wd.Coherence("source", angular_diameter_deg=15.0))
         monkeypatch.setattr(wd, name, _by_surface(with_window, of_maps))
     monkeypatch.setattr(wd, "bake", rough(wd.bake, delta_e=20.0, coherence=window))

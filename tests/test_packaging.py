@@ -223,7 +223,8 @@ def test_declared_dependencies_equal_the_imported_packages():
 
 
 def test_kernels_are_never_imported_by_their_folder():
-    # The test searches for import statements in the text of the files. Parsing all tests would require two seconds.
+    # The test searches for import statements in the text of the files, because parsing all tests would take two
+    # seconds.
     by_folder = re.compile(r"^\s*(from|import) kernels\b", re.MULTILINE)
     assert by_folder.search("import os\n    from kernels.bvh import trace_bvh\n")
     for folder in SOURCES:

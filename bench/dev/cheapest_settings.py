@@ -1,7 +1,9 @@
 """Search for the cheapest settings of a call that meet its tolerance, for ``bench/dev/tight_plans.py``.
 
-The colour of a direction depends only on the wavelengths of this direction. Colours are therefore computed once for
-each number of wavelengths, and the errors of plans are combined from these colours.
+A setting is a plan: the numbers of a computation, such as wavelengths and terms of a series. Plans may use a different
+number of wavelengths for each direction. The colour of a direction depends only on its own wavelengths. Colours are
+therefore computed once for each number of wavelengths. The error of a plan follows from the colours for the numbers
+that it uses.
 """
 
 from __future__ import annotations
@@ -38,20 +40,20 @@ DIRECTIONS = 128
 # Numbers of wavelengths below 16 that are tried, in steps of about a factor 2^(1/4). A plan with one of these numbers
 # uses it for all directions, because a plan with different numbers per direction has at least 16 wavelengths.
 FEWER = (8, 10, 11, 13)
-# The number of wavelengths of a direction is proportional to the bandwidth of its plan. The bandwidth has a constant
-# part, a part that is proportional to the order rate |(u, v)|, and a part that is proportional to |w|. `CONSTANTS` are
-# the tried shares of the constant part in the bandwidth, in steps of a factor 2^(1/4). `SPLITS` are the tried shares of
-# the part for the order rate in the sum of the other two parts.
+# The number of wavelengths of a direction is proportional to its bandwidth, which depends on the scattering vector (u,
+# v, w). The bandwidth has a constant part, a part that is proportional to |(u, v)| (the order rate), and a part that is
+# proportional to |w|. `CONSTANTS` are the tried shares of the constant part in the bandwidth, in steps of a factor
+# 2^(1/4). `SPLITS` are the tried shares of the part for the order rate in the sum of the other two parts.
 CONSTANTS = 2.0 ** (-np.arange(25) / 4.0)
 SPLITS = (1.0, 0.95, 0.9, 0.8, 0.7, 0.5, 0.25, 0.0)
-# Number of values that are tried for a number in a plan, from the smallest value on that meets the tolerance.
+# For two numbers in a plan: how many values are tried, beginning with the smallest value that meets the tolerance.
 # `MORE_TERMS` applies to the number of terms of the series. `MORE_EXPONENTS` applies to the exponent a of the least
 # weight exp(−a) of neighbouring Fourier coefficients.
 MORE_TERMS, MORE_EXPONENTS = 3, 5
 # Step and upper limit of the exponent a in the least weight exp(−a) of neighbouring Fourier coefficients.
 EXPONENT_STEP, MOST_EXPONENT = 0.5, 24.0
-# Methods and settings of plans are tried only if their predicted cost, relative to the lowest predicted cost, is at
-# most this number.
+# Plans are tried only if their predicted cost is at most this number times the lowest predicted cost of the plans so
+# far.
 HOPELESS = 1.6
 # Largest number of directions of one timed call. The value is limited by time: if it is doubled, the calls take twice
 # as long.
@@ -62,9 +64,10 @@ CHUNK = 64
 
 
 class Call:
-    """Directions of one configuration (inputs of a plan), with the reference colours of these directions.
+    """Directions of one call, with the reference colours of these directions.
 
-    Methods compute the colours and errors of these directions by a plan.
+    Methods compute the colours and errors of these directions by a plan: the numbers of a computation, such as
+    wavelengths and terms of a series.
     """
 
     def __init__(
@@ -86,8 +89,9 @@ class Call:
             case.heightfield, lights, views, coherence, tolerance=case.tolerance / 5.0
         )
         self.exact = exact
-        # The floor f of errors is a share of the luminance of all planned directions. The few directions of this object
-        # do not represent all planned directions. The luminance is therefore an argument.
+        # Errors of dim directions are relative to a floor f, which is a share of the luminance of all directions of the
+        # call. This luminance is an argument, because the few directions of this object do not represent all
+        # directions.
         floor = FLOOR * luminance
         self._above = exact[:, 1] >= floor
         self._scale = np.where(self._above, np.maximum(np.linalg.norm(exact, axis=1), floor), floor)
@@ -113,7 +117,7 @@ class Call:
         return self._arrays[repeats]
 
     def prepared(self, plan: wd.Plan, repeats: int = 1) -> Any:
-        """Make the tables of a plan, and return a function that computes the colours of the directions by this plan."""
+        """Make tables of Fourier coefficients for a plan, and return a function that computes colours of directions."""
         heightfield, slices = self.case.heightfield, 8 if repeats == 1 else 64
         table = coefficient_table.table_for(
             heightfield, plan, self.direction_range, device=self.device, threads=self.threads
@@ -169,8 +173,7 @@ class Bandwidths:
         step = np.clip(step, 0, np.floor(-4.0 * np.log2(c) + 1e-9).astype(int))
         tops = np.arange(len(self.sizes))
         which = [np.maximum(top - step, first) for top in tops[first:]]
-        # An assignment states a number of wavelengths for every direction. If an assignment has one of the numbers in
-        # ``FEWER``, all of its directions have this number.
+        # Each number in ``FEWER`` makes one assignment, in which all directions have this number of wavelengths.
         which = [np.full((1, len(call.w)), top) for top in tops[:first]] + which
         self.which = np.concatenate(which)
         self.made = [(top, 0) for top in tops[:first]]
@@ -210,12 +213,11 @@ class Setting(NamedTuple):
 
 
 def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
-    """Return, for each combination of the other choices, the sufficient setting with the fewest wavelengths.
+    """Return, for each combination of method, terms and neighbours, the sufficient setting with the fewest wavelengths.
 
-    A setting is sufficient if it meets the tolerance. The other choices are the method, the number of terms of the
-    series, and the number of neighbouring Fourier coefficients. For replicated patches, the number of subdivisions of a
-    plan replaces the number of neighbouring coefficients. Combinations that are too costly even with few wavelengths
-    are excluded.
+    A setting is sufficient if it meets the tolerance. A combination has a method, a number of terms of the series, and
+    a number of neighbouring Fourier coefficients. For replicated patches, the number of subdivisions of a plan replaces
+    the number of neighbouring coefficients. Combinations that are too costly even with few wavelengths are excluded.
     """
     case = call.case
     tolerance = case.tolerance
@@ -247,7 +249,7 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
             bare = dataclasses.replace(with_terms, least_weight=math.exp(-EXPONENT_STEP), subdivisions=1)
             if enough == MORE_TERMS or not is_promising(bare):
                 break
-            # A series with fewer terms than half of its largest argument x does not converge, and is not evaluated.
+            # A series in x with fewer terms than half of the largest x does not converge, and is not evaluated.
             expansion = EXPANSIONS.get(method)
             if expansion is not None:
                 argument = (
@@ -275,7 +277,7 @@ def settings(call: Call, automatic: wd.Plan) -> list[Setting]:
 
 
 def _neighbourhoods(call: Call, plan: wd.Plan, automatic: wd.Plan) -> list[wd.Plan]:
-    """Return variants of a plan with different numbers of neighbouring coefficients or, for replicas, ``subdivisions``.
+    """Return variants of a plan with other numbers of neighbours or, for replicated patches, of ``subdivisions``.
 
     The first variant has the smallest number of neighbouring Fourier coefficients with which the plan meets the
     tolerance.

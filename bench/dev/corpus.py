@@ -11,9 +11,10 @@ changed since version 0.1.0. The modules ``corpus_pictures``, ``corpus_surfaces`
 cases.
 
 The cases cover all kinds of coherence, methods, sample counts, lights, materials, textures, cameras and files, with one
-thread and with two. The values of a case include the numbers of its plan. Texts are not compared, except for names of
-objects. Surfaces are small and synthetic. Other processors or other versions of libraries may round differently. Write
-and compare the arrays on the same machine, in environments with the same versions of all libraries.
+thread and with two. The values of a case include the numbers of its plan, such as wavelengths and terms of series.
+Texts are not compared, except for names of objects. Surfaces are small and synthetic. Other processors or other
+versions of libraries may round differently. Write and compare the arrays on the same machine, in environments with the
+same versions of all libraries.
 """
 
 from __future__ import annotations

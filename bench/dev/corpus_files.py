@@ -81,7 +81,10 @@ def saved_pictures(threads: int) -> Values:
 
 
 def baked_lobes(threads: int) -> Values:
-    """Bake lobes on a metal for two kinds of coherence, averaged and light source; collect their files and colours."""
+    """Export the colours of a metal surface (baked lobes) for two kinds of coherence; collect files and colours.
+
+    The kinds are an averaged coherence window and a light source of finite size.
+    """
     surface = wd.gratings.fingers(size_um=6.4, pitch_um=0.1, seed=4)
     lights, views = directions(200)
     calls: dict[str, Values] = {

@@ -70,7 +70,10 @@ def explicit_tangents(threads: int) -> Values:
 
 
 def explicit_plan(threads: int) -> Values:
-    """Render with an explicit plan: the automatic plan with two additional terms of the series."""
+    """Render with given numerical settings: the library's own plan with two additional terms of the series.
+
+    A plan has the numbers of a computation, such as wavelengths and terms of a series.
+    """
     surface = fingers()
     plan = wd.plan(heightfield=surface, tolerance=3e-2, threads=threads)
     changed = dataclasses.replace(plan, terms=plan.terms + 2)
@@ -88,7 +91,7 @@ def successive_pictures(threads: int) -> Values:
 
 
 def previews(threads: int) -> Values:
-    """Collect the previews that a renderer completes at tolerances of 0.3 and 0.1, and the final picture."""
+    """Collect a renderer's unfinished pictures (previews) at tolerances of 0.3 and 0.1, and the final picture."""
     renderer = wd.Renderer(tube(), fingers(), ABOVE, tube_view(**MEDIUM), tolerance=2e-2, threads=threads)
     completed: Values = {}
 
@@ -100,7 +103,7 @@ def previews(threads: int) -> Values:
 
 
 def resized_renderer(threads: int) -> Values:
-    """Render a smaller picture with the plan and the tables of a larger picture."""
+    """Render a smaller picture with the numerical settings (plan) and the tables of a larger picture."""
     renderer = wd.Renderer(tube(), fingers(), [ABOVE, SIDE], tube_view(), tolerance=1e-1, refine=False, threads=threads)
     return image_values(renderer.resized(tube_view(**MEDIUM), refine=True).image())
 

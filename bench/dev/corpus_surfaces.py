@@ -27,7 +27,10 @@ PERIOD_NUMBERS = (
 
 
 def normalised_energy(threads: int) -> Values:
-    """Compute spectra, colours and a map with normalised energy, for a mirror, copper and the default material."""
+    """Compute spectra, colours and a map for a mirror, copper and the default material, with normalised energy.
+
+    The normalisation scales the orders of a perfect mirror to a sum of 1.
+    """
     options: Values = {"energy": "normalised", "threads": threads}
     metal = wd.Material.metal("Cu")
     surface = fingers()
@@ -51,7 +54,7 @@ def direction_colours(count: int, coherence: Any, **options: Any) -> Case:
 
 
 def spectra(threads: int) -> Values:
-    """Compute relative and absolute reflectance spectra for all kinds of coherence, and order efficiencies."""
+    """Compute relative and absolute spectra for all limits of interference (coherence), and order efficiencies."""
     coherences = (wd.Coherence(), wd.Coherence("centred"), SOURCE, wd.Coherence("replicas", periods=(2, 2)))
     values: Values = {}
     for coherence in coherences:
@@ -112,7 +115,8 @@ def material_colours(threads: int) -> Values:
 def surfaces(_: int) -> Values:
     """Collect synthetic height fields, and the results of all methods that clean them.
 
-    For one cleaned height field, also collect the numbers of its summary and of a plan for its reflectance.
+    For one cleaned height field, also collect its summary, and the numbers of wavelengths and terms for its
+    reflectance.
     """
     rng = np.random.default_rng(3)
     fields = {

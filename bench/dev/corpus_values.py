@@ -24,7 +24,7 @@ IMAGE_ARRAYS = ("xyz", "mask", "illuminated", "coverage", "error")
 
 
 def image_values(image: Any) -> Values:
-    """Return the arrays and layers of a picture, and the numbers of its plan and of its report."""
+    """Return a picture's arrays and layers, its numbers of wavelengths and terms (plan), and its report."""
     return map_values(image) | plan_values(image.plan, getattr(image, "report", None))
 
 

@@ -6,10 +6,11 @@
     python -m bench.dev.device_check --device cpu --times 0
 
 Frames have 640 × 480 pixels, and the light and the camera move from frame to frame. The compared pictures cover all
-kinds of light and coherence, and both devices use the same plan. Devices round differently, and may therefore subdivide
-different pixels. To show how large such differences may be, the CPU renders each picture twice. The second time, the
-directions or positions of the lights are changed by a relative amount of 2e-7, about the rounding error of float32. The
-colours of both devices should differ about as much as the two pictures of the CPU.
+kinds of light and coherence, and both devices use the same plan (numbers of wavelengths and terms). Devices round
+differently. Pixels are subdivided where an estimated error is too large, so that the devices may subdivide different
+pixels. To show how large such differences may be, the CPU renders each picture twice. The second time, the directions
+or positions of the lights are changed by a relative amount of 2e-7, about the rounding error of float32. The colours of
+both devices should differ about as much as the two pictures of the CPU.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ QUANTILES = (0.5, 0.99, 0.999)
 
 
 def frame_times(mesh: Any, surface: wd.HeightField, device: str, frames: int, **options: Any) -> dict[str, float]:
-    """Return the time of the first frame, including plan and tables, and median and maximum of the others [ms]."""
+    """Return the time of the first frame, with preparation, and the median and maximum of the other frames [ms]."""
     seconds = []
     begin = time.perf_counter()
     renderer = wd.Renderer(mesh, surface, *moved(mesh, 0), device=device, pigment=0.0, **options)

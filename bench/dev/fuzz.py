@@ -5,11 +5,11 @@
     python -m bench.dev.fuzz --minutes 10                        # all readers, ten minutes in total
     python -m bench.dev.fuzz --targets gltf x3p --executions 1000000
 
-Each reader starts from the valid files in ``tests/corpus``. A mutated file joins the files that are mutated if it
-reaches a new block of source code, or executes a block by another order of magnitude of times. A reader must return a
-valid result or refuse the file with an error that names it. These are failures: an exception of another type, a crash,
-more than 20 s for a file, allocation beyond 4 GB, network access, a subprocess, and a file opened outside of the
-folder. Files that fail are stored in ``fuzz_failures/``.
+Each reader starts from the valid files in ``tests/corpus``. A mutated file is a randomly changed copy. It is mutated
+further if it reaches a new block of source code, or executes a block a different number of times, by order of
+magnitude. A reader must return a valid result or refuse the file with an error that names it. These are failures: an
+exception of another type, a crash, more than 20 s for a file, allocation beyond 4 GB, network access, a subprocess, and
+a file opened outside of the folder. Files that fail are stored in ``fuzz_failures/``.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[2]
 FAILURES = ROOT / "fuzz_failures"
-# Arguments of Python that start the process that reads.
+# Arguments of Python that start the worker process, in which the mutated files are read.
 WORKER = ("-m", "bench.dev.fuzz")
-# Largest address space of the process that reads [bytes], and longest time for a file [s]. Valid files need a
-# thousandth of both.
+# Largest address space of the worker process, which reads the files [bytes], and longest time for a file [s]. Valid
+# files need a thousandth of both.
 MOST_BYTES, MOST_S = 4 << 30, 20
-# Largest number of files from which the mutations of one valid file start.
+# Largest number of versions of one valid file (itself and mutated copies) from which further mutations start.
 _MOST_INPUTS = 500
 # A mutated file is cut to twice the size of the valid file, or to this size if it is larger [bytes]. Without a limit,
 # files grow from mutation to mutation, and readers need longer for them.
@@ -54,7 +54,10 @@ _MOST_FAILURES = 10
 
 
 def watch(folder: Path, failures: list[str]) -> None:
-    """Record network access, subprocesses, and opened files outside of the folder, Python's folders and ``/proc``."""
+    """Append network access, subprocesses, and opened files that a reader must not use to ``failures``.
+
+    Files may be opened in the folder, in Python's folders, and in ``/proc``.
+    """
     allowed = [folder, *(Path(name).resolve() for name in {sys.prefix, sys.base_prefix, *sys.path}), Path("/proc")]
     allowed += [ROOT / "warpdiff", ROOT / "kernels", Path("/sys/fs/cgroup")]
 
@@ -67,7 +70,8 @@ def watch(folder: Path, failures: list[str]) -> None:
         if event == "open":
             if isinstance(arguments[0], (str, bytes)) and not is_allowed(arguments[0]):
                 failures.append(f"opens {os.fsdecode(arguments[0])}")
-        # The event loop of asyncio has a pair of sockets, which are not connected to a network.
+        # The event "socket.connect" is a failure, but the creation of sockets is not: the event loop of asyncio creates
+        # a pair of sockets without a network connection.
         elif event.startswith(("socket.connect", "socket.getaddrinfo", "urllib.", "subprocess.", "os.system")):
             failures.append(event)
 
@@ -112,7 +116,7 @@ def fuzz(target: Target, folder: Path, *, executions: int, seconds: float, seed:
             alarm = now
         previous, name = name, rng.choice(names)
         if previous != name:
-            # Other files may refer to the file that was damaged last.
+            # The previous file is restored to its valid content, because the next file may refer to it.
             (folder / previous).write_bytes(valid[previous])
         data, path = mutated(rng.choice(inputs[name]), inputs[name], rng), folder / name
         data = data[: max(2 * len(valid[name]), _LEAST_BYTES)]
@@ -148,7 +152,8 @@ def work(options: argparse.Namespace) -> None:
     for name in options.targets:
         for path in BY_NAME[name].folder.iterdir():
             problem(BY_NAME[name], path, [])
-    # Objects of the imported modules are no longer searched for unreachable ones.
+    # Objects of the imported modules exist until the process ends. The garbage collector no longer visits these
+    # objects, which saves time.
     gc.collect()
     gc.freeze()
     resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
@@ -186,7 +191,8 @@ def run(targets: list[str], *, executions: int, seconds: float, seed: int) -> li
             )
             results += [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
             if done.returncode:
-                # The folder contains the last file of the interrupted reader, and the valid files, which are unchanged.
+                # If a reader hangs or crashes, the last mutated file is still in the folder. All other files there have
+                # their valid content.
                 reason = "hangs" if done.returncode == -signal.SIGALRM else f"exit code {done.returncode}"
                 name = targets[len(results)] if len(results) < len(targets) else targets[-1]
                 kept = FAILURES / f"{name}-interrupted"

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from types import CodeType, ModuleType
 
-# Largest number of blocks. The package has about a sixth of them.
+# Largest number of blocks that can be counted. The library has about a sixth of this number.
 _MOST_BLOCKS = 1 << 16
 # Numbers of executions of each block since the last reset, in an array for the compiled modules and for NumPy.
 _counters = array("I", bytes(4 * _MOST_BLOCKS))
@@ -31,7 +31,7 @@ _NAME = "fuzz_counters"
 
 
 class Coverage:
-    """Blocks that were executed, with the order of magnitude of how often they were executed by one file."""
+    """Blocks of source code that were executed, each with the orders of magnitude of how often one file executed it."""
 
     def __init__(self) -> None:
         self._bits = np.zeros(_MOST_BLOCKS, np.uint16)
@@ -74,7 +74,7 @@ class _Loader(SourceFileLoader):
 
 
 def _with_counters(block: list[ast.stmt]) -> Iterable[ast.stmt]:
-    """Yield the statements of a block, with a counter at its start and after each statement that has blocks."""
+    """Yield the statements of a block, with a counter at its start and after each statement with inner blocks."""
     is_start = True
     for statement in block:
         is_text = isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)

@@ -36,13 +36,14 @@ _MOST_BYTES = 1 << 16
 def mutated(content: bytes, others: Sequence[bytes], rng: random.Random) -> bytes:
     """Return the content of a file with random damage, which may include a part of another file.
 
-    A third of the mutations of files with a known structure damage the bytes. The others damage a value, a member or a
-    record, and keep sizes and checksums correct, so that readers come as far as the damage.
+    If the structure of the file is known, a third of the mutations damage single bytes. The others damage a value, a
+    member of an archive or a record. Sizes and checksums in the file are then corrected, because a reader would
+    otherwise stop before it reads the damaged part.
     """
     structured = next((damage for start, damage in _STRUCTURES if content.startswith(start)), None)
     if structured is not None and rng.random() < 2.0 / 3.0:
-        # Damaged files cannot always be taken apart. These are the errors of the modules that do this: zipfile raises
-        # NotImplementedError for a compression that it does not know.
+        # The file may be damaged already, so that its structure cannot be parsed. The listed exceptions are those of
+        # the parsers; zipfile raises NotImplementedError for an unknown compression.
         with contextlib.suppress(
             ValueError, zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSError, RecursionError,
             NotImplementedError,

@@ -36,7 +36,8 @@ class Target:
         read: Function of a path that reads the file and checks the result.
         reads: Names of the public functions or methods, or titles of the registered formats, that this reader tests.
         errors: Accepted exceptions. ``MemoryError`` is accepted if its message states the free memory.
-        is_named: Whether errors must name the file, or an argument that the damaged file no longer states.
+        is_named: Whether the message of an error must name the file. Instead, it may ask for an argument that replaces
+            a value missing in the damaged file.
     """
 
     name: str
@@ -108,11 +109,11 @@ class _Studio:
         """Accept that a page has shown a picture."""
 
     def request(self, _: Any, request: Any) -> None:
-        """Check that a library call can be made from the values of a checked request."""
+        """Check that the values of a checked request are finite numbers or texts, by writing them as JSON."""
         json.dumps(request.values, allow_nan=False)
 
     def saved(self, _: Any, suffix: str) -> bytes:
-        """Return the content of a file."""
+        """Return a fixed content for a file that the page asks to save."""
         return suffix.encode()
 
 

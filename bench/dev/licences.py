@@ -28,12 +28,12 @@ ACCEPTED = {
 # Licences that replace those in the metadata. They were read from the licence files of the packages. The metadata of
 # meent state no licence. Those of docutils name the GPL of an Emacs mode, which its wheel does not contain.
 BY_FILE = {"docutils": "BSD-2-Clause", "meent": "MIT"}
-# Additions to a licence that only permit more.
+# Additions such as "with Classpath-exception". They only permit more than the licence, and are ignored here.
 _EXCEPTIONS = re.compile(r" with [\w.-]+", re.IGNORECASE)
 
 
 def licence_of(package: metadata.Distribution) -> str:
-    """Return the licence of a package: of its file, or an expression, classifiers or a short text of its metadata."""
+    """Return the licence of a package: from a list of licence files, or from its metadata."""
     head = package.metadata
     if by_file := BY_FILE.get(str(head["Name"]).lower()):
         return by_file

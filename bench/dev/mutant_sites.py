@@ -1,4 +1,7 @@
-"""Faults for mutation testing: one-token changes of Python sources, and two faults per C++ header, listed in a file."""
+"""Faults for mutation testing: one-token changes of Python sources, and two faults per C++ header, listed in a file.
+
+Mutation testing makes one small change in the program at a time, and checks whether the tests detect the change.
+"""
 
 from __future__ import annotations
 

@@ -1,10 +1,11 @@
 """Mutation score: share of one-token faults in the sources that the tests detect, for one commit or several.
 
 ``python -m bench.dev.mutants COMMIT ... --seed COMMIT --minutes 60`` exports each commit into a folder. The command
-records once which functions and kernels each test executes. After that, the command makes one change at a time and runs
-the tests that execute the changed code; tests of the changed module come first. The seed determines the changes. With
-``--headers``, the changes are two faults per C++ header instead. Changes of the commits alternate, so that the scores
-are comparable even if the run is interrupted. The same command continues an interrupted run.
+records once which functions and kernels each test executes. After that, the command makes one change (fault) at a time
+and runs the tests that execute the changed code; tests of the changed module come first. If no test fails, the change
+is not detected. The seed determines the changes. With ``--headers``, the changes are two faults per C++ header instead.
+Changes of the commits alternate, so that the scores are comparable even if the run is interrupted. The same command
+continues an interrupted run.
 """
 
 from __future__ import annotations
@@ -155,9 +156,10 @@ class Run:
         self.records = [json.loads(line) for line in self._log.read_text(encoding="utf-8").splitlines()]
 
     def _used_names(self) -> Iterator[tuple[str, set[str]]]:
-        """Return each definition of a module with the names that it uses.
+        """Yield the name of each definition in a module with the names that it uses.
 
-        Names in statements that define nothing count as used by every definition of the module.
+        Top-level statements that define nothing run at import; the names in them count as used by every definition of
+        the module.
         """
         for path in (self.tree / NATIVE).glob("*.h"):
             yield path.name, set(re.findall(r'#include "(\w+\.h)"', path.read_text(encoding="utf-8")))
@@ -167,11 +169,12 @@ class Run:
             yield from ((name, _names_in(node) | shared) for defined, node in parts for name in defined)
 
     def tests_of(self, mutant: Mutant) -> list[str]:
-        """Return the tests for a change: tests of the module's own test file come first, and fast ones before slow.
+        """Return the tests for a change: of the module's test file first, then of its package, and fast before slow.
 
-        The list has the tests in the module's own test file and all tests that execute the changed definition. The
-        execution of constants, structs and functions of kernels is not recorded. For a change in one of these three,
-        the list has the tests that execute code which uses the constant, struct or function.
+        The list ends when a limit of the total time is reached. The list has the tests in the module's own test file
+        and all tests that execute the changed definition. The execution of constants, structs and functions of kernels
+        is not recorded. For a change in one of these three, the list has the tests that execute code which uses the
+        constant, struct or function.
         """
         reached = newer = set(mutant.names)
         while newer := newer - self._executed:

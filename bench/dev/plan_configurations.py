@@ -13,26 +13,26 @@ from warpdiff.apps import demo
 if TYPE_CHECKING:
     from pathlib import Path
 
-# Number of directions of a call, for which the plan is made.
+# Number of directions of a call. The library makes a plan (numbers of wavelengths and terms) for these directions.
 PLANNED = 40_000
 # Smallest cosine of the angle between random directions and the normal; the angle is at most 85°.
 LOWEST = math.cos(math.radians(85.0))
 KINDS = ("averaged", "centred", "source", "replicas")
-# Tolerances of the configurations, which combine a surface, a coherence, a tolerance and directions. Replicated patches
-# are not tried at tolerances below 1e-2, because the float64 reference of such patches would take too long.
+# Tolerances of the configurations. Replicated patches are not tried at tolerances below 1e-2, because the float64
+# reference of such patches would take too long.
 TOLERANCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3)
 REPLICAS_TOLERANCES = (1e-1, 3e-2, 1e-2)
 PITCH_UM = 0.09  # sample spacing of the synthetic surfaces [µm]
 
 
 class Configuration(NamedTuple):
-    """Inputs of a plan: surface, coherence, tolerance and directions."""
+    """Inputs of a plan (numbers of wavelengths and terms): surface, coherence, tolerance and directions."""
 
     surface: str
     heightfield: wd.HeightField
     coherence: wd.Coherence
     tolerance: float
-    lights: np.ndarray  # directions to the light, shape (40000, 3), like those to the viewer
+    lights: np.ndarray  # directions to the light, shape (40000, 3)
     views: np.ndarray
 
     def __str__(self) -> str:
@@ -84,8 +84,8 @@ def configurations(data: Path | None, count: int, seed: int) -> list[Configurati
         if periods:
             most = 40 if fields[surface].shape[0] == 1 else 12
             pair = (1 if fields[surface].shape[0] == 1 else int(rng.integers(2, most)), int(rng.integers(2, most)))
-        # Half of the calls have one light direction, like a reflectance map. The other calls have many light
-        # directions, like a picture.
+        # Half of the calls have one light direction, as for a reflectance map. The other calls have a light direction
+        # for each view direction, as for a picture.
         one = _upper(rng, 1) if rng.random() < 0.5 else None
         light = _upper(rng, PLANNED) if one is None else np.repeat(one, PLANNED, axis=0)
         coherence = wd.Coherence(kind, periods=pair)

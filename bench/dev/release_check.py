@@ -173,7 +173,7 @@ def check_wheel() -> str:
         "import warpdiff as wd; "
         "assert wd.reflectance(wd.gratings.fingers(size_um=6.4), [0, 0, 1], [0, 0, 1]).shape == (3,)"
     )
-    wheel()  # A build that fails is no fault of a version of Python.
+    wheel()  # If the build fails, no version of Python is reported as the cause.
     tried, failed = [], []
     for version, path in pythons().items():
         with tempfile.TemporaryDirectory() as folder:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[2]
 # Time after the planned end for which tests may still be running [s]. A test that is still running after this time
-# counts as hanging. The value was chosen; if it is doubled, a hanging test is reported later.
+# counts as hanging. The value was chosen by hand; if it is doubled, a hanging test is reported later.
 GRACE_S = 900.0
 
 
@@ -65,7 +65,7 @@ def table(results: dict[str, Row]) -> str:
 
 
 def run(end: float, *, seed: int) -> dict[str, Row]:
-    """Run all permanent tests once, but not longer than until ``end`` [seconds since the epoch].
+    """Run all tests marked ``permanent`` once, but not longer than until ``end`` [seconds since the epoch].
 
     Return the numbers of test cases, failures and skipped tests by row of the report's table.
     """
@@ -90,7 +90,7 @@ def run(end: float, *, seed: int) -> dict[str, Row]:
 
 
 def main() -> int:
-    """Run the permanent tests and print the table. Return 1 if a test failed."""
+    """Run the tests marked ``permanent`` and print the table. Return 1 if a test failed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=60.0, help="duration in minutes (default: 60)")
     options = parser.parse_args()

@@ -1,16 +1,17 @@
 """Comparison of automatic plans with the cheapest settings: times, and predicted relative to actual errors.
 
-A configuration is a surface, a kind of coherence, a tolerance and a call of 40,000 directions. Errors are evaluated on
-the first 128 of these directions. The automatic plan of a configuration is compared with all settings of a grid, which
-varies four things:
+A plan has the numbers of a computation, such as wavelengths and terms of a series. The library makes an automatic plan
+for a call, which predicts the error of the call. A configuration is a surface, a kind of coherence, a tolerance and a
+call of 40,000 directions. Errors are evaluated on the first 128 of these directions. The automatic plan of a
+configuration is compared with all settings of a grid, which varies four things:
 
 - the method
 - the number of terms of the series, in multiples of the vector width of the processor
-- the number of neighbouring Fourier coefficients in a sum, by the least weight exp(−n/2) with which a coefficient is
-  included; for replicated patches, instead, the number of subdivisions, which is the number of samples of the periods'
-  interference factor per wavelength, in steps of a factor 2^(1/4)
+- the number of neighbouring Fourier coefficients in a sum, by the least weight exp(−n/2) that a coefficient must have,
+  with integers n. For replicated patches, the number of subdivisions is varied instead, in steps of a factor 2^(1/4):
+  the number of samples per wavelength of the factor by which the periods interfere
 - the number of wavelengths per direction: equal for all directions, or dependent on the scattering vector (u, v, w) by
-  the bandwidth of a plan, in steps of a factor 2^(1/4)
+  the bandwidth of a plan (number of wavelengths per unit of 1/λ), in steps of a factor 2^(1/4)
 
 A setting is a candidate if its errors on these 128 directions, relative to the float64 reference, meet the tolerance
 without a safety factor. Errors are relative to the brightness of all 40,000 directions. The candidates with the lowest
@@ -41,20 +42,22 @@ from warpdiff.planner import cost_model
 if TYPE_CHECKING:
     from bench.dev.plan_configurations import Configuration
 
-# Number of candidates that are timed.
+# Number of settings (candidates) with the lowest predicted cost that are timed. The cheapest candidate of each method
+# is timed, too.
 TIMED = 4
 
 
 class Result(NamedTuple):
     """Comparison of an automatic plan with the cheapest setting, and of predicted with actual errors, as ratios.
 
+    The automatic plan has the numbers of wavelengths and terms that the library selects for a call.
+
     Attributes:
         ratio: Time of the automatic plan over the time of the cheapest setting.
         predicted: Error that the plan predicts over the actual error, on directions for which the plan was made.
         fresh: Like ``predicted``, with the actual error on 128 other directions of the call.
-        samples: Mean number of wavelengths per direction of the plan over the number of the cheapest setting, both
-            predicted.
-        kernel: Cost per wavelength and direction of the plan over that of the cheapest setting, both predicted.
+        samples: Predicted mean number of wavelengths per direction of the plan, over that of the cheapest setting.
+        kernel: Predicted cost per wavelength and direction of the plan, over that of the cheapest setting.
     """
 
     ratio: float
@@ -65,7 +68,7 @@ class Result(NamedTuple):
 
 
 def compare(case: Configuration, *, rounds: int, threads: int | None) -> tuple[str, Result | None]:
-    """Make the automatic plan, find and time the cheapest setting, and return a row of the table and the ratios."""
+    """Make the library's plan for a call, find and time the cheapest setting; return a table row and the ratios."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -97,8 +100,8 @@ def compare(case: Configuration, *, rounds: int, threads: int | None) -> tuple[s
         times = measure(call, [automatic, *plans], rounds)
     at = int(np.argmin(times[1:]))
     best = plans[at]
-    # The ratio of the automatic plan's predicted cost to the cheapest setting's is a product of two ratios: that of the
-    # mean numbers of wavelength samples, and that of the costs per sample.
+    # The predicted cost of the automatic plan is divided by that of the cheapest setting. This ratio is a product of
+    # two ratios: that of the mean numbers of wavelength samples, and that of the costs per sample.
     costs = [
         cost_model.sampling_multiply_adds(case.heightfield, plan, call.order_rate, call.w) for plan in (automatic, best)
     ]

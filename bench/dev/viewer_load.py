@@ -29,11 +29,13 @@ from typing import Any
 from warpdiff.apps.viewer.controls import controls, defaults
 
 ROOT = Path(__file__).resolve().parents[2]
-# Number of clients, of which every fifth reads slowly, and every fifth sends malformed messages.
+# Number of clients. Every fifth client reads slowly, and every fifth sends malformed messages.
 CLIENTS = 50
-# Longest time between a request and its finished picture [s]. Eight clients share one drawing thread.
+# Longest time that a client waits for a requested picture to be finished [s]. The limit is this long because eight
+# clients share one thread that draws.
 _MOST_WAIT_S = 60.0
-# Values of the page's controls in each scene. The pictures are small, so that clients get many of them.
+# Values that the clients send for the controls of the viewer's page, one set per scene. The pictures are small, so that
+# clients get many of them.
 _SMALL = {"height": 240, "tolerance": 0.1}
 SCENES: tuple[dict[str, Any], ...] = (
     _SMALL, _SMALL | {"pigment": 0.4}, _SMALL | {"surface": "sinusoidal", "azimuth_deg": 30.0},
@@ -45,7 +47,7 @@ _MALFORMED = (
 
 
 class Report:
-    """Counters of events, and the first picture of each scene."""
+    """Counters of events of all clients, and the first finished picture of each scene."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
@@ -120,7 +122,7 @@ async def sends_malformed(socket: Any, rng: random.Random, report: Report) -> No
 
 
 async def client(number: int, port: int, end: float, report: Report) -> None:
-    """Open the viewer again and again until the end, in the role that the number decides."""
+    """Open the viewer again and again until the end, as a regular, slow or malformed client depending on ``number``."""
     from websockets.asyncio.client import connect
     from websockets.exceptions import ConnectionClosed, InvalidStatus
 

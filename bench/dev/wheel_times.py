@@ -45,8 +45,9 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[2]
 CLOCKS = ("wall", "cpu")
-# Least number of rounds for which order statistics give a confidence interval of 95 %. The number was derived: all
-# of 6 values lie on the same side of the true median with the probability 2 · 0.5⁶, which is less than 5 %.
+# Least number of rounds for which order statistics give a confidence interval of 95 %. The number follows from
+# probability: all of 6 values lie on the same side of the true median with the probability 2 · 0.5⁶, which is less than
+# 5 %.
 FEWEST_ROUNDS = 6
 # Time that the calls of one task with one wheel should take together in a round [s], and the smallest and largest
 # number of these calls.
@@ -132,7 +133,8 @@ def worker_rows(threads: int | None) -> dict[str, Callable[[], Call]]:
         return lambda _: wd.reflectance(heights, *vectors, threads=threads)
 
     def plans(coherence: Any, heights: Any, **options: Any) -> Callable[[], Call]:
-        # The package caches plans of height fields. Each call therefore makes a new height field.
+        # The package caches the plan (numbers of wavelengths and terms) of a height field. Each call therefore makes a
+        # new height field.
         return lambda: (
             lambda _: wd.plan(
                 wd.HeightField(heights.heights_um, heights.pitch_um), coherence=coherence, threads=threads, **options
@@ -197,7 +199,7 @@ def work(threads: int | None) -> None:
         text = line.strip()
         if text in rows:
             call = rows[text]()
-            # The first call of a task is not timed, because it makes tables and loads kernels.
+            # The first call of a task is not timed, because this call also makes tables and loads compiled kernels.
             call(0)
             answer = timed(call, 1)
         else:
@@ -313,7 +315,7 @@ class Row:
         count = len(ratios)
         if count < FEWEST_ROUNDS:
             return float(np.median(ratios)), -math.inf, math.inf
-        # There are n ratios, one per round. The true median of such ratios lies outside of the interval from the i-th
+        # There are n ratios, one per round. The true median of the ratios lies outside of the interval from the i-th
         # smallest to the i-th largest ratio with the probability 2 · Σ C(n, k) / 2ⁿ, a sum over k < i.
         outside, i = 0.0, 0
         while 2.0 * (outside + math.comb(count, i) * 0.5**count) <= 0.05:

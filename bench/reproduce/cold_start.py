@@ -1,9 +1,10 @@
 """Cold start: time from the start of a process to the imported package, and to its first picture.
 
 A process imports the package, makes a tube and a synthetic height field with nano-fingers on a patch of 25.6 µm,
-renders and saves a picture of 640 × 480 pixels, and ends. Processes with an empty kernel cache and with a filled one
-are timed alternately. Plotting libraries are hidden from the process, because colour-science would otherwise import
-them if they are installed.
+renders and saves a picture of 640 × 480 pixels, and ends. The kernels are compiled programs for loops over pixels.
+Processes that must compile them (empty kernel cache) and processes that load them from a filled cache are timed
+alternately. Plotting libraries are hidden from the process, because colour-science would otherwise import them if they
+are installed.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ PROCESSES = {
     "Python alone": "pass", "from warpdiff import *": IMPORT, "first picture, no kernel compiled": PICTURE,
     "first picture, kernels compiled before": PICTURE,
 }  # fmt: skip
-# Program that times the plan and the tables for a scan, and prints the peak memory. The imported libraries alone
-# require about 240 MiB.
+# Program that times the precomputation for a scan (numerical settings, called the plan, and tables), and prints the
+# peak memory. The imported libraries alone require about 240 MiB.
 PRECOMPUTE = HIDE + (
     "import time, resource, warpdiff as wd; "
     "scan = wd.HeightField.load(sys.argv[1], extent_um=65.0, height_range_um=0.375).levelled(order=2); "
@@ -58,9 +59,10 @@ def precompute(scan: Path) -> None:
 
 
 def seconds(code: str, cache: Path) -> tuple[float, float]:
-    """Return the times [s] from the start of a process to its result and to its end.
+    """Return the times [s] from the start of a process to its first result and to its end.
 
-    If the process prints no result, both numbers are the time to the end of the process.
+    The process prints the clock time at which the result was complete. If it prints nothing, both numbers are the time
+    to its end.
     """
     begin = time.monotonic()
     environment = os.environ | {"WARP_CACHE_PATH": str(cache), "WARPDIFF_CACHE_DIR": ""}

@@ -51,11 +51,11 @@ LIGHTS = (wd.DirectionalLight((0.1, 0.9, 1.2)), wd.DirectionalLight((-0.7, 0.8, 
 # `RADII` is the distance of the eye [radii of the body].
 EYES = ((0.0, 1.6, 3.1), (2.4, 0.5, 1.9))
 FOV_DEG, RADII = 27.0, 4.6
-# Share of the picture's pixels that are brighter than white after exposure. Pictures are exposed in this way before
-# colour differences ΔE2000 are computed.
+# Share of the picture's pixels that are brighter than white after exposure, and are clipped. Pictures are exposed in
+# this way before colour differences ΔE2000 are computed.
 CLIPPED = 1e-3
-# Distances of cameras that render crops (parts of a picture), from the eye to the point in the middle of the crop. The
-# distances are relative to the distance of the camera that shows the whole body.
+# Distances from the eye to the middle of the crop (a part of a picture), for the cameras that render crops. They are
+# relative to the distance of the camera that shows the whole body.
 DISTANCES = (1.0, 2.0, 0.25)
 
 
@@ -78,7 +78,7 @@ class Truth(NamedTuple):
     interior: np.ndarray
     silhouette: np.ndarray  # whether some but not all points of the pixel hit the mesh
     shadowed: np.ndarray  # whether all points of the pixel hit the mesh, and some but not all are illuminated
-    settled: np.ndarray  # difference ‖ΔXYZ‖ from the coarser reference
+    settled: np.ndarray  # difference ‖ΔXYZ‖ between this reference and the coarser reference
 
 
 class Errors(NamedTuple):
@@ -87,7 +87,7 @@ class Errors(NamedTuple):
     interior: np.ndarray
     silhouette: np.ndarray
     shadowed: np.ndarray
-    settled: np.ndarray  # differences of the reference from the coarser reference, of interior pixels
+    settled: np.ndarray  # differences ‖ΔXYZ‖ between the two references (96 and 64 points), of interior pixels
     estimated: np.ndarray  # estimated errors of interior pixels, from ``image.error``
 
 
@@ -127,7 +127,7 @@ def _unwrapped(mesh: Any, uv: np.ndarray) -> Any:
 
 
 def surfaces(data: str | None) -> dict[str, Callable[[], wd.HeightField]]:
-    """Return functions that make the height fields, by name."""
+    """Return functions that make the surfaces' height fields, by name."""
     result: dict[str, Callable[[], wd.HeightField]] = {
         f"fingers {size:g} µm": lambda size=size: wd.gratings.fingers(size_um=size, pitch_um=0.09, seed=5)
         for size in (5.0, 12.8, 25.6, 65.0)
@@ -165,7 +165,7 @@ def crop(
 
 
 def truth(area: Crop, tolerance: float) -> Truth:
-    """Return the reference of a small picture (crop), and the difference of this reference from the coarser one."""
+    """Return the reference of a small picture (crop), and its difference from a reference with fewer points."""
     fine, coarse = (filtered(area, tolerance, points) for points in (POINTS, FEWER))
     return fine._replace(settled=np.linalg.norm(fine.xyz - coarse.xyz, axis=2))
 
@@ -228,7 +228,7 @@ def crops(names: dict[str, Any], fields: dict[str, Any], seed: int) -> Iterator[
 
 
 def pictured(area: Crop, view: wd.View, tolerance: float, samples: int = 1) -> tuple[wd.Image, bool]:
-    """Render the scene of a crop (part of a picture); return the picture, and whether the library warned."""
+    """Render the scene of a crop (part of a picture); return the picture, and whether the library gave a warning."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", wd.WarpdiffWarning)
         # Warnings about the limits of scalar diffraction are ignored, because here only errors of the computation are

@@ -7,11 +7,13 @@
     python -m bench.reproduce.designs --rigorous-splitters   # 1 × 7 orders on aluminium (extra rigorous)
     python -m bench.reproduce.designs --rigorous-colours     # the two colours on aluminium; minutes per design
 
-Colours are those of light along the normal on a perfect mirror, period 32 µm, pixels of 0.25 µm, σ = 16.25 µm. Designs
-of splitters have normalised efficiencies. The efficiencies of designs with 7 × 7 orders are computed again with eight
-samples along each side of a pixel. The printed upper bound is the efficiency that no phase profile exceeds: the largest
-⟨|s|⟩²/⟨|s|²⟩, where s is the field of equal orders, over the phases of these orders (Wyrowski 1991, Krackhardt et al.
-1992). Times are seconds of processor time and of a clock.
+A design is a height field of square pixels. ``levels`` is the number of different heights; "binary" means two. Colours
+are those of light along the normal on a perfect mirror, with a period of 32 µm, pixels of 0.25 µm and a coherence
+window with σ = 16.25 µm. The efficiencies of splitters are normalised: all orders together reflect the whole light. For
+designs with 7 × 7 orders, they are computed again with eight samples along each side of a pixel. No phase profile
+exceeds the printed upper bound of the efficiency. The bound is the largest ⟨|s|⟩²/⟨|s|²⟩ over the phases of the orders,
+where s is a wave that consists of these orders with equal amplitudes (Wyrowski 1991, Krackhardt et al. 1992). Times are
+seconds of processor time and of a clock.
 """
 
 from __future__ import annotations
@@ -28,14 +30,14 @@ import warpdiff as wd
 UP = (0.0, 0.0, 1.0)
 WAVELENGTH_NM = 632.8
 MIRROR = {"ior": math.inf}
-# Chromaticities and luminances of the two colours, and the angles at which they are requested [degrees].
+# Two colours as CIE x, y and luminance Y, each with the view angle at which it is requested [degrees].
 COLOURS = ((0.30, 0.60, 0.55, 20.0), (0.62, 0.335, 0.25, 35.0))
-# Pixel sizes of the splitters that are judged rigorously, in wavelengths.
+# Pixel sizes [wavelengths] of the splitters that are compared with rigorous solutions.
 PIXELS = (0.6, 1.2, 2.5, 5.0)
 
 
 def colour_targets() -> list[wd.Target]:
-    """Return green at 20° and red at 35°."""
+    """Return the targets of a design: green at 20° and red at 35°."""
     return [
         wd.Target.colour(
             (x / y * luminance, luminance, (1.0 - x - y) / y * luminance), UP, wd.direction(angle), **MIRROR
@@ -45,19 +47,19 @@ def colour_targets() -> list[wd.Target]:
 
 
 def timed(profile: wd.profiles.Pixels, targets: object, **options: object) -> tuple[wd.Design, str]:
-    """Return a design and its times."""
+    """Return a design and a text with its computing times."""
     clock, processor = time.perf_counter(), time.process_time()
     result = wd.design(profile, targets, **options)
     return result, f"{time.process_time() - processor:.1f} s processor, {time.perf_counter() - clock:.1f} s clock"
 
 
 def foil(levels: int, seed: int) -> tuple[wd.Design, str]:
-    """Return a design of the two colours, and its times."""
+    """Return a design of the two colours, and a text with its computing times."""
     return timed(wd.profiles.Pixels(0.25, np.zeros((1, 128))), colour_targets(), levels=levels, seed=seed)
 
 
 def colours(seeds: range) -> None:
-    """Print ΔE2000 of designs with 8 levels and binary ones."""
+    """Print colour differences ΔE2000 between designs and the requested colours, for 8 and for 2 height levels."""
     for levels in (8, 2):
         for seed in seeds:
             result, times = foil(levels, seed)
@@ -67,7 +69,10 @@ def colours(seeds: range) -> None:
 
 
 def upper_bound(shape: tuple[int, ...], starts: int = 20, iterations: int = 400) -> float:
-    """Return the largest efficiency of equal orders that any phase profile reaches, by iteration over order phases."""
+    """Return the largest efficiency that a phase profile can reach for equal orders.
+
+    The phases of the orders are optimised by iteration from ``starts`` random values.
+    """
     best, rng, size = 0.0, np.random.default_rng(0), 64
     place = np.ix_(*[np.arange(-(n // 2), n - n // 2) % size for n in shape])
     for _ in range(starts):
@@ -83,7 +88,7 @@ def upper_bound(shape: tuple[int, ...], starts: int = 20, iterations: int = 400)
 
 
 def splitter(seeds: range) -> None:
-    """Print designs with 7 × 7 equal orders, for 8 levels, without levels and binary."""
+    """Print uniformity and efficiency of designs with 7 × 7 equal orders, for 8, unlimited and 2 levels of height."""
     orders = [(y, x) for y in range(-3, 4) for x in range(-3, 4)]
     target = wd.Target.equal(orders, UP, WAVELENGTH_NM, **MIRROR)
     print(f"upper bound of the share: 7 × 7 orders {upper_bound((7, 7)):.3f}, 1 × 7 orders {upper_bound((7,)):.3f}")
@@ -103,7 +108,7 @@ def splitter(seeds: range) -> None:
 
 
 def rigorous_splitters(seed: int) -> None:
-    """Print scalar and rigorous uniformity errors of 1 × 7 splitters on aluminium."""
+    """Print uniformity errors of 1 × 7 beam splitters on aluminium, by scalar diffraction and by a rigorous solver."""
     target = wd.Target.equal([(0, m) for m in range(-3, 4)], UP, WAVELENGTH_NM, **MIRROR)
     for levels in (8, 2):
         for size in PIXELS:
@@ -121,7 +126,7 @@ def rigorous_splitters(seed: int) -> None:
 
 
 def rigorous_colours(seeds: range, max_harmonics: int) -> None:
-    """Print scalar and rigorous colour differences of foils on aluminium."""
+    """Print colour differences of foils on aluminium, by scalar diffraction and by a rigorous solver."""
     for levels in (2, 8):
         for seed in seeds:
             result, _ = foil(levels, seed)

@@ -33,8 +33,8 @@ from warpdiff.scene import mesh_files
 if TYPE_CHECKING:
     from warpdiff.scene.scene_parts import ScenePart
 
-# Largest relative difference of a quantity between both readings. Positions are rounded to float32, and normals and
-# colours may be quantised.
+# Largest relative differences of positions, of texture coordinates, and of normals and colours between both readings.
+# Positions are rounded to float32, and normals and colours may be quantised.
 POSITION_TOLERANCE, UV_TOLERANCE, VECTOR_TOLERANCE = 1e-3, 2e-3, 4e-3
 
 

@@ -13,9 +13,9 @@ processes have little influence. The column "value" is a call without variables.
 pitch, σ and all directions. The column "library" has the time of the function without derivatives for a new surface,
 and in parentheses the time of a second call for the same surface.
 
-``--errors`` prints errors of derivatives for random surfaces, directions and optics. The reference are complex steps of
-explicit sums that share no code with the library (``tests/complex_step.py``). Errors are relative to the largest
-derivative by the same variable.
+``--errors`` prints errors of derivatives for random surfaces, directions and optical properties. The reference is
+computed by complex steps: the imaginary part of f(x + ih), divided by h. The function f is a sum that shares no code
+with the library (``tests/complex_step.py``). Errors are relative to the largest derivative by the same variable.
 
 ``--fits`` fits the profile of a trapezoid to efficiencies of the orders −2 to 2 of a perfect mirror, at three
 wavelengths and two angles, with noise of 1 % and 5e-4. The first starting point deviates from the true values by 10 %
@@ -67,7 +67,7 @@ def seconds(function: Callable, *arguments: object, **options: object) -> tuple[
 
 
 def hemisphere(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Return random unit vectors with z of at least 0.5, shape (count, 3)."""
+    """Return random unit vectors at most 60° from the z axis, shape (count, 3)."""
     z, phi = rng.uniform(0.5, 1.0, count), rng.uniform(0.0, 2.0 * np.pi, count)
     s = np.sqrt(1.0 - z * z)
     return np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
@@ -119,7 +119,7 @@ def errors(count: int) -> None:
     def recorded(kind: str) -> Callable[..., float]:
         def error_of(*arguments: object) -> float:
             error = float(plain(*arguments))
-            # The test has a narrower limit for heights. Its local variable names the variable.
+            # The name of the variable is a local variable of the test function, which calls this function.
             name = sys._getframe(1).f_locals["name"]
             largest[f"{kind}: {name}"] = max(largest[f"{kind}: {name}"], error)
             return error
@@ -138,7 +138,7 @@ def errors(count: int) -> None:
 
 
 def measured(values: np.ndarray | None = None) -> wd.Measured:
-    """Return measured data with the orders of the synthetic grating. Their values are 0 if no values are given."""
+    """Return data as if measured: efficiencies of orders of the synthetic grating, 0 if no values are given."""
     wavelengths, orders = (450.0, 550.0, 650.0), [(0, m) for m in (-2, -1, 0, 1, 2)]
     lights = np.repeat(wd.direction([10.0, 40.0]), 15, axis=0)
     values = np.zeros(30) if values is None else values
@@ -148,7 +148,11 @@ def measured(values: np.ndarray | None = None) -> wd.Measured:
 
 
 def fits(count: int, starts: int) -> None:
-    """Print the share of parameters within two standard errors, χ² per degree of freedom, and listed duty cycles."""
+    """Print how well fits find the parameters of a grating.
+
+    The printed numbers are the share of parameters within two standard errors, χ² per degree of freedom, and the share
+    of fits that list both possible duty cycles (d and 1 − d).
+    """
     grating, guess = wd.profiles.Trapezoid(*TRUE), wd.profiles.Trapezoid(*(TRUE * [1.1, 0.95, 1.2, 1.0]))
     exact, rng = measured().predict(grating.surface(TRUE)).value, np.random.default_rng(0)
     sd = 0.01 * exact + 5e-4
@@ -196,7 +200,7 @@ def compare_minimisers(guess: wd.profiles.Trapezoid, values: np.ndarray, sd: np.
 
 
 class Depth(wd.profiles.ScanModes):
-    """Surface whose only parameter is a factor of all heights of a height field."""
+    """Surface with one parameter: a factor by which all heights of a height field are multiplied."""
 
     def __init__(self, heightfield: wd.HeightField) -> None:
         super().__init__(heightfield)
@@ -205,7 +209,7 @@ class Depth(wd.profiles.ScanModes):
 
 
 def depths() -> None:
-    """Print the largest error of depths that are fitted to rigorous solutions."""
+    """Print errors of depths that are fitted to rigorous solutions: number of gratings, median and largest error."""
     stored = json.loads(STORED.read_text(encoding="utf-8"))
     periods, all_depths = np.array(stored["periods"]), np.array(stored["depths"])
     for case, (make, least_period, most_depth, limit) in CASES.items():

@@ -8,13 +8,16 @@
     python -m bench.reproduce.grating_maps --times
     python -m bench.reproduce.grating_maps --card
 
-``--transforms`` compares two direct sums in float64: the sum over a field that is turned and scaled, and the sum over
-the cell (the field before this) at transformed scattering vectors. The turned field is a sine on a square patch along a
-diagonal of its lattice.
+A grating map is an array of dots. All dots have the same height field, the cell. In each dot, the cell is turned, its
+heights are multiplied by a depth scale, and its periods by a pitch scale.
+
+``--transforms`` compares two direct sums in float64. One is over the heights of a dot, that is, of the turned and
+scaled cell. The other is over the heights of the cell, at transformed scattering vectors. The heights are a sine on a
+square patch; its turned copy runs along a diagonal and has whole periods in the patch.
 
 ``--pictures`` compares pictures with reference pictures that have 4,096 subpixel cells per pixel. The reference has the
-same colours at single points, but misses no edges of dots. Errors are those of illuminated pixels inside of the card.
-``P99 est`` is the 99th percentile of ``image.error``.
+same colours at single points, but misses no edges of dots. The map is on a rectangular mesh, the card. Errors are those
+of illuminated pixels inside of it. ``P99 est`` is the 99th percentile of ``image.error``.
 
 ``--pitches`` compares dots with pitch scales from 0.7 to 1.4 under averaged windows, of which colours are interpolated
 between tables, with pictures in which all dots have the pitch scale of one column. These pictures interpolate nothing.
@@ -23,8 +26,9 @@ Pixels show points, and the card fills a wide field of view.
 ``--times`` measures processor times of ``Renderer.draw`` with a new light, alternately with and without a map; the
 result is the ratio of the medians. Dots are about ten pixels wide.
 
-``--card`` has 256 × 192 dots. Each dot is one ray through the pixel nearest to its middle. "Own" and "other" are the
-correlations of the luminances of an eye's dots with its own picture and with the picture of the other eye.
+``--card`` renders a card of 256 × 192 dots that shows a different picture to each eye. Half of the dots belong to each
+eye. The luminance of a dot is that of one ray, through the pixel at the dot's middle. "Own" is the correlation of the
+luminances of an eye's dots with the picture of this eye. "Other" is the correlation with the picture of the other eye.
 """
 
 from __future__ import annotations
@@ -48,11 +52,14 @@ WAVELENGTHS_UM = np.array([0.42, 0.5, 0.58, 0.7])
 
 
 def transforms(rng: np.random.Generator) -> None:
-    """Print the largest difference of powers, relative to the largest power."""
+    """Print the largest difference of powers between two direct sums, relative to the largest power.
+
+    One sum is over turned and scaled heights. The other is over the original heights, at transformed vectors.
+    """
     z, azimuth = rng.uniform(0.5, 1.0, (2, 60)), rng.uniform(0.0, 2.0 * np.pi, (2, 60))
     side = np.sqrt(1.0 - z * z)
     lights, views = np.stack([side * np.cos(azimuth), side * np.sin(azimuth), z], axis=-1)
-    # Half of the views are near a diffraction order.
+    # Half of the views are near the specular reflection, where the field diffracts most light.
     views[:30] = lights[:30] * [-1.0, -1.0, 1.0] + rng.normal(0.0, 0.2, (30, 3)) * [1.0, 1.0, 0.0]
     views[:, 2] = np.abs(views[:, 2])
     views /= np.linalg.norm(views, axis=1)[:, None]
@@ -70,8 +77,8 @@ def transforms(rng: np.random.Generator) -> None:
         field = wd.HeightField(depth_scale * diagonal, scale * size / count)
         cell = wd.HeightField(straight, size / count)
         exact = window_power(field, coherence, vectors, WAVELENGTHS_UM, to_lights=lights)
-        # For a light source with the spread s, the scattering vectors of a dot with the pitch scale p are blurred by p
-        # s.
+        # A light source of finite size blurs the scattering vectors by its spread s. A dot of a grating map with the
+        # pitch scale p has p times as large lengths, so that the blur at the transformed vectors is p·s.
         mapped = (vectors @ back.T) * [scale, scale, depth_scale]
         result = window_power(cell, scaled, mapped, WAVELENGTHS_UM, to_lights=lights @ back.T)
         difference = np.abs(result - exact).max() / np.abs(exact).max()
@@ -81,14 +88,17 @@ def transforms(rng: np.random.Generator) -> None:
 
 
 def made(cell: wd.HeightField, shape: tuple[int, int], rng: np.random.Generator, *, pitch: bool) -> wd.GratingMap:
-    """Return a map with random dots, of which many diffract light into the view."""
+    """Return a grating map: an array of gratings (dots) with random directions and scales.
+
+    Many dots diffract light into the view.
+    """
     turn = rng.uniform(85.0, 95.0, shape)
     scale = rng.uniform(0.7, 1.4, shape) if pitch else 1.0
     return wd.GratingMap(cell, turn_deg=turn, depth_scale=rng.uniform(0.2, 1.0, shape), pitch_scale=scale)
 
 
 def pictures(rng: np.random.Generator) -> None:
-    """Print errors of refined pictures."""
+    """Print errors of pictures that are rendered with adaptive refinement of pixels."""
     fingers = wd.gratings.fingers(size_um=6.4, pitch_um=0.1)
     for name, cell, coherence in (
         ("sine, source of 1°", SINE, wd.Coherence("source", angular_diameter_deg=1.0)),
@@ -159,7 +169,7 @@ def uvs_of(card: Any, light: wd.DirectionalLight, view: wd.View) -> np.ndarray[A
 
 
 def times(rng: np.random.Generator) -> None:
-    """Print the ratio of warm frame times with and without a map."""
+    """Print the ratio of frame times with and without a map. The first frame is excluded."""
     view = wd.View((0.0, 0.0, 4.0), (0.0, 0.0, 0.0), fov_y_deg=12.0, width=320, height=240)
     fingers = wd.gratings.fingers(size_um=6.4, pitch_um=0.1)
     shape = (24, 32)
@@ -171,7 +181,7 @@ def times(rng: np.random.Generator) -> None:
         ("pitch 0.7 to 1.4, sine, averaged, σ = 5 µm", SINE, wd.Coherence(sigma_um=5.0), True),
     ):
         surfaces = {"plain": cell, "map": made(cell, shape, rng, pitch=pitch)}
-        # The grating without a map varies along y, as most dots of the map do.
+        # The heights of the grating without a map vary along y, as in most dots of the map.
         tangents = {"plain": (0.0, 1.0, 0.0), "map": None}
         for refine in (False, True):
             options: dict[str, Any] = {
@@ -197,7 +207,7 @@ def times(rng: np.random.Generator) -> None:
 
 
 def card() -> None:
-    """Print how well each eye sees its picture."""
+    """Print how well each eye recognises its picture on the card, as correlations of luminances."""
     rows, columns, width = 192, 256, 60.0
     y, x = np.meshgrid(np.linspace(-1.0, 1.0, rows), np.linspace(-1.0, 1.0, columns), indexing="ij")
     first = 0.1 + 0.4 * (1.0 + np.sin(7.0 * np.pi * y) * np.sign(x + 1e-9))
@@ -232,7 +242,7 @@ def card() -> None:
 
 
 def main() -> None:
-    """Run the parts that the flags select."""
+    """Run the parts that the command line options select."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name in ("transforms", "pictures", "pitches", "times", "card"):
         parser.add_argument(f"--{name}", action="store_true")

@@ -4,10 +4,10 @@
 extra ``scans``. Test files are in the repositories ContactEngineering/SurfaceTopography (test/file_format_examples),
 AFM-SPM/AFMReader (tests/resources), fredericjs/surfalize (tests/test_files), heike/x3ptools and OpenFMC/x3p.
 
-Independent readings are those of Gwyddion's importers (package gwyddionpy with its extra converter, if it is installed)
-for binary files, a plain reading of the binary member for .x3p, and SurfaceTopography for texts. Shape, size (within
-1e-4), missing samples and heights (within 1e-3 of the height range, up to a constant) must be equal, without a flip of
-an axis.
+The independent programs are Gwyddion's importers (package gwyddionpy with its extra converter, if it is installed) for
+binary files, a plain reading of the binary member for .x3p, and SurfaceTopography for texts. Shape, size (within 1e-4),
+missing samples and heights (within 1e-3 of the height range, up to a constant) must be equal, without a flip of an
+axis.
 """
 
 from __future__ import annotations
@@ -29,9 +29,8 @@ import warpdiff as wd
 from warpdiff.heightfield.readers.length_units import factor_of
 
 TEXTS = (".txt", ".csv", ".asc", ".gz", ".hfm")
-# Suffixes of scans of heights that the package refuses. The other programs of this comparison cannot open such a file
-# and confirm that it is a scan. A file with such a suffix therefore counts as a scan without a confirmation by another
-# program.
+# Suffixes of scans of heights that the library refuses to read. The other programs cannot open these files either. A
+# file with such a suffix counts as a scan, although no other program confirms it.
 REFUSED_SCANS = (".nms", ".h5-jpk")
 # Suffixes of files in the folder that do not come from instruments. These files are skipped.
 OTHERS = (".yaml", ".npy", ".py", ".nc", ".list", ".log", ".sh")
@@ -40,7 +39,7 @@ _TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
 
 
 class Reading(NamedTuple):
-    """Heights [µm] in the order of the picture, NaN for missing samples, and the size (Ly, Lx) of the field [µm]."""
+    """Heights [µm] with the top row first, NaN for missing samples, and the size (Ly, Lx) of the field [µm]."""
 
     heights_um: np.ndarray
     size_um: tuple[float, float]
@@ -115,10 +114,11 @@ def text_readings(path: Path) -> list[Reading]:
 
 
 def agree(field: wd.HeightField, reading: Reading, *, is_text: bool) -> bool:
-    """Whether a height field equals an independent reading."""
+    """Whether a height field equals the reading of the same file by an independent program."""
     heights = field.heights_um
-    # The picture of a file shows row 0 at the top. If the orientation of a file's rows is "up", the heights of the
-    # field are in the opposite order. A text with x, y and z has no picture, so that both orders are accepted.
+    # An independent reading has the top row of the picture first. If the attribute `rows` of a file is "up", the
+    # library's field has the opposite order of rows, which is reversed here. A text with x, y and z has no picture, so
+    # that both orders are accepted.
     pictures = [heights[::-1] if field.source is not None and field.source.rows == "up" else heights]
     if is_text:
         pictures.append(heights)

@@ -53,8 +53,8 @@ def random_field(
     squares = (2.0 * np.pi) ** 2 * ((qy * lengths_um[0]) ** 2 + (qx * lengths_um[1]) ** 2)
     amplitude = (1.0 + squares) ** (-exponent / 4.0) if exponent else np.exp(-squares / 8.0)
     heights = np.fft.ifft2(np.fft.fft2(rng.normal(size=larger)) * amplitude).real[: shape[0], : shape[1]]
-    # The heights are scaled so that the standard deviation of the endless surface, of which the field is a part, is
-    # 0.05 µm.
+    # The field is a part of an endless random surface. The heights are scaled so that the endless surface has a
+    # standard deviation of 0.05 µm.
     return wd.HeightField.of_known_scale(0.05 * heights / np.sqrt(np.mean(amplitude**2)), pitch_um)
 
 
@@ -144,9 +144,9 @@ def _kinds() -> dict[str, Callable[[int], wd.HeightField]]:
 def coverage(count: int, seed: int) -> None:
     """Print, for each roughness parameter, how well its standard errors describe its scatter over random fields.
 
-    A field is covered if its value deviates from the mean over all fields by at most two of the field's standard
-    errors. The share of covered fields is printed. The ratio of the root mean square standard error to the standard
-    deviation of the values over all fields is also printed.
+    The parameter is computed for many random fields. A field is covered if its value deviates from the mean over all
+    fields by at most two of the field's standard errors. The share of covered fields is printed. The ratio of the root
+    mean square standard error to the standard deviation of the values over all fields is also printed.
     """
     print("| surface | " + " | ".join(NAMES) + " | without error |\n" + "| --- " * (len(NAMES) + 2) + "|")
     for title, make in _kinds().items():

@@ -64,7 +64,7 @@ def random_sky(kind: str, rng: np.random.Generator) -> np.ndarray:
 
 
 def random_cases(seed: int) -> Iterator[tuple[str, np.ndarray, Any, wd.HeightField, wd.View, float]]:
-    """Yield random cases: name, environment, mesh, height field, view, and the coherence window's σ [µm]."""
+    """Yield random cases: name, environment, mesh, height field, view, and σ of the Gaussian coherence window [µm]."""
     rng = np.random.default_rng(seed)
     scan = inputs.levelled_scan()
     bodies: dict[str, Callable[[], Any]] = {
@@ -99,7 +99,7 @@ def random_cases(seed: int) -> Iterator[tuple[str, np.ndarray, Any, wd.HeightFie
 
 
 def distances(xyz: np.ndarray, exact: np.ndarray, bright: float = 0.0) -> np.ndarray:
-    """Return errors of colours ``xyz`` (n, 3) compared with ``exact``, by the error measure of ``tolerance``.
+    """Return errors of colours ``xyz`` (n, 3) relative to the size of the exact colours ``exact``.
 
     ``bright`` is the 99th percentile of Y over the whole picture. Errors of colours that are darker than a thousandth
     of it are relative to this thousandth.
@@ -164,7 +164,7 @@ def _judge(
         image = wd.shade(**options, tolerance=tolerance, pigment=0.0, strict=False)
         seconds = time.perf_counter() - begin
         # Errors of dark pixels are relative to a luminance floor. The floor is derived from the luminance of the whole
-        # picture, because all chosen pixels may be darker.
+        # picture, because the chosen pixels may all be dark.
         bright = float(np.percentile(image.xyz[image.illuminated][:, 1], 99.0))
         errors, expected = distances(image.xyz[at], exact, bright), image.error[at]
         wrong = errors > tolerance

@@ -4,10 +4,11 @@
 
     python -m bench.reproduce.line_lights
 
-The line light is that of ``docs/contributing/add_a_light.md``. A lobe represents the light from a part of the line by
-one direction with a spread. The reference has 256 lobes and a tolerance of 0.03. The error of a pixel is relative to
-its colour, or to 2 % of the colour of bright pixels if that is larger. Errors are printed in units of the tolerance of
-0.1. The printed spacing is the angle between neighbouring lobes as viewed from the nearest point of the body.
+The line light is that of ``docs/contributing/add_a_light.md``. A lobe represents the light from a part of the line by a
+Gaussian of directions, with a mean direction and a spread. The reference has 256 lobes and a tolerance of 0.03. The
+error of a pixel is relative to its colour, or to 2 % of the colour of bright pixels if that is larger. Errors are
+printed in units of the tolerance of 0.1. The printed spacing is the angle between neighbouring lobes as viewed from the
+nearest point of the body.
 """
 
 from __future__ import annotations
@@ -28,9 +29,11 @@ import warpdiff as wd
 PAGE = Path(__file__).parents[2] / "docs" / "contributing" / "add_a_light.md"
 # Tolerance of the compared pictures, and tolerance of the reference picture.
 TOLERANCE, OF_REFERENCE = 0.1, 0.03
-# Numbers of lobes that are compared, and number of lobes of the reference.
+# Numbers of lobes that are compared, and number of lobes of the reference. A lobe is a Gaussian of directions that
+# replaces a part of the line light.
 COUNTS, MOST = (4, 8, 16, 32), 256
-# The divisor of relative errors is at least this share of the 99th percentile of ‖XYZ‖ over illuminated pixels.
+# Relative errors are divided by the colour of the pixel, or by this share of the 99th percentile of ‖XYZ‖ over
+# illuminated pixels if that is larger.
 DARK = 0.02
 
 

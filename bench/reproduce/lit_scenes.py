@@ -1,11 +1,12 @@
 """Errors and times of pictures under skies, disc lights and many lights, on bodies that shadow themselves.
 
 Each row is a scene, a surface and a light, such as ``whole_scan_sun``. The reference is a sum over directions with
-shadows (``bench/truth/sky_sums.py``). A row has: the errors of a picture relative to its tolerance; the processor time
-of this picture relative to that of a picture with one directional light; the number of pixels whose error exceeds the
-tolerance; and the number of those pixels whose estimated error ``image.error`` exceeds the tolerance, too. The
-reference of pictures with many lights, such as ``tube_scan_16lights``, is the sum of pictures with one light each, at
-an eighth of the tolerance.
+shadows (``bench/truth/sky_sums.py``). A row has: the number of compared pixels; the processor time of the picture
+relative to that of a picture with one directional light; percentiles of the errors relative to the tolerance; the sum
+of Y relative to the reference; the number of pixels whose error exceeds the tolerance; the number of those pixels whose
+estimated error ``image.error`` exceeds the tolerance, too; and the share of pixels whose error is at most the estimate.
+The reference of pictures with many lights, such as ``tube_scan_16lights``, is the sum of pictures with one light each,
+at an eighth of the tolerance.
 """
 
 from __future__ import annotations
@@ -112,9 +113,10 @@ def scene_of(case: str, tolerance: float) -> tuple[Any, wd.HeightField, list[Any
 def reference(
     sums: SkySums, light: wd.DirectionalLight | np.ndarray, pixels: int, across: int, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return random interior pixels, the reference XYZ of these pixels under a disc light or sky, and a mask.
+    """Return random interior pixels, their reference XYZ under a disc light or sky, and a mask.
 
-    The mask selects pixels that are not black and whose reference has a standard error below a third of the tolerance.
+    Interior pixels are those that the body covers completely. The mask selects pixels that are not black and whose
+    reference has a standard error below a third of the tolerance.
     """
     places = np.random.default_rng(1).permutation(sums.interior())[:pixels]
 

@@ -3,10 +3,11 @@
 ``python -m bench.reproduce.mitsuba_skies`` renders scenes of ``lit_scenes`` with the library and with Mitsuba. Sums
 over directions (``bench/truth/sky_sums.py``) are the reference for both pictures. Each row has the errors of the
 library's picture relative to the tolerance, and the processor time of this picture. Errors and times of Mitsuba follow,
-for several numbers of paths per pixel. The next columns are the ratio of Mitsuba's time to the library's time, at equal
-90th and at equal 99th percentiles (P90, P99) of the errors; Mitsuba's time is interpolated between numbers of paths.
-The last column is the sum of Y over Mitsuba's picture, divided by the same sum of the reference. Times exclude the
-preparation: plans and tables of the library, and for Mitsuba the baked spectrum and compilation.
+for several numbers of paths (Monte Carlo samples) per pixel. The next columns are the ratio of Mitsuba's time to the
+library's time, at equal 90th and at equal 99th percentiles (P90, P99) of the errors; Mitsuba's time is interpolated
+between numbers of paths. The last column is the sum of Y over Mitsuba's picture, divided by the same sum of the
+reference. Times exclude the preparation. The library prepares numerical settings (plans) and tables of colours.
+Mitsuba's preparation is compilation and the baked spectrum: the surface's colours, sampled into an array.
 
 The script requires ``pip install 'warpdiff[mitsuba]'`` and LLVM 17 or newer, which ``DRJIT_LIBLLVM_PATH`` names.
 """
@@ -35,8 +36,8 @@ WAVELENGTHS_NM = np.arange(380.0, 781.0)
 # Reflectance at normal incidence for an index of refraction of 1.5. Mitsuba's pictures include this reflectance, while
 # pictures of the library are relative to it.
 NORMAL_REFLECTANCE = 0.04
-# Number of texels along each axis of the baked spectrum. The value is limited by memory; fewer texels blur the
-# spectrum.
+# Number of texels along each axis of the baked spectrum, an array of the surface's colours for Mitsuba. The value is
+# limited by memory; with fewer texels, the colours are more blurred.
 SPECTRUM_SIZE = 1024
 # Largest number of paths per pixel in one call of Mitsuba. The value is limited by memory.
 PATHS_OF_LAUNCH = 16

@@ -1,8 +1,8 @@
 """Tests `HeightField.periods` on synthetic fields of known period, on noise, and on the quarters of the real scan.
 
 Each synthetic field is a part of an endless surface whose mean period is known: a sine, a groove with soft walls or a
-ridge. The local period of the surface varies at random. Noise, a tilt, waviness, gaps and steps between scan lines are
-added. The search for periods was tuned on other seeds than those below.
+ridge. The local period of the surface varies at random around the mean. Noise, a tilt, waviness, gaps and steps between
+scan lines are added. The search for periods was tuned on other seeds than those below.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def _phase(
 ) -> NDArray[np.float64]:
     """Return a random variation of the phase [rad] with mean 0.
 
-    The derivative of the phase along ``unit``, a unit vector (y, x), has a variance of 1 per squared sample spacing.
+    The derivative of the phase along ``unit``, a unit vector (y, x), has a standard deviation of 1 rad per sample.
     """
     larger = tuple(1 if n == 1 else 4 * n for n in shape)
     fy, fx = np.fft.fftfreq(larger[0])[:, None], np.fft.rfftfreq(larger[1])[None, :]
@@ -177,15 +177,15 @@ def noise_profile(seed: int) -> wd.HeightField:
 
 
 def score(judged: Judged) -> float | None:
-    """Return the error of a field's strongest period, divided by its standard error; None if there is no period."""
+    """Return the error of the strongest period found, divided by its standard error; None if no period is found."""
     periods = judged.heightfield.periods(1)
     return (periods[0].period_um - judged.period_um) / periods[0].standard_error_um if periods else None
 
 
 def quarters(scan: wd.HeightField) -> tuple[list[wd.Period], float]:
-    """Return the strongest period of each quarter of a scan, and the largest difference between two quarters.
+    """Return the strongest period of each quarter of a scan, and the largest difference between two of these periods.
 
-    The difference is in units of the standard error of a difference.
+    The difference is divided by its standard error.
     """
     half = scan.size_um[0] / 2.0, scan.size_um[1] / 2.0
     periods = [scan.cropped(half, offset_um=(y, x)).periods(1)[0] for y in (0.0, half[0]) for x in (0.0, half[1])]

@@ -4,15 +4,17 @@
 
     python -m bench.reproduce.picture_gradients path/to/scan.png
 
-The scan is rendered on a straight tube that fills the picture, under a directional light, with pixels that show points.
-In the output, "sampled" is the gradient with sums over wavelengths instead of the polar grid. The gradients are
-compared with central differences of two functions: ``wd.reflectance`` at the directions of the pixels, with a plan for
-a tolerance of 1e-3, and ``wd.shade`` with the plan of the renderer. The heights are changed by smooth noise. The loss
-is a weighted sum over pixels whose weights are the difference itself, so that the rounding errors of the difference do
-not cancel in the sum.
+The scan is rendered on a straight tube that fills the picture, under a directional light. A pixel shows the colour at
+one point, without a filter over the pixel's area. In the output, "sampled" is the gradient of a picture whose colours
+are sums over wavelengths. Otherwise, colours are interpolated in a table over polar coordinates of the scattering
+vector. The gradients are compared with central differences. The differences use two functions: ``wd.reflectance`` at
+the directions of the pixels, with numerical settings (a plan) for a tolerance of 1e-3, and ``wd.shade`` with the
+settings of the renderer. A central difference changes the heights by smooth random noise. It yields a difference of
+colours for each pixel. The loss is a sum over pixels with these differences as weights. Its derivative is then a sum of
+squares, in which the contributions of pixels cannot cancel.
 
 Costs are seconds of processor time of all threads, the least of three measurements. "Library" is the cost of
-``wd.shade`` with an explicit plan, for a surface that the library has not cached.
+``wd.shade`` with a plan given, for a surface that the library has not cached.
 """
 
 from __future__ import annotations
@@ -34,8 +36,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 LIGHT = wd.DirectionalLight((0.35, 0.9, 0.3))
-# Step of the central differences. The value has two limits. The library fits basis functions to each surface, so that
-# differences with smaller steps have larger errors. With larger steps, the function is not linear.
+# Step of the central differences [µm]. Smaller steps have larger errors: for each surface the library fits new basis
+# functions, and the change of the fit is divided by the step. With larger steps, the function is not linear.
 STEP_UM = 3e-3
 OPTIONS = {"footprint": False, "refine": False, "ior": np.inf}
 
@@ -60,7 +62,7 @@ def seconds(function: Callable, *arguments: object, **options: object) -> tuple[
 
 
 def by_wavelengths(renderer: wd.Renderer, scan: wd.HeightField) -> object:
-    """Return the picture with derivatives as sums over wavelengths."""
+    """Return the picture with derivatives, computed by sums over wavelengths instead of a look-up in a table."""
     with mock.patch.object(picture_model, "_SIZES", ()):
         return wd.adjoint.pixels(renderer, scan, LIGHT)
 
@@ -104,17 +106,17 @@ def accuracy(scan: wd.HeightField) -> None:
 
 
 def wd_gain(lights: np.ndarray, views: np.ndarray) -> np.ndarray:
-    """Return the geometry factors of pairs of unit vectors for a perfect mirror."""
+    """Return the geometry factors of a perfect mirror for pairs of unit vectors to the light and to the viewer."""
     from warpdiff.optics.reflectance_factors import gain
 
     return gain(lights, views, normal=1.0, masking=True)
 
 
 def cost(scan: wd.HeightField, size: tuple[int, int]) -> None:
-    """Print the cost of value and gradient of a picture relative to the library's value on a new surface."""
+    """Print the cost of a picture and its gradient, relative to ``wd.shade`` for a surface without cached tables."""
     renderer, tube, view = renderer_of(scan, size)
-    # The noise differs from run to run, because the library would otherwise read the tables of the surface from the
-    # disk cache.
+    # The noise differs from run to run. For a surface that an earlier run used, the library would read the tables from
+    # its disk cache, and the measured time would be too short.
     rng = np.random.default_rng()
     library, values, gradients = [], [], []
     for _ in range(3):

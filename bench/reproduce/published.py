@@ -1,10 +1,10 @@
-"""Comparison of the algorithm of Single (2014) with the automatic plan on a picture, at equal time or equal error.
+"""Comparison of the algorithm of Single (2014) with the library on a picture, at equal time or equal error.
 
-The picture shows the tube with the levelled 65 µm scan. Both methods evaluate the same directions, those of a
-stratified sample of the picture's illuminated pixels. Errors are relative to the float64 reference: the 99th percentile
-(P99) of ‖ΔXYZ‖ / max(‖XYZ‖, f) over the pixels with Y >= f, where f is a thousandth of the reference luminance
-(``bench.truth.errors``). Times are those of calls with prepared tables on a larger sample of pixels, as medians of
-interleaved rounds.
+The library selects its own numerical settings (automatic plan). The picture shows the tube with the levelled 65 µm
+scan. Both methods evaluate the same directions, those of a stratified sample of the picture's illuminated pixels.
+Errors are relative to the float64 reference: the 99th percentile (P99) of ‖ΔXYZ‖ / max(‖XYZ‖, f) over the pixels with Y
+>= f, where f is a thousandth of the reference luminance (``bench.truth.errors``). Times are those of calls with
+prepared tables on a larger sample of pixels, as medians of interleaved rounds.
 
 The setting of the publication is 81 equally spaced wavelengths (380 to 780 nm, 5 nm), 37 Taylor terms (n = 0 … 36) of
 heights that are not centred, 3 × 3 Fourier coefficients around the one that floor() selects, and a rectangle rule. The
@@ -37,13 +37,13 @@ if TYPE_CHECKING:
 
 LANES = numba_published.LANES
 # Settings of the published algorithm among which the search selects: numbers of wavelengths in steps of a factor
-# 2^(1/4), and numbers of terms of the Taylor series.
+# 2^(1/4), and numbers of terms of the Taylor series in the height.
 MORE_WAVELENGTHS = [round(81 * 2 ** (k / 4)) for k in range(-4, 21)]
 MORE_TERMS = (8, 16, 24, 32, 37, 48)
-# Largest number of neighbouring coefficients on each side of the central one, by kind of coherence. The values are
-# limited by float32: the published algorithm computes Gaussian weights by recurrence from the weight of the outermost
-# coefficient. With larger numbers, this weight would be below the smallest float32. Coefficients at that distance
-# contribute less than rounding errors.
+# Largest number of neighbouring coefficients on each side of the central one, by kind of coherence. The published
+# algorithm computes Gaussian weights by recurrence, from the weight of the outermost coefficient inwards. With larger
+# numbers, the outermost weight would be below the smallest float32. Coefficients at that distance contribute less than
+# rounding errors.
 MOST_REACH = {"averaged": 3, "centred": 4}
 # Number of settings that are timed; these have the fewest multiply-adds of all settings that reach the target error.
 FINALISTS = 3
@@ -55,7 +55,12 @@ WIDTH, TIMED, ROUNDS = 640, 12_000, 9
 
 
 class Setting(NamedTuple):
-    """Setting of the published algorithm: wavelengths, terms, neighbouring coefficients, centring and rounding."""
+    """Setting of the published algorithm.
+
+    The numbers are those of wavelengths, terms of the Taylor series, and neighbouring coefficients on each side of the
+    central one. With ``centred``, heights are relative to the middle of their range. ``rounded`` selects the central
+    coefficient by rounding instead of floor().
+    """
 
     wavelengths: int = 81
     terms: int = 37
@@ -70,10 +75,10 @@ class Setting(NamedTuple):
 
     @property
     def multiply_adds(self) -> float:
-        """Return the number of multiply-adds per pixel for the real parts of all amplitudes, as the cost of a setting.
+        """Return the cost of a setting: the number of multiply-adds per pixel for the real parts of all amplitudes.
 
-        The amplitudes are those of all neighbouring coefficients. The imaginary parts require the same number. The sum
-        over the coefficients is excluded.
+        The amplitudes are those of all neighbouring coefficients. The imaginary parts require as many multiply-adds.
+        The sum over the coefficients is excluded.
         """
         return self.wavelengths * LANES * math.ceil(self.terms / LANES) * (2 * self.neighbour_extent + 1) ** 2
 
@@ -85,11 +90,11 @@ def refined(error_of: Callable[[Setting], float], most: int, target: float) -> t
     """Return settings that reach a target error with the fewest multiply-adds, and the least error that was measured.
 
     A setting has three numbers: terms of the series, neighbouring coefficients and wavelengths. The search assumes that
-    the error decreases if one number grows and the others are constant. Among the numbers of terms that reach the
-    target with the most coefficients and wavelengths, the two smallest are tried. For uncentred heights, the number of
-    terms of the publication is tried, too. For each number of terms, all numbers of coefficients that can reach the
-    target are tried, and bisection finds the smallest number of wavelengths. The returned settings include the cheapest
-    setting whose series is that of the publication.
+    the error decreases if one number grows and the others are constant. Each number of terms is first tested with the
+    most coefficients and wavelengths. The two smallest numbers that reach the target are kept. For uncentred heights,
+    the number of terms of the publication is kept, too. For each kept number of terms, all numbers of coefficients that
+    can reach the target are tried, and bisection finds the smallest number of wavelengths. The returned settings
+    include the cheapest setting whose series is that of the publication.
     """
     successes: list[Setting] = []
     found: list[float] = []
@@ -126,7 +131,7 @@ def refined(error_of: Callable[[Setting], float], most: int, target: float) -> t
 
 
 def compare(scene: Scene, coherence: wd.Coherence, pixels: int) -> None:
-    """Measure and time all settings of the published algorithm for one kind of coherence, and print a table.
+    """Measure and time all settings of the published algorithm for one limit of interference, and print a table.
 
     Also print two comparisons of the library with the published algorithm: errors at equal time, and times at equal
     error.

@@ -1,9 +1,8 @@
 """Coverage of pixels at silhouettes, against 64 × 64 samples per pixel of an independent rasterizer.
 
-``python -m bench.reproduce.silhouettes [--seed N]`` prints rows for each body: errors of the coverage of
-pictures at pixels that the body covers in part. The reference projects the triangles with NumPy, fills them with
-Pillow, and weights the samples by the pixel filter, a Gaussian with a standard deviation of 0.5 pixel that ends at 1.5
-pixels.
+``python -m bench.reproduce.silhouettes [--seed N]`` prints rows for each body: errors of the coverage of pictures at
+pixels that the body covers in part. The reference projects the triangles with NumPy, fills them with Pillow, and
+weights the samples by the pixel filter: a Gaussian with a standard deviation of 0.5 pixel that ends at 1.5 pixels.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ if TYPE_CHECKING:
 
 # Number of samples of the reference along each side of a pixel.
 SAMPLES = 64
-# Width and height of the pictures [pixels]. The values are limited by the time of the reference: Pillow fills a mask of
-# 300 million samples for this size.
+# Width and height of the pictures [pixels]. Larger pictures make the reference slow: Pillow fills a mask of about 240
+# million samples for this size.
 SIZE = (320, 180)
 # Least and largest coverage with which a pixel counts as being at a silhouette.
 LEAST, MOST = 0.02, 0.98
@@ -36,7 +35,7 @@ def coverage_of(mesh: trimesh.Trimesh, view: wd.View) -> NDArray[np.float64]:
     away = np.asarray(mesh.vertices) - frame.origin
     depth = -(away @ frame.back)
     x, y = away @ frame.right / depth / frame.half_width, away @ frame.up / depth / frame.half_height
-    # The mask has a margin of one pixel on each side, for the filters of pixels at the border.
+    # The mask extends one pixel beyond the picture on each side, because the filter of a pixel at the border does, too.
     places = np.column_stack([(x + 1.0) / 2.0 * view.width + 1.0, (1.0 - y) / 2.0 * view.height + 1.0])
     mask = Image.new("1", ((view.width + 2) * SAMPLES, (view.height + 2) * SAMPLES))
     draw = ImageDraw.Draw(mask)

@@ -1,9 +1,10 @@
 """Smooth direction fields on a folder of glTF files: angles between neighbouring vertices, and computing time.
 
-``python -m bench.reproduce.smooth_fields FOLDER`` prints a row for each file, and a summary. Test files are in the
-repository KhronosGroup/glTF-Sample-Assets. The angle of an edge is the angle between the directions at its two ends.
-Before the comparison, the direction at the start is rotated by the smallest rotation that maps the normal there to the
-normal at the end.
+A direction field gives each vertex of a mesh a tangent direction, for example of the grooves of a grating. ``python -m
+bench.reproduce.smooth_fields FOLDER`` prints a row for each file, and a summary. Test files are in the repository
+KhronosGroup/glTF-Sample-Assets. The angle of an edge is the angle between the directions at its two ends. Before the
+comparison, the direction at the start is rotated by the smallest rotation that maps the normal there to the normal at
+the end.
 """
 
 from __future__ import annotations

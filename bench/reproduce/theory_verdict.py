@@ -36,9 +36,10 @@ from warpdiff.heightfield.theory_verdict import INVALID, QUALITATIVE, verdict_on
 
 # Error of an order's efficiency above which its grating counts as wrong, as a share of the reflected power.
 WRONG = 0.1
-# Targets for the verdicts. `MOST_WRONG` is the largest share of wrong gratings among the gratings with the grade
-# reliable. `LEAST_RELIABLE` is the least share of gratings with the grade reliable among the gratings that are not
-# wrong. `MOST_QUALITATIVE` is the largest share of gratings with the grade qualitative.
+# Targets for the verdicts, all as shares of gratings. A grating is wrong if its error exceeds ``WRONG``. `MOST_WRONG`
+# is the largest share of wrong gratings among the gratings with the grade reliable. `LEAST_RELIABLE` is the least share
+# of gratings with the grade reliable among the gratings that are not wrong. `MOST_QUALITATIVE` is the largest share of
+# gratings with the grade qualitative.
 MOST_WRONG, LEAST_RELIABLE, MOST_QUALITATIVE = 0.02, 0.8, 0.3
 # Gratings are held out, so that no fit uses them, if the index of their period or depth, divided by three, leaves this
 # remainder.
@@ -49,8 +50,8 @@ SAMPLES = 512
 # Wavelength of all calls [nm]. Periods and depths are stored in units of the wavelength; at this wavelength these
 # numbers are also their lengths in µm.
 WAVELENGTH_NM = 1000.0
-# Limits that ``--rise`` compares: least cosine of the angle from the normal for which the energy normalisation gives an
-# order its full weight.
+# Limits that ``--rise`` compares. A limit is the least cosine of the angle between order and normal for which the
+# energy normalisation gives the order its full weight.
 RISES = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0)
 
 
@@ -72,7 +73,7 @@ class Grating(NamedTuple):
 
 
 class Shares(NamedTuple):
-    """Counts and shares of gratings by the grade of the verdict on them.
+    """Counts and shares of gratings by grade: reliable, qualitative or invalid by a predicted error (verdict).
 
     Three of the shares have targets, see ``meets_targets``.
     """
@@ -104,7 +105,7 @@ class Shares(NamedTuple):
 
 
 def _share(values: np.ndarray) -> float:
-    """Return the share of values that are True, or 0 if there are no values."""
+    """Return the share of array entries that are True, or 0 if the array is empty."""
     return float(np.mean(values)) if len(values) else 0.0
 
 
@@ -141,7 +142,10 @@ def gratings(energy: str | None, *, step: int = 1) -> list[Grating]:
 
 
 def judged(energy: str | None, *, step: int = 1) -> dict[str, Shares]:
-    """Return shares for verdicts on calls and on heights, and for all, fitted and held-out gratings."""
+    """Return counts and shares of gratings by grade, for verdicts on calls and on the heights alone.
+
+    There are shares of all gratings, of those used for fitting, and of held-out gratings.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", wd.WarpdiffWarning)
         population = gratings(energy, step=step)
@@ -158,7 +162,7 @@ def judged(energy: str | None, *, step: int = 1) -> dict[str, Shares]:
 
 
 def mean_error_by_rise(cosine: float) -> float:
-    """Return the mean error of mirror gratings used for fitting, with normalised energy.
+    """Return the mean error of the perfect mirrors that were used for fitting, with normalised energy.
 
     The normalisation gives full weight to orders if the cosine of their angle from the normal exceeds a limit.
     ``cosine`` replaces this limit.
@@ -175,7 +179,7 @@ def mean_error_by_rise(cosine: float) -> float:
 
 
 def _glass_cells() -> list[tuple[float, float]]:
-    """Return the periods and depths of the glass gratings, the last kind of grating in ``rigorous.json``."""
+    """Return period and depth of each glass grating; glass gratings are the last kind in ``rigorous.json``."""
     stored = json.loads(STORED.read_text())
     return [(period, depth) for period in stored["periods"] for depth in stored["depths"]]
 

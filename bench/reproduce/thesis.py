@@ -1,9 +1,9 @@
 """The figures of Single (2014), reproduced: periods measured by diffraction, reflectance maps and renderings.
 
-Single, *An Interactive Shader for Natural Diffraction Gratings* (Bern 2014), is compared with this library. The tables
-contain the numbers of that publication, the numbers of this library, and those of the published methods, which
-``variants`` computes. The report ``report.md`` is the text of ``thesis.md`` with the tables inserted. The text below
-each figure explains the differences.
+The publication is Single, *An Interactive Shader for Natural Diffraction Gratings* (Bern 2014). The tables contain the
+numbers of that publication, the numbers of this library, and those of the published methods, which ``variants``
+computes. The report ``report.md`` is the text of ``thesis.md`` with the tables inserted. The text below each figure
+explains the differences.
 
 Periods are measured at an angle of incidence of 75°. At each of 401 wavelengths, the view angle at which the first
 order is brightest is searched on a grid of angles. The grating equation then gives a period, d = λ/(sin θi + sin θr).
@@ -41,18 +41,18 @@ if TYPE_CHECKING:
 WAVELENGTHS = np.arange(380.0, 781.0)
 # Text of the report, into which the tables are inserted.
 TEXT = Path(__file__).with_suffix(".md")
-# Angle of incidence from the normal [degrees]. The value is that of the publication (Single 2014).
+# Angle of incidence from the normal [degrees], as in the publication (Single 2014).
 INCIDENCE_DEG = 75.0
 # Step of the view angles [degrees]. A step changes the measured period by 0.4 nm at a wavelength of 380 nm.
 GRID_DEG = 0.0025
-# Largest ratio of a measured period to the expected period, and of the expected to the measured period. The value is
-# limited by the second order: with a ratio of 2, the second order would be found as the first order of half the period.
+# Accepted ratio of a measured to the expected period: at most this value, and at least its inverse. The limit must be
+# below 2. With a ratio of 2, the second order would count as the first order of half the period.
 SOUGHT = 1.3
 # Period of the blazed grating, and expected period of the scan of a snake's skin [µm].
 BLAZED_UM, SCAN_PERIOD_UM = 2.5, 1.1
-# Periods in the publication (Single 2014), by surface and by the summation from which they were measured: over all
-# coefficients of one patch ("full"), or over several repeated periods of the patch ("periods"). Each text has the mean
-# over the wavelengths [nm] and, in parentheses, the variance [nm²].
+# Periods in the publication (Single 2014), by surface and by the sum that was used: over all coefficients of one patch
+# ("full"), or for several repetitions of the patch ("periods"). Each text has the mean over the wavelengths [nm] and,
+# in parentheses, the variance [nm²].
 PUBLISHED = {
     ("blazed", "full"): "2499.997 (0.377)",
     ("blazed", "periods"): "2502.428 (0.390); in the author's log 2491.862 (248.044)",
@@ -71,8 +71,8 @@ class Setup:
 
     Attributes:
         folder: Folder of the figures.
-        quick: Whether the figures are small.
-        raw: Scan as measured, or None if its file is absent.
+        quick: Whether figures are smaller, with fewer samples, for a test of the script.
+        raw: Scan of a snake's skin as measured, or None if its file is absent.
     """
 
     folder: Path
@@ -81,7 +81,7 @@ class Setup:
 
     @functools.cached_property
     def scan(self) -> wd.HeightField | None:
-        """The levelled scan, or None if its file is absent."""
+        """The scan after subtraction of a polynomial of order 2 (levelled), or None if its file is absent."""
         return None if self.raw is None else self.raw.levelled(order=2)
 
     def pixels(self, count: int) -> int:
@@ -100,7 +100,7 @@ class Setup:
 
     @property
     def natural_name(self) -> str:
-        """Name in figures of the natural surface: the scan, or the grating with nano-fingers that replaces it."""
+        """Name of the natural surface in figures: the snake of the scan, or the name of its replacement."""
         return "fingers" if self.scan is None else "Elaphe"
 
 
@@ -111,7 +111,7 @@ def at_angle(degrees: ArrayLike) -> Floats:
 
 
 def view_angles(longest_nm: float, shortest_nm: float, count: int, wavelength_nm: Floats) -> Floats:
-    """Return view angles [degrees] of the first order at one wavelength, for ``count`` periods in a range [nm]."""
+    """Return view angles [degrees] of the first order at one wavelength, for ``count`` periods in a range."""
     sines = wavelength_nm / np.linspace(longest_nm, shortest_nm, count) - math.sin(math.radians(INCIDENCE_DEG))
     return np.degrees(np.arcsin(sines))
 
@@ -253,7 +253,10 @@ def scan_periods(setup: Setup) -> Table:
 
 
 def scan_windows(setup: Setup) -> Table:
-    """Draw the periods measured under a centred window at many positions. Return a table of the periods' quantiles."""
+    """Draw the periods measured under a centred window at many positions. Return a table of the periods' quantiles.
+
+    The centred window is a Gaussian around one position of the scan; only heights below it interfere.
+    """
     from matplotlib import pyplot as plt
 
     heightfield, wavelengths = setup.scan, WAVELENGTHS[:: 100 if setup.quick else 10]
@@ -308,7 +311,7 @@ def scan_windows(setup: Setup) -> Table:
 
 
 # Exposures of reflectance maps: `LINE` is for gratings that reflect all light into few lines or points of the map, and
-# `AREA` is for other surfaces. The values were chosen; larger values clip more pixels to white.
+# `AREA` is for other surfaces. The values were chosen by hand; larger values clip more pixels to white.
 LINE, AREA = 0.04, 3.0
 
 
@@ -325,7 +328,7 @@ def exposure(xyz: Floats) -> float:
 
 
 def mosaic(setup: Setup, name: str, rows: list[list[tuple[str, Floats, float]]], *, inch: float) -> Table:
-    """Draw rows of pictures. A picture has a label, XYZ (NaN at transparent pixels) and an exposure."""
+    """Draw rows of pictures. Each has a label, XYZ (NaN at transparent pixels) and a factor of XYZ (exposure)."""
     from matplotlib import pyplot as plt
 
     height, width = rows[0][0][1].shape[:2]
@@ -393,7 +396,7 @@ def save(setup: Setup, figure: Any, name: str) -> None:
     plt.close(figure)
 
 
-# Functions that draw a figure and return its table. `OF_THE_SCAN` has the functions that require the scan.
+# Functions that draw a figure and return its table. `OF_THE_SCAN` has the functions that require the scan file.
 FIGURES: tuple[Callable[[Setup], Table], ...] = (blazed_periods, scan_periods, scan_windows, map_gratings, render_zoom)
 OF_THE_SCAN = (scan_periods, scan_windows)
 

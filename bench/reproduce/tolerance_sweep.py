@@ -1,10 +1,11 @@
-"""Errors of random calls relative to the float64 reference, on directions that were not used to make their plans.
+"""Errors of random calls relative to the float64 reference, on directions that did not influence their settings.
 
-Calls are grouped in strata: a stratum is a kind of coherence at one tolerance, or a kind of call (a list of few, some
-or many directions; a grid of directions in row order; a reflectance map; a frame of a picture). The error of a call is
-the larger of two 99th percentiles of the relative error: over all directions of the call, and over its bright
-directions, whose luminance Y is at least the floor f. A call that raises an exception counts as one that misses its
-tolerance. Use a seed that was not used to develop the code.
+A call selects its numerical settings (a plan) with sampled directions, and predicts its error. Here, the error is
+measured on other directions. Calls are grouped in strata: a stratum is a kind of coherence at one tolerance, or a kind
+of call (a list of few, some or many directions; a grid of directions in row order; a reflectance map; a frame of a
+picture). The error of a call is the larger of two 99th percentiles of the relative error: over all directions of the
+call, and over its bright directions, whose luminance Y is at least the floor f. A call that raises an exception counts
+as one that misses its tolerance. Use a seed that was not used to develop the code.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ from bench.truth import configurations, judge
 # Targets of the sweep. `SHARE` is the least share of all calls that must meet their tolerance, and `STRATUM_SHARE` the
 # least share in each stratum (kind of call or coherence). `BEYOND` is the largest accepted ratio of error to tolerance,
 # and `WARNED` the largest share of calls that warn. In at least `PREDICTED_SHARE` of the calls, the ratio of predicted
-# to measured error must be between the two values of `PREDICTED`. Calls with an error below `COUNTS_FROM` tolerances
-# are excluded from this share.
+# to measured error must be between the two values of `PREDICTED`. Calls with an error below `COUNTS_FROM` times the
+# tolerance are excluded from this share.
 SHARE, STRATUM_SHARE, BEYOND, WARNED = 0.99, 0.95, 3.0, 0.02
 PREDICTED, PREDICTED_SHARE, COUNTS_FROM = (0.5, 10.0), 0.95, 0.01
 
@@ -91,7 +92,7 @@ _worker: dict[str, object] = {}
 
 
 def start_worker(seed: int, data: str | None, layouts: tuple[str, ...]) -> None:
-    """Store the inputs that all calls of a worker process share."""
+    """Store the inputs that all random calls of a worker process use."""
     _worker.update(seed=seed, scan=inputs.levelled_scan(data), layouts=layouts)
 
 
@@ -183,7 +184,7 @@ def shortfalls(outcomes: list[Outcome]) -> list[str]:
 
 
 def explain(index: int, seed: int, scan: wd.HeightField | None, layouts: tuple[str, ...]) -> None:
-    """Print one call with its plan and errors, and the errors of the same call with finer settings of the plan."""
+    """Print one call with its settings (plan) and errors, and the errors of the same call with finer settings."""
     case = configurations.configuration(index, seed, scan, layouts)
     print(case)
     try:

@@ -2,15 +2,16 @@
 
 - ``neighbours``: the power under a Gaussian coherence window, as a sum over the 3 × 3 Fourier coefficients around the
   one that floor() selects. The sum lacks a phase factor (Single 2014, eq. 3.34) that would move the window from the
-  corner of the patch to its middle. The window therefore lies on the seam between two repeated patches.
+  corner of the patch to its middle. The window therefore lies at the corner, on the seam between repeated patches.
 - ``periods``: interference of whole periods of the patch (eq. 3.50). Coefficients are interpolated linearly or by a
-  truncated sinc (eq. 3.51). The interpolation by the sinc also lacks a phase factor: its result is that of a patch with
-  swapped halves, which has the seam in its middle.
+  truncated sinc (eq. 3.51). The interpolation by the sinc also lacks a phase factor. Its result is therefore that of a
+  patch with swapped halves, so that the seam is in the middle.
 
-The module uses NumPy. The series of the coefficients are truncated, which causes errors of at most 1e-6.
+The module uses NumPy. The coefficients are series in κ. These are truncated, which causes errors of at most 1e-6.
 
-H_rs is the Fourier coefficient of exp(2πiκh) at the frequency (r/Lx, s/Ly), with the heights h and κ = w/λ. C is the
-geometry factor, and ρ the reflectance relative to a flat mirror.
+H_rs is the Fourier coefficient of exp(2πiκh) at the frequency (r/Lx, s/Ly), with the heights h and κ = w/λ. Here, (u,
+v, w) is the scattering vector: minus the sum of the unit vectors to light and viewer. Lx and Ly are the sides of the
+patch. C is the geometry factor, and ρ the reflectance relative to a flat mirror.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 SERIES = EXPANSIONS["jacobi-anger"]
-# Largest error of a Fourier coefficient by the truncation of its series. The error must be small compared with the
-# differences between the methods.
+# Largest error of a Fourier coefficient that truncation of its series may cause. The error must be small compared with
+# the differences between the methods.
 ACCURACY = 1e-6
 # Number of coefficients on either side of the nearest one over which the sinc interpolation extends. The value is that
 # of the publication (Single 2014).
@@ -48,7 +49,7 @@ CHUNK = 1 << 15
 
 
 def neighbours(heightfield: wd.HeightField, to_light: Floats, to_view: Floats, wavelengths_nm: Floats) -> Floats:
-    """Return the reflectance ρ by the 3 × 3 coefficients around the one that floor() selects, without masking.
+    """Return the reflectance ρ by 3 × 3 Fourier coefficients around the one that floor() selects, without masking.
 
     Args:
         heightfield: Height field.
@@ -89,8 +90,8 @@ def periods(
         else:
             order = _spread(np.rint(position), -SINC_REACH, SINC_REACH, heightfield.shape[axis])
             weight = np.sinc(order - position[:, None])
-        # The amplitude of N repeated patches has the factor sin(πNt) / (N sin(πt)), where t is the distance of a
-        # frequency from the nearest coefficient, in spacings of the coefficients.
+        # The amplitude of N repeated patches has the factor sin(πNt) / (N sin(πt)). Here, t is the distance of a
+        # frequency from the nearest coefficient, in units of the spacing of coefficients.
         away = position - np.rint(position)
         return order, weight * (np.sinc(count[axis] * away) / np.sinc(away))[:, None]
 
@@ -112,8 +113,8 @@ def _reflectance(
 ) -> Floats:  # fmt: skip
     """Return the reflectance ρ = C·|Σ weight_s weight_r H_rs|² for all views and wavelengths, shape (n, m).
 
-    ``weights(position, axis)`` returns the orders (r or s) and their weights along an axis, at positions uLx/λ or
-    vLy/λ.
+    ``weights(position, axis)`` returns, for an axis, the orders that are added (r or s) and their weights. A position
+    is uLx/λ or vLy/λ, a frequency in units of the spacing of orders.
     """
     lights = np.broadcast_to(to_light, to_view.shape)
     gains = reflectance_factors.gain(lights, to_view, normal=reflectance_factors.normal_reflectance(1.5), masking=False)
@@ -133,8 +134,8 @@ def _reflectance(
         basis = SERIES.basis(scale * w[part], rows.shape[2]).astype(np.float32)
         amplitude = np.zeros(len(basis), dtype=np.complex64)
         for j in range(places[0].shape[1]):
-            # If the light and the view are in the plane of incidence, the interpolation gives the weight 0 to all rows
-            # of coefficients except the middle row. Rows of weight 0 are skipped.
+            # If light and views are in the xz plane, v is 0. The interpolation along y then gives the weight 0 to all
+            # rows of coefficients except the middle row. Rows of weight 0 are skipped.
             for k in range(places[1].shape[1]) if factors[0][:, j].any() else ():
                 coefficients = np.einsum("pt,pt->p", rows[places[0][:, j], places[1][:, k]], basis)
                 amplitude += factors[0][:, j] * factors[1][:, k] * coefficients
@@ -146,9 +147,9 @@ def _reflectance(
 def _coefficients(
     heightfield: wd.HeightField, frequency: int
 ) -> tuple[NDArray[np.complex64], fourier_coefficients.Block, float]:
-    """Return Fourier coefficients up to a frequency [1/µm], the block that states their indices, and a scale [µm].
+    """Return series of Fourier coefficients up to a frequency [1/µm], a `Block` with their indices, a scale [µm].
 
-    The argument x of the series is the scale times |κ|, where κ = w/λ.
+    The variable x of the series is the scale times |κ|, where κ = w/λ.
     """
     scale = 2.0 * math.pi * SERIES.offset_and_scale(heightfield)[1]
     terms = SERIES.term_count(scale * 2.0 / 0.38, ACCURACY)

@@ -5,7 +5,7 @@
 - ``pixel_reference``: colours of pixels, in float64, and errors of pictures
 - ``brute_force``: intersections of rays with triangles, by tests of all pairs
 - ``numpy_methods``: series expansions and sums over wavelengths in NumPy
-- ``configurations``: random calls of the library, by which plans are tested
+- ``configurations``: random calls of the library, which test the plans (numbers of wavelengths and terms) it selects
 - ``judge``: errors of such calls, on directions that were not used to make their plans
 - ``errors``: error measures for colours
 """

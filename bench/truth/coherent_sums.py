@@ -1,5 +1,8 @@
 """Powers ⟨|P|²⟩ of scattering vectors in NumPy and float64, for each kind of coherence.
 
+P is the sum of exp(2πiτ(ux + vy + wh)) over the surface, with a window and relative to a flat mirror. (u, v, w) is the
+scattering vector: minus the sum of the unit vectors to light and viewer. τ is 1/λ.
+
 For a coherence window or a light source, the Fourier coefficients H_rs(κ) of exp(2πiκh), with heights h, are computed
 by FFTs at Chebyshev nodes in κ = w/λ. The nodes are dense enough that interpolation errors are rounding errors. All
 coefficients within nine standard deviations of the frequency (u, v)/λ are included.
@@ -16,8 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Distance within which Fourier coefficients contribute, in standard deviations of the Gaussian that weights them. The
-# value was chosen because exp(−9²/2) = 3e-18 is negligible.
+# Distance from the frequency (u, v)/λ within which Fourier coefficients contribute, in standard deviations of the
+# Gaussian that weights them. Farther coefficients have weights below exp(−9²/2) = 3e-18.
 WIDTHS = 9.0
 # Exponent at which the Gaussian weight of Fourier coefficients is truncated. The value is derived: the exponent at the
 # distance `WIDTHS`.
@@ -30,8 +33,8 @@ REDDEST, BLUEST = 1.0 / 0.78, 1.0 / 0.38
 WIDTHS_PER_CELL = 6.0
 PERIODS_PER_CELL = 1.2
 # Number of wavenumbers τ = 1/λ that are evaluated together. Fourier coefficients near the frequency τ·(u, v) at any of
-# these wavenumbers are evaluated at all of them. The value was chosen because with more wavenumbers, most of these
-# coefficients would contribute at only a few wavenumbers.
+# these wavenumbers are evaluated at all of them. With more wavenumbers, most of these coefficients would contribute at
+# only a few of them, which wastes time.
 BLOCK = 128
 # For a replicated patch: largest number of wavenumbers that are evaluated at once, and largest number of height samples
 # per partial sum. Both values are limited by memory.
@@ -44,7 +47,7 @@ LEAST = 1e-10
 
 
 class Step(NamedTuple):
-    """The attributes of a ``wd.Coherence`` that the reference uses.
+    """Limit of interference (coherence), with the attributes of a ``wd.Coherence`` that the reference uses.
 
     A ``wd.Coherence`` has the same attributes and can replace this object.
     """
@@ -170,7 +173,7 @@ class Coefficients:
             # 4·spread).
             width = REDDEST * self.step.spread / (length + 4.0 * self.step.spread)
         else:
-            # For an averaged coherence window, this is the standard deviation in τ = 1/λ of the Gaussian weight of a
+            # For an averaged coherence window, `width` is the standard deviation in τ = 1/λ of the Gaussian weight of a
             # coefficient. For a centred window, amplitudes have a Gaussian weight that is wider by √2. The power is a
             # product of two amplitudes and has the same width as for an averaged window.
             width = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * self.step.sigma_um * max(length, 1e-9))

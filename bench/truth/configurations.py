@@ -1,8 +1,10 @@
 """Random calls that test plans: surface, coherence, tolerance and directions, each determined by an index and a seed.
 
-Combinations of coherence and tolerance occur in a fixed cycle: ``len(STRATA)`` consecutive indices contain each
-combination once. All other parameters are random. Calls are lists of directions (few and many, shuffled and sorted),
-grids of directions in row order, reflectance maps, and frames of a mesh. ``bench.truth.judge`` evaluates their errors.
+A plan has the numbers of a computation, such as wavelengths and terms of a series; the library selects it for a call.
+Coherence is the limit of interference. Combinations of coherence and tolerance occur in a fixed cycle: ``len(STRATA)``
+consecutive indices contain each combination once. All other parameters are random. Calls are lists of directions (few
+and many, shuffled and sorted), grids of directions in row order, reflectance maps, and frames of a mesh.
+``bench.truth.judge`` evaluates their errors.
 
 (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
 light and to the viewer.
@@ -19,8 +21,8 @@ import numpy as np
 import warpdiff as wd
 
 KINDS = ("averaged", "centred", "source", "replicas")
-# Combinations of coherence and tolerance. Replicated patches have only two tolerances, because many wavelengths are
-# necessary to resolve the narrow maxima of interference between their periods.
+# Combinations of coherence and tolerance. Replicated patches have only two tolerances: their periods interfere with
+# narrow maxima, and tight tolerances would require too many wavelengths.
 STRATA = [(kind, t) for kind in KINDS for t in (1e-1, 1e-2, 1e-3, 1e-4) if kind != "replicas" or t >= 1e-2]
 SURFACES = ("scan", "fingers", "diagonal", "sinusoidal", "lamellar", "blazed", "disc", "bumps", "sparse", "rough")
 GRATINGS = ("fingers", "sinusoidal", "lamellar", "blazed", "disc", "bumps")
@@ -215,7 +217,7 @@ def fewer(heights):
 
 
 def a_coherence(rng, kind, heightfield):
-    """Return a random coherence of a kind: with a random window, light source or numbers of periods."""
+    """Return a random limit of interference (coherence) of a kind: a window, a light source or numbers of periods."""
     if kind == "source":
         return wd.Coherence(kind, angular_diameter_deg=log_uniform(rng, 0.1, 3.0))
     if kind == "replicas":

@@ -8,7 +8,7 @@ import warnings
 import numpy as np
 
 # Floor f of relative errors, as a share of the reference luminance Y*. For colours that are darker than the floor, the
-# error is relative to the floor. If the share is doubled, errors of dim directions are hidden.
+# error is relative to the floor. If the share is doubled, the errors of more dim directions appear too small.
 FLOOR = 1e-3
 
 
@@ -34,7 +34,7 @@ def relative(xyz: np.ndarray, exact: np.ndarray) -> np.ndarray:
 
 
 def colour_difference(xyz: np.ndarray, exact: np.ndarray, brightest: float | None = None) -> float:
-    """Return the 99th percentile of ΔE2000 under D65 over colours with Y <= ``brightest``, exposed to 1."""
+    """Return the 99th percentile of ΔE2000 under D65, over colours with Y <= ``brightest``, which becomes Y = 1."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import colour

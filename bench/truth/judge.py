@@ -1,8 +1,10 @@
 """Errors of random calls relative to the float64 reference, on directions that were not used to make their plans.
 
-A call with fewer directions than ``configurations.FEW`` is evaluated on all illuminated directions. For a larger call,
-about ``COUNT`` illuminated directions are sampled, none of which the planner's trials used. If bright directions are
-rare in the call, they are sampled more often and have smaller weights.
+A plan has the numbers of a computation, such as wavelengths and terms of a series. The planner computes the colours of
+some directions of a call with several plans (trials), and selects one plan. A call with fewer directions than
+``configurations.FEW`` is evaluated on all illuminated directions. For a larger call, about ``COUNT`` illuminated
+directions are sampled, none of which these trials used. If bright directions are rare in the call, they are sampled
+more often and have smaller weights.
 
 (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
 light and to the viewer.
@@ -40,13 +42,16 @@ TRUTH_TOLERANCE = 1e-3
 # the horizon, the foreshortened spread of the source in (u, v) is so narrow that the reference requires half a million
 # wavelengths.
 LOWEST_SOURCE = 0.02
-# Lower limit of the floor f of relative errors, as a share of the luminance Y of a mirror. For smaller Y the reference
-# does not converge.
+# Lower limit of the floor f (the smallest divisor of relative errors), as a share of the luminance Y of a mirror. For
+# smaller Y the reference does not converge.
 LEAST = 1e-10
 
 
 class Result(NamedTuple):
-    """Results of a call for its illuminated directions. ``read`` marks directions on which the planner tried plans."""
+    """Results of a call for its illuminated directions.
+
+    ``read`` marks directions on which the planner has tried numbers of wavelengths and terms.
+    """
 
     xyz: np.ndarray  # colours of the directions, shape (n, 3)
     to_light: np.ndarray  # directions to the light, shape (n, 3)
@@ -79,7 +84,7 @@ class Figure(NamedTuple):
 
 @contextmanager
 def witnessed() -> Iterator[list[np.ndarray]]:
-    """Record the scattering vectors (u, v, w) for which the planner computes trial colours in the ``with`` block."""
+    """Record, in the ``with`` block, the scattering vectors for which the planner computes colours to compare plans."""
     vectors: list[np.ndarray] = []
 
     class Witness(trial.Trial):
@@ -178,9 +183,9 @@ def truth(case: Configuration, result: Result, chosen: np.ndarray, *, closer: fl
 def figure(xyz: np.ndarray, exact: np.ndarray, weights: np.ndarray | None = None, *, white: float = math.inf) -> Figure:
     """Return the error of XYZ (n, 3) relative to the reference ``exact``, for illuminated directions.
 
-    The floor f is a share of the reference luminance Y*, and at least ``LEAST``. Two values of Y* are known: that of
-    the sampled directions, and that of the whole call, ``white``. The smaller value is used, because the sample may
-    contain mirror reflections more often than the call.
+    The floor f, the smallest divisor of relative errors, is a share of the reference luminance Y*, and at least
+    ``LEAST``. Two values of Y* are known: that of the sampled directions, and that of the whole call, ``white``. The
+    smaller value is used, because the sample may contain mirror reflections more often than the call.
     """
     weights = np.ones(len(exact)) if weights is None else weights
     distances = np.linalg.norm(xyz - exact, axis=1)

@@ -31,7 +31,7 @@ PUBLISHED_TERMS = 37
 # Exponent at which the Gaussian of a coherence window is truncated. The value was derived from the rounding error
 # of float64, because exp(−36) is 2e-16.
 DEPTH = 36.0
-# Luminance, relative to that of a mirror, below which the library treats a direction as dark.
+# Luminance below which the library treats a direction as dark, relative to the luminance of a mirror.
 DARK = 1e-10
 # Largest number of values in a temporary array. The value is limited by memory.
 CHUNK = 1 << 21
@@ -119,7 +119,7 @@ def in_plane(count, largest, seed=0):
 
 
 def hemisphere_pairs(count, lowest=0.1, seed=0):
-    """Return random directions to light and view (count, 3) on the hemisphere, with z >= lowest."""
+    """Return random directions to light and view (count, 3) on the hemisphere, with z >= ``lowest``."""
     rng = np.random.default_rng(seed)
     z, phi = rng.uniform(lowest, 1.0, (2, count)), rng.uniform(0.0, 2.0 * np.pi, (2, count))
     s = np.sqrt(1.0 - z * z)
@@ -249,7 +249,8 @@ def windowed_powers(
             of ``lights``.
         neighbour_extent: Number of Fourier coefficients on either side of the central coefficient; None means all
             coefficients that contribute.
-        floor: Whether the central coefficient is found by floor(), instead of by rounding.
+        floor: Whether the index of the central coefficient is rounded down by floor(), instead of to the nearest
+            integer.
     """
     scattering_vectors = -(lights + views)
     tau = (1.0 / np.asarray(wavelengths_um)).astype(lights.dtype)

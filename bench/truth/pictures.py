@@ -21,7 +21,7 @@ def scaled(fov_deg: float, factor: float) -> float:
 
 
 def finer(view: wd.View, points: int, margin: int) -> wd.View:
-    """Return a view with ``points`` × ``points`` pixels for each pixel of another view and of its margin."""
+    """Return a view with ``points``² pixels for each pixel of another view and of a margin around that view."""
     width, height = view.width + 2 * margin, view.height + 2 * margin
     fov = scaled(view.fov_y_deg, height / view.height)
     return dataclasses.replace(view, fov_y_deg=fov, width=points * width, height=points * height)

@@ -33,7 +33,7 @@ class Body(NamedTuple):
 
     @classmethod
     def of(cls, surface, texture=None):
-        """Return the arrays of a mesh that the library has prepared, which are inputs of the reference."""
+        """Return a body with the arrays of a mesh that the library has prepared."""
         fields = (getattr(surface, name) for name in ("normals", "tangents", "handedness", "uvs"))
         place = surface.vertices.astype(np.float64) * surface.radius + surface.centre
         return cls(place, surface.faces, *(field.astype(np.float64) for field in fields), texture)
@@ -73,7 +73,7 @@ def bilinear(texture, uv):
 
 
 def pigment_colour(base, to_light, to_view, heightfield, step, illuminant, ior):
-    """Return XYZ of the pigment under the diffracting surface, for base colours (k, 3) in linear RGB."""
+    """Return XYZ of the diffuse pigment under the diffracting surface, for base colours (k, 3) in linear RGB."""
     grid = np.arange(380, 781) * 1e-3
     if step.kind == "source":
         weight = np.full(len(grid), 2.0 * step.spread**2)
@@ -82,8 +82,8 @@ def pigment_colour(base, to_light, to_view, heightfield, step, illuminant, ior):
         weight = grid**2 / (math.pi * patch * math.prod(step.periods))
     else:
         weight = grid**2 / (4.0 * math.pi**2 * step.sigma_um**2)
-    # A white pigment has the chromaticity of the illuminant. The luminance of this pigment is the mean of `weight` over
-    # the wavelengths, with the colour product for Y as weight.
+    # A white pigment has the chromaticity of the illuminant. Its luminance is a mean of `weight` over the wavelengths,
+    # in which each wavelength counts by its share of the illuminant's Y.
     spectrum = products(illuminant)
     white = (weight @ spectrum[:, 1]) * spectrum.sum(axis=0)
     xyz = (base * (XYZ_TO_RGB @ white)) @ np.linalg.inv(XYZ_TO_RGB).T

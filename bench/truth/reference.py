@@ -1,8 +1,9 @@
 """Reference colours and spectra of directions in NumPy and float64; shares no code with the library.
 
-``coherent_sums`` computes powers of scattering vectors. Here they are multiplied by the gain and integrated over λ. The
-integral is refined until it converges. Tests compare this reference with the direct sum
-(``warpdiff.diffraction.direct_sum``), which is too slow for pictures. ``pixel_reference`` has colours of pixels.
+``coherent_sums`` computes the power that a surface diffracts for a scattering vector. Here the power is multiplied by
+the gain (geometry factor C and masking M) and integrated over λ. The integral is refined until it converges. Tests
+compare this reference with the direct sum (``warpdiff.diffraction.direct_sum``), which is too slow for pictures.
+``pixel_reference`` has colours of pixels.
 """
 
 from __future__ import annotations
@@ -26,9 +27,10 @@ MOST_CELLS = 1 << 19
 
 
 def gain(to_light, to_view, *, ior=1.5, masking=True, source=False):
-    """Return the geometry factor (gain) C·M of unit vectors (n, 3) in the local frame, over cos θi for ``source``.
+    """Return the gain C·M of unit vectors (n, 3) in the local frame, divided by cos θi if ``source`` is True.
 
-    The gain is 0 where one of the vectors is below the surface.
+    C is a geometry factor, and M the masking and shadowing by the relief. The gain is 0 where one of the vectors is
+    below the surface.
     """
     illuminated = (to_light[:, 2] > 0.0) & (to_view[:, 2] > 0.0)
     result = np.zeros(len(illuminated))
@@ -53,7 +55,7 @@ def fresnel(cosine, ior):
 
 @functools.cache
 def products(illuminant):
-    """Return the products S·x̄ȳz̄ of an illuminant S and the CIE functions, over ΣSȳ, at 380 to 780 nm, (401, 3)."""
+    """Return the products S·x̄ȳz̄ of an illuminant S and the CIE functions, divided by ΣSȳ; 380 to 780 nm, (401, 3)."""
     import colour
 
     shape = colour.SpectralShape(380, 780, 1)
@@ -102,7 +104,7 @@ def reference_spectral(
 ):  # fmt: skip
     """Return reflectances ρ of unit vectors (n, 3) in the local frame at m wavelengths, shape (n, m).
 
-    The coherence is a name, such as "averaged", with ``sigma`` [µm], or a coherence object.
+    The coherence (limit of interference) is a name, such as "averaged", with ``sigma`` [µm], or a coherence object.
     """
     step = step_of(coherence, sigma, centre)
     wavelengths = np.asarray(wavelengths_um, dtype=np.float64)
@@ -169,7 +171,7 @@ def reference_reflectance(
 ):  # fmt: skip
     """Return XYZ of unit vectors (n, 3) in the local frame, shape (n, 3).
 
-    The coherence is a name, such as "averaged", with ``sigma`` [µm], or a coherence object.
+    The coherence (limit of interference) is a name, such as "averaged", with ``sigma`` [µm], or a coherence object.
     """
     step = step_of(coherence, sigma, centre)
     ior = math.inf if material is not None else ior

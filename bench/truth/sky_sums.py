@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Number of traced rays along each axis of a pixel. Samples of the pixel filter use the nearest traced ray. The value
-# was chosen; with a smaller number, the sampled filter would differ from the exact filter.
+# Number of traced rays along each axis of a pixel. A sample of the pixel filter uses the nearest traced ray. With a
+# much smaller number, the sampled filter would differ from the exact filter.
 _ACROSS = 16
 # Half of the directions to the light are drawn around the mirror direction. The number is the share of these directions
 # for which |(u, v)| is within the first value of `_mirror`, a radius within which the density is uniform. The mean of
@@ -45,8 +45,8 @@ _ACROSS = 16
 _CORE = 0.25
 # Number of directions whose colours are computed in one call. The value is limited by memory.
 _DIRECTIONS = 1 << 17
-# Length of shadow rays [mesh radii]. The value was derived: it is twice the largest distance between two
-# points of a mesh.
+# Length of shadow rays [mesh radii]. The value is twice the largest distance between two points of a mesh, so that no
+# occluder is missed.
 _FAR = 4.0
 
 
@@ -283,8 +283,8 @@ def _primaries(sigma_um: float) -> list[tuple[wd.Spectrum, float]]:
 def radiance(sky: NDArray[np.float64], along: NDArray[np.float64], *, beyond: int = 0) -> NDArray[np.float64]:
     """Return the radiance of a sky in directions (n, 3), interpolated linearly between pixel centres.
 
-    The middle column of the sky is at −z and row 0 at +y. ``beyond`` is the number of rows that were added at each
-    pole.
+    The middle column of the sky is at −z and row 0 at +y. ``beyond`` is the number of rows that the array has beyond
+    each pole.
     """
     width, last = sky.shape[1], len(sky) - 1.000001
     height = len(sky) - 2 * beyond

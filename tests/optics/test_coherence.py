@@ -28,7 +28,7 @@ def small(rng):
 
 
 def tiled_power(heightfield, periods, scattering_vector, wavelength):
-    """Return |P|², the squared mean of exp(2πi(κh + q·x)) over all samples of all periods."""
+    """Return |P|²; P is the mean of exp(2πi(κh + q·x)) over the heights h at x of all samples of all periods."""
     u, v, w = scattering_vector / wavelength
     h = np.tile(heightfield.heights_um, periods)
     y = np.arange(h.shape[0])[:, None] * heightfield.pitch_um[0]
@@ -233,8 +233,9 @@ def test_the_solid_angle_is_the_integral_of_a_mirrors_lobe(coherence):
     solid_angle = reflectance_factors.light_solid_angle(np.array([wavelength]), coherence, area)[0]
     projected = to_light[2] if coherence.kind == "source" else 1.0
     assert gathered == pytest.approx(solid_angle * projected, rel=1e-6)
-    # ``scale * gathered`` is the integral of the BRDF without the factor of ⟨|P|²⟩ in ρ. For windows and periods this
-    # factor is C, and the integral is 1/cos θi. For a source the factor is C/cos θi, and the integral is 1.
+    # ``scale * gathered`` is the integral of the BRDF without a geometry factor, by which ⟨|P|²⟩ is multiplied to give
+    # ρ. For windows and periods the factor is C, and this integral is 1/cos θi. For a source the factor is C/cos θi,
+    # and this integral is 1.
     scale = reflectance_factors.brdf_scale(to_light[None, 2], np.array([wavelength]), coherence, area)[0, 0]
     assert scale * gathered == pytest.approx(projected / to_light[2], rel=1e-6)
     pigment = reflectance_factors.pigment_solid_angle(np.array([wavelength]), coherence, area)[0]

@@ -108,10 +108,10 @@ def test_quadrature_converges_for_a_wave():
 
 @pytest.mark.parametrize("illuminant", ["D65", "FL11", "HP1"])
 def test_few_samples_suffice_for_orders_under_illuminants_with_narrow_lines(illuminant):
-    """Under illuminants with narrow lines, few wavelengths must suffice for the colours of orders.
+    """Under illuminants with narrow lines, few wavelengths must suffice for the colours of diffraction orders.
 
-    The tested spectra are Gaussians of 1/λ around 101 positions, such as orders have under a coherence window. Narrow
-    lines of the illuminant often lie between two wavelengths of the quadrature.
+    The tested spectra are Gaussians in 1/λ around 101 positions. An order has such a spectrum under a Gaussian
+    coherence window. Narrow lines of the illuminant often lie between two wavelengths of the quadrature.
     """
     centres = np.linspace(1e3 / 780.0, 1e3 / 380.0, 101)
 
@@ -120,7 +120,8 @@ def test_few_samples_suffice_for_orders_under_illuminants_with_narrow_lines(illu
         return np.exp(-0.5 * (18.0 * (wavenumbers - centres[:, None])) ** 2) @ weights
 
     exact = colours(4001)
-    # The tested numbers of wavelengths are slightly below those of upper-bound plans for the same tolerance.
+    # For each tolerance, the library's upper-bound plan has enough wavelengths for any surface. The tested numbers are
+    # slightly smaller.
     for count, tolerance in ((76, 1e-2), (91, 1e-3), (108, 1e-4)):
         assert np.percentile(relative_errors(colours(count), exact), 99.0) < 0.5 * tolerance
 
@@ -170,7 +171,7 @@ def test_invalid_illuminants_are_refused(illuminant, message):
 
 @pytest.mark.parametrize("geometric", [False, True])
 def test_cached_quadratures_cannot_be_changed(geometric):
-    """Later calls return the same arrays, so that a change would make the colours of these calls wrong."""
+    """The arrays of a quadrature must be read-only, because later calls return the same arrays."""
     for values in colorimetry.uniform_quadrature(17, "D65", geometric=geometric):
         with pytest.raises(ValueError, match="read-only"):
             values[0] = 0.0

@@ -257,7 +257,7 @@ def mirrored(material, angle):
 def test_a_flat_material_has_its_colour_at_every_angle(name, nodes):
     """In the mirror direction, the colour of a flat material must equal the integral of its reflectance R(θ, λ) over λ.
 
-    This must hold for calls with sampled wavelengths and for calls with a table.
+    This must hold for sums over sampled wavelengths and for look-ups in a table of colours.
     """
     heightfield, angles = flat(), (0.0, 30.0, 60.0, 75.0)
     plan = dataclasses.replace(

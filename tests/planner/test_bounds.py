@@ -1,5 +1,8 @@
 """Upper-bound plans, which calls with few directions use, meet the tolerance. Each tested call once exceeded it.
 
+A plan holds the numbers of a computation, such as wavelengths and terms of a series. An upper-bound plan must suffice
+for any surface.
+
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
 light and to the viewer. The component w is along the normal, and κ is w/λ.
 """
@@ -42,7 +45,7 @@ def line_grating(levels, period_um):
 def test_third_orders_of_a_shallow_sine_meet_the_tolerance(rng, tolerance):
     """The error of the third orders of a shallow sine must be within the tolerance.
 
-    The power of these orders is proportional to κ⁶. It is tiny at grazing views, where κ is small, and tiny powers are
+    The power of these orders is proportional to κ⁶. It is tiny at grazing views, where κ is small. Such tiny powers are
     inaccurate in float32.
     """
     heightfield = line_grating(0.05 * np.cos(2.0 * np.pi * np.arange(32) / 32), 1.5)
@@ -86,7 +89,7 @@ def test_the_tail_of_the_lobe_around_a_mirrored_sun_meets_the_tolerance(rng, tol
 def test_maps_under_illuminants_with_narrow_lines_meet_the_tolerance(illuminant):
     """The errors of reflectance maps must be within the tolerance under illuminants with narrow spectral lines.
 
-    Most directions of a map show diffraction orders at wavelengths between these lines.
+    In most directions of a map, a diffraction order has a wavelength between two lines.
     """
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4)
     rng = np.random.default_rng(3)
@@ -101,11 +104,12 @@ def upper_bound(heightfield, direction_range, *, wavelengths_nm=None, **options)
 
 
 def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
-    """The bandwidth of a plan (wavelength samples per unit of 1/λ) has three parts: one for order rates, one for
-    heights, and a constant.
+    """The bandwidth of a plan must be proportional to the coherence, to the heights and to a power of the tolerance.
 
-    The first part must be proportional to the σ of the window, and the second to the heights. For Gaussian windows,
-    both must be proportional to tolerance^(−1/6).
+    The bandwidth is the number of wavelength samples per unit of 1/λ. It has three parts: one for order rates (how fast
+    diffraction orders pass a direction as 1/λ changes), one for heights, and a constant. The first part must be
+    proportional to the σ of the window, and the second to the heights. For Gaussian windows, both must be proportional
+    to tolerance^(−1/6).
     """
     tall = wd.HeightField.of_known_scale(3.0 * fingers.heights_um, fingers.pitch_um)
     rate, height, colour = bounds.bandwidth_um(fingers, wd.Coherence(sigma_um=5.0), 1e-2)
@@ -126,8 +130,7 @@ def test_bandwidths_scale_with_coherence_height_and_tolerance(fingers):
 
 
 def test_a_source_requires_the_samples_of_a_window_at_equal_ratios_of_the_wavelength(fingers):
-    """At 380 nm, the distance between wavelengths in 1/λ must be as small for a light source of finite size as for a
-    coherence window.
+    """At 380 nm, wavelengths must be as close in 1/λ for a light source of finite size as for a coherence window.
 
     The wavelengths for a source have equal ratios. Their distance in 1/λ is therefore largest at 380 nm.
     """
@@ -136,7 +139,8 @@ def test_a_source_requires_the_samples_of_a_window_at_equal_ratios_of_the_wavele
     band, band_of_log = 1.0 / 0.38 - 1.0 / 0.78, math.log(0.78 / 0.38)
     wider = band_of_log / 0.38 / band
     np.testing.assert_allclose(of_source[1:], wider * np.array(of_window[1:]))
-    # A source and a window require the same number of samples per standard deviation of an order's Gaussian.
+    # In a spectrum, a diffraction order is a Gaussian of 1/λ or of ln λ. A source and a window require the same number
+    # of wavelengths per standard deviation of this Gaussian.
     of_deviation = 1.0 / (2.0 * math.sqrt(2.0) * math.pi * 5.0)
     assert of_source[0] * band * source.spread / band_of_log == pytest.approx(of_window[0] * of_deviation)
 
@@ -168,8 +172,7 @@ def test_bounds_are_valid_for_the_range_of_a_call_and_predict_no_quadrature_erro
 
 
 def test_periods_have_two_samples_per_lobe_in_the_steepest_direction(fingers):
-    """For replicated patches (kind "replicas"), the interference between periods must be sampled at least twice per
-    maximum.
+    """For replicated patches, the interference between periods must be sampled at least twice per maximum.
 
     As a function of (u, v), the interference of N periods has N maxima from one diffraction order of the patch to the
     next. Along the diagonal of (u, v), the maxima are closer by a factor of √2.

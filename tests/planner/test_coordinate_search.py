@@ -1,9 +1,9 @@
 """Coordinate search with closed-form errors of plans: comparison with an exhaustive search, and single steps.
 
-A search changes three numbers of a plan, its coordinates. The terms are the number of terms of the series in which
-Fourier coefficients are expanded. The neighbourhood is the number of neighbouring Fourier coefficients that contribute
-to a direction; the least Gaussian weight of these coefficients sets it. The bandwidth is the number of wavelength
-samples per unit of 1/λ.
+A plan holds the numbers of a computation. A search changes three numbers of a plan, its coordinates. The terms are the
+number of terms of the series in which Fourier coefficients are expanded. The neighbourhood is the number of
+neighbouring Fourier coefficients that contribute to a direction; the least Gaussian weight of these coefficients sets
+it. The bandwidth is the number of wavelength samples per unit of 1/λ.
 """
 
 import dataclasses
@@ -20,22 +20,25 @@ from warpdiff.planner.coordinate_search import Coordinate
 
 # Target of the search for a tolerance of 0.01: the tolerance divided by the safety factor of 1.6.
 TOLERANCE, TARGET = 1e-2, 1e-2 / 1.6
-# Ratio of neighbouring bandwidths that a search tries (4 steps per factor of 2), and number of terms per SIMD register.
+# Ratio of successive bandwidths (wavelengths per unit of 1/λ) that a search tries, 4 steps per factor of 2; and number
+# of terms of a series per SIMD register.
 STEP, REGISTER = 2.0 ** (1 / 4), 8
 
 
 @pytest.fixture(scope="module")
 def start(fingers):
-    """Return a plan from which searches start. It has 32 terms of the series, and more neighbouring Fourier
-    coefficients and wavelengths than are required.
+    """Return a plan (numbers of a computation) from which searches start.
+
+    It has 32 terms of the series, and more neighbouring Fourier coefficients and wavelengths than are required.
     """
     plan = wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], method="low-rank", tolerance=TOLERANCE)
     return dataclasses.replace(plan, terms=32, least_weight=math.exp(-20.0))
 
 
 class ClosedForm:
-    """Stand-in for a trial of plans. The error is a sum of three errors: by the numbers of terms, of neighbouring
-    coefficients and of wavelengths.
+    """Stand-in for a trial of plans, which measures the error of a plan.
+
+    The error is a sum of three errors: by the numbers of terms, of neighbouring coefficients and of wavelengths.
     """
 
     integrates, max_order_rate, bright = True, 1.0, (math.inf, math.inf)
@@ -78,7 +81,7 @@ def cost(trial, plan):
 def exhaustive(trial, start, target):
     """Return the least cost of all plans whose error is at most ``target``.
 
-    The plans are all combinations of several numbers of terms, neighbourhoods and bandwidths.
+    The plans are all combinations of several numbers of terms, neighbours and wavelengths (bandwidths).
     """
     counts = range(REGISTER, start.terms + 1, REGISTER), range(12), range(13)
     per_rate, per_w, constant = start.bandwidth_um
@@ -143,8 +146,9 @@ def test_steps_beyond_the_fewest_wavelengths_are_withdrawn(fingers, start):
 
 
 class Steps:
-    """Stand-in for a trial of plans. The error is a function, chosen by the test, of the numbers of added terms and
-    wavelengths.
+    """Stand-in for a trial of plans, which measures the error of a plan.
+
+    The error is a function, chosen by the test, of the numbers of added terms and wavelengths.
     """
 
     rates = np.array([0.5]), np.array([1.0]), np.ones(1)
@@ -173,8 +177,7 @@ class Steps:
     ids=["enough", "the cheaper one", "the other one", "1 and 2 steps", "both", "neither", "1, 2 and 4 steps"],
 )
 def test_repairs_use_the_cheapest_sufficient_step_or_the_one_with_the_least_error(fingers, start, error, finer):
-    """A plan that misses the target must be refined by the cheapest step that suffices, or by the step with the least
-    error.
+    """A plan that misses the target must be refined by the cheapest sufficient step, or else by the most accurate.
 
     The plan has 9 terms and 100 wavelengths. One of the two possible steps adds a term, the other one a wavelength. The
     step that adds a term is cheaper.
@@ -204,10 +207,10 @@ def test_repairs_use_the_cheapest_sufficient_step_or_the_one_with_the_least_erro
 def test_the_safety_factor_of_predicted_errors_depends_on_the_directions_that_were_tried(
     start, error, bright, predicted
 ):
-    """If the validation set contains all directions of a call, the predicted error must be 1.6 times the measured
-    error.
+    """If the validation set has all directions of a call, the predicted error must be 1.6 times the measured error.
 
-    Otherwise this factor must be up to 2. In all cases the predicted error must be at least a tenth of the tolerance.
+    The validation set has the directions on which the error is measured. If it has only a part of them, the factor must
+    be up to 2. In all cases the predicted error must be at least a tenth of the tolerance.
     """
     trial = SimpleNamespace(bright=(bright, bright))
     assert coordinate_search.predicted_error(error, start, trial) == pytest.approx(predicted)
@@ -224,8 +227,7 @@ def test_terms_fill_whole_registers_up_to_the_size_of_the_basis(start):
 
 @pytest.mark.parametrize(("of_amplitudes", "automatic"), [(0.4, True), (0.6, True), (0.4, False)])
 def test_a_series_of_amplitudes_replaces_powers_that_cancel(start, of_amplitudes, automatic):
-    """A method that adds amplitudes must replace a method that adds powers only if its error is less than half as
-    large.
+    """A method that adds amplitudes must replace one that adds powers only if its error is less than half as large.
 
     Amplitudes and powers are those of Fourier coefficients. In a series of powers, large terms can cancel in float32.
     """
@@ -240,9 +242,7 @@ def test_a_series_of_amplitudes_replaces_powers_that_cancel(start, of_amplitudes
 
 @pytest.mark.parametrize("octaves", [0.0, 0.7, 2.5])
 def test_a_bandwidth_that_is_too_small_is_doubled_as_often_as_required(fingers, start, octaves):
-    """The bandwidth must be doubled until the error, which is proportional to bandwidth⁻⁶, is at most half of the
-    target.
-    """
+    """The bandwidth must be doubled until the error, proportional to bandwidth⁻⁶, is at most half of the target."""
     trial = ClosedForm(fingers, start)
     trial.training_error = lambda plan: (
         TARGET / 2.0 * (2.0**octaves * start.bandwidth_um[0] / plan.bandwidth_um[0]) ** 6
@@ -277,11 +277,11 @@ def test_a_bandwidth_is_doubled_until_the_fastest_orders_are_resolved(fingers, s
 
 
 def test_a_smaller_bandwidth_allows_larger_order_rates_or_fewer_wavelengths(fingers):
-    """A plan with half of the bandwidth must cover larger order rates with the same wavelengths, or have fewer
-    wavelengths.
+    """With half of the bandwidth, a plan must cover larger order rates, or have fewer wavelengths.
 
-    The original plan has only the wavelengths that its bandwidth requires. If the call has larger order rates than the
-    plan covers, the range of order rates must grow. Otherwise the number of wavelengths must decrease.
+    The order rate of a direction is how fast diffraction orders pass it as 1/λ changes. The original plan has only the
+    wavelengths that its bandwidth requires. If the call has larger order rates than the plan covers, the range of order
+    rates must grow. Otherwise the number of wavelengths must decrease.
     """
     source = wd.Coherence("source", angular_diameter_deg=3.0)
     plan = wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], coherence=source, method="low-rank")
@@ -313,7 +313,8 @@ def test_fewer_wavelengths_are_subdivided_more_under_replicated_periods(fingers)
 def test_searches_of_all_tolerances_try_the_same_bandwidths_and_weights(fingers, tolerance):
     """Searches at all tolerances must try plans on the same grid of bandwidths and least weights.
 
-    The bandwidths are those of a tolerance of 0.01 times powers of 2^(1/4). The least weights are powers of e.
+    The bandwidth is the number of wavelengths per unit of 1/λ, and the least weight selects the Fourier coefficients of
+    a sum. The bandwidths are those of a tolerance of 0.01 times powers of 2^(1/4). The least weights are powers of e.
     """
     plans = [
         wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], method="low-rank", tolerance=t) for t in (1e-2, tolerance)
@@ -333,9 +334,9 @@ def test_budgets_grow_evenly_from_the_error_of_the_start_to_the_target(fingers, 
     """Error budgets must increase in equal steps from the error of the first plan to the target.
 
     A search reduces one number of the plan (a coordinate) after another. The budget of a number is the limit of the
-    plan's error while this number is reduced. If only few of the sampled directions are bright, they do not represent
-    all bright directions of a call well. The budgets of the first two numbers, terms and neighbourhood, must then
-    increase by only a tenth of an equal step, and the neighbourhood must not be reduced.
+    plan's error while this number is reduced. Few bright directions in the sample do not represent all bright
+    directions of a call well. The budgets of terms and of the neighbourhood, which are reduced first, must then
+    increase by only a tenth of an equal step. The neighbourhood must then not be reduced.
     """
     trial, error = ClosedForm(fingers, start), 0.4 * TARGET
     coordinates = coordinate_search._coordinates(start, trial, error, TARGET)

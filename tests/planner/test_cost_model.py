@@ -1,8 +1,9 @@
 """Cost model: how its estimates scale with the numbers of a plan.
 
-Terms are the terms of the series in which a Fourier coefficient is expanded. Neighbours are the Fourier coefficients
-that contribute to a direction; the set of them is the neighbourhood of the direction. q is a spatial frequency, and σ
-the standard deviation of the coherence window.
+A plan has the numbers of a computation, and the model predicts its cost in multiply-adds. Terms are the terms of the
+series in which a Fourier coefficient is expanded. Neighbours are the Fourier coefficients that contribute to a
+direction; the set of them is the neighbourhood of the direction. q is a spatial frequency, and σ the standard deviation
+of the coherence window.
 """
 
 import dataclasses
@@ -18,7 +19,7 @@ from warpdiff.tables import mip_layout
 
 
 def sampling(heightfield, plan, **changes):
-    """Return the cost of one direction if the plan uses all its wavelengths for it (``adaptive=False``)."""
+    """Return the predicted multiply-adds of one direction that uses all wavelengths (``adaptive=False``)."""
     plan = dataclasses.replace(plan, adaptive=False, **changes)
     return cost_model.sampling_multiply_adds(heightfield, plan, np.array([0.5]), np.array([1.0]))
 
@@ -39,8 +40,9 @@ def test_costs_are_in_proportion_to_wavelengths_and_grow_with_terms_and_neighbou
     increases = np.diff([sampling(heightfield, plan, terms=n) for n in (32, 64, 96, 128)])
     np.testing.assert_allclose(increases, increases[0], rtol=1e-6)
     assert increases[0] > 0.0
-    # The neighbouring coefficients are within an ellipse. Its axes, and therefore its number of coefficients per axis,
-    # are proportional to the square root of −ln(least_weight).
+    # Neighbours have at least the weight ``least_weight``. They lie within an ellipse of frequencies. The axes of the
+    # ellipse are proportional to the square root of −ln(least_weight), and so are the numbers of neighbours along each
+    # axis.
     costs = [sampling(heightfield, plan, least_weight=float(np.exp(-n))) for n in (1.0, 4.0, 9.0)]
     sides = np.array([1.0, 2.0, 3.0])
     np.testing.assert_allclose(costs, np.polyval(np.polyfit(sides**2, costs, 1), sides**2), rtol=1e-6)
@@ -61,8 +63,7 @@ def table_plan(heightfield, coherence, method="low-rank"):
 
 
 def test_samples_of_a_spectrum_cost_in_proportion_to_their_terms_and_neighbours(fingers):
-    """The cost of a sample of the spectrum must be proportional to its numbers of terms and of neighbouring
-    coefficients.
+    """A sample of the spectrum must cost in proportion to its numbers of terms and of neighbouring coefficients.
 
     Neighbours lie in the circle of q in which their weight exp(−4π²σ²q²) is at least ``least_weight``. Their number is
     the area of this circle times the area of the patch.
@@ -94,8 +95,8 @@ def test_lines_of_a_source_cost_in_proportion_to_the_area_and_grow_with_terms():
     lines = 2.0 * math.pi * mip_layout.layout_of(plan).highest ** 2
     area = math.prod(heightfields[1].size_um) - math.prod(heightfields[0].size_um)
     assert increases[0, 0] == pytest.approx(lines * area * (150.0 + 42.0 * 8.0))
-    # Each spectral line costs 150 multiply-adds, and one per term for each of the 42 table entries to which it is
-    # added.
+    # When a table is made, each spectral line costs 150 multiply-adds. It is added to 42 table entries, each with one
+    # multiply-add per term.
     assert increases[1, 0] / increases[0, 0] == pytest.approx((150.0 + 42.0 * 16.0) / (150.0 + 42.0 * 8.0))
 
 
@@ -120,7 +121,8 @@ def test_directions_cost_as_many_wavelengths_as_they_require():
 def test_neighbours_lie_in_a_rectangle_of_orders_around_a_direction():
     """The number of neighbours must be the product of 2 · radius · length over all axes with more than one sample.
 
-    The radius is that of the neighbourhood in 1/µm, and the length is that of the patch in µm.
+    Neighbours are the Fourier coefficients that contribute to a direction. The radius is that of their frequencies
+    around the direction in 1/µm, and the length is that of the patch in µm.
     """
     line, field = noise((1, 16)), noise((6, 16))
     plan = dataclasses.replace(wd.plan(field, [0, 0, 1], [0.6, 0, 0.8]), terms=8, adaptive=False)
@@ -136,9 +138,9 @@ def test_neighbours_lie_in_a_rectangle_of_orders_around_a_direction():
 
 
 def test_a_look_up_costs_nine_nodes_of_three_channels_for_each_basis_function_of_w():
-    """Per basis function of w, a look-up must cost nine rows of the table times three colour channels.
+    """A look-up adds nine rows of the table; per basis function of w, a row must cost one unit per colour channel.
 
-    w is the normal component of the scattering vector.
+    w is the normal component of the scattering vector. The table stores colours as sums of basis functions of w.
 
     If a plan states no number of basis functions of w, the table must have as many as the plan has terms, rounded up to
     whole SIMD registers.

@@ -19,6 +19,8 @@ from warpdiff.planner import refusals
 def test_neighbourhoods_of_more_than_40000_coefficients_are_refused(fingers, monkeypatch, extent, supported):
     """A neighbourhood of at most 40,000 coefficients must be accepted, and a larger one refused.
 
+    The neighbourhood of a direction is the set of Fourier coefficients that contribute to it.
+
     Extents of 100 and 99 coefficients to either side give 201 × 199 coefficients, which is within the limit. A
     neighbourhood of 201 × 201 coefficients exceeds it.
     """

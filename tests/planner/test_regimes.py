@@ -1,5 +1,8 @@
 """Automatic plans where fixed methods or settings fail: results meet the tolerance or are refused with a reason.
 
+An automatic plan has the numbers of a computation, such as wavelengths and terms of a series, as the library selects
+them.
+
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
 light and to the viewer. The component w is along the normal, and κ is w/λ. H_m is the Fourier coefficient of order m.
 """
@@ -20,9 +23,7 @@ WINDOW = wd.Coherence()
 
 
 class Case:
-    """A call with its reference: height field, directions and coherence model, and the colours that the call must
-    return.
-    """
+    """A call with its reference: height field, directions, coherence model, and the colours it must return."""
 
     def __init__(self, heightfield, directions, coherence=WINDOW):
         self.heightfield, (self.lights, self.views), self.coherence = heightfield, directions, coherence
@@ -33,8 +34,9 @@ class Case:
 
     @property
     def automatic(self):
-        """Return the error of the automatic plan's colours relative to ``exact``. A warning or a refusal fails the
-        test.
+        """Return the error of the colours that the library computes with its own settings, relative to ``exact``.
+
+        A warning or a refusal fails the test.
         """
         xyz = wd.reflectance(self.heightfield, self.lights, self.views, coherence=self.coherence, tolerance=TOLERANCE)
         return self.error_of(xyz)
@@ -148,12 +150,11 @@ def test_automatic_plans_meet_the_tolerance_towards_the_horizon(elevation, sprea
 
 @pytest.mark.parametrize(("count", "seed"), [(64, 0), (15, 1)])
 def test_directions_far_darker_than_the_mirror_direction_meet_the_tolerance(count, seed):
-    """The errors in directions with about a millionth of the reflectance of the mirror direction must be within the
-    tolerance.
+    """Errors in directions with a millionth of the mirror direction's reflectance must be within the tolerance.
 
     The light in the mirror direction must not affect the results in these directions. In such dark directions the terms
-    of a series of powers cancel. Another series must replace it, also in calls with few directions, which skip the
-    search.
+    of a series of powers cancel. Another series must replace it, also in calls with few directions, for which the
+    library does not search for a plan.
     """
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4)
     assert Case(heightfield, methods.at_elevation(count, 0.1, None, seed)).automatic <= TOLERANCE
@@ -249,11 +250,10 @@ def test_pitches_beyond_the_nyquist_limit_cause_a_warning():
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("seed", [0, 1, 4])
 def test_a_window_between_samples_close_to_the_nyquist_limit_is_accurate_or_refused(seed, side):
-    """Close to the Nyquist limit, a call for a coherence window centred between height samples must be accurate, or
-    warn, or be refused.
+    """Close to the Nyquist limit, windows centred between samples must be accurate, or warn, or be refused.
 
     There a direction requires Fourier coefficients beyond the limit, which are copies of coefficients below it. For a
-    window centred between samples, the repeated coefficients have wrong phases.
+    coherence window centred between height samples, the copies have wrong phases.
     """
     heightfield = wd.HeightField(np.random.default_rng(seed).uniform(-0.15, 0.15, (1, 12)), 0.1353)
     window = wd.Coherence("centred", 1.0, centre_um=(0.0, side * 0.4 * heightfield.size_um[1]))
@@ -316,10 +316,10 @@ def test_the_published_form_of_replicated_periods_fails_in_float32():
 
 
 def test_seven_orders_do_not_suffice_for_a_patch():
-    """A sum of only seven diffraction orders must have an error of more than 5 %: this is the reason why the library
-    adds more orders.
+    """A sum of only seven diffraction orders must have an error of more than 5 %.
 
-    Between the orders of a patch, the spectrum converges slowly with the number of orders.
+    This is the reason why the library adds more orders. Between the orders of a patch, the spectrum converges slowly
+    with the number of orders.
     """
     heightfield, one_copy = methods.finger_rows(6.4, pitch_um=0.08), wd.Coherence("replicas", periods=(1, 1))
     scattering_vectors = np.array(

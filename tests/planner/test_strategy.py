@@ -1,5 +1,7 @@
-"""Strategy: direction ranges of a call, and the choice between an upper-bound plan, the plan of a search, and a colour
-table.
+"""Strategy: range of the directions of a call, and choice of an upper-bound plan, a searched plan or a colour table.
+
+A plan holds the numbers of a computation, such as wavelengths and terms of a series. An upper-bound plan suffices for
+any surface. A search evaluates cheaper plans on sampled directions. A table stores colours by scattering vector.
 
 (u, v, w) is the scattering vector −ωi − ωr in the frame of the surface, where ωi and ωr are the unit vectors to the
 light and to the viewer. The component w is along the normal.
@@ -47,11 +49,10 @@ def test_directions_below_the_horizon_do_not_widen_the_range(is_light, request_o
 
 @pytest.mark.parametrize(("side", "light", "view"), [("light", at_angle(30.0), None), ("view", None, at_angle(30.0))])
 def test_the_whole_hemisphere_is_assumed_on_the_other_side(side, light, view, request_of_fingers):
-    """If only one of two directions is known, the range of directions must cover the whole hemisphere of the other
-    direction.
+    """If only one of two directions is known, the range must cover the whole hemisphere of the other direction.
 
-    For a known direction at the angle θ from the normal, |(u, v)| is then at most 1 + sin θ, and |w| is between cos θ
-    and 1 + cos θ.
+    The call states only the direction to the light, or only the direction to the viewer. For a known direction at the
+    angle θ from the normal, |(u, v)| is then at most 1 + sin θ, and |w| is between cos θ and 1 + cos θ.
     """
     direction_range, sample, count = strategy.directions_of(request_of_fingers, light, view)
     assert math.isinf(count)
@@ -61,8 +62,7 @@ def test_the_whole_hemisphere_is_assumed_on_the_other_side(side, light, view, re
     views = -sample.scattering_vectors - sample.to_lights
     fixed, other = (sample.to_lights, views) if side == "light" else (views, sample.to_lights)
     np.testing.assert_allclose(fixed, np.broadcast_to(at_angle(30.0), fixed.shape), atol=1e-12)
-    # The call states only the direction to the light, or only the direction to the viewer. The other directions are
-    # drawn uniformly in z over the hemisphere, with a mean z of 0.5.
+    # The other directions are drawn uniformly in z over the hemisphere, so that their mean z is 0.5.
     assert other[:, 2].mean() == pytest.approx(0.5, abs=0.02)
 
 
@@ -82,18 +82,20 @@ def test_the_range_of_several_directions_and_the_whole_hemisphere_covers_each(re
 
 @pytest.mark.parametrize(("kind", "saving"), [("averaged", 2.6), ("centred", 3.0), ("source", 2.2), ("replicas", 4.0)])
 def test_a_search_starts_from_the_number_of_directions_that_repay_its_time(kind, saving):
-    """A search must start only if its cost is less than what it saves in the directions of the call.
+    """A search for a cheaper plan must start only if it costs less than this plan saves in the call.
 
-    A search costs as much as the evaluation of 16,000 directions with the plan that it finds. An evaluation with the
-    upper-bound plan costs ``saving`` times as much as with the plan of the search.
+    A plan has the numbers of a computation. A search costs as much as the evaluation of 16,000 directions with the plan
+    that it finds. An evaluation with the upper-bound plan costs ``saving`` times as much as with the plan of the
+    search.
     """
     request = SimpleNamespace(method="auto", integration="auto")
     upper = SimpleNamespace(max_order_rate=1.0, method="low-rank", coherence=SimpleNamespace(kind=kind))
     count = 16_000.0 / (saving - 1.0)
     for share, pays in [(0.99, False), (1.01, True)]:
         assert strategy._pays_to_search(request, upper, SimpleNamespace(max_order_rate=1.0), share * count) is pays
-    # A search must start for any number of directions if the upper-bound plan does not cover the directions of the
-    # call.
+    # The order rate is how fast diffraction orders pass a direction as 1/λ changes. Here, the wavelengths of the
+    # upper-bound plan suffice up to a rate of 1.0, and the call has 1.1. A search must then start for any number of
+    # directions.
     assert strategy._pays_to_search(request, upper, SimpleNamespace(max_order_rate=1.1), 1.0)
 
 
@@ -106,10 +108,10 @@ def test_an_explicit_method_that_adds_powers_is_tried_on_sixteen_directions():
 
 
 def test_a_table_may_cost_what_it_saves_in_three_calls(fingers):
-    """The largest cost of a table that a search may choose must be the cost that three calls save by using this table.
+    """A table of colours may cost at most as much as it saves in three calls.
 
-    Without the table, each of these calls would use the plan of a search. The search costs as much as the evaluation of
-    16,000 directions.
+    Without a table, each of these calls would use the plan of a search, which is 2.6 times cheaper than the upper-bound
+    plan. The search costs as much as the evaluation of 16,000 directions with its plan.
     """
     settings = PlanSettings(coherence=wd.Coherence(sigma_um=3.25), tolerance=1e-1)
     request = Evaluation.of(fingers, settings, illuminants=("D65",))
@@ -173,10 +175,10 @@ def test_the_coarse_plan_that_finds_bright_directions_has_8_terms_and_half_of_th
 def test_a_table_is_used_if_it_meets_the_tolerance_or_is_explicit(
     request_of_fingers, monkeypatch, options, error, expected
 ):
-    """A table must be used if its error is within the tolerance, or if the caller requests a table.
+    """A table of colours must be used if its error is within the tolerance, or if the caller requests a table.
 
-    For tables of footprint means the error is not multiplied by the safety factor of 1.6, because means have smaller
-    errors than single points.
+    For pixels with a footprint, colours are means over a part of the table. Their errors are smaller than those of
+    single points, so that the error is not multiplied by the safety factor of 1.6.
     """
     request = dataclasses.replace(request_of_fingers, **options)
     direction_range, sample, _ = strategy.directions_of(request, at_angle(0.0), at_angle(30.0))
@@ -196,8 +198,8 @@ def test_a_table_is_used_if_it_meets_the_tolerance_or_is_explicit(
     else:
         assert strategy._measured(*arguments, math.inf) is {"table": table, "search": searched}[expected]
     assert strategy._measured(*arguments, 0.0) is searched
-    # If all directions are dark, the upper-bound plan must be used. A search must be used instead if that plan does not
-    # cover the order rates of the call.
+    # If all directions are dark, the upper-bound plan must be used. If the order rates of the call exceed the largest
+    # one for which that plan has enough wavelengths, a search must be used instead.
     monkeypatch.setattr(strategy.trial, "Trial", lambda *_, **__: SimpleNamespace(any_light=False))
     assert not strategy._measured(*arguments, 0.0).is_measured
     cut = dataclasses.replace(upper, max_order_rate=0.9 * direction_range.max_order_rate)

@@ -1,7 +1,8 @@
 """Choice of the table size with closed-form errors: the smallest sufficient table, in few steps.
 
-The size of a table is its number of rings per octave. A ring is a circle of constant |(u, v)|, and w is the normal
-component of the scattering vector (u, v, w). A table is sufficient if its error is at most the target.
+A table stores colours on rings, and interpolates between rings. A ring is a circle of constant |(u, v)|, and w is the
+normal component of the scattering vector (u, v, w). A colour is a sum of basis functions of w. The size of a table is
+its number of rings per octave (factor of two in |(u, v)|/λ). A table is sufficient if its error is at most the target.
 """
 
 import dataclasses
@@ -17,7 +18,7 @@ from warpdiff.tables import mip_layout, polar_grid
 
 TOLERANCE, TARGET = 1e-2, 1e-2 / 1.6
 SIZES = dict(polar_grid.TABLE_SIZES)
-# Table size, in rings per octave, that the search tries first at ``TOLERANCE``.
+# Table size that the search tries first at ``TOLERANCE``: number of rings per factor of two in |(u, v)|.
 FIRST = 48
 
 
@@ -32,7 +33,8 @@ class Tables:
     """Stand-in for a trial of tables. The error is a closed form, by default of second order in the ring spacing.
 
     Tables with at least ``sufficient`` rings per octave meet the target. For plans without a table, the function
-    ``sampled`` returns the error; its argument is the number of terms of the plan's basis.
+    ``sampled`` returns the error as a function of the number of basis terms, by which a plan expands Fourier
+    coefficients.
     """
 
     validation_set = range(5)
@@ -133,7 +135,8 @@ def test_the_largest_table_is_the_largest_that_fits_into_memory(fingers, plan, m
 def test_more_functions_of_w_are_tried_where_rings_do_not_help(fingers, plan, richer, expected):
     """If more rings do not reduce the error, a table with more basis functions of w must be tried.
 
-    If that table does not meet the target either, the search must end without a table.
+    If the second table does not meet the target either, the search must end without a table. Rings are circles of
+    constant |(u, v)|, at which a table has colours as functions of w.
     """
     trial = Tables(fingers, plan, law=lambda table: 1.5 * TARGET * (richer if table.w_basis_size > 8 else 1.0))
     table = trial.smallest()
@@ -143,8 +146,7 @@ def test_more_functions_of_w_are_tried_where_rings_do_not_help(fingers, plan, ri
 
 
 def test_more_functions_of_w_are_tried_where_rings_help_by_less_than_their_order(fingers, plan):
-    """If twice as many rings do not reduce the error by a factor of 4, a table with more basis functions of w must be
-    tried.
+    """If twice as many rings do not divide the error by 4, a table with more basis functions of w must be tried.
 
     Errors of interpolation between rings are of second order. A smaller improvement shows that the basis functions of w
     limit the accuracy.
@@ -165,6 +167,8 @@ def test_the_last_table_is_tried_with_more_functions_of_w(fingers, plan):
 
 def test_the_fewest_terms_whose_expected_error_is_within_half_of_the_target_are_used(fingers, plan):
     """The table must have the smallest number of basis terms whose expected error is at most half of the target.
+
+    The terms are those of the functions that expand Fourier coefficients.
 
     With 8 terms, the measured error equals the target. The residuals of the fit of the basis predict that 10 terms
     reduce this error by a factor of 3.2.

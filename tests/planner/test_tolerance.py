@@ -1,6 +1,8 @@
 """Errors on directions that the plan has not used are within the tolerance.
 
-The tested calls are some of those of the benchmark ``tolerance_sweep``, and calls that exceeded the tolerance once.
+A plan holds the numbers of a computation, such as wavelengths and terms of a series. The planner selects it by errors
+on sampled directions. The tested calls are some of those of the benchmark ``tolerance_sweep``, and calls that exceeded
+the tolerance once.
 """
 
 import numpy as np
@@ -27,7 +29,7 @@ def scan_or_none() -> wd.HeightField | None:
 def check(case: Configuration, count: int = 400) -> None:
     """Check that the error of a call is within the call's tolerance in ``count`` of its directions.
 
-    In calls with many directions, the planner has used none of the ``count`` directions.
+    In calls with many directions, the planner has used none of these directions to select wavelengths and terms.
     """
     result = judge.evaluate(case)
     chosen, weights = judge.sampled(result, np.random.default_rng(SEED))
@@ -139,9 +141,9 @@ def test_the_judged_error_detects_errors_of_two_per_cent_of_all_or_of_the_bright
 
 
 def test_a_plan_of_the_fewest_wavelengths_is_repaired(fingers):
-    """A plan with the smallest set of wavelengths must be repaired if its error is too large.
+    """A call must get more than the smallest set of wavelengths if its error is too large.
 
-    Without a repair, the error of such a plan is three times the tolerance.
+    For this call, the error with the smallest set is three times the tolerance.
     """
     plan = wd.plan(fingers, coherence=wd.Coherence(sigma_um=1.5), method="low-rank", tolerance=1e-2)
     assert 16 < plan.wavelengths < 32

@@ -1,4 +1,9 @@
-"""Trials evaluate plans on sampled directions: their colours and errors are those of the public functions."""
+"""Trials evaluate plans on sampled directions: their colours and errors are those of the public functions.
+
+A plan holds the numbers of a computation, such as wavelengths and terms of a series. The upper-bound plan suffices for
+any surface. The reference of a trial is this plan with twice the wavelengths. Directions are dim if their luminance is
+below a floor, the smallest divisor of relative errors.
+"""
 
 import dataclasses
 import math
@@ -19,7 +24,11 @@ ILLUMINANTS = "D65", "A"
 
 
 def trial_of(request, lights, views):
-    """Return the trial of a call, which evaluates plans on sampled directions, and the upper-bound plan."""
+    """Return the trial of a call, and the upper-bound plan of the call.
+
+    A trial evaluates plans (numbers of wavelengths and terms) on sampled directions. The upper-bound plan suffices for
+    any surface.
+    """
     direction_range, sample, _ = strategy.directions_of(request, lights, views)
     coarse = strategy._coarse_plan(request, direction_range)
     upper = strategy.bounds.upper_bound_plan(request, direction_range, method="low-rank", tolerance=request.tolerance)
@@ -29,8 +38,9 @@ def trial_of(request, lights, views):
 
 @pytest.fixture(scope="module")
 def colours(fingers):
-    """Return a trial of 60 directions under two illuminants, an upper-bound plan for these directions, and the
-    directions.
+    """Return a trial of 60 directions under two illuminants, an upper-bound plan, and the directions.
+
+    A trial evaluates plans (numbers of wavelengths and terms) on sampled directions.
     """
     rng = np.random.default_rng(7)
     lights, views = hemisphere(rng, 60, 0.3), hemisphere(rng, 60, 0.3)
@@ -49,8 +59,7 @@ def test_the_reference_has_twice_the_wavelengths_and_the_values_of_the_public_fu
 
 
 def test_errors_of_few_directions_are_the_largest_error_relative_to_the_colour_or_the_floor(fingers, colours):
-    """The error of few directions must be the largest error, relative to the norm of the colour or to the floor (the
-    smallest divisor of errors).
+    """The error of few directions must be the largest relative error, with the colour's norm or the floor as divisor.
 
     Each of the 60 directions has more than 0.5 % of the weight. The 99.5th percentile of the errors is therefore their
     maximum.
@@ -73,8 +82,8 @@ def test_errors_of_few_directions_are_the_largest_error_relative_to_the_colour_o
     assert measured.training_error(coarse) == measured.validation_error(coarse)
     assert measured.bright == (math.inf, math.inf)
     assert measured.any_light
-    # Directions that orders pass faster, as 1/λ changes, than the reference plan resolves must not be compared with the
-    # reference.
+    # The order rate of a direction is how fast diffraction orders pass it as 1/λ changes. The reference resolves order
+    # rates up to ``max_order_rate``. Directions with larger order rates must be excluded from the error.
     complete = measured.reference
     measured.reference = dataclasses.replace(complete, max_order_rate=0.8)
     assert measured.validation_error(coarse) == pytest.approx(max(of_half), rel=1e-2)
@@ -111,8 +120,8 @@ def test_the_reference_luminance_is_a_percentile_or_the_median_of_the_light():
     weights = np.ones(1005)
     assert trial.reference_luminance(luminance, weights) == 1000.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 1.0
-    # The call has 1,005 directions, of which 20 are bright, which is 2 %. The 99th percentile of the luminance is
-    # therefore the luminance of these bright directions.
+    # The call has 1,005 directions, of which 20 (2 %) are bright. The 99th percentile of the luminance is therefore the
+    # luminance of these bright directions.
     luminance[-20:] = 50.0
     assert trial.reference_luminance(luminance, weights, with_median=False) == 50.0
     # If the weight of each bright direction is reduced to a quarter, the bright directions have 0.5 % of the total
@@ -124,7 +133,7 @@ def test_the_reference_luminance_is_a_percentile_or_the_median_of_the_light():
 
 
 def test_the_worst_percentile_is_the_maximum_over_bright_and_dim_directions():
-    """The result must be the largest percentile over all illuminants, and over bright and dim directions.
+    """The result must be the largest percentile of errors, over illuminants and over bright and dim directions.
 
     The percentile of a group of directions is the error that 0.5 % of the weight of this group exceeds.
     """
@@ -158,8 +167,7 @@ def test_errors_of_a_group_have_a_row_for_each_illuminant_and_floor(rng):
 
 
 def test_bright_directions_are_counted_by_the_highest_and_by_the_lowest_floor():
-    """For each of two luminance floors, the result must be the number of bright directions under the illuminant with
-    the fewest.
+    """For each of two floors, the number of bright directions must be that of the illuminant with the fewest.
 
     A floor is the smallest luminance of a bright direction. A call can have two floors. The higher floor is computed
     with outliers among the brightest directions, the lower floor without them.
@@ -186,10 +194,10 @@ def test_a_call_has_light_if_its_floor_or_one_training_direction_exceeds_darknes
 
 
 def test_the_luminance_of_a_spectrum_is_its_maximum_and_the_lowest_floor_limits_bright_directions(fingers, monkeypatch):
-    """If a request is for spectra, the largest value of each spectrum must replace its luminance.
+    """If a request is for spectra, the largest value of each spectrum must replace the luminance of its direction.
 
-    The trial draws its sets of directions by these maxima and by the lowest floor. Minima or other floors would select
-    other directions.
+    The trial draws two sets of directions, one to search a plan and one to validate it. The draw must use these maxima
+    and the lowest floor, because minima or other floors would select other directions.
     """
     rng = np.random.default_rng(11)
     lights, views = hemisphere(rng, 4000, 0.3), hemisphere(rng, 4000, 0.3)
@@ -225,7 +233,8 @@ def test_sets_of_a_larger_call_are_disjoint_parts_of_the_candidates(fingers):
     assert not training & validation
     assert len(measured.order_rate) == len(measured.w) == 128
     assert all(len(values) == 500 for values in measured.rates)
-    # This call is small, so that all of its directions are candidates. In larger calls the brightest candidates may be
-    # outliers. A second luminance floor is then computed without them.
+    # Candidates are the directions from which both sets are drawn. This call is small, so that all of its directions
+    # are candidates, and there is one luminance floor. In larger calls the brightest candidates may be outliers; a
+    # second floor is then computed without them.
     assert measured._floors.shape == (1, 1)
     assert 0.0 < measured.bright[0] <= 256.0

@@ -1,4 +1,9 @@
-"""Training and validation sets are disjoint, and each set represents the whole call."""
+"""Training and validation sets are disjoint, and each set represents the whole call.
+
+Both are sets of directions of a call. The planner searches a plan (numbers of wavelengths and terms) on the training
+set, and measures its error on the validation set. Both are drawn from candidates. Edge cases are candidates near strong
+diffraction orders, or with extreme angles or geometry factors.
+"""
 
 import numpy as np
 import pytest
@@ -23,8 +28,9 @@ def test_the_training_and_the_validation_set_each_represent_all_candidates(rng):
         assert sample.weights.sum() == pytest.approx(7000.0, rel=0.2)
         steep = -(sample.scattering_vectors + sample.to_lights)[:, 2] > 0.5
         assert sample.weights[steep].sum() / sample.weights.sum() == pytest.approx(share, abs=0.12)
-        # Directions are drawn uniformly, by brightness, and from the edge cases, with numbers in the ratio 1 : 1 : 1/4.
-        # Of the directions that are drawn uniformly or by brightness, a fifth are edge cases, too.
+        # Of 2.25 drawn directions, one is drawn uniformly, one by brightness, and 0.25 from the edge cases alone. A
+        # fifth of all candidates are edge cases. The share of edge cases among the first two kinds is therefore a
+        # fifth, too.
         edge_cases = set(map(tuple, sample.to_lights)) & set(map(tuple, lights[:200]))
         assert len(edge_cases) / len(sample) == pytest.approx((0.2 + 0.2 + 0.25) / 2.25, abs=0.06)
 
@@ -61,10 +67,9 @@ def test_directions_drawn_with_large_probabilities_appear_only_once(rng):
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_the_few_directions_at_an_order_are_candidates(axis, rng):
-    """Directions at the first diffraction order of a grating must become candidates even if there are only twelve of
-    them.
+    """The directions at the first order of a grating must become candidates even if there are only twelve of them.
 
-    Candidates are the directions from which both sets are drawn.
+    The planner draws the directions on which it evaluates plans from the candidates.
 
     All other directions are away from the order, or are dim.
     """
@@ -97,8 +102,10 @@ def test_the_few_directions_at_an_order_are_candidates(axis, rng):
 
 
 def test_directions_with_extreme_angles_are_edge_cases(rng):
-    """The directions with the most grazing lights and views, and with the largest and smallest |(u, v)|, must be edge
-    cases.
+    """Directions with extreme angles must be edge cases, which always become candidates of the planner.
+
+    They have the most grazing lights or views, or the largest or smallest |(u, v)|, the tangential part of the
+    scattering vector.
     """
     heightfield = wd.gratings.sinusoidal(2.0, 0.1)
     lights, views = hemisphere(rng, 3000), hemisphere(rng, 3000)

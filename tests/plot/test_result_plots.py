@@ -53,7 +53,7 @@ def orders(to_light, wavelengths_nm):
 
 
 def lines_of(axes):
-    """Return the lines of a plot of orders by the number of their order."""
+    """Return the lines of a plot of orders, by the number of the diffraction order that a line shows."""
     return {int(line.get_label().replace("−", "-")): line for line in axes.lines}
 
 

@@ -162,7 +162,8 @@ def test_a_shaded_map_is_lit_from_the_upper_left_and_keeps_gaps(ax):
     heights[5:8, 5:8] = np.nan
     wd.plot.height_map(wd.HeightField(heights, 0.1), ax=ax, is_shaded=True, cmap="gray")
     flat, shaded = (image.to_rgba(image.get_array()) for image in ax.images)
-    # The bump is symmetric, so that without shading both sides have the same colour. Rows run upwards.
+    # The plotted bump is symmetric, so that without shading two opposite sides have the same colour. The rows of the
+    # picture run upwards.
     np.testing.assert_allclose(flat[40, 20], flat[20, 40], atol=1e-6)
     assert shaded[40, 20, 0] > shaded[20, 40, 0] + 0.2
     np.testing.assert_array_equal(shaded[6, 6], flat[6, 6])

@@ -1,4 +1,4 @@
-"""Profiles: the surfaces that their parameters define, and derivatives compared with complex steps and transposes."""
+"""Profiles: the surfaces that their parameters define, and derivatives compared with finite differences."""
 
 import numpy as np
 import pytest

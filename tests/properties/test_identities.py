@@ -84,7 +84,7 @@ def power_width(coherence):
 @pytest.mark.parametrize("masking", [True, False])
 @pytest.mark.parametrize("ior", [1.5, math.inf])
 def test_gain_of_the_kernel_equals_the_formula(masking, ior, rng, device):
-    """The kernel's gain C·M must equal ``reflectance_factors.gain`` for all directions up to the horizon."""
+    """The kernel's gain C·M (geometry factor and masking) must equal ``reflectance_factors.gain`` up to the horizon."""
     lights, views = hemisphere(rng, 400, 0.0017), hemisphere(rng, 400, 0.0017)
     views[:50] = lights[:50] * [-1.0, -1.0, 1.0]  # views in the mirror direction of the light
     views[50:100] = lights[50:100]  # views in the direction of the light (retro-reflection)
@@ -238,7 +238,7 @@ def test_a_tilt_reflects_to_twice_its_angle(cycles, method, device):
     mirrored = at_angle(-10.0 * cycles)
     power = wd.spectral_reflectance(heightfield, (0, 0, 1), mirrored, 1e3 * wavelength, ior=math.inf, **options)
     cosine = math.cos(math.radians(10.0))
-    assert power[0] == pytest.approx(1.0 / cosine, rel=1e-3)  # all power is in this order: only C remains
+    assert power[0] == pytest.approx(1.0 / cosine, rel=1e-3)  # all power is in this order, so that only C remains
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -296,9 +296,11 @@ def test_calls_without_directions_return_empty_arrays(rough, method):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_threads_and_repetition_do_not_change_a_bit(rough, kind, rng):
-    # The directions fill several slices of 512 directions, which are distributed over the threads.
+    # Each thread processes slices of 512 directions. The count is larger, so that several slices and threads are
+    # tested.
     count = {"averaged": 5000, "source": 800}.get(kind, 1500)
-    # Directions near the horizon are excluded, because a source there requires thousands of wavelengths per direction.
+    # Directions near the horizon are excluded, because a light source of finite size there requires thousands of
+    # wavelengths per direction.
     lowest = 0.3 if kind == "source" else 0.05
     lights, views = hemisphere(rng, count, lowest), hemisphere(rng, count, lowest)
     options = {"coherence": coherence_of(kind, 4.0), "tolerance": 1e-2 if kind == "averaged" else 0.1}

@@ -85,7 +85,8 @@ def test_the_brdf_at_extreme_wavelengths_is_finite_and_not_negative(rough, name,
 def test_colours_are_finite_and_not_negative_over_the_sphere(rough, name, method):
     lights, views = pairs()
     few = slice(None, None, 11)
-    # Directions near the horizon are excluded, because a source there requires thousands of wavelengths per direction.
+    # Directions near the horizon are excluded, because a light source of finite size there requires thousands of
+    # wavelengths per direction.
     if COHERENCES[name].kind == "source":
         up = np.abs(lights[:, 2]) > 0.08
         lights, views = lights[up], views[up]

@@ -1,4 +1,9 @@
-"""Grating maps: pictures must equal those of meshes with one part per dot, and refinement must find edges of dots."""
+"""Grating maps: pictures must equal those of meshes with one part per dot, and refinement must find edges of dots.
+
+A grating map is an array of dots. All dots have the same height field; each dot turns it and scales its depth and
+pitch. The reference is a mesh with one part per dot, each with its own height field. Refinement divides pixels into
+subpixel cells.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +27,10 @@ WIDE_SOURCE = wd.Coherence("source", angular_diameter_deg=4.0)
 
 
 def _map(cell: wd.HeightField, shape: tuple[int, int], *, seed: int = 0, pitch: bool = True) -> wd.GratingMap:
-    """Return a map whose dots differ in direction, depth and pitch. Most diffract light of ``LIGHT`` into ``VIEW``."""
+    """Return a grating map with gratings (dots) that differ in direction, depth and pitch.
+
+    Most dots diffract light of ``LIGHT`` into ``VIEW``.
+    """
     rng = np.random.default_rng(seed)
     turn = rng.uniform(85.0, 95.0, shape) if cell is SINE else rng.uniform(0.0, 360.0, shape)
     scale = rng.uniform(0.75, 1.3, shape) if pitch else 1.0
@@ -41,13 +49,14 @@ def _map(cell: wd.HeightField, shape: tuple[int, int], *, seed: int = 0, pitch: 
     ids=["1-D source", "source", "averaged", "centred", "periods"],
 )
 def test_a_map_equals_one_part_per_dot(cell: wd.HeightField, coherence: wd.Coherence) -> None:
-    """Rotated and scaled dots must have the colours of parts with rotated tangents and scaled height fields."""
+    """The dots of a grating map must have the colours of mesh parts with turned tangents and scaled height fields."""
     grating_map = _map(cell, (3, 4), pitch=coherence.kind == "source")
     options: dict[str, Any] = {"coherence": coherence, "tolerance": 1e-2, "footprint": False, "ior": np.inf}
     image = wd.shade(card(), grating_map, LIGHT, VIEW, **options)
     scene, surfaces, tangents = parts_of(grating_map, coherence)
     parts = wd.shade(scene, surfaces, LIGHT, VIEW, tangents=tangents, **options)
-    # Both pictures sum over the same or nearly the same wavelengths, so that both have the same errors.
+    # Both pictures sum over nearly the same wavelengths. The errors of these sums are therefore equal, and cancel in
+    # the difference.
     assert np.percentile(error_of(image, parts.xyz), 99.0) < 1e-3
 
 
@@ -61,11 +70,9 @@ def test_pitches_differ_under_an_averaged_window(
     coherence = wd.Coherence(sigma_um=4.0)
     grating_map = _map(cell, shape, seed=4)
     options: dict[str, Any] = {
-        "coherence": coherence,
-        "tolerance": 1e-2,
-        "footprint": False,
-        "integration": integration,
-    }
+        "coherence": coherence, "tolerance": 1e-2, "footprint": False, "integration": integration, "strict": False,
+        "ior": np.inf,
+    }  # fmt: skip
     image = wd.shade(card(), grating_map, LIGHT, VIEW, **options)
     scene, surfaces, tangents = parts_of(grating_map, coherence)
     parts = wd.shade(scene, surfaces, LIGHT, VIEW, tangents=tangents, **options)
@@ -77,7 +84,10 @@ def test_pitches_differ_under_an_averaged_window(
 
 @pytest.mark.parametrize("pitch", [False, True])
 def test_footprints_are_turned_and_scaled(pitch: bool) -> None:
-    """Means over footprints must equal those of a mesh with one part per dot."""
+    """Means over footprints of pixels must equal those of a mesh with one part per dot.
+
+    A footprint is the range of scattering vectors that a pixel covers.
+    """
     coherence = wd.Coherence(sigma_um=5.0)
     grating_map = _map(FINGERS, (2, 3), pitch=pitch)
     options: dict[str, Any] = {"coherence": coherence, "tolerance": 0.05, "refine": False, "ior": np.inf}
@@ -99,9 +109,7 @@ def test_footprints_are_turned_and_scaled(pitch: bool) -> None:
 def test_refinement_finds_the_edges_of_dots(
     cell: wd.HeightField, coherence: wd.Coherence, shape: tuple[int, int]
 ) -> None:
-    """A refined picture must equal a picture with 1,024 subpixel cells per pixel within its tolerance, also at edges of
-    dots.
-    """
+    """A refined picture must equal a picture with 1,024 cells per pixel within its tolerance, also at edges of dots."""
     grating_map = _map(cell, shape, pitch=coherence.kind == "source")
     options: dict[str, Any] = {"coherence": coherence, "strict": False}
     image = wd.shade(card(), grating_map, LIGHT, VIEW, tolerance=0.05, **options)
@@ -113,7 +121,10 @@ def test_refinement_finds_the_edges_of_dots(
 
 
 def test_bright_dots_beside_dark_ones_are_found() -> None:
-    """The filter of a pixel extends beyond the next pixel, so that bright dots there contribute to dark pixels."""
+    """Pixels next to bright dots must be accurate.
+
+    The filter of a pixel extends beyond the next pixel, so that bright dots there contribute to dark pixels.
+    """
     rng = np.random.default_rng(2)
     turns, depths = rng.uniform(0.0, 360.0, (6, 8)), rng.choice([0.0, 1.0], (6, 8), p=[0.7, 0.3])
     grating_map = wd.GratingMap(FINGERS, turn_deg=turns, depth_scale=depths)
@@ -130,15 +141,16 @@ def test_default_coherence_of_maps_is_a_source() -> None:
     image = wd.shade(card(), grating_map, LIGHT, VIEW, **options)
     assert isinstance(image.plan, wd.Plan)
     assert image.plan.coherence == wd.Coherence("source")
-    # With several surfaces, the default coherence of a map must not change the coherence of other surfaces and of the
-    # unit of the colours.
+    # The coherence of a map is a light source by default. It must not change the coherence of other surfaces. The
+    # colours of a picture are relative to a perfect mirror; the coherence must not change this reference either.
     scene, _, _ = parts_of(wd.GratingMap(SINE, turn_deg=[[0.0, 0.0]]), wd.Coherence())
     surfaces = {"dot 0 0": grating_map, "dot 0 1": SINE}
     image = wd.shade(scene, surfaces, LIGHT, VIEW, **options)
     assert {key: plan.coherence.kind for key, plan in image.plan.items()} == {
         "dot 0 0": "source", "dot 0 1": "averaged",
     }  # fmt: skip
-    # The plan of a picture with a map must be accepted in a second call, and must give the same picture.
+    # The plan (numbers of wavelengths and terms) of a picture with a map must be accepted in a second call, and must
+    # give the same picture.
     again = wd.shade(scene, surfaces, LIGHT, VIEW, plan=image.plan, footprint=False)
     np.testing.assert_array_equal(again.xyz, image.xyz)
 
@@ -150,7 +162,7 @@ def test_maps_of_several_parts_are_independent() -> None:
     options: dict[str, Any] = {"tolerance": 0.01, "footprint": False, "coherence": wd.Coherence(sigma_um=5.0)}
     surfaces = {f"dot 0 {column}": field for column, field in enumerate(fields)}
     image = wd.shade(scene, surfaces, LIGHT, VIEW, tangents=tangents, **options)
-    # First and last column of each part in the picture, one pixel away from the edges of the part.
+    # First and last column of each part in the picture, one pixel inside of the edges of the part.
     half = VIEW.width / VIEW.height * 4.0 * np.tan(np.radians(6.0))
     edges = (np.linspace(-0.5, 0.5, 4) / half + 1.0) * VIEW.width / 2.0
     for index, (key, field) in enumerate(surfaces.items()):
@@ -240,7 +252,8 @@ def test_texture_coordinates_may_be_absent_where_there_is_no_map() -> None:
 def test_metals_reflect_less_at_oblique_angles() -> None:
     """A map of depths on a metal must have the colours of one part per dot.
 
-    The tables of the parts contain the reflectance at each angle; the table of the map does not.
+    The tables of the parts contain the metal's reflectance at each angle. The table of the map has one spectrum for all
+    angles, so that the spectrum must change little with the angle.
     """
     coherence, light = wd.Coherence(sigma_um=5.0), wd.DirectionalLight((0.3, 1.5, 1.0))
     grating_map = _map(FINGERS, (3, 4), pitch=False)

@@ -1,5 +1,6 @@
-"""Layers of a picture: values where the rays through pixel centres hit the mesh, directions to single lights and their
-light, and parts of EXR files.
+"""Layers of a picture: values at the hits of the rays through pixel centres, single lights, and parts of EXR files.
+
+Layers also contain the directions to single lights, and the light that each of them contributes to the picture.
 """
 
 import json
@@ -63,8 +64,9 @@ def rays(view):
 
 
 def box_met(view, half=0.5):
-    """Return distances and normals where rays through pixel centres hit a cube at the origin; infinity and zero for
-    other rays.
+    """Return distances and normals where rays through pixel centres hit a cube at the origin.
+
+    Other rays have the distance infinity and the normal zero.
     """
     origin, along = rays(view)
     with np.errstate(divide="ignore"):
@@ -170,7 +172,7 @@ def test_positions_texture_coordinates_tangents_and_colours_are_those_of_the_mes
     local = [np.sum(axes * -along[hit], axis=1) for axes in (first, second, normal[hit])]
     np.testing.assert_allclose(layers["to_view"][hit], np.transpose(local), atol=1e-6)
     assert not any(layers[name][~hit].any() for name in names)
-    # The mesh has no base colour, so that the layer "albedo" must be black.
+    # The mesh has no base colour, so that the layer "albedo" (base colour) must be black.
     assert not shade(plain, layers=["albedo"]).layers["albedo"].any()
 
 

@@ -1,4 +1,7 @@
-"""Pictures of plain surfaces whose metallic, roughness and emission are given by textures."""
+"""Pictures of plain surfaces whose metallic, roughness and emission are given by textures.
+
+A plain surface has no height field, and reflects by base colour, metallic and roughness.
+"""
 
 import math
 
@@ -64,8 +67,8 @@ def test_pixels_have_the_brdf_of_the_roughness_at_their_texture_coordinates():
 @pytest.mark.parametrize("options", [POINTS, OPTIONS | {"refine": False}], ids=["points", "means"])
 def test_a_texture_of_one_colour_multiplies_the_factors(options):
     texels = np.tile(np.array([7, 102, 51], np.uint8), (4, 4, 1))
-    # The filter of subpixel cells is different for surfaces with textures. Both materials have a texture, so that their
-    # pictures can be compared.
+    # For surfaces with textures, subpixel cells are weighted by a different filter. Both materials therefore have a
+    # texture, although that of the second one is only white.
     white = {"baseColorTexture": Image.new("RGB", (1, 1), (255, 255, 255))}
     plain = PBRMaterial(
         name="mapped", baseColorFactor=[255, 204, 102, 255], metallicFactor=0.9 * 0.2, roughnessFactor=0.8 * 0.4,
@@ -98,8 +101,8 @@ def test_emission_is_multiplied_by_its_texture():
         inner = np.zeros((32, 32), bool)
         inner[2:-2, 2:-2] = True
         if options is OPTIONS:
-            # The texture repeats twice. In the following columns of pixels, the pixel filter covers only one colour of
-            # the texture.
+            # The texture repeats twice. Only columns of pixels in which the filter of the pixel covers a single colour
+            # of the texture are compared.
             inner &= np.isin(np.arange(32), [3, 4, 11, 12, 19, 20, 27, 28])
         np.testing.assert_allclose(image.xyz[inner], expected[inner], rtol=2e-3)
 
@@ -123,8 +126,8 @@ def test_pictures_with_a_checker_of_roughness_meet_the_tolerance(size):
     view = wd.View.orthographic((0, 0, 5), (0, 0, 0), extent_y=1.8, width=24, height=24)
     image = wd.shade(body, SURFACES, light, view, **OPTIONS)
     truth = wd.shade(body, SURFACES, light, view, **POINTS, samples_per_pixel=2048)
-    # The reference has a box filter, which differs from the pixel filter of the picture. Both pictures are therefore
-    # averaged over 4 × 4 pixels before they are compared.
+    # The reference is a plain mean over each pixel. The picture has a Gaussian pixel filter. Both pictures are averaged
+    # over 4 × 4 pixels before they are compared, which makes the filters nearly equal.
     floor = 1e-3 * np.percentile(truth.xyz[..., 1], 99.0)
     means, exact = (values.xyz.reshape(6, 4, 6, 4, 3).mean(axis=(1, 3))[1:-1, 1:-1] for values in (image, truth))
     error = np.linalg.norm(means - exact, axis=-1) / np.maximum(np.linalg.norm(exact, axis=-1), floor)
@@ -166,8 +169,9 @@ def test_far_textures_reflect_the_mean_light_of_their_roughnesses(name):
 
 
 def test_far_textures_reflect_the_mean_light_of_a_sky():
-    """With few subpixel cells, which contain different roughnesses, the mean colour must be that of cells that are
-    smaller than a texel.
+    """The mean colour with few subpixel cells must be that with cells that are smaller than a texel.
+
+    Each of the few cells contains texels of different roughnesses.
     """
     texels, sky = checker(90, 250, 64).repeat(8, axis=0).repeat(8, axis=1), wd.Environment.clear_sky((0.0, 0.05, 1.0))
     options = OPTIONS | {"shadows": False, "refine": False}
@@ -175,7 +179,8 @@ def test_far_textures_reflect_the_mean_light_of_a_sky():
         wd.shade(scene(mapped(texels), 0.05), SURFACES, sky, far_view(8), **options, samples_per_pixel=samples)
         for samples in (4, 4096)
     )
-    # A single mean roughness per cell would have an error of 6 %. The tolerance is below this error.
+    # If each cell had a single mean roughness, the error would be 6 %. The tolerance is smaller, so that the test
+    # detects this.
     np.testing.assert_allclose(few.xyz.mean(axis=(0, 1)), many.xyz.mean(axis=(0, 1)), rtol=0.045)
 
 

@@ -1,4 +1,7 @@
-"""Plain surfaces must equal the metallic-roughness model, as computed by NumPy from glTF 2.0, appendix B."""
+"""Plain surfaces must equal the metallic-roughness model, as computed by NumPy from glTF 2.0, appendix B.
+
+A plain surface has no height field, and reflects by base colour, metallic and roughness.
+"""
 
 import math
 
@@ -48,7 +51,7 @@ def scene(materials=MATERIALS, bend=0.25, size=2.1):
 
 
 def parts_of(image):
-    """Return the columns of the inner pixels of each part."""
+    """Return rows and columns of the pixels of each part of the scene."""
     geometry = image.layers["geometry"]
     return [np.nonzero((geometry == number) & image.mask) for number in range(len(MATERIALS))]
 
@@ -94,8 +97,9 @@ def mean_colour(image, number):
 
 
 def hemisphere(count=400):
-    """Return directions of a hemisphere, and for each its solid angle times cos θ, for a midpoint rule in (sin²θ,
-    azimuth).
+    """Return directions of a hemisphere, and for each its solid angle times cos θ.
+
+    The directions are a midpoint rule in (sin²θ, azimuth).
     """
     square = (np.arange(count) + 0.5) / count
     azimuth = 2.0 * math.pi * (np.arange(2 * count) + 0.5) / (2 * count)
@@ -239,7 +243,10 @@ def test_emission_of_1_is_the_luminance_of_a_white_surface_that_faces_the_bright
 
 
 def lamps():
-    """Return a metal quad that emits light, a matte quad that does not, and a grating that no view shows."""
+    """Return a metal quad that emits light, a matte quad that does not, and a grating outside of all views.
+
+    A scene must have at least one height field, which the grating has.
+    """
     body = trimesh.Scene()
     body.add_geometry(quad(-1.1, material("lamp", 1.0, 0.4, (1, 0.5, 0), [0.1, 0.05, 0.0])), geom_name="lamp")
     body.add_geometry(quad(1.1, material("table", 0.0, 0.6, (0.2, 0.4, 0.6))), geom_name="table")

@@ -1,4 +1,9 @@
-"""Refinement: subdivided pixels with uneven colours must equal those of a picture with many rays per pixel."""
+"""Refinement: subdivided pixels with uneven colours must equal those of a picture with many rays per pixel.
+
+A pixel is divided into subpixel cells, each with its own ray. With footprints, a cell has the mean colour over the
+scattering vectors that it covers; without footprints, it is a point sample. A plan has the numbers of a computation,
+and may use a table of colours.
+"""
 
 import dataclasses
 import itertools
@@ -25,7 +30,7 @@ SIZE = 24, 18
 
 @pytest.fixture(scope="module")
 def table(fingers):
-    """Return a plan with so fine a table that the errors of pictures come mainly from the averaging over footprints."""
+    """Return a plan with so fine a table of colours that most of the error comes from the averaging over footprints."""
     plan = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=3e-3)
     return dataclasses.replace(plan, footprint=True, tolerance=5e-2)
 
@@ -35,7 +40,7 @@ TARGETS = {"tube": (0.2, 0.2, 0.1), "lumpy": (0.75, 0.1, 0.75)}
 
 
 def view(body="tube", size=SIZE):
-    """Return a view of a small part of the mesh."""
+    """Return a view of a small part of the mesh, at a silhouette."""
     return wd.View((0.4, 1.6, 3.1), TARGETS[body], fov_y_deg=5.0, width=size[0], height=size[1])
 
 
@@ -82,7 +87,7 @@ def truth(request, fingers, table):
 
 
 def errors(image, exact):
-    """Return the errors of inner pixels as ``tolerance`` defines them, relative to the colour or the floor f."""
+    """Return the errors of inner pixels, relative to the colour, or to a floor if that is larger."""
     xyz, _, inside = exact
     return relative_errors(image.xyz[inside], xyz[inside])
 
@@ -100,9 +105,7 @@ def test_pictures_meet_their_tolerance(truth, fingers, table):
 
 
 def test_reported_errors_bound_and_rank_the_true_ones(truth, fingers, table):
-    """Reported errors must exceed true errors in more than 95 % of the pixels, and the order of the pixels by both must
-    be similar.
-    """
+    """Reported errors must exceed true errors in over 95 % of the pixels, and both must rank pixels similarly."""
     mesh, camera, exact = truth
     true, reported = [], []
     for tolerance, refine in ((1e-1, False), (1e-1, True), (3e-2, True)):
@@ -119,9 +122,10 @@ def test_reported_errors_bound_and_rank_the_true_ones(truth, fingers, table):
 
 
 def test_more_cells_are_never_worse(truth, fingers, table):
-    """More subpixel cells do not increase errors, neither with footprints nor with point samples.
+    """More subpixel cells must not increase errors, neither with footprints nor with point samples.
 
-    Footprints require a colour table. The second plan has no table, so that its cells are point samples.
+    With footprints, a cell has the mean colour of its area, which requires a colour table. The second plan has no
+    table, so that its cells are point samples.
     """
     mesh, camera, exact = truth
     for plan in (table, dataclasses.replace(table, coherence=table.coherence, rings_per_octave=0)):
@@ -155,7 +159,7 @@ def test_silhouettes_are_covered_in_part(truth, fingers, table):
 
 
 def test_unrefined_pixels_have_the_requested_number_of_cells(fingers, table):
-    """Without refinement, pixels at silhouettes must have as many cells as all other pixels."""
+    """Without refinement, pixels at silhouettes must have four cells like all other pixels, as their coverage shows."""
     mesh, camera = BODIES["tube"](), view()
     image = wd.shade(mesh, fingers, LIGHT, camera, plan=table, samples_per_pixel=4, refine=False)
     hit = wd.shade(mesh, fingers, LIGHT, finer(camera, 2, 1), plan=dataclasses.replace(table, footprint=False)).mask
@@ -168,13 +172,16 @@ def test_unrefined_pixels_have_the_requested_number_of_cells(fingers, table):
 
     expected = filtered(camera.height) @ hit.astype(float) @ filtered(camera.width).T
     assert np.count_nonzero((expected > 0.01) & (expected < 0.99)) > 15
-    # The renderer does not trace the cells of a pixel if no central ray of the pixel or its neighbours hits the mesh.
-    # The coverage that is lost is small.
+    # If the rays through the centres of a pixel and its neighbours miss the mesh, the renderer does not trace the cells
+    # of the pixel. Their small coverage is missing in the picture.
     np.testing.assert_allclose(image.coverage, expected, atol=1e-3)
 
 
 def test_pictures_without_a_table_for_means_sum_points(fingers):
-    """With ``footprint=True`` but without a table for footprint means, each pixel must be the mean of many points."""
+    """With ``footprint=True`` but without a table of colours, each pixel must be the mean of many point samples.
+
+    The coherence model "centred" has no tables of means.
+    """
     mesh, coherence = BODIES["lumpy"](), wd.Coherence("centred", sigma_um=3.25)
     plan = wd.plan(fingers, coherence=coherence, method="low-rank", tolerance=3e-3)
     exact = by_points(mesh, fingers, LIGHT, view("lumpy"), plan, points=8)
@@ -211,8 +218,9 @@ def test_pixels_that_do_not_converge_cause_a_warning(fingers, table):
 
 
 def test_edge_pixels_are_distinguished_from_inner_pixels(truth, fingers, table):
-    """Pixels with an edge must be marked, and inner pixels must not. The whole square of an inner pixel shows the mesh
-    and is illuminated.
+    """Pixels with an edge must be marked, and inner pixels must not.
+
+    The whole square of an inner pixel shows the mesh and is illuminated.
     """
     mesh, camera, (_, _, inside) = truth
     renderer = wd.Renderer(mesh, fingers, LIGHT, camera, plan=table, samples_per_pixel=16)
@@ -263,8 +271,8 @@ def test_lights_and_pigments_add_up(fingers, table):
     other = wd.DirectionalLight((-0.7, 0.6, 0.8), power=0.4)
     alone = [wd.shade(mesh, fingers, light, view(), plan=table) for light in (LIGHT, other)]
     both = wd.shade(mesh, fingers, [LIGHT, other], view(), plan=table)
-    # A picture with one light is refined until it meets the tolerance. With two lights, only the sum of both must meet
-    # the tolerance, so that the picture differs slightly from the sum of the two pictures.
+    # A picture with one light is refined until it meets the tolerance. With two lights, only their sum must meet the
+    # tolerance. The picture with two lights therefore differs slightly from the sum of the two other pictures.
     expected = alone[0].xyz + alone[1].xyz
     away = relative_errors(both.xyz[both.illuminated], expected[both.illuminated])
     assert np.percentile(away, 99.0) < table.tolerance
@@ -276,9 +284,10 @@ def test_lights_and_pigments_add_up(fingers, table):
 @pytest.mark.parametrize("means", [True, False])
 @pytest.mark.parametrize("level", refinement_levels.LEVELS)
 def test_cell_weights_and_footprints_approximate_the_pixel_filter(level, means):
-    """The weighted Gaussians of all cells sum to the pixel filter, a Gaussian with σ = 0.5 pixel.
+    """The weighted Gaussians of all cells must sum to the pixel filter, a Gaussian with σ = 0.5 pixel.
 
-    Without footprint means, the weights of cells are values of the pixel filter.
+    Each cell is averaged over a Gaussian. Without footprints, cells are points, and their weights are values of the
+    pixel filter.
     """
     weights, deviation = pixel_filter.weights_of(level, means=means), pixel_filter.deviation_at(level, means=means)
     assert weights.sum() == pytest.approx(1.0)
@@ -323,8 +332,9 @@ def test_more_cells_than_the_highest_level_has_are_refused(fingers):
 
 
 def test_cells_detect_details_between_pixel_centres(fingers, table):
-    """Subpixel cells must detect a mesh of bars that are 0.3 pixels wide, one every 5.3 pixels. The rays through most
-    pixel centres miss this mesh.
+    """Subpixel cells must detect a mesh of bars that are 0.3 pixels wide, one every 5.3 pixels.
+
+    The rays through most pixel centres miss this mesh.
     """
     bars = [
         trimesh.Trimesh(

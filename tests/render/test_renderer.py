@@ -1,6 +1,7 @@
 """Successive pictures of a ``Renderer`` must equal those of ``shade``, also with launches recorded as on a GPU.
 
-Warp can record launches on the CPU, too, and repeat them, so these tests need no GPU.
+A launch runs a kernel, a loop over pixels or rays. On a GPU, the launches of a picture are recorded once and then
+repeated. Warp can do the same on the CPU, so that these tests need no GPU.
 """
 
 import dataclasses
@@ -51,7 +52,7 @@ def painted(tube):
 
 @pytest.fixture(scope="module")
 def plans(fingers):
-    """Return the plans of the tests by name. A renderer and ``shade`` use the same plan."""
+    """Return plans by name. A plan has the numbers of a computation; a renderer and ``shade`` use the same plan."""
     table = wd.plan(fingers, coherence=SHORT, method="low-rank", integration="table", tolerance=5e-2)
     source = wd.Coherence("source", angular_diameter_deg=4.0)
     return {
@@ -72,12 +73,12 @@ CASES = {
 
 @pytest.fixture
 def recorded(monkeypatch):
-    """Make renderers record their launches, as on a GPU, and return a list that grows with each recording."""
+    """Make renderers record their launches, as on a GPU. Return a list that gets an entry with each recording."""
     begun = []
     capture = wp.ScopedCapture
     monkeypatch.setattr(renderer, "records", lambda _: True)
-    # A recorded launch has the largest number of threads that a picture may need. On the CPU, a smaller limit saves
-    # time.
+    # A recorded launch always has the largest number of threads that a picture may need. On the CPU, a smaller limit of
+    # this number saves time.
     monkeypatch.setattr(device_tiles, "_MOST_RAYS", 1 << 15)
     monkeypatch.setattr(wp, "ScopedCapture", lambda *a, **k: begun.append(1) or capture(*a, **k))
     return begun
@@ -143,8 +144,8 @@ def test_progress_increases_and_the_order_of_lights_does_not_matter(tube, finger
     np.testing.assert_allclose(result.xyz, other.xyz, rtol=1e-5, atol=1e-12)
     np.testing.assert_allclose(result.error, other.error, rtol=1e-4, atol=1e-7)
     np.testing.assert_array_equal(result.mask, other.mask)
-    # The cells of a pixel are different for each light. The coverage of a pixel is computed from the finest cells among
-    # all lights, so that it does not depend on the order of the lights.
+    # A pixel is divided into subpixel cells, differently for each light. Its coverage is computed from the smallest
+    # cells among all lights. It must therefore hardly depend on the order of the lights.
     np.testing.assert_allclose(result.coverage, other.coverage, atol=0.01)
 
 
@@ -193,9 +194,10 @@ SAMPLED = {
     ],
 )
 def test_a_sampled_light_after_another_light_equals_that_of_shade(name, together, tube, fingers, plans, monkeypatch):
-    """A picture by recorded launches must equal that of ``shade``, if a light with samples follows a light without.
+    """A picture by recorded launches must equal that of ``shade``, if a sampled light follows a light without samples.
 
-    The launches are first recorded for a light without samples. A light with samples then needs additional arrays.
+    Discs and skies are sampled: each ray has a random direction to the light. The launches are first recorded for a
+    light without samples. The sampled light then needs additional arrays.
     """
     monkeypatch.setattr(renderer, "records", lambda _: True)
     monkeypatch.setattr(device_tiles, "_MOST_RAYS", 1 << 15)
@@ -221,8 +223,8 @@ def test_another_kind_of_light_in_the_same_direction_does_not_use_the_occluder_g
 ):
     """A disc or point light must not use the occluder grids of a directional light that was rendered before.
 
-    All of these lights have the same lobe direction (0, 0, 1). For a point light, the direction is a placeholder that
-    is not used.
+    An occluder grid lists the faces that may shadow a place, for one direction to a light. All of these lights store
+    the same direction (0, 0, 1), although a point light does not use it.
     """
     first, plan = wd.DirectionalLight((0.0, 0.0, 1.0)), plans["footprints"]
     drawn = wd.Renderer(tube, fingers, first, view(), plan=plan)
@@ -347,7 +349,7 @@ def test_footprints_stay_on_without_a_table_for_means(tube):
     np.testing.assert_allclose(by_itself.xyz, drawn.image().xyz, rtol=0.5, atol=2e-3 * by_itself.xyz.max())
 
 
-# Names of the cases that are repeated with recorded launches in slow tests only. Their sequences of launches also occur
+# Names of the cases that only slow tests repeat with recorded launches. The kernels that these cases launch also occur
 # in the other cases.
 SLOW_TO_REPLAY = {"footprints", "points", "sampled", "no shadows"}
 REPLAYED = [
@@ -357,20 +359,22 @@ REPLAYED = [
 
 @pytest.mark.parametrize(("name", "count", "options"), REPLAYED)
 def test_replayed_pictures_equal_those_of_shade(painted, fingers, plans, name, count, options, recorded):
-    # The picture is twice as wide as in other tests, so that fractions of pixels that differ can be small.
+    # The picture is twice as wide and high as in other tests, so that the limit of differing pixels can be a small
+    # share.
     size = 2 * WIDTH, 2 * HEIGHT
     drawn = wd.Renderer(painted, fingers, LIGHTS[:count], view(size=size), plan=plans[name], threads=1, **options)
     for angle in (0.4, -0.3):
         lights, camera = rotated(angle)[:count], view(angle, size)
         drawn.draw(lights, camera)
         result, expected = drawn.image(), wd.shade(painted, fingers, lights, camera, plan=plans[name], **options)
-        # With recorded launches, the brightness that decides about refinement is rounded to 1/128. Rays that are traced
-        # through the hierarchy may also miss a face at its edge. A few pixels may therefore differ.
+        # With recorded launches, the brightness that decides whether a pixel is refined is rounded to 1/128. Rays are
+        # traced through a tree of boxes around the faces, and may miss a face at its edge. A few pixels may therefore
+        # differ.
         few = 0.01 if drawn.plan.footprint else 0.0
         assert np.mean(result.illuminated != expected.illuminated) <= few
         assert np.mean(result.coverage != expected.coverage) <= few
         differ = np.linalg.norm(result.xyz - expected.xyz, axis=-1) / np.linalg.norm(expected.xyz, axis=-1).clip(1e-6)
-        # The pixel filter of a pixel includes cells of neighbouring pixels. A pixel that is refined differently
+        # The filter of a pixel includes subpixel cells of neighbouring pixels. A pixel that is divided differently
         # therefore also changes the pixels around it.
         assert np.mean(differ[expected.illuminated] > 0.0) <= 6.0 * few
         assert np.percentile(differ[expected.illuminated], 99.0) <= 0.1 * drawn.plan.tolerance * drawn.plan.footprint

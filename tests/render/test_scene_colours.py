@@ -1,4 +1,7 @@
-"""Base colours of scenes whose parts lack colours, textures or texture coordinates."""
+"""Base colours of scenes whose parts lack colours, textures or texture coordinates.
+
+A plain surface has no height field, and reflects by its base colour.
+"""
 
 import itertools
 
@@ -32,7 +35,8 @@ def texture(colour):
     return Image.new("RGB", (3, 5), colour)
 
 
-# Kinds of parts by name: a function that makes the part, and its base colour on plain surfaces.
+# Kinds of parts by name: a function that makes the part, and its base colour as a plain surface (without a height
+# field).
 KINDS = {
     "bare": (quad, (1, 1, 1)),
     "unnamed metal": (lambda: quad(PBRMaterial(metallicFactor=1.0, roughnessFactor=0.4)), (1, 1, 1)),

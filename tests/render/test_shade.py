@@ -37,7 +37,7 @@ def fingers():
 
 @pytest.fixture(scope="module")
 def small_fingers():
-    """Return a patch with a quarter of the samples of ``fingers``, because a direct sum has a term for each sample."""
+    """Return a patch with a quarter of the samples of ``fingers``, because a direct sum over all samples is slow."""
     return wd.gratings.fingers(size_um=3.2, pitch_um=0.09, seed=2)
 
 
@@ -51,7 +51,7 @@ def snake_view(width=96, height=72):
 
 
 def judge(mesh, heightfield, light, view, coherence, tolerances, *, pixels):
-    """Return the errors of pictures at several tolerances, in ``pixels`` random pixels, one per part of the picture."""
+    """Return the errors of pictures at several tolerances, in ``pixels`` random pixels that cover the mesh evenly."""
     body = pixel_reference.Body.of(prepare_surface(mesh))
     result, truth, chosen = [], None, None
     for tolerance in tolerances:
@@ -78,8 +78,8 @@ def test_pictures_are_within_their_tolerance(kind, sigma_um, snake, fingers):
     for tolerance, error in zip(TOLERANCES, errors, strict=True):
         print(f"{kind}, σ = {sigma_um:g} µm, tolerance {tolerance:g}: {error}")  # noqa: T201
         assert error.illuminated > 0.8 * PIXELS
-        # Colours below the floor f count as dark. The highlight of the tube is so bright that most pixels are below the
-        # floor, but some pixels must be above it.
+        # Colours below the floor f, a share of the highlight's luminance, count as dark. The highlight of the tube is
+        # so bright that most pixels are dark, but some pixels must be brighter than f.
         assert error.share_below < 0.99
         assert error.p99 <= tolerance
         assert error.below <= tolerance
@@ -123,7 +123,8 @@ def test_the_colours_of_several_lights_add_up(snake, fingers):
     ]
     view = snake_view(48, 36)
     options = {"coherence": SHORT, "tolerance": 0.1}
-    # All pictures use the same plan. With separate plans, the wavelengths would depend on the lights of each picture.
+    # All pictures use the same plan (numbers of wavelengths and terms). With separate plans, the wavelengths would
+    # depend on the lights of each picture.
     together = wd.shade(snake, fingers, lights, view, **options)
     alone = [wd.shade(snake, fingers, light, view, plan=together.plan) for light in lights]
     # A picture with one light is refined until it meets the tolerance. With several lights, only the sum must meet the
@@ -239,8 +240,9 @@ def test_pictures_are_the_same_bit_for_bit(samples, snake, fingers):
 
 
 def test_many_samples_per_pixel_change_only_the_rim():
-    """With 16 samples per pixel, only pixels at the rim of the mesh may be partly covered; the mean colour must not
-    change.
+    """With 16 samples per pixel, only pixels at the rim of the mesh may be partly covered.
+
+    The mean colour must be that with one sample per pixel.
     """
     disc = whole_disc()
     view = wd.View((0.5, -1.2, 2.2), (0, 0, 0), fov_y_deg=60.0, width=64, height=48)
@@ -303,7 +305,7 @@ def test_pigment_follows_its_formula(sigma_um, ior, illuminant, fingers):
 
 
 def test_pigment_is_filtered_with_the_picture():
-    """The part of a colour that comes from the pigment must not depend on the number of samples per pixel."""
+    """The light from the pigment, a part of a pixel's colour, must not depend on the number of samples per pixel."""
     quad = textured_quad(np.full((2, 2, 3), 180, np.uint8))
     view = mirror_view(6, 1.0)
     light = wd.DirectionalLight((0.5, 0.3, 1.0))
@@ -392,8 +394,9 @@ def test_illuminated_pixels_are_finite_and_positive(name, request):
 
 
 def test_the_belly_shows_no_seam(fingers):
-    """Neighbouring pixels on both sides of the texture's seam, on the belly of the snake, must not differ more than
-    other neighbouring pixels.
+    """The picture must show no seam where the texture begins and ends, on the belly of the snake.
+
+    Neighbouring pixels on both sides of the seam must not differ more than other neighbouring pixels.
     """
     tube = meshes.tube(bend_deg=0.0, segments_along=96, segments_around=64)
     # The view is from below, and the seam lies on the border between the two middle columns of the picture.

@@ -1,4 +1,7 @@
-"""Pictures with several surfaces: each part of a mesh must have the colours of its own surface, in a common unit."""
+"""Pictures with several surfaces: each part of a mesh must have the colours of its own surface, in a common unit.
+
+The unit is the light that a perfect mirror shows. A plan has the numbers of the computation for one surface.
+"""
 
 import math
 import pickle
@@ -21,8 +24,9 @@ OPTIONS = {"coherence": UNIT, "tolerance": 0.1, "refine": False, "masking": Fals
 
 
 def scene(**materials):
-    """Return three quads side by side, named after their geometries, each with the material that ``materials`` states
-    for its name.
+    """Return three quads side by side.
+
+    The arguments are the names of their geometries, each with the name of its material.
     """
     result = trimesh.Scene()
     for x, (name, material) in zip((-2.1, 0.0, 2.1), materials.items(), strict=True):
@@ -42,8 +46,8 @@ BODY = scene(left="gold", middle="silver", right="gold")
 PARTS = np.repeat(np.arange(3), 16)
 
 
-# The plan of one part is used for pictures of the whole mesh. The warning about directions beyond the plan is expected,
-# because the other parts have other directions.
+# The plan of one part is used for a picture in which all parts have this surface. The other parts have directions for
+# which the plan was not made. The warning about these directions is expected.
 @pytest.mark.filterwarnings("ignore:plan is used beyond")
 @pytest.mark.parametrize("lights", [LIGHT, [LIGHT, wd.PointLight((0.0, 1.0, 3.0))]], ids=["one", "two"])
 @pytest.mark.parametrize("points", [False, True], ids=["means", "points"])
@@ -70,8 +74,8 @@ def test_parts_equal_pictures_of_one_surface_in_the_unit_of_the_picture(lights, 
         if points:
             np.testing.assert_allclose(image.xyz[2:-2, inside], expected, rtol=1e-5, atol=1e-6 * expected.max())
         else:
-            # The table of the whole mesh covers more directions than the table of one part, so that both differ
-            # slightly.
+            # Colours are interpolated in a table. Its extent depends on the directions of all parts with the surface.
+            # The tables of both pictures are therefore slightly different.
             assert (
                 np.percentile(relative_errors(image.xyz[2:-2, inside].reshape(-1, 3), expected.reshape(-1, 3)), 99.0)
                 <= OPTIONS["tolerance"]

@@ -88,8 +88,8 @@ def test_blended_faces_cast_partial_shadows(white):
     pane.apply_translation((2.6, 0.0, 0.0))
     parts = {"ground": square(0.0, 2.0, OPAQUE), "pane": pane}
     _, shaded = middle(parts, light)
-    # Each pixel may have an error of up to the tolerance of 0.1. The errors do not cancel in the mean: cells that agree
-    # by chance are not subdivided further, and their errors often have the same sign.
+    # Each pixel may have an error of up to the tolerance of 0.1. A pixel is not divided further if its subpixel cells
+    # agree by chance. Such errors often have the same sign, and do not cancel in the mean.
     assert abs(shaded.mean() / alone.mean() - (1.0 - ALPHA)) < 0.06
     assert alone.mean() < white
     sky = wd.Environment.clear_sky((0.0, 0.2, 1.0))

@@ -1,4 +1,9 @@
-"""Plans: their numbers for a tolerance, their text, and their effect on results."""
+"""Plans: their numbers for a tolerance, their text, and their effect on results.
+
+A plan has the numbers of a computation, such as wavelengths and terms of a series. It is made for a range of
+directions. For few directions, its numbers are upper bounds, which suffice for any surface. For many directions, the
+library searches smaller numbers by trials.
+"""
 
 import dataclasses
 import json
@@ -23,13 +28,13 @@ UP = [0.0, 0.0, 1.0]
 
 @pytest.fixture(scope="module")
 def rough() -> wd.HeightField:
-    """Return a small patch with structure along both axes, whose pitch suffices for the whole hemisphere."""
+    """Return a small patch with structure along both axes, sampled finely enough for all directions."""
     return wd.gratings.fingers(size_um=6.4, seed=3)
 
 
 def test_a_plan_covers_the_range_of_its_directions(rough, rng):
-    # The ranges of a plan do not depend on its method. Plans for the direct sum are tested, because they need no search
-    # and are made quickly.
+    # The range of directions of a plan does not depend on its method. Plans for the method "direct" are tested, because
+    # they need no search and are made quickly.
     whole = wd.plan(rough, method="direct")
     assert (whole.max_uv, whole.max_w, whole.lambda_min_nm) == (2.0, 2.0, 380.0)
 
@@ -73,16 +78,16 @@ def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
     tolerances = (0.5, 0.1, 1e-2, 1e-3, 1e-4)
     for plans in (
         [wd.plan(rough, at_angle(20.0), at_angle(35.0), tolerance=t, coherence=coherence) for t in tolerances],
-        # With many directions and large tolerances, the method "auto" would use tables. The numbers of tables cannot be
-        # compared with those of plans that sample wavelengths.
+        # With many directions and large tolerances, the method "auto" would use tables of colours. Plans with tables
+        # have other numbers than plans that sample wavelengths.
         [wd.plan(rough, tolerance=t, coherence=coherence, method="low-rank") for t in tolerances],
     ):
         for name in ("terms", "wavelengths", "multiply_adds"):
             values = [getattr(plan, name) for plan in plans]
             assert values == sorted(values)
             assert values[0] < values[-1]
-        # Measured errors of two plans are not compared, because the plan for the larger tolerance may by chance have
-        # the smaller error.
+        # After a search, errors are measured. They are not compared, because the plan for the larger tolerance may by
+        # chance have the smaller error.
         names = ("least_weight",) if plans[0].is_measured else ("least_weight", "quadrature", "neighbourhood", "error")
         for name in names:
             values = [getattr(plan, name) for plan in plans]
@@ -101,8 +106,10 @@ def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
 def test_a_search_is_cheaper_than_bounds(rough, coherence, rng):
     """The plan of a search must cost less than an upper-bound plan, and must meet the tolerance.
 
-    It must also meet the tolerance on directions that the search has not tried. The error that the plan predicts must
-    be at most ten times the measured error.
+    A plan has the numbers of a computation. An upper-bound plan suffices for any surface.
+
+    The plan must also meet the tolerance on directions that the search has not tried. The error that the plan predicts
+    must be at most ten times the measured error.
     """
     lights, views = hemisphere(rng, 40_000), hemisphere(rng, 40_000)
     few = wd.plan(rough, lights[:8], views[:8], coherence=coherence, method="low-rank")
@@ -280,9 +287,10 @@ def test_one_row_is_constant_along_y():
 
 
 def test_results_of_an_explicit_plan_do_not_depend_on_other_directions(rough, rng):
-    """Results of an explicit plan must not depend on the other directions of the call.
+    """Results by a plan that the caller gives must not depend on the other directions of the call.
 
-    The basis of functions, which is fitted to the height field, must therefore depend only on the range of the plan.
+    The series uses basis functions that are fitted to the height field. The fit must depend only on the range of
+    directions in the plan, not on the directions themselves.
     """
     lights, views = hemisphere(rng, 60), hemisphere(rng, 60)
     plan = wd.plan(rough, lights, views)
@@ -300,8 +308,8 @@ def test_directions_use_only_as_many_wavelengths_as_they_require(rough, rng, tol
     views /= np.linalg.norm(views, axis=1, keepdims=True)
     total = lights + views
     ends = [np.argmax(np.hypot(total[:, 0], total[:, 1])), np.argmin(total[:, 2]), np.argmax(total[:, 2])]
-    # The plan is made for only three directions. It therefore consists of upper bounds, because a search is not worth
-    # its time.
+    # The plan is made for only three directions. Its numbers are therefore upper bounds, because a search would take
+    # longer than it saves.
     plan = wd.plan(rough, lights[ends], views[ends], tolerance=tolerance)
     assert not plan.is_measured
     assert plan.adaptive

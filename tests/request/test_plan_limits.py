@@ -1,7 +1,8 @@
 """Limits of plans: height ranges, coherence windows, directions and pitches are refused, or used with a warning.
 
-The order rate of a direction is the speed at which orders pass the direction as 1/λ changes. It grows with
-|(u, v)|, the tangential part of the scattering vector.
+A plan has the numbers of a computation, such as wavelengths and terms of a series. The order rate of a direction is the
+speed at which orders pass the direction as 1/λ changes. It grows with |(u, v)|, the tangential part of the scattering
+vector.
 """
 
 import dataclasses
@@ -18,7 +19,7 @@ UP = [0.0, 0.0, 1.0]
 
 @pytest.fixture(scope="module")
 def rough() -> wd.HeightField:
-    """Return a small patch with structure along both axes, whose pitch suffices for the whole hemisphere."""
+    """Return a small patch with structure along both axes, sampled finely enough for all directions."""
     return wd.gratings.fingers(size_um=6.4, seed=3)
 
 
@@ -31,8 +32,8 @@ def deep(height_um: float) -> wd.HeightField:
 
 @pytest.mark.parametrize(
     ("directions", "how"),
-    # A plan for the whole hemisphere requires a search, which is slow because it compiles a kernel for each number of
-    # terms.
+    # The second case has no directions, so that the plan is for the whole hemisphere. It requires a search, which is
+    # slow because it compiles a kernel for each number of terms.
     [((UP, hemisphere(np.random.default_rng(2), 20)), "by its bound"), slow((), "measured on")],
     ids=["few", "all"],
 )
@@ -54,10 +55,10 @@ def test_a_height_range_beyond_float32_is_refused_and_computed_with_strict_false
 
 
 def test_a_remainder_of_amplitudes_is_refused_where_the_series_ends():
-    """At a height range of 6.9 µm, amplitudes have an error of 3e-3 with the largest number of terms of the series.
+    """A height range of 6.9 µm must be refused, because even the largest number of terms gives too large errors.
 
-    This error is relative to the amplitude of a flat surface. Relative to the amplitudes of weak orders it is 1000
-    times as large. The height range is refused, while one of 6.2 µm is accepted.
+    Amplitudes then have an error of 3e-3, relative to the amplitude of a flat surface. Relative to the amplitudes of
+    weak orders it is 1000 times as large. A height range of 6.2 µm must be accepted.
     """
     with pytest.raises(wd.ToleranceError, match=r"terms are too few for a height range of 6\.9 µm"):
         wd.plan(deep(6.9), UP, UP)
@@ -138,8 +139,8 @@ def test_a_coarse_pitch_causes_a_warning_about_aliasing(rough):
         wd.plan(coarse, at_angle(30.0), method="direct")
     with pytest.warns(wd.WarpdiffWarning, match="finer pitch"):
         wd.reflectance(coarse, at_angle(60.0), at_angle(50.0))
-    # Directions with order rates that the pitch supports cause no warning. At longer wavelengths, the pitch supports
-    # more directions.
+    # Directions with large |(u, v)| require a small pitch of the height samples. Directions for which the pitch
+    # suffices cause no warning. At longer wavelengths, it suffices for more directions.
     wd.plan(coarse, at_angle(20.0), at_angle(20.0))
     wd.spectral_reflectance(coarse, at_angle(30.0), at_angle(45.0), [700.0])
     wd.plan(rough, method="direct")

@@ -50,7 +50,8 @@ print(json.dumps({
     "viewer": [each for each in schema if each["name"] == "sparkle"], "options": shown.getvalue(),
 }))
 """
-# Script that calls public functions with an option of display transforms; each must pass it to the transform.
+# Script that calls public functions with an option of display transforms. Each function must pass the option to the
+# transform.
 DISPLAY_PROBE = """
 import inspect, json, types, warpdiff as wd
 from warpdiff.apps.cli import main
@@ -234,7 +235,7 @@ def test_type_checkers_report_misspelt_options(checker, tmp_path):
 
 
 def legal(option: Option) -> st.SearchStrategy:
-    """Return a strategy for the legal values of an option, derived from its description."""
+    """Return a Hypothesis strategy (random values) for the legal values of an option, derived from its description."""
     if option.choices:
         return st.sampled_from(option.choices)
     if option.kind == "flag":

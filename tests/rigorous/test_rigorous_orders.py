@@ -40,7 +40,7 @@ def test_all_published_values():
 
 
 def test_sines_of_glass_equal_those_of_boundary_integrals():
-    """Efficiencies by boundary integrals (gratinglab) share neither code nor method with coupled waves."""
+    """Efficiencies by coupled waves must equal those by boundary integrals, an independent method (gratinglab)."""
     stored = json.loads(STORED.read_text())
     rows = iter(stored["cases"]["Sine, n = 1.5"]["first_order_and_efficiencies"])
     compared = 0
@@ -112,8 +112,8 @@ def test_not_converged_is_a_result():
 def test_solutions_without_a_doubling_are_named_as_such():
     """If the number of harmonics was never doubled at a wavelength, the stored change is infinite.
 
-    The warning must not report it as a change in the last doubling, and must still report the changes at other
-    wavelengths.
+    The warning must not report this infinite value as a change in the last doubling. It must still report the changes
+    at other wavelengths.
     """
     long = wd.gratings.lamellar(8.0, 0.05, samples=16)
     with pytest.warns(wd.WarpdiffWarning, match="not converged: 1 were computed once, with 22 harmonics: .* least 44$"):
@@ -166,8 +166,8 @@ def test_designs_are_checked_rigorously():
     np.testing.assert_allclose(check.achieved["achieved"], [direct[0, m][0] for m in (-1, 0, 1)])
     assert check.converged == 1.0
     assert check.uniformity_errors[0] < 0.25
-    # Scalar diffraction is accurate for shallow grooves with a long period. Its colour must nearly equal the rigorous
-    # one.
+    # Scalar diffraction is accurate for shallow grooves with a long period. Its colour must nearly equal that by the
+    # rigorous solver.
     grooves = wd.gratings.lamellar(5.0, 0.05, samples=40)
     coherence = wd.Coherence(sigma_um=3.0)
     target = wd.Target.colour((0.3, 0.5, 0.1), UP, wd.direction(5.0), material=ALUMINIUM, coherence=coherence)

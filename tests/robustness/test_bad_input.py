@@ -17,7 +17,8 @@ HF = wd.HeightField(np.zeros((8, 8)), 0.05)
 LIGHT = wd.DirectionalLight((0.0, 0.0, 1.0))
 VIEW = wd.View((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), width=4, height=3)
 MESH = wd.meshes.disc(segments=8, rings=1)
-# The plan is for a single direction, because such a plan needs no search, and every test process imports this file.
+# The plan (numbers of a computation) is for a single direction. Such a plan needs no search and is made quickly; every
+# test process imports this file.
 PLAN = wd.plan(HF, UP, UP)
 CENTRED_PLAN = wd.plan(HF, UP, UP, coherence=wd.Coherence("centred"))
 IMAGE = wd.Image(
@@ -206,7 +207,8 @@ PLANS = [
     ("max_uv", 3.0, r"max_uv must be a finite number, at least 0 and at most 2\.001"),
 ]  # fmt: skip
 
-# Errors of ``Image.save`` that do not follow from the descriptions of its options.
+# Calls of ``Image.save`` with invalid arguments, and the errors that they raise. The other invalid arguments follow
+# from the descriptions of the options, and are tested in test_refusals.py.
 SAVES = [
     ("out.jpg", {}, ValueError, "path must end in .exr or .png, got 'out.jpg'"),
     ("out", {}, ValueError, "path must end in .exr or .png, got 'out'"),
@@ -224,7 +226,7 @@ SAVES = [
 
 
 def changed(**fields):
-    """Return a copy of the plan with other values in some fields."""
+    """Return a copy of ``PLAN`` with other values in some fields."""
     return dataclasses.replace(PLAN, **fields)
 
 
@@ -247,7 +249,7 @@ def options_of(name: str) -> set[str]:
 
 @pytest.fixture
 def no_kernel(monkeypatch):
-    """Fail the test if it launches a kernel."""
+    """Fail the test if it launches a kernel, because invalid arguments must be refused before."""
     launched = []
     monkeypatch.setattr(wp, "launch", lambda kernel, *_, **__: launched.append(kernel))
     yield
@@ -279,7 +281,7 @@ def test_invalid_shared_options_are_refused(function, option, value, error, mess
 @pytest.mark.parametrize("kind", ["centred", "replicas"])
 @pytest.mark.usefixtures("no_kernel")
 def test_power_series_are_refused_for_coherences_that_add_amplitudes(function, kind):
-    """The message must list all methods that the coherence model allows, but not the requested method."""
+    """Series of powers must be refused for coherences that add amplitudes, with a list of the allowed methods."""
     coherence = wd.Coherence(kind, periods=(2, 2) if kind == "replicas" else None)
     with pytest.raises(ValueError, match=f"method='power' .* kind='{kind}'") as refused:
         EVALUATE[function](method="power", coherence=coherence)

@@ -83,10 +83,10 @@ def test_every_registered_and_public_reader_has_a_corpus():
         name for name in wd.__all__ if inspect.isfunction(function := getattr(wd, name))
         and {"path", "compare"} & set(inspect.signature(function).parameters)
     }  # fmt: skip
-    # A web page is written, not read.
+    # ``export_html`` has a path, but writes a web page instead of reading a file.
     assert not takes_path - tested - {"export_html"}
     suffixes = {path.suffix for name in ("mesh", "gltf") for path in fuzz_targets.BY_NAME[name].folder.iterdir()}
-    # Files in 3MF and COLLADA need packages that trimesh does not require.
+    # Reading 3MF and COLLADA needs additional packages, so that these formats have no test files.
     assert {".gltf", ".glb", *mesh_files._BY_TRIMESH} - suffixes == {".3mf", ".dae"}
 
 
@@ -127,7 +127,7 @@ def test_a_formula_of_a_constant_has_an_index_at_all_wavelengths(tmp_path):
 
 
 def _faulty(fault):
-    """Return a reader that refuses all text files, and calls ``fault`` if damage has changed the word "Wavelength"."""
+    """Return a faulty reader. It refuses all files, and calls ``fault`` if damage has changed the word "Wavelength"."""
 
     def read(path):
         text = path.read_bytes()
@@ -213,5 +213,6 @@ def test_structured_mutations_keep_sizes_and_checksums(file, least, is_valid):
     for damaged in data:
         with contextlib.suppress(Exception):
             valid += is_valid(damaged)
-    # A third of the mutations damage bytes without regard to the structure of the file.
+    # Most damaged files must still have valid sizes and checksums. The others are those of which single bytes were
+    # damaged, about a third.
     assert valid > least

@@ -43,7 +43,7 @@ def _linear_algebra_has_threads(monkeypatch):
 
 
 def picture(angle=0.0):
-    """Render a tiny picture with a colour table, footprints and shadows, on two threads."""
+    """Render a tiny picture with a table of colours, means over pixels (footprints) and shadows, on two threads."""
     return _scene()(wd.View((3.1 * np.sin(angle), 1.6, 3.1 * np.cos(angle)), (0.0, 0.0, 0.0), width=40, height=30))
 
 

@@ -39,7 +39,7 @@ def actions(command):
 
 
 def written(action, draw):
-    """Return the words that give one option random values on the command line."""
+    """Return the words of a command line that give random values to one option."""
     count = 0 if action.nargs == 0 else action.nargs if isinstance(action.nargs, int) else 1
     return [*action.option_strings[:1], *(draw(st.sampled_from(VALUES)) for _ in range(count))]
 
@@ -51,7 +51,8 @@ def test_fuzzed_arguments_end_as_documented(command, tries, tmp_path, monkeypatc
     monkeypatch.setenv("WARPDIFF_CACHE_DIR", str(tmp_path / "cache"))
     # With little free memory, large requests are refused on every machine.
     monkeypatch.setattr(memory, "available", lambda: 5e8)
-    # With a short coherence window, plans are made several seconds faster.
+    # With a short coherence window, the library makes its plan (numbers of wavelengths and terms) several seconds
+    # faster.
     monkeypatch.setattr(wd, "plan", functools.partial(wd.plan, coherence=wd.Coherence(sigma_um=3.0)))
     wd.meshes.disc(segments=8, rings=1).export("disc.ply")
     waves = 0.05 * np.sin(np.arange(12.0))[None, :] + np.zeros((9, 1))

@@ -139,8 +139,9 @@ def test_failed_allocations_raise_the_messages_of_the_library():
 
 
 def test_sample_meshes_that_exceed_the_memory_raise_a_clear_error(monkeypatch):
-    """If the estimate of the required memory is too small, a failed allocation must raise the same error as the
-    estimate would.
+    """A failed allocation must raise the same error as an estimate of the memory that exceeds the free memory.
+
+    An allocation fails if the estimate was too small.
     """
     monkeypatch.setattr(memory, "require_faces", lambda *_: None)
     for call in (lambda: wd.meshes.tube(segments_along=1 << 45), lambda: wd.meshes.disc(segments=1 << 45)):

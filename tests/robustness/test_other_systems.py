@@ -24,7 +24,8 @@ POSIX_NAMES = {
     "select": ("poll", "epoll"),
     "signal": ("SIGHUP", "SIGALRM", "SIGKILL", "SIGPIPE", "SIGUSR1", "SIGCHLD", "alarm", "setitimer"),
 }  # fmt: skip
-# Packages that are imported before anything is hidden: the script tests this package, not its dependencies.
+# Packages that are imported before anything is hidden. The test is of warpdiff without POSIX modules, not of its
+# dependencies.
 PRELOADED = (
     "numpy", "scipy.signal", "scipy.sparse.linalg", "scipy.optimize", "warp", "trimesh", "PIL.Image", "OpenImageIO",
     "colour", "websockets.asyncio.server", "mapbox_earcut", "tqdm", "asyncio", "multiprocessing", "concurrent.futures",
@@ -94,7 +95,7 @@ def test_fields_files_and_commands_work_without_posix_modules(tmp_path):
 
 
 def guarded(tree):
-    """Return the nodes of the bodies of ``try`` statements that handle ``ImportError`` or ``AttributeError``."""
+    """Return the syntax nodes inside of ``try`` statements that handle ``ImportError`` or ``AttributeError``."""
     statements = [
         node for node in ast.walk(tree) if isinstance(node, ast.Try)
         and any(re.search("ImportError|AttributeError", ast.unparse(each.type or node)) for each in node.handlers)
@@ -155,7 +156,8 @@ def texts_without_encoding(text):
     return result
 
 
-# Objects whose method ``open`` reads no text: image and archive libraries, and modules of the operating system.
+# Objects with a method ``open`` that reads no text, so that it has no encoding: image and archive libraries, and
+# modules of the operating system.
 FOREIGN_READERS = ("os", "archive", "output", "oiio.ImageInput", "Image", "PIL.Image")
 # Files whose calls need no encoding: readers of Linux files in ASCII, and of standard streams that are replaced by the
 # null device.

@@ -36,7 +36,7 @@ from warpdiff.request.settings import SinglePictureSettings
 
 
 class Row(NamedTuple):
-    """An invalid request: front end, request, name of the argument there, pattern of the rule, and message."""
+    """An invalid request: front end, request, name of the argument, pattern of the expected rule, and message."""
 
     front: str
     request: str
@@ -102,7 +102,8 @@ def prepared(folder: Path) -> Iterator[None]:
 
 # Invalid arguments in Python
 
-# Uninitialised objects of classes that require kernels. The tests need only the class of these objects.
+# Objects of classes that require kernels, made without initialisation. The tests only need methods of these objects to
+# refuse their arguments.
 BARE = {
     **{owner: object.__new__(getattr(wd, owner)) for owner in ("Image", "BakedLobes", "BakedSpectrum")},
     "renderer": object.__new__(wd.Renderer), "lobes": object.__new__(wd.BakedLobes),
@@ -110,7 +111,7 @@ BARE = {
 
 
 def changed_plan(**fields: object) -> wd.Plan:
-    """Return a plan for one direction, which needs no search, with other values in some fields."""
+    """Return a plan (numbers of wavelengths and terms) for one direction, with other values in some fields."""
     return dataclasses.replace(wd.plan(fuzz.HEIGHTFIELD, fuzz.UP, fuzz.UP), **fields)
 
 
@@ -309,8 +310,9 @@ LINES = {
 
 
 def written_rows() -> Iterator[Row]:
-    """Yield invalid requests that break rules about two arguments, about files, or about names of height fields and
-    meshes.
+    """Yield invalid requests that break rules about several values.
+
+    The rules are about two arguments, about files, or about names of height fields and meshes.
     """
     for call, text, line, line_text in RULES:
         yield Row("python", text, "", re.escape(text), functools.partial(error_of, call))

@@ -1,4 +1,7 @@
-"""Directions on meshes without texture coordinates: directions along and around axes, and smooth direction fields."""
+"""Directions on meshes without texture coordinates: directions along and around axes, and smooth direction fields.
+
+A direction field has a tangential vector at each vertex. A smooth field minimises the differences between neighbours.
+"""
 
 import os
 

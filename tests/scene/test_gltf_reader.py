@@ -40,7 +40,7 @@ def interleaved():
 
 
 def sparse():
-    """Return a file of the square in which a sparse accessor states two corners."""
+    """Return a file of the square: a sparse accessor (list of changed entries of an array) states two corners."""
     file = GltfFile()
     position = file.accessor(np.where(np.arange(4)[:, None] % 2, SQUARE, 7).astype("<f4"))
     values = {"bufferView": file.view(SQUARE[[0, 2]].tobytes())}
@@ -51,7 +51,7 @@ def sparse():
 
 
 def sparse_without_data():
-    """Return a file of the square in which a sparse accessor without a buffer view states the corners other than 0."""
+    """Return a file of the square: a sparse accessor without data of its own states all corners but the first."""
     file = GltfFile()
     accessor = {"componentType": 5126, "count": 4, "type": "VEC3"}
     values = {"bufferView": file.view(SQUARE[1:].tobytes())}
@@ -196,7 +196,7 @@ def test_tangents_of_the_file_are_used_if_they_belong_to_the_base_colour(tmp_pat
     file = square_file({"TANGENT": diagonal, "TEXCOORD_1": SQUARE_UVS}, material=0)
     file.material(texture={"texCoord": 1})
     np.testing.assert_allclose(prepare_surface(file.write(tmp_path / "b.gltf")).tangents[:, 0], 1.0, atol=1e-6)
-    # By the rules of the format, tangents are ignored if the file has no normals.
+    # By the rules of the glTF format, tangents are ignored if the file has no normals.
     file = GltfFile()
     file.primitive({"POSITION": SQUARE, "TEXCOORD_0": SQUARE_UVS, "TANGENT": diagonal})
     np.testing.assert_allclose(prepare_surface(file.write(tmp_path / "c.gltf")).tangents[:, 0], 1.0, atol=1e-6)

@@ -1,4 +1,7 @@
-"""Metallic, roughness and emission of materials: reading them from files, and their use on plain surfaces."""
+"""Metallic, roughness and emission of materials: reading them from files, and their use on plain surfaces.
+
+A plain surface has no height field, and reflects by base colour, metallic and roughness.
+"""
 
 import warnings
 
@@ -51,8 +54,9 @@ def test_textures_without_their_coordinates_are_named_and_roughness_counts_with_
     _, green, blue = np.asarray(image.convert("RGB"), dtype=float).reshape(-1, 3).mean(axis=0) / 255.0
     np.testing.assert_allclose([read.metallic[0], read.roughness[0]], [0.5 * blue, green], rtol=1e-6)
     assert not read.emission.any()
-    # A second part has the same material but also has the texture coordinates that the material's texture needs.
-    # Its factors are therefore different from those of the first part.
+    # The texture of the material requires the set 3 of texture coordinates. The first part lacks this set: its factors
+    # are multiplied by the mean of the texture, and its emission is 0. A second part with this set is added. Its
+    # factors are those of the material.
     attributes = {"POSITION": SQUARE + 2, "NORMAL": UP, "TEXCOORD_0": SQUARE_UVS, "TEXCOORD_3": SQUARE_UVS}
     file.primitive(attributes, material=0)
     with pytest.warns(WarpdiffWarning, match=names):
@@ -232,8 +236,8 @@ def test_materials_without_metallic_and_roughness_are_matte_beside_glossy_ones()
     surfaces = {"grating": WAVE, "*": None}
     alone = wd.shade(trimesh.Scene(bodies), surfaces, LIGHT, VIEW, **OPTIONS, footprint=False)
     together = wd.shade(trimesh.Scene(bodies | {"gold": gold}), surfaces, LIGHT, VIEW, **OPTIONS, footprint=False)
-    # Positions and normals are stored relative to the bounding sphere of the mesh. With the part "gold" the sphere is
-    # larger, so that positions and normals are rounded differently.
+    # Positions and normals are stored relative to the bounding sphere of the mesh. The mesh with the part "gold" has a
+    # larger sphere, so that positions and normals are rounded differently.
     np.testing.assert_allclose(together.xyz[:, 9:], alone.xyz[:, 9:], rtol=1e-5, atol=1e-9)
     assert np.all(alone.xyz[:, :7] == 0.0)
     assert np.all(together.xyz[1:-1, 1:7, 1] > 0.0)

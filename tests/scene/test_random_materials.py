@@ -66,8 +66,8 @@ def expected_of(material, sets, vertex_colour):
     elif vertex_colour is not None:
         colour = vertex_colour * (1.0 if colour is None else colour)
     texel, _ = textures.get("metallicRoughnessTexture", (None, 0))
-    # A part without the required texture coordinates has the mean of the texture. The texture has one colour, so that
-    # the mean is this colour.
+    # A part without the texture coordinates that a texture requires has the mean value of the texture. Here a texture
+    # has one colour, so that its mean is this colour.
     gloss = [values.get("metallicFactor", 1.0), values.get("roughnessFactor", 1.0)]
     gloss *= np.ones(2) if texel is None else texel[[2, 1]]
     emission = values.get("emissiveFactor", np.zeros(3))

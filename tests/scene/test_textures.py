@@ -41,7 +41,7 @@ def test_texels_of_a_level_are_means_over_their_areas(shape, rng):
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (6, 4)], ids=str)
 def test_products_are_means_over_texels_of_interpolated_images(shape, rng):
-    """Each mean must equal the mean over 40 × 40 points of a texel of the product of two interpolated images."""
+    """The mean of a product of two images over each texel must equal the mean over 40 × 40 points of the texel."""
     one, two = rng.uniform(size=(2, *shape)).astype(np.float32)
     points = 40
     height, width = shape

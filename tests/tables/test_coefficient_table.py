@@ -1,4 +1,8 @@
-"""Tables of Fourier coefficients in the cache: when they are fitted, reused, removed and deleted."""
+"""Tables of Fourier coefficients in the cache: when they are fitted, reused, removed and deleted.
+
+A plan has the numbers of a computation, such as the number of terms of the series that a table stores for each
+coefficient.
+"""
 
 import dataclasses
 import gc
@@ -18,7 +22,7 @@ UP = [0.0, 0.0, 1.0]
 
 @pytest.fixture(scope="module")
 def rough() -> wd.HeightField:
-    """Return a small patch with structure along both axes, whose pitch suffices for the whole hemisphere."""
+    """Return a small patch with structure along both axes, sampled finely enough for all directions."""
     return wd.gratings.fingers(size_um=6.4, seed=3)
 
 
@@ -60,7 +64,8 @@ def test_the_number_of_cached_tables_is_limited(rough, builds):
         wd.reflectance(heightfield, UP, UP, plan=each)
     assert len(TableCache.of(heightfield).coefficients) == table_cache.MOST_CACHED
     assert len(builds) == 1 + len(scopes)
-    # The cache has removed the least recently used table, that of the first plan, and builds it again.
+    # The cache keeps the tables that were used last. The table of the last plan is reused. That of the first plan has
+    # been removed, and is built again.
     wd.reflectance(heightfield, UP, UP, plan=scopes[-1])
     assert len(builds) == 1 + len(scopes)
     wd.reflectance(heightfield, UP, UP, plan=scopes[0])

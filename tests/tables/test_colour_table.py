@@ -1,7 +1,9 @@
 """Colour tables, compared with the float64 reference, closed forms and sampled integration.
 
 A ring is a circle of constant |(u, v)| in the polar grid of a table, and an azimuth is a line of constant polar angle.
-An octave is the set of rings between one radius and twice this radius. (u, v, w) is the scattering vector.
+An octave is the set of rings between one radius and twice this radius. (u, v, w) is the scattering vector. A row is the
+table's entry at one ring and azimuth. It has weights of basis functions of w for X, Y and Z. A plan has the numbers of
+a computation.
 """
 
 import dataclasses
@@ -72,7 +74,8 @@ def test_the_smallest_tables_have_approximate_colours(fingers, rng):
     plan = wd.plan(fingers, lights, views, coherence=SHORT, method="low-rank", tolerance=1e-2)
     exact = wd.reflectance(fingers, lights, views, plan=plan)
     for nodes in (4, 5, 7):
-        # All table sizes have the same number of basis functions of w, so that they use the same compiled kernels.
+        # All table sizes have the same number of basis functions of w, the normal component of the scattering vector.
+        # Each number would require another compiled kernel.
         sized = dataclasses.replace(plan, rings_per_octave=nodes, azimuths_per_width=1.1, w_basis_size=12)
         errors = relative_errors(wd.reflectance(fingers, lights, views, plan=sized), exact)
         assert np.median(errors) < 0.2
@@ -92,10 +95,10 @@ def test_the_smallest_tables_have_approximate_colours(fingers, rng):
     ids=str,
 )
 def test_azimuth_samples_are_sums_of_gaussians_projected_on_splines(powers, counts, lengths, falloff, rng):
-    """Samples of the spectrum along azimuths must equal sums over all Fourier coefficients with Gaussian weights,
-    projected on splines.
+    """Samples of the spectrum along azimuths must equal sums over all Fourier coefficients, projected on splines.
 
-    The kernel's samples are compared with sums in float64.
+    Each coefficient has a Gaussian weight by its distance from the sample. The kernel's samples are compared with sums
+    in float64.
     """
     lanes, width, nodes, divisions, rays = 8, 8 if powers else 16, 8, 4, 8
     parts = 1 if powers else 2
@@ -155,9 +158,9 @@ def test_azimuth_samples_are_sums_of_gaussians_projected_on_splines(powers, coun
 def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_size, reach, octaves, rng):
     """Colour rows computed by the kernel must equal float64 sums over spline coefficients of the spectrum.
 
-    Beyond the last octave the spectrum is 0. The filter that computes spline coefficients begins ``reach`` samples
-    beyond the spectrum. The error of the filter's first value decays over these samples. With ``reach`` = 0, the first
-    value itself must be correct.
+    A recursive filter computes the spline coefficients from samples of the spectrum. Beyond the last octave the
+    spectrum is 0. The filter begins ``reach`` samples beyond it, over which the error of its first value decays. With
+    ``reach`` = 0, the first value itself must be correct.
     """
     lanes, terms, coarse = 8, 5, 16
     rays = [coarse, 2 * coarse, 4 * coarse]
@@ -203,7 +206,7 @@ def test_colour_rows_are_sums_over_the_splines_of_the_spectrum(nodes, w_basis_si
 
 
 def test_points_are_splines_through_the_rows(fingers, rng):
-    """Look-ups of single directions must equal float64 sums of splines times table rows.
+    """Look-ups of single directions must equal sums in float64 of table rows, weighted by splines.
 
     The equality must also hold at the limits of octaves and at an azimuth of 0.
     """
@@ -211,7 +214,8 @@ def test_points_are_splines_through_the_rows(fingers, rng):
     options = {"device": wp.get_device("cpu"), "threads": 1}
     table = colour_table.table_for(fingers, plan, plan.direction_range, IlluminatedMaterial("D65"), **options).struct
     firsts, rays = table.first_rows.numpy()[0], table.azimuths.numpy()[0]
-    # ``seams`` are the ring indices at which the last two octaves begin.
+    # An octave is a set of rings over a factor of two in |(u, v)|. ``seams`` are the ring indices at which the last two
+    # octaves begin.
     last = len(rays) * table.rings_per_octave - table.ring_of_one
     seams = last - table.rings_per_octave * np.arange(1, 3)
     anywhere = rng.uniform(seams[1] - 3.0, last - 3.0, 300)
@@ -263,7 +267,7 @@ def test_weights_reproduce_white_and_a_linear_spectrum(nodes, illuminant):
     products = colorimetry.colour_products(illuminant)
     white = products.sum(axis=0)
     np.testing.assert_allclose(weights.sum(axis=0) * step, white, rtol=1e-5)
-    # For a spectrum that is linear in ln λ, the integral of the spectrum under each spline equals the value at the
+    # For a spectrum that is linear in ln λ, the mean of the spectrum with a spline as weight equals its value at the
     # centre of the spline.
     exact = np.log(1e3 / np.arange(380.0, 781.0)) @ products / white
     places = np.log(1e3 / 780.0) + step * (np.arange(len(weights)) - 1.0)
@@ -350,7 +354,7 @@ def test_tables_of_one_dimensional_surfaces_are_accurate(size, rng):
     heights = 0.2 * np.sin(2.0 * np.pi * np.arange(64) / 64.0).reshape(size)
     heightfield = wd.HeightField(heights, 2.5 / 64.0)
     lights, views = hemisphere(rng, 300), hemisphere(rng, 300)
-    # The window covers only a few periods, because the size of a table is proportional to the square of the window.
+    # The coherence window is small, because the size of a table is proportional to its square.
     window = wd.Coherence(sigma_um=3.0)
     plan = wd.plan(heightfield, lights, views, method="low-rank", tolerance=1e-3, coherence=window)
     sampled = wd.reflectance(heightfield, lights, views, plan=plan)

@@ -1,6 +1,7 @@
 """Tables for light sources of finite size (coherence of kind "source"), whose spectral lines are blurred in look-ups.
 
-Colours are compared with a reference, closed forms and sampled integration. A source is such a light source.
+Colours are compared with a reference, closed forms and sums over sampled wavelengths. A source is such a light source.
+A plan has the numbers of a computation. A table stores colours on rings, circles of constant |(u, v)|.
 
 (u, v) are the tangential components of the scattering vector −ωi − ωr, where ωi and ωr are the unit vectors to the
 light and to the viewer.
@@ -35,7 +36,8 @@ def plan(fingers):
 def test_a_table_meets_its_tolerance(fingers, plan, rng):
     lights, views = hemisphere(rng, 80), hemisphere(rng, 80)
     assert plan.rings_per_octave > 0
-    # The plan's error includes a safety factor. It may therefore exceed the tolerance although the table is accepted.
+    # The predicted error of the plan is the measured error times a safety factor. It may therefore exceed the tolerance
+    # although the table is accepted.
     assert plan.error <= trial.SEARCH_SAFETY * 1e-1
     assert plan.multiply_adds < 1e3
     result = wd.reflectance(fingers, lights, views, plan=plan)
@@ -64,8 +66,9 @@ def test_more_rings_have_smaller_errors(fingers, plan, rng):
 def test_a_mirror_shows_the_source(incidence_deg):
     """A perfect mirror must show a white image of the source.
 
-    At a distance d in (u, v) from the mirror direction, its brightness is exp(−½ dᵀΣ⁻¹d), with the covariance Σ of the
-    source. One tested distance is within the inner radius of the table, and one is beyond it.
+    At a distance d in (u, v) from the mirror direction, the brightness of the image is exp(−½ dᵀΣ⁻¹d), with the
+    covariance Σ of the source. One tested distance is below the smallest |(u, v)| for which the table has colours, and
+    one is above it.
     """
     flat = wd.HeightField(np.zeros((64, 64)), 0.09)
     plan = wd.plan(flat, coherence=SOURCE, method="low-rank")
@@ -99,11 +102,10 @@ def sine_plan(sine):
      *(slow(*case) for case in ((0.0, 35.0), (0.0, 55.0), (60.0, 0.0), (60.0, 55.0), (75.0, 0.0), (75.0, 35.0)))],
 )  # fmt: skip
 def test_a_single_order_has_the_sources_shape(sine, sine_plan, angle_deg, incidence_deg):
-    """Along v, the first diffraction order of a sine grating must have the profile of the source, for several planes of
-    incidence.
+    """Along v, the first diffraction order of a sine grating must have the profile of the source.
 
-    The grating disperses light only along x. A change of v therefore does not change the wavelengths that a direction
-    shows.
+    This is tested for several planes of incidence. The grating disperses light only along x. A change of v therefore
+    does not change the wavelengths that a direction shows.
     """
     source = sine_plan.coherence
     theta, phi = np.radians(incidence_deg), np.radians(angle_deg)
@@ -136,11 +138,11 @@ def test_a_single_order_has_the_sources_shape(sine, sine_plan, angle_deg, incide
 
 
 def test_directions_that_the_table_does_not_support_are_sampled(fingers, plan, rng):
-    """Directions that the table excludes must be computed by sampled wavelengths instead, with the same accuracy as
-    other directions.
+    """Directions that the table excludes must be computed by sampled wavelengths, as accurately as other directions.
 
-    The table excludes directions within its inner radius around the mirror direction. It also excludes directions in
-    which a source at grazing incidence blurs less than the lines of the table are blurred.
+    The table excludes directions within its inner radius around the mirror direction. The lines of the spectrum in the
+    table are already blurred a little. The table therefore also excludes directions in which a source at grazing
+    incidence has a smaller blur.
     """
     to_light = np.array([0.6, 0.0, 0.8])
     angles = rng.uniform(0.0, 2.0 * np.pi, 60)
@@ -158,9 +160,9 @@ def test_directions_that_the_table_does_not_support_are_sampled(fingers, plan, r
 
 
 def test_directions_beyond_the_range_of_the_reference_do_not_count():
-    """Errors in directions for which the reference plan has too few wavelengths must not count in the percentile.
+    """Errors in directions for which the reference has too few wavelengths must not count in the percentile.
 
-    For a source at the horizon, the reference plan has such directions.
+    For a source at the horizon, there are such directions.
     """
     directions = DirectionSample(np.zeros((10, 3)), np.zeros((10, 3)), np.ones(10), np.ones(10))
     group = trial.Group(directions, wp.get_device("cpu"), 1)
@@ -200,9 +202,9 @@ def test_colours_are_continuous_at_azimuths_of_0_and_180_degrees(fingers, plan):
     ([[0.5, 0.4], [-0.9, 0.1], [0.2, -0.7]], 1.0, 3e-2), ([[0.0, 0.0], [0.04, -0.03], [-0.06, 0.1]], 0.4, 1e-3),
 ], ids=["by the table", "near the mirror direction"])  # fmt: skip
 def test_footprints_widen_the_source(fingers, plan, directions, size, tolerance):
-    """The colour of a footprint must equal the mean over points of the footprint.
+    """The colour of a footprint must equal the mean over its points: the range of (u, v) that a pixel covers.
 
-    Near the mirror direction, the table excludes directions. They are integrated over sampled wavelengths.
+    Directions near the mirror direction are not in the table, and are integrated over sampled wavelengths.
     """
     from warpdiff.kernels.structs import Footprint
 

@@ -1,7 +1,8 @@
-"""Look-ups for a light source of finite size, with pitch scales of dots as lengths of directions to the light.
+"""Look-ups in one table for all pitch scales of a grating map, under a light source of finite size.
 
-The pitch scale of a dot is the factor of its lengths relative to the cell of a grating map. Colours are compared with
-direct sums.
+A grating map is an array of dots. The pitch scale of a dot multiplies all lengths of its height field, relative to the
+cell, the height field of the map. In a look-up, the length of the vector to the light is the pitch scale. Colours are
+compared with direct sums.
 """
 
 from __future__ import annotations
@@ -25,13 +26,14 @@ SCALES = np.array([0.7, 1.0, 1.4])
 def test_one_table_serves_all_pitch_scales(rng: np.random.Generator) -> None:
     """Colours of scaled height fields must be those of one table at scaled (u, v), blurred by a scaled source.
 
-    Look-ups in the table exclude directions near the mirror direction, and sample wavelengths there.
+    (u, v) is the tangential part of the scattering vector. Near the mirror direction, the table has no colours, and a
+    look-up sums over wavelengths instead.
     """
     cell = wd.gratings.fingers(size_um=(3.0, 1.2), pitch_um=0.06)
     scales = np.repeat(SCALES, 12)
     lights, views = hemisphere(rng, len(scales)), hemisphere(rng, len(scales))
-    # As the wavelength changes, diffraction orders pass fast if light or view is near the horizon, so that direct sums
-    # are slow there.
+    # If light or view is near the horizon, diffraction orders pass a direction quickly as the wavelength changes.
+    # Direct sums then need many wavelengths and are slow, so that such directions are avoided.
     lights, views = (np.where(d[:, 2:] < 0.5, d + np.array([0.0, 0.0, 1.0]), d) for d in (lights, views))
     lights, views = (d / np.linalg.norm(d, axis=1)[:, None] for d in (lights, views))
     options = {"coherence": SOURCE, "ior": np.inf, "masking": False, "strict": False}

@@ -1,4 +1,9 @@
-"""Polar grids of (u, v), and the zeroth order, which tables on these grids do not contain."""
+"""Polar grids of (u, v), and the zeroth order, which tables on these grids do not contain.
+
+(u, v) is the tangential part of the scattering vector. The zeroth order is the specular reflection of the mean plane. A
+polar grid has rings (circles of constant |(u, v)|) with azimuth samples; an octave is a range of rings up to twice the
+radius.
+"""
 
 import dataclasses
 import math
@@ -58,7 +63,7 @@ def test_rows_of_mip_levels_are_stored_one_after_another(coherence):
 
 @pytest.mark.parametrize("coherence", [wd.Coherence(sigma_um=3.25), wd.Coherence("source", angular_diameter_deg=2.0)])
 def test_two_computations_of_the_zeroth_order_agree(coherence):
-    """The zeroth order of a colour table must equal the zeroth order of baked lobes.
+    """The zeroth order of a colour table must equal that of baked lobes (colours exported for other renderers).
 
     Baking computes the zeroth order in another way, from a histogram of heights.
     """

@@ -1,4 +1,8 @@
-"""Cache of tables: its size in bytes, its keys, and tables with and without mip levels."""
+"""Cache of tables: its size in bytes, its keys, and tables with and without mip levels.
+
+A table stores the colours of a surface by scattering vector. Its mip levels are blurred copies. A plan has the numbers
+of a computation, from which a table is made.
+"""
 
 import ast
 import dataclasses
@@ -47,7 +51,8 @@ def arrays_of(struct):
 def test_the_size_of_the_cache_is_that_of_its_distinct_arrays(heightfield, coherence):
     """The size of the cache must be the total size of its arrays, each of which counts once.
 
-    Arrays of tables have space for mip levels. This space counts only after the levels have been computed.
+    Arrays of tables have space for mip levels (blurred copies). This space counts only after the levels have been
+    computed.
     """
     plan = plan_of(heightfield, coherence)
     blurred = dataclasses.replace(plan, footprint=True)
@@ -59,8 +64,8 @@ def test_the_size_of_the_cache_is_that_of_its_distinct_arrays(heightfield, coher
     assert len(cached) == 2
     arrays = {array.ptr: array for entry in cached for array in arrays_of(entry.struct)}
     if not coherence.adds_powers:
-        # A table of amplitudes (centred window) has only mip level 0, so that the part of its arrays for other levels
-        # stays unused.
+        # A table of amplitudes (centred window) cannot be blurred. It has only mip level 0, so that the part of its
+        # arrays for other levels stays unused.
         unfilled = {entry.fields["rows"].ptr: entry.layout.rows for entry in cached}
         arrays = {ptr: array[: unfilled.get(ptr, len(array))] for ptr, array in arrays.items()}
     assert cache.nbytes == sum(array.size * wp.types.type_size_in_bytes(array.dtype) for array in arrays.values())
@@ -68,9 +73,7 @@ def test_the_size_of_the_cache_is_that_of_its_distinct_arrays(heightfield, coher
 
 
 def test_a_table_without_levels_stays_without_them(heightfield):
-    """A call that uses no mip levels must get the same results after another call has added mip levels to the cached
-    table.
-    """
+    """A call without mip levels must get the same table after another call has added mip levels to the cached table."""
     plan = plan_of(heightfield, COHERENCES[0])
     before = table(heightfield, plan)
     levels = table(heightfield, dataclasses.replace(plan, footprint=True))
@@ -87,7 +90,10 @@ def test_a_table_without_levels_stays_without_them(heightfield):
 
 
 def test_equal_plans_share_a_table(heightfield):
-    """Plans with equal values must share a table. They do, because keys of the cache are frozen dataclasses."""
+    """Plans (numbers of a computation) with equal values must share a table of colours in the cache.
+
+    The keys of the cache are frozen dataclasses, which are equal if their values are.
+    """
     plan = plan_of(heightfield, COHERENCES[0])
     first = table(heightfield, plan)
     again = table(heightfield, dataclasses.replace(plan), IlluminatedMaterial("D65"))
