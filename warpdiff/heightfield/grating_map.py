@@ -76,7 +76,8 @@ class GratingMap(ReadOnlyArrays):
     tuple.
 
     Pictures use ``Coherence("source")`` for a map, unless a coherence is stated for the surface or for the picture. If
-    the pitch scale differs between dots, no other coherence is supported.
+    the pitch scale differs between dots, the coherence must be a source or an averaged window. Under an averaged
+    window, colours are interpolated between tables for several pitch scales, within the tolerance.
 
     Args:
         cell: Height field of a dot with turn 0 and both scales 1. It is one patch or period whose opposite edges match.
