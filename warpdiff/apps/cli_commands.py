@@ -224,9 +224,12 @@ def view(options: argparse.Namespace) -> None:
     for path in options.environment:
         with renaming({"path": "--environment"}):
             wd.Environment.load(path)
+    if dots := cli_inputs.dots_of(options.map):
+        with renaming(cli_inputs.MAP_FLAGS):
+            wd.GratingMap(wd.gratings.sinusoidal(1.0, 0.1), **dots)
     named = NamedFiles(
         tuple(map(Path, options.mesh)), tuple(map(Path, options.heightfield)), tuple(map(Path, options.environment)),
-        tuple(loading.items()), tuple(cli_inputs.cleaning_of(options)),
+        tuple(loading.items()), tuple(cli_inputs.cleaning_of(options)), tuple(dots.items()),
     )  # fmt: skip
     run(
         named, host=options.host, port=options.port, opens_browser=not options.no_browser, **device,

@@ -219,6 +219,7 @@ def add_view(flags: Flags) -> None:
     view = flags.parser
     view.add_argument("mesh", nargs="*", metavar="MESH", help="mesh files that the page offers with the sample bodies")
     _add_height_field(flags, several=True)
+    _add_map(flags)
     view.add_argument(
         "--environment", nargs="+", action="extend", default=[], metavar="FILE",
         help="environment lights that the page offers: EXR or HDR in latitude and longitude, linear sRGB",
@@ -248,15 +249,20 @@ def _add_picture(flags: Flags, settings: type) -> None:
         help="height field of the parts with this geometry or material, or 'plain' for a surface with the "
         "material of the mesh; other parts have --heightfield; may be repeated",
     )  # fmt: skip
+    _add_map(flags)
+    _add_evaluation(flags, settings)
+    _add_scene(flags)
+    _add_saving(flags)
+
+
+def _add_map(flags: Flags) -> None:
+    """Add the flag of grating maps."""
     flags.parser.add_argument(
         "--map", action="append", metavar="NAME=VALUE",
         help="value of the dots of --heightfield over the texture coordinates: NAME is turn_deg, depth_scale or "
         "pitch_scale, and VALUE a number, a grey image, or IMAGE,BLACK,WHITE with the values of black and white; may "
         "be repeated",
     )  # fmt: skip
-    _add_evaluation(flags, settings)
-    _add_scene(flags)
-    _add_saving(flags)
 
 
 def _add_height_field(

@@ -50,6 +50,8 @@ METAL_SYMBOLS = get_args(Metal)
 # has a copy of one grating. The quantities are the rotation of a copy, the factor of its heights, and that of its
 # lengths.
 _MAPPED = ("turn_deg", "depth_scale", "pitch_scale")
+# Flags of these arguments, as messages name them.
+MAP_FLAGS = {name: f"--map {name}" for name in _MAPPED}
 # Value of ``--surface`` for a surface without a height field.
 _PLAIN = "plain"
 
@@ -153,10 +155,17 @@ def map_of(cell: wd.HeightField, texts: list[str] | None) -> wd.HeightField | wd
     A grating map divides the surface into small rectangles (dots). Each dot has the grating ``cell`` with its own
     direction, depth and pitch.
     """
-    if not texts:
+    values = dots_of(texts)
+    if not values:
         return cell
+    with renaming(MAP_FLAGS | {"cell": "--heightfield"}):
+        return wd.GratingMap(cell, **values)
+
+
+def dots_of(texts: list[str] | None) -> dict[str, Any]:
+    """Return the arguments of a grating map by name, from the texts of ``--map`` flags; empty without flags."""
     values: dict[str, Any] = {}
-    for text in texts:
+    for text in texts or ():
         name, equals, value = text.partition("=")
         if not equals or name not in _MAPPED:
             near = "" if name in _MAPPED else did_you_mean(name, _MAPPED)
@@ -170,8 +179,7 @@ def map_of(cell: wd.HeightField, texts: list[str] | None) -> wd.HeightField | wd
         if name in values:
             raise ArgumentValueError(f"{ref('map')} must give each value once, got {name!r} twice")
         values[name] = _dot_value(text, name, value)
-    with renaming({name: f"--map {name}" for name in _MAPPED} | {"cell": "--heightfield"}):
-        return wd.GratingMap(cell, **values)
+    return values
 
 
 def _dot_value(text: str, name: str, value: str) -> Any:

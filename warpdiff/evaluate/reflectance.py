@@ -330,7 +330,7 @@ class _Call:
             self.plan = plan_for(request, self._scope, sample, float(np.count_nonzero(illuminated)))
         else:
             self.plan = request.plan
-            warn_outside(self.plan, request.heightfield, self._scope, integrates=request.integrates)
+            warn_outside(self.plan, request.heightfield, self._scope, compares_rates=request.integrates)
         self.plan = request.with_energy(self.plan)
 
     def single(self, values: NDArray[Any]) -> NDArray[Any]:

@@ -194,12 +194,13 @@ def warn_of_aliasing(heightfield: HeightField, plan: Plan, direction_range: Dire
 
 
 def warn_outside(
-    plan: Plan, heightfield: HeightField, direction_range: DirectionRange, *, integrates: bool = True
+    plan: Plan, heightfield: HeightField, direction_range: DirectionRange, *, compares_rates: bool = True
 ) -> None:
     """Warn if the directions, wavelengths or heights of a call are outside of the range of the user's ``plan``.
 
-    If ``integrates`` is True, the call computes colours by an integral over wavelengths. The order rate of the call
-    (how fast orders pass a direction as 1/λ changes) is then compared, too.
+    ``compares_rates`` states whether the order rate of the call is compared, too: how fast orders pass a direction as
+    1/λ changes. Spectra do not depend on it. Under a source, the rate has no limit towards the horizon, so that no plan
+    covers all directions of the hemisphere.
     """
     shortest, longest = NM_PER_UM / plan.lambda_min_nm, NM_PER_UM / plan.lambda_max_nm
     numbers = [
@@ -208,7 +209,7 @@ def warn_outside(
         ("1/λ [1/µm] up to", NM_PER_UM / direction_range.lambda_min_nm, shortest, 1.0),
         ("a height range [µm] of", heightfield.height_range_um, plan.height_range_um, 1.0),
     ]
-    if integrates and plan.wavelengths and not plan.rings_per_octave and plan.coherence.sigma_um is None:
+    if compares_rates and plan.wavelengths and not plan.rings_per_octave and plan.coherence.sigma_um is None:
         # For coherence windows, the order rate (how fast orders pass as 1/λ changes) need not be compared: it equals
         # |(u, v)|, and the lines above compare |(u, v)|.
         numbers.append(("an order rate up to", direction_range.max_order_rate, plan.max_order_rate, 1.0))

@@ -138,7 +138,8 @@ class SurfaceInputs:
         """
         request = evaluation = self._evaluation_of_table
         if evaluation.plan is not None:
-            warn_outside(evaluation.plan, evaluation.heightfield, direction_range)
+            is_known = count < np.inf
+            warn_outside(evaluation.plan, evaluation.heightfield, direction_range, compares_rates=is_known)
         if evaluation.integration == "auto" and not any(part.has_lobes for part in self.parts):
             # The planner tests the errors of tables in single directions. This is not done for skies: a sky averages
             # over many directions, so that such errors have little effect.

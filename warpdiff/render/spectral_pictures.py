@@ -75,7 +75,7 @@ def spectra_of(
         plan = plan_for(evaluation, direction_range, sample, count)
     else:
         plan = evaluation.plan
-        warn_outside(plan, heightfield, direction_range, integrates=False)
+        warn_outside(plan, heightfield, direction_range, compares_rates=False)
     terms = SpectralSum(
         heightfield, plan, direction_range, wavelengths, device=evaluation.device, threads=evaluation.threads
     )

@@ -6,6 +6,8 @@ import shlex
 
 import numpy as np
 import pytest
+import warp as wp
+from PIL import Image
 
 import warpdiff as wd
 from warpdiff.apps import cli
@@ -13,6 +15,7 @@ from warpdiff.apps.viewer import controls as viewer_controls
 from warpdiff.apps.viewer import page_calls
 from warpdiff.apps.viewer.controls import checked, controls, word
 from warpdiff.apps.viewer.page_calls import Call, NamedFiles, Scene
+from warpdiff.apps.viewer.scene_objects import SceneObjects
 from warpdiff.core.options import Option, describe
 from warpdiff.core.wording import spelled
 
@@ -150,6 +153,39 @@ def test_a_scene_has_a_light_or_an_environment_or_both(files):
     assert spelled(error.value, word(controls(), values)) == (
         "there is no light: select a light, or an environment, which requires coherence = averaged"
     )
+
+
+@pytest.mark.parametrize("values", [{}, {"coherence": "source"}])
+def test_grating_maps_of_the_command_line_are_part_of_scene_python_lines_and_command(values, monkeypatch, tmp_path):
+    """The renderer of the viewer, the printed lines and the printed command must have the same map and coherence."""
+    Image.fromarray(np.array([[0, 64], [128, 255]], dtype=np.uint8)).save(tmp_path / "turn.png")
+    path = str(tmp_path / "turn.png")
+    dots = (("turn_deg", (path, 0.0, 90.0)), ("pitch_scale", 1.25))
+    first = checked(
+        controls(), {"mesh": "card", "surface": "bumps", "azimuth_deg": 10.0, "elevation_deg": 20.0} | values
+    )
+    scene = Scene.of(first, NamedFiles(dots=dots))
+    made = scene.surface.make()
+    np.testing.assert_allclose(made.turn_deg, 90.0 * np.array([[0, 64], [128, 255]]) / 255.0)
+    assert scene.shading["coherence"].kind == values.get("coherence", "averaged")
+    _, by_lines, _, _, options = by_python(scene.python(VIEW, 0.1, {}))
+    _, by_words, _, _, settings = by_command(scene.command(VIEW, 0.1, {}), monkeypatch)
+    for other in (by_lines, by_words):
+        assert repr(other) == repr(made)
+        np.testing.assert_array_equal(other.turn_deg, made.turn_deg)
+        np.testing.assert_array_equal(other.cell.heights_um, made.cell.heights_um)
+    assert options["coherence"] == settings["coherence"] == scene.shading["coherence"]
+    objects = SceneObjects(device=wp.get_device("cpu"), threads=2)
+    view = wd.View((0.0, 1.0, 3.0), (0.0, 0.0, 0.0), width=12, height=9)
+    renderer = objects.renderer(scene, view, refine=False, report=lambda: None)
+    monkeypatch.undo()
+    expected = wd.Renderer(
+        scene.mesh.make(), made, [scene.light.make()], view, refine=False, tolerance=scene.tolerance, **scene.shading
+    )
+    renderer.draw([scene.light.make()], view)
+    expected.draw([scene.light.make()], view)
+    np.testing.assert_array_equal(renderer.image().xyz, expected.image().xyz)
+    assert renderer.image().xyz.max() > 0.0
 
 
 def test_a_clear_sky_needs_no_file():

@@ -24,7 +24,7 @@ from warpdiff.scene.camera import View
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-BODIES = {"snake": "snake", "tube": "tube", "disc": "disc"}
+BODIES = {"snake": "snake", "tube": "tube", "disc": "disc", "card": "card"}
 # Names of long bodies, on which the height field's x axis can point around the body or along it.
 LONG_BODIES = ("snake", "tube")
 GRATINGS = {

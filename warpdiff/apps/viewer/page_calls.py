@@ -92,6 +92,7 @@ class NamedFiles:
         environments: Image files of environment lights that the page offers.
         loading: Options of ``HeightField.load``.
         cleaning: Cleaning methods of ``HeightField`` with their options, in order of application.
+        dots: Arguments of a ``GratingMap`` by name, which repeats every height field as its cell; empty without a map.
     """
 
     meshes: tuple[Path, ...] = ()
@@ -99,6 +100,7 @@ class NamedFiles:
     environments: tuple[Path, ...] = ()
     loading: tuple[tuple[str, Any], ...] = ()
     cleaning: tuple[tuple[str, tuple[tuple[str, Any], ...]], ...] = ()
+    dots: tuple[tuple[str, Any], ...] = ()
 
     @forks.cached_property
     def controls(self) -> dict[str, Control]:
@@ -141,6 +143,7 @@ class Scene:
         tolerance: Tolerance of the final picture.
         sky: Call that makes the environment light; None without one.
         is_behind: Whether the environment is the background of the picture.
+        dots: Arguments of the ``GratingMap`` that has the height field as its cell; empty without a map.
     """
 
     mesh: Call | Path
@@ -152,6 +155,7 @@ class Scene:
     tolerance: float
     sky: Call | None = None
     is_behind: bool = False
+    dots: tuple[tuple[str, Any], ...] = ()
 
     @classmethod
     def of(cls, values: Mapping[str, Any], files: NamedFiles) -> Scene:
@@ -172,7 +176,11 @@ class Scene:
                 f"{ref('coherence', 'averaged')}"
             )
         options = arguments(known, values, "picture") | {"tangents": tangents}
-        if window := arguments(known, values, "coherence"):
+        window = arguments(known, values, "coherence")
+        if files.dots:
+            # The default coherence of a grating map is not that of a height field. The page states its own one.
+            window = {"kind": values["coherence"]} | window
+        if window:
             options["coherence"] = Call.of("Coherence", **window)
         if values["material"] in METALS:
             options["material"] = Call.of("Material.metal", values["material"])
@@ -181,7 +189,7 @@ class Scene:
         ordered = tuple((name, options[name]) for name in describe(PictureSettings) if options.get(name) is not None)
         return cls(
             mesh, _height_field(values, files), light, to_light, values["distance"] * (values["light"] == "point"),
-            ordered, values["tolerance"], sky, sky is not None and values["environment_behind"],
+            ordered, values["tolerance"], sky, sky is not None and values["environment_behind"], files.dots,
         )  # fmt: skip
 
     def placed(self, centre: Sequence[float], radius: float) -> Scene:
@@ -201,6 +209,11 @@ class Scene:
         options = dict(self.light.options) | {"to_light": position}
         options["power"] = float(f"{options.get('power', 1.0) * away * away:.{_DIGITS}g}")
         return replace(self, light=Call.of("PointLight", position=options.pop("to_light"), **options))
+
+    @property
+    def surface(self) -> Call:
+        """Call that makes the surface: the height field, or the grating map with the height field as its cell."""
+        return Call("GratingMap", (self.heightfield,), self.dots) if self.dots else self.heightfield
 
     @property
     def normal(self) -> float:
@@ -247,7 +260,7 @@ class Scene:
             of_normal = "" if self.normal == 1.0 else f" / {self.normal!r}"
             shown["background"] = f"environment.background(view){of_normal}"
         lines = [
-            _source(self.mesh), str(self.heightfield), lights[0] if len(lights) == 1 else f"[{', '.join(lights)}]",
+            _source(self.mesh), str(self.surface), lights[0] if len(lights) == 1 else f"[{', '.join(lights)}]",
             "view" if self.is_behind else str(camera), f"tolerance={tolerance!r}",
             *(f"{name}={_source(value)}" for name, value in self.options),
         ]  # fmt: skip
@@ -267,6 +280,8 @@ class Scene:
         computations for many cameras.
         """
         words = ["warpdiff", "render", _named(self.mesh), "--heightfield", *_height_field_words(self.heightfield)]
+        for name, value in self.dots:
+            words += ["--map", f"{name}={','.join(_texts(value))}"]
         if self.light is not None:
             words += ["--light", _named(self.light)]
         if self.sky is not None:

@@ -83,7 +83,7 @@ class SceneObjects:
             refine: Whether the renderer divides pixels into smaller cells until the colours meet the tolerance.
             report: Function that is called before a slow preparation.
         """
-        key = str(scene.mesh), str(scene.heightfield), str(scene.options), *_illuminants(scene), scene.tolerance
+        key = str(scene.mesh), str(scene.surface), str(scene.options), *_illuminants(scene), scene.tolerance
 
         def make() -> wd.Renderer:
             base = self._bases.get_or_make(key, lambda: self._base(scene, report))
@@ -105,6 +105,10 @@ class SceneObjects:
         options.pop("tangents", None)
         options |= {"device": self.device.alias, "threads": self.threads, "refine": False}
         view = page_bodies.framed(surface, 16, 12)
+        if scene.dots:
+            # A plan for a map depends on the dots, so that the cached plan of its cell would not suffice.
+            dots = wd.GratingMap(heightfield, **dict(scene.dots))
+            return wd.Renderer(surface, dots, lights, view, tolerance=scene.tolerance, **options)
         made: list[wd.Renderer] = []
 
         def plan() -> dict[str, Any]:
