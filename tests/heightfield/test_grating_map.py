@@ -139,3 +139,37 @@ def test_the_cell_must_be_a_periodic_height_field() -> None:
 @pytest.mark.parametrize("cell", [wd.gratings.blazed(2.0, 0.25), wd.gratings.lamellar(2.0, 0.2)])
 def test_gratings_with_walls_are_periodic(cell: wd.HeightField) -> None:
     wd.GratingMap(cell)
+
+
+def test_maps_are_saved_as_tables_of_dots_and_loaded(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    values = {"turn_deg": rng.uniform(0.0, 90.0, (3, 4)), "depth_scale": rng.uniform(0.0, 1.0, (3, 4))}
+    grating_map = wd.GratingMap(CELL, pitch_scale=1.25, **values)
+    path = grating_map.save(tmp_path / "dots.csv")
+    heading, *lines = path.read_text(encoding="utf-8").splitlines()
+    assert heading == "row,column,turn_deg,depth_scale,pitch_scale"
+    assert len(lines) == 12
+    # The order of the lines has no effect.
+    path.write_text("\n".join([heading, *rng.permutation(lines)]), encoding="utf-8")
+    loaded = wd.GratingMap.load(path, CELL)
+    for name in ("turn_deg", "depth_scale", "pitch_scale"):
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(grating_map, name))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("row,column\n0,0\n", "at least one of turn_deg, depth_scale, pitch_scale, got row, column"),
+        ("turn_deg\n30\n", "must have the columns row, column"),
+        ("row,column,turn_deg\n0,0,1\n1,1,2\n", "got 2 lines for 2 × 2 dots: add the missing"),
+        ("row,column,turn_deg\n0,0,1\n0,1,2\n0,1,3\n1,1,4\n", "got 4 lines for 2 × 2 dots"),
+        ("row,column,turn_deg\n0.5,0,1\n", "rows and columns from 0"),
+        ("row,column,turn_deg\n-1,0,1\n0,0,1\n", "rows and columns from 0"),
+        ("row,column,turn_deg\n1e15,0,1\n", "one line for each dot"),
+        ("row,column,pitch_scale\n0,0,-1\n", "pitch_scale must be"),
+    ],
+)
+def test_tables_that_do_not_have_each_dot_once_are_refused(text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "dots.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=message):
+        wd.GratingMap.load(tmp_path / "dots.csv", CELL)

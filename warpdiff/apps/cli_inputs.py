@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable
 
+    from warpdiff.heightfield.grating_map import DotValues
+
 
 # Synthetic height fields by their name on the command line. An entry consists of the name of a function of
 # ``wd.gratings`` and of default arguments for this function.
@@ -162,9 +164,9 @@ def map_of(cell: wd.HeightField, texts: list[str] | None) -> wd.HeightField | wd
         return wd.GratingMap(cell, **values)
 
 
-def dots_of(texts: list[str] | None) -> dict[str, Any]:
+def dots_of(texts: list[str] | None) -> dict[str, DotValues]:
     """Return the arguments of a grating map by name, from the texts of ``--map`` flags; empty without flags."""
-    values: dict[str, Any] = {}
+    values: dict[str, DotValues] = {}
     for text in texts or ():
         name, equals, value = text.partition("=")
         if not equals or name not in _MAPPED:

@@ -11,12 +11,11 @@ from warpdiff.adjoint.linearised import Linearised
 from warpdiff.adjoint.order_derivatives import order_efficiencies
 from warpdiff.adjoint.spectral_derivatives import reflectance, spectral_reflectance
 from warpdiff.adjoint.surfaces import Relief
-from warpdiff.core import files, validation
+from warpdiff.core import csv_columns, files, validation
 from warpdiff.core.angles import direction
 from warpdiff.core.warnings import warn
 from warpdiff.core.wording import ArgumentValueError, ref, renaming
 from warpdiff.evaluate.orders import propagating
-from warpdiff.fitting import csv_columns
 from warpdiff.kernels.thresholds import HORIZON
 from warpdiff.optics import colorimetry
 from warpdiff.optics.coherence import Coherence

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from warpdiff.core import forks, memory, validation
+from warpdiff.core import csv_columns, forks, memory, validation
 from warpdiff.core.read_only import ReadOnlyArrays
+from warpdiff.core.table import Table, save_table
 from warpdiff.core.wording import ArgumentTypeError, ArgumentValueError, ref, renaming
 from warpdiff.heightfield.edge_checks import check_periodic
 from warpdiff.heightfield.field import HeightField, check_whole
@@ -46,6 +47,10 @@ _BLACK_AND_WHITE = {"turn_deg": (0.0, 180.0), "depth_scale": (0.0, 1.0)}
 # Measured peak memory while a map is made [bytes per dot]: turns and scales in float64, four numbers in float32 for
 # kernels, and temporary arrays. If doubled, maps that fit into memory are refused.
 _BYTES_PER_DOT = 120.0
+
+
+# Columns of the table of a map that state the place of a dot.
+_PLACES = ("row", "column")
 
 
 class Dot(NamedTuple):
@@ -191,6 +196,65 @@ class GratingMap(ReadOnlyArrays):
         validation.count(row, "row", least=0, most=self.shape[0] - 1)
         validation.count(column, "column", least=0, most=self.shape[1] - 1)
         return Dot(*(float(self._values[name][row, column]) for name in ("turn_deg", "depth_scale", "pitch_scale")))
+
+    def table(self) -> Table:
+        """Return a table with a line per dot: row, column, ``turn_deg``, ``depth_scale`` and ``pitch_scale``.
+
+        ``save("dots.csv")`` writes it to a file, for programs that expose dots; :meth:`load` reads such a file.
+
+        Examples:
+            >>> import warpdiff as wd
+            >>> print(wd.GratingMap(wd.gratings.sinusoidal(1.2, 0.15), turn_deg=[[0.0, 30.0]]).table())
+            row  column  turn_deg  depth_scale  pitch_scale
+              0       0         0            1            1
+              0       1        30            1            1
+        """
+        places = dict(zip(_PLACES, np.indices(self.shape).reshape(2, -1), strict=True))
+        return Table(places | {name: values.ravel() for name, values in self._values.items()})
+
+    save = save_table
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], cell: HeightField) -> GratingMap:
+        """Read a map from a CSV file with a line per dot, as ``save`` writes it, in any order of lines and columns.
+
+        Args:
+            path: File with the columns ``row`` and ``column``, which count from 0, and at least one of ``turn_deg``,
+                ``depth_scale`` and ``pitch_scale``. Other columns are ignored.
+            cell: Height field of a dot with turn 0 and both scales 1.
+
+        Raises:
+            FileNotFoundError: The file does not exist.
+            ValueError: A column is missing, dots are missing or occur twice, or values are out of their range.
+
+        Examples:
+            >>> import warpdiff as wd
+            >>> cell = wd.gratings.sinusoidal(1.2, 0.15)
+            >>> path = wd.GratingMap(cell, turn_deg=[[0.0, 30.0]]).save("dots.csv")
+            >>> wd.GratingMap.load(path, cell)
+            GratingMap(1 × 2 dots (rows × columns), turn 0° to 30°, depth scale 1, pitch scale 1)
+        """
+        names = ("turn_deg", "depth_scale", "pitch_scale")
+        columns = csv_columns.read(validation.path(path, "path"), (*_PLACES, *names))
+        given = [name for name in names if name in columns]
+        if not given or any(name not in columns for name in _PLACES):
+            raise ArgumentValueError(
+                f"{ref('path')}: {str(path)!r} must have the columns row, column and at least one of "
+                f"{', '.join(names)}, got {', '.join(columns) or 'none of them'}"
+            )
+        places = np.stack([columns[name] for name in _PLACES])
+        sides = places.max(axis=1) + 1.0
+        # Each dot occurs once if there are as many lines as dots, and no two lines have the same place.
+        is_whole = bool((places >= 0.0).all() and (places % 1.0 == 0.0).all()) and sides.prod() == places.shape[1]
+        if not is_whole or len(np.unique(places, axis=1).T) < places.shape[1]:
+            raise ArgumentValueError(
+                f"{ref('path')}: {str(path)!r} must have one line for each dot, with rows and columns from 0, got "
+                f"{places.shape[1]} lines for {sides[0]:g} × {sides[1]:g} dots: add the missing dots, and remove those "
+                "that occur twice"
+            )
+        order = np.lexsort(places[::-1])
+        shape = tuple(sides.astype(int))
+        return cls(cell, **{name: columns[name][order].reshape(shape) for name in given})
 
     @property
     def _pitch_range(self) -> tuple[float, float]:

@@ -160,12 +160,12 @@ class SurfaceInputs:
     def lookup(self, plan: Plan, direction_range: DirectionRange) -> ColourLookup:
         """Return the look-up of the surface's colours, in tables or by a sum over wavelengths as the plan states."""
         evaluation, ladder = self._evaluation_of_table, map_inputs.ladder_of(self.grating_map, self.evaluation)
-        plan = replace(plan, coherence=evaluation.coherence)
-        inputs = evaluation.heightfield, plan, direction_range
-        where: dict[str, Any] = {"device": evaluation.device, "threads": evaluation.threads}
+        inputs = evaluation.heightfield, replace(plan, coherence=evaluation.coherence), direction_range
+        device, threads = evaluation.device, evaluation.threads
         if ladder is not None:
-            return LadderLookup(ladder, *inputs, **where)
-        return ColourLookup(*inputs, pitch_scales=self.grating_map is not None, **where)
+            return LadderLookup(ladder, *inputs, device=device, threads=threads)
+        has_map = self.grating_map is not None
+        return ColourLookup(*inputs, pitch_scales=has_map, device=device, threads=threads)
 
     @property
     def _evaluation_of_table(self) -> Evaluation:

@@ -2,8 +2,8 @@
 
 A dot of a grating map has the height field of all dots, the cell, with its lengths multiplied by the pitch scale p. The
 power spectrum of a dot under a coherence window of the standard deviation σ is that of the cell under a window of σ/p.
-The colours of all dots are therefore interpolated between tables for windows of different widths: the rungs of a
-ladder. Neighbouring rungs have equal ratios of σ.
+The colours of all dots are therefore interpolated between tables for windows of different widths: a ladder of tables.
+Neighbouring tables have equal ratios of σ.
 """
 
 from __future__ import annotations
@@ -28,25 +28,26 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.plan import Plan
 
-# Rungs per factor of two of σ for a tolerance of 0.1. The error of cubic interpolation is proportional to the fourth
+# Tables per factor of two of σ for a tolerance of 0.1. The error of cubic interpolation is proportional to the fourth
 # power of the step, so that the number for other tolerances follows from this one. Measured by
 # ``bench/reproduce/grating_maps.py --pitches``. If halved, errors exceed the tolerance; if doubled, so do the tables.
-_RUNGS_PER_OCTAVE = 6.0
-# Least distance in octaves between two pitch scales that get rungs of their own. Smaller distances would be lost among
-# the rounding errors of the logarithm in float32.
+_TABLES_PER_OCTAVE = 6.0
+# Least distance between the binary logarithms of two pitch scales that get tables of their own. Smaller distances would
+# be lost among the rounding errors of the logarithm in float32.
 _LEAST_GAP = 0.01
-# Rounding error of logarithms in float64, in steps. Without it, a range of a whole number of steps may get a rung more.
+# Rounding error of logarithms in float64, in steps. Without it, a range of a whole number of steps may get one table
+# more.
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class PitchLadder:
-    """Rungs for the pitch scales of a map: coherence windows of the tables between which colours are interpolated.
+    """Coherence windows of the tables between which the colours of dots with different pitch scales are interpolated.
 
     Attributes:
-        octaves: Binary logarithm of the pitch scale of each rung, relative to the smallest pitch scale of the map. The
-            table of a rung has the exact colours of dots with this pitch scale.
-        coherences: Coherence of the table of each rung, the longest window first.
+        octaves: Binary logarithm of the pitch scale of which each table has the exact colours, relative to the smallest
+            pitch scale of the map.
+        coherences: Coherence of each table, the longest window first.
         per_octave: Number of steps per factor of two, where a step is the unit of the interpolation.
     """
 
@@ -58,16 +59,16 @@ class PitchLadder:
     def of(cls, pitch_scales: NDArray[np.float64], coherence: Coherence, tolerance: float) -> PitchLadder:
         """Return the ladder for the pitch scales of a map, and for coherence and tolerance of a picture.
 
-        If the map has few different pitch scales, each of them has a rung, and colours are not interpolated.
+        If the map has few different pitch scales, each of them has a table, and colours are not interpolated.
         """
         places = np.log2(np.unique(pitch_scales))
         places -= places[0]
-        per_octave = float(math.ceil(_RUNGS_PER_OCTAVE * (0.1 / tolerance) ** 0.25))
-        # Cubic interpolation requires one more rung at each end.
+        per_octave = float(math.ceil(_TABLES_PER_OCTAVE * (0.1 / tolerance) ** 0.25))
+        # Cubic interpolation requires one more table at each end.
         steps = np.arange(-1, math.ceil(places[-1] * per_octave - _ROUNDING) + 2)
         octaves, least_gap = steps / per_octave, float(np.diff(places).min())
         if len(places) <= len(steps) and least_gap >= _LEAST_GAP:
-            # The weight of a rung is 0 at a distance of two steps.
+            # The weight of a table is 0 at a distance of two steps.
             octaves, per_octave = places, 2.0 / least_gap
         # Tables are made for the cell with the largest pitch scale, under the window of the picture.
         widths = float(coherence.sigma_um or 0.0) * 2.0 ** (places[-1] - octaves)
@@ -82,14 +83,14 @@ class LadderLookup(ColourLookup):
         self, ladder: PitchLadder, heightfield: HeightField, plan: Plan, direction_range: DirectionRange, *,
         device: wp.Device, threads: int,
     ) -> None:  # fmt: skip
-        """Prepare the look-ups of all rungs; tables are computed at the first use.
+        """Prepare the look-ups in all tables; tables are computed at the first use.
 
         ``heightfield`` is the cell with the largest pitch scale. ``plan`` is a plan for the longest window of the
         ladder, which suffices for the others.
         """
         super().__init__(heightfield, plan, direction_range, device=device, threads=threads)
         self._ladder = ladder
-        self._rungs = [
+        self._lookups = [
             ColourLookup(heightfield, replace(plan, coherence=window), direction_range, device=device, threads=threads)
             for window in ladder.coherences
         ]
@@ -104,17 +105,17 @@ class LadderLookup(ColourLookup):
         self, scattering_vectors: wp.array, to_lights: wp.array, gains: wp.array, illuminated: IlluminatedMaterial,
         xyz: wp.array, footprints: wp.array | None = None, unserved_gain: wp.array | None = None,
     ) -> list[KernelCall]:  # fmt: skip
-        """Return the kernel calls of all rungs. Each rung adds its colours, multiplied by its weight for each dot.
+        """Return the kernel calls of all tables. Each adds its colours, multiplied by its weight for each dot.
 
         The length of a direction in ``to_lights`` is the pitch scale relative to the smallest one of the map.
         """
-        # All rungs write their gains into the same array, because the calls of a slice run one after the other.
+        # The gains of all tables are written into the same array, because the calls of a slice run one after the other.
         weighed = wp.empty(len(gains), dtype=wp.float32, device=self.device)
         calls = []
-        for octaves, rung in zip(self._ladder.octaves, self._rungs, strict=True):
+        for octaves, lookup in zip(self._ladder.octaves, self._lookups, strict=True):
             inputs = [to_lights, gains, octaves, self._ladder.per_octave]
             calls.append(KernelCall(dot_transforms.weigh_gains, inputs, [weighed], in_runs=True))
-            calls += rung.kernel_calls(
+            calls += lookup.kernel_calls(
                 scattering_vectors, to_lights, weighed, illuminated, xyz, footprints, unserved_gain
             )
         return calls
