@@ -158,7 +158,7 @@ def test_truncation_is_the_largest_relative_error(kind, truncation, rng):
 
 @pytest.mark.parametrize("depth_um", [1e-4, 1.0, 10.0, 30.0])
 def test_series_are_long_enough_for_any_depth(depth_um):
-    """Efficiencies must be accurate for any depth.
+    """Order efficiencies must be accurate for gratings of any depth.
 
     Rounding errors of Bessel functions must not end the series of deep gratings after too few terms.
     """
@@ -182,7 +182,8 @@ def test_flat_surfaces_have_derivatives():
     flat = wd.HeightField(np.zeros((4, 4)), 0.5)
     value, vjp, _ = wd.adjoint.spectral_reflectance(flat, (0.1, 0.0, 1.0), (-0.1, 0.0, 1.0), 500.0)
     assert value[0] > 0.5
-    # The power of a flat surface in the mirror direction is a maximum, so that its derivatives by the heights are 0.
+    # The power of a flat surface in the mirror direction is a maximum, so that its derivatives with respect to the
+    # heights are 0.
     np.testing.assert_allclose(vjp([1.0])["heights_um"], 0.0, atol=1e-9)
 
 
@@ -267,8 +268,8 @@ def test_arguments_are_checked(rng):
 
 
 OUTLINE = wd.profiles.Outline([0.0, 0.3, 0.6], [0.0, 0.1, 0.05], 1.3)
-# Arguments that a function requires to have a derivative with respect to a variable, by the name of the variable. For
-# other variables, the default arguments suffice.
+# Arguments with which a function of ``wd.adjoint`` has a derivative with respect to a variable, by the name of the
+# variable. For other variables, the default arguments suffice.
 NEEDED = {
     "angular_diameter_deg": {"coherence": coherence("source")}, "sigma_um": {"coherence": coherence("centred")},
     "n": {"material": FILM}, "k": {"material": FILM}, "film_nm": {"material": FILM},

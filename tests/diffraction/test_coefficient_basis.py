@@ -1,4 +1,4 @@
-"""Bases of Fourier coefficients, compared with transforms of exp(2πiκh), and their truncation errors.
+"""Basis functions of κ in which Fourier coefficients are expanded, compared with exact coefficients, and their errors.
 
 κ is w/λ, the normal component w of the scattering vector divided by the wavelength. H are the Fourier coefficients of
 exp(2πiκh) over one period of the heights h.
@@ -143,7 +143,7 @@ def test_powers_of_flat_fields_and_of_fields_with_few_samples_are_accurate(shape
 def test_the_basis_does_not_depend_on_the_neighbourhood():
     """A plan holds numbers of a computation, such as the number of neighbouring Fourier coefficients per direction.
 
-    Plans that differ only in this number must share one fitted basis.
+    Plans that differ only in this number must share the same fitted basis functions of the Fourier coefficients.
     """
     heightfield = surface(0.3)
     plan = wd.plan(heightfield, (0, 0, 1), (0.3, 0, 1))
@@ -214,7 +214,10 @@ def test_higher_orders_of_a_shallow_surface_are_accurate(method):
 @pytest.mark.parametrize("parts", [1, 2])
 @pytest.mark.parametrize("shape", [(3, 5), (20, 40)])
 def test_the_strongest_coefficients_are_the_first_64_in_descending_order_of_their_powers(shape, parts, rng):
-    """The powers must be computed at the middle of the range of |κ|. Fewer than 64 coefficients are all returned."""
+    """The 64 strongest Fourier coefficients must be selected by their powers at the middle of the range of |κ|.
+
+    Fewer than 64 coefficients are all returned.
+    """
     rows = rng.lognormal(size=(*shape, parts, 2)).astype(np.float32)
     basis = np.stack([np.ones(12), np.arange(-1.0, 11.0)], axis=1).astype(np.float32)
     coefficients = coefficient_basis.Coefficients(rows, basis, 0.0, 0.5, np.zeros(0))

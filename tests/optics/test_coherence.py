@@ -215,9 +215,10 @@ def test_a_source_needs_its_direction(small):
     ids=lambda coherence: coherence.kind,
 )  # fmt: skip
 def test_the_solid_angle_is_the_integral_of_a_mirrors_lobe(coherence):
-    """For a flat patch, the integral of ⟨|P|²⟩ over (u, v) must be the solid angle Ω, or Ω cos θi for a source.
+    """For a flat patch, the integral of the mean power ⟨|P|²⟩ over (u, v) must be the solid angle Ω of the coherence.
 
-    With the factor ``brdf_scale``, the integral of the BRDF of a perfect mirror must be 1.
+    For a light source of finite size, it must be Ω cos θi. With the factor ``brdf_scale``, the integral of the BRDF of
+    a perfect mirror must be 1. (u, v) are the tangential components of the scattering vector.
     """
     flat, wavelength, to_light = HeightField(np.zeros((4, 5)), (0.12, 0.1)), 0.5, inclined(60.0)
     area = math.prod(flat.size_um)
@@ -233,9 +234,9 @@ def test_the_solid_angle_is_the_integral_of_a_mirrors_lobe(coherence):
     solid_angle = reflectance_factors.light_solid_angle(np.array([wavelength]), coherence, area)[0]
     projected = to_light[2] if coherence.kind == "source" else 1.0
     assert gathered == pytest.approx(solid_angle * projected, rel=1e-6)
-    # ``scale * gathered`` is the integral of the BRDF without a geometry factor, by which ⟨|P|²⟩ is multiplied to give
-    # ρ. For windows and periods the factor is C, and this integral is 1/cos θi. For a source the factor is C/cos θi,
-    # and this integral is 1.
+    # ``scale * gathered`` is the integral of the BRDF of a mirror without its geometry factor. For windows and periods
+    # the geometry factor is C, and this integral is 1/cos θi. For a source the geometry factor is C/cos θi, and this
+    # integral is 1.
     scale = reflectance_factors.brdf_scale(to_light[None, 2], np.array([wavelength]), coherence, area)[0, 0]
     assert scale * gathered == pytest.approx(projected / to_light[2], rel=1e-6)
     pigment = reflectance_factors.pigment_solid_angle(np.array([wavelength]), coherence, area)[0]

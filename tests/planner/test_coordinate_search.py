@@ -18,7 +18,8 @@ import warpdiff as wd
 from warpdiff.planner import coordinate_search, cost_model
 from warpdiff.planner.coordinate_search import Coordinate
 
-# Target of the search for a tolerance of 0.01: the tolerance divided by the safety factor of 1.6.
+# Tolerance of the call, and largest error of a plan that the search accepts: the tolerance divided by the safety factor
+# 1.6.
 TOLERANCE, TARGET = 1e-2, 1e-2 / 1.6
 # Ratio of successive bandwidths (wavelengths per unit of 1/λ) that a search tries, 4 steps per factor of 2; and number
 # of terms of a series per SIMD register.

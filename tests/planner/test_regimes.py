@@ -301,7 +301,7 @@ def test_replicated_periods_near_resonance_are_accurate(periods, away):
 def test_the_published_form_of_replicated_periods_fails_in_float32():
     """The published sum over periods must fail in float32: this is the reason why the library uses another form.
 
-    At a phase of 1e-3 its error is 5 %, and at 1e-4 it is not finite.
+    At a phase of 1e-3 radians per period its error must exceed 2 %; at 1e-4 radians it is not finite.
     """
     for periods in (10, 100, 1000):
         exact, single = (

@@ -74,7 +74,7 @@ def cost(trial, rings):
 
 @pytest.mark.parametrize(("sufficient", "count"), [(16, 1), (32, 1), (48, 1), (64, 2), (96, 2), (128, 3)])
 def test_the_smallest_sufficient_table_is_found_in_few_steps(fingers, plan, sufficient, count):
-    """The smallest sufficient table must be found in few steps.
+    """The search must find the smallest colour table that meets the target error, in few steps.
 
     Each tried table has at most twice the rings of the previous one, and no table smaller than the first one is tried.
     """

@@ -22,7 +22,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 @pytest.fixture(scope="module")
 def scan_or_none() -> wd.HeightField | None:
-    """Return the measured scan, or None if the file is missing, so that tests use synthetic nano-fingers instead."""
+    """Return the measured scan of a snake skin, or None if its file is missing; tests then use a synthetic skin."""
     return inputs.levelled_scan()
 
 

@@ -327,7 +327,7 @@ def test_directions_use_only_as_many_wavelengths_as_they_require(rough, rng, tol
 
 
 def test_pixels_of_a_map_can_be_means(rough):
-    """A pixel of a map with ``samples_per_pixel`` must be the mean over a grid of directions.
+    """A pixel of a reflectance map with ``samples_per_pixel`` must be the mean over a grid of directions.
 
     Its coverage must be the share of these directions within the unit disc.
     """

@@ -57,8 +57,8 @@ def test_a_height_range_beyond_float32_is_refused_and_computed_with_strict_false
 def test_a_remainder_of_amplitudes_is_refused_where_the_series_ends():
     """A height range of 6.9 µm must be refused, because even the largest number of terms gives too large errors.
 
-    Amplitudes then have an error of 3e-3, relative to the amplitude of a flat surface. Relative to the amplitudes of
-    weak orders it is 1000 times as large. A height range of 6.2 µm must be accepted.
+    Amplitudes of Fourier coefficients then have an error of 3e-3, relative to a flat surface. Relative to weak orders
+    the error is 1000 times as large. A height range of 6.2 µm must be accepted.
     """
     with pytest.raises(wd.ToleranceError, match=r"terms are too few for a height range of 6\.9 µm"):
         wd.plan(deep(6.9), UP, UP)

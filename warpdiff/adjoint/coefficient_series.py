@@ -43,7 +43,7 @@ class SeriesSize:
 
     @classmethod
     def of(cls, relief: Relief, kappas: tuple[float, float], truncation: float, *, powers: bool) -> SeriesSize:
-        """Return the numbers of terms with which the neglected terms have at most the relative size ``truncation``."""
+        """Return the size of the series whose neglected terms have at most the relative size ``truncation``."""
         low, high = kappa_range(*kappas, relief.scale_um)
         terms = term_count(2.0 * math.pi * high * relief.scale_um, truncation)
         # The number of terms in κ grows with the largest phase. An amplitude H is a sum of phases of heights from the
@@ -72,7 +72,7 @@ class CoefficientSeries:
         self._size_um = relief.size_um
 
     def lobes(self, exponent: float) -> GaussianLobes:
-        """Return the object that sums powers with Gaussian weights; weights below e^−exponent are neglected."""
+        """Return the object that sums powers of Fourier coefficients with Gaussian weights above e^−exponent."""
         return GaussianLobes(self.rows, self.block, self.sites.places, self._size_um, exponent)
 
     @single_threaded_blas()

@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 # depend on the position of the longest wavelength between two rings. They are tabulated at the ends of the intervals
 # and interpolated linearly. The error is 1/(8 · 64²) = 3e-5 of the second difference of the weights.
 _INTERVALS = 64
-# Number of samples of the colour curves in an interval.
+# Number of samples of the colour curves in each of the `_INTERVALS` parts of the distance of two rings.
 _SAMPLES = 4
 # Width of the range of visible wavelengths in ln λ.
 _SPAN = math.log(colorimetry.LAMBDA_MAX_NM / colorimetry.LAMBDA_MIN_NM)
 
 
 def ring_count(rings_per_octave: int) -> int:
-    """Return the number of rings that contribute to one colour: those of the visible range, and four more."""
+    """Return the number of rings of a polar grid in one colour: those of the visible range, and four more."""
     return math.ceil(_SPAN * rings_per_octave / math.log(2.0)) + 4
 
 

@@ -39,8 +39,8 @@ _CELLS_OF_SLICE = 16_384
 # Largest distance of a lobe's centre from the middle of its cell, along an axis [cells]: one half, and a margin for
 # rounding errors.
 _HALF_CELL = 0.5 + 1e-9
-# Index of the column with the derivative of a sum with respect to the argument of the Chebyshev polynomials. The method
-# `GaussianLobes.derivatives` converts this derivative to that with respect to |κ|.
+# Index of the column, in the result of `derivatives`, with the derivative of a sum with respect to the argument of the
+# Chebyshev polynomials. The method `GaussianLobes.derivatives` converts it to the derivative with respect to |κ|.
 X = 5
 
 
@@ -67,17 +67,17 @@ class Pairs:
         return len(self.kappas)
 
     def reaches(self, exponent: float) -> NDArray[np.float64]:
-        """Return the distances (x, y) from the centres within which weights exceed e^−exponent [1/µm], shape (p, 2)."""
+        """Return the distances (x, y) from each centre within which weights exceed e^−exponent [1/µm], shape (p, 2)."""
         xx, xy, yy = self.forms.T
         scale = exponent / (xx * yy - xy * xy)
         return np.asarray(np.sqrt(np.stack([scale * yy, scale * xx], axis=1)))
 
 
 def block_of(pairs: Pairs, exponent: float, shape: tuple[int, int], size_um: tuple[float, float]) -> Block:
-    """Return the smallest rectangle of orders that contains all coefficients of the sums of some pairs.
+    """Return the smallest rectangle of orders with all Fourier coefficients that the sums of the pairs require.
 
-    Coefficients with weights below e^−exponent are neglected. Along an axis with a single height sample, the surface is
-    constant, and the rectangle has only order 0.
+    A pair is a direction and a wavelength. Coefficients with weights below e^−exponent are neglected. Along an axis
+    with a single height sample, the surface is constant, and the rectangle has only order 0.
     """
     first, counts = [], []
     for axis, samples, length in ((1, shape[0], size_um[0]), (0, shape[1], size_um[1])):
@@ -116,7 +116,7 @@ class GaussianLobes:
 
     @property
     def series(self) -> CoefficientRows:
-        """Chebyshev series of the coefficients."""
+        """Chebyshev series in |κ| of the Fourier coefficients."""
         return self._rows
 
     def table(self, coefficients: NDArray[np.float64]) -> lobe_sums.LobeTable:
@@ -137,7 +137,7 @@ class GaussianLobes:
         return result
 
     def derivatives(self, pairs: Pairs, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sums of p pairs and their derivatives, shape (p, 11).
+        """Return the weighted sums of p pairs (a direction and a wavelength) and their derivatives, shape (p, 11).
 
         The comment of ``lobe_sums.DERIVATIVES`` lists the columns. Column ``X`` is the derivative with respect to |κ|.
         """
@@ -147,7 +147,7 @@ class GaussianLobes:
         return result
 
     def spread(self, pairs: Pairs, adjoints: NDArray[np.float64], rows: NDArray[np.float64]) -> None:
-        """Add the adjoints of the coefficients of a block to ``rows``, shape (size, k): the transpose of ``sums``.
+        """Add the adjoints of a block's coefficients to ``rows``, shape (size, k): the transpose of ``sums``.
 
         ``adjoints`` has the derivatives of a loss with respect to the sums of the p pairs, shape (p,). ``rows`` has a
         row of k terms for each order of the block.
@@ -169,7 +169,7 @@ class GaussianLobes:
         self._launch(lobe_sums.spread_pairs, self._block.size, self._rows.rows[0], arrays, rows)
 
     def _of(self, pairs: Pairs) -> lobe_sums.LobePairs:
-        """Return the arrays of the pairs for kernels, without copies: kernels use the memory of the NumPy arrays."""
+        """Return the pairs (a direction and a wavelength) as the struct of the kernels, without copies of arrays."""
         result = lobe_sums.LobePairs()
         result.centres = wp.array(np.ascontiguousarray(pairs.centres), dtype=wp.vec2d, device="cpu", copy=False)
         result.forms = wp.array(np.ascontiguousarray(pairs.forms), dtype=wp.vec3d, device="cpu", copy=False)

@@ -105,7 +105,7 @@ class _OrderCall:
     def adjoint(self, adjoints: NDArray[np.float64], names: tuple[str, ...]) -> Derivatives:
         """Return the adjoints of the variables ``names`` from the adjoints of the efficiencies.
 
-        The adjoint of the k directions to the light has the shape (k, 3).
+        An adjoint is the derivative of a scalar loss. That of the k directions to the light has the shape (k, 3).
         """
         result = {name: np.zeros(self._shape(name)) for name in names}
         rows = self._rows.empty(zero=True)
@@ -140,7 +140,7 @@ class _OrderCall:
         return result
 
     def _shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of the array of a variable: (lights, 3) for directions, and (1,) for a single number."""
+        """Return the shape of a variable's array, such as (lights, 3) for directions, and (1,) for a single number."""
         shapes = {
             "to_light": (len(self._lights), 3), "pitch_um": (2,), self._relief.variable: self._relief.variable_shape,
         }  # fmt: skip

@@ -98,8 +98,8 @@ class WavelengthSums:
     def parts(self) -> Iterator[tuple[int, NDArray[np.int64], Pairs, NDArray[np.float64], NDArray[np.float64]]]:
         """Yield the pairs of n directions and m wavelengths, in parts that fit into memory.
 
-        Each item is the index of the group, the indices of the directions, the pairs, factors of the sums, shape
-        (n, m), and the weights that sum them to XYZ, shape (m, 3).
+        Each item is the index of the group of directions, the indices of the directions in it, the pairs, the factors
+        by which their sums are multiplied, shape (n, m), and the weights that sum the products to XYZ, shape (m, 3).
         """
         for index, (group, classes) in enumerate(zip(self._groups, self._classes, strict=True)):
             for chosen, count in classes:
@@ -115,7 +115,8 @@ class WavelengthSums:
     def colours(self, sums: Callable[[Pairs], NDArray[np.float64]]) -> list[NDArray[np.float64]]:
         """Return XYZ of the directions of each group, shape (n, 3).
 
-        ``sums`` is a function of pairs that computes the sum of the weighted powers of each pair.
+        ``sums`` is a function of pairs (a direction and a wavelength). It returns the weighted sum of powers of each
+        pair.
         """
         result = [np.zeros((len(group.gains), 3)) for group in self._groups]
         for index, part, pairs, factors, weights in self.parts():
@@ -123,7 +124,7 @@ class WavelengthSums:
         return result
 
     def adjoints(self, adjoints: list[NDArray[np.float64]]) -> Iterator[tuple[Pairs, NDArray[np.float64]]]:
-        """Yield pairs in parts, with the adjoints of their sums, from the adjoints of XYZ of each group, (n, 3)."""
+        """Yield pairs (direction, wavelength) in parts with the adjoints of their sums, from those of XYZ, (n, 3)."""
         for index, part, pairs, factors, weights in self.parts():
             yield pairs, ((adjoints[index][part] @ weights.T) * factors).ravel()
 
@@ -165,7 +166,7 @@ class WavelengthSums:
         return np.asarray(phase + OF_GAUSSIAN * crossing / LOW)
 
     def _pairs(self, group: LitPixels, wavenumbers: NDArray[np.float64]) -> tuple[Pairs, NDArray[np.float64]]:
-        """Return the pairs of n directions with m wavelengths, and the factors of the sums of these pairs, (n, m)."""
+        """Return the pairs of n directions with m wavelengths, and factors that multiply their sums, shape (n, m)."""
         vectors = group.scattering_vectors
         of_q, of_uv = self._variances(group)
         xx, xy, yy = np.moveaxis(of_q[:, None] + of_uv[:, None] * wavenumbers[:, None] ** 2, 2, 0)

@@ -241,7 +241,10 @@ def _table_kappas(heightfield: HeightField, kappas: tuple[float, float]) -> tupl
 
 
 def _values_at(heightfield: HeightField, series: Coefficients, kappas: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the coefficients of a series at κ = −``kappas``: real and imaginary parts, shape (coefficients, 2, m)."""
+    """Return Fourier coefficients, summed from a series at κ = −``kappas``, shape (coefficients, 2, m).
+
+    The second axis has the real and the imaginary part.
+    """
     expansion = EXPANSIONS["jacobi-anger"]
     argument = -2.0 * math.pi * expansion.offset_and_scale(heightfield)[1] * kappas
     basis = expansion.basis(argument, series.terms).T.astype(np.float32)

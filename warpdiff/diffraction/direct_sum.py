@@ -42,11 +42,11 @@ def window_power(
     wavelengths_um: NDArray[np.float64], *, to_lights: NDArray[np.float64] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return the diffracted power ⟨|P|²⟩ of the height field under a window, a source or a number of periods.
+    """Return the diffracted power ⟨|P|²⟩ of the height field under a coherence window, a source or a number of periods.
 
     Args:
         heightfield: Height field, one period of a periodic surface.
-        coherence: Window, source or periods.
+        coherence: Coherence window, light source of finite size, or periods.
         scattering_vectors: Scattering vectors (u, v, w) = −ωi − ωr, shape (n, 3).
         wavelengths_um: Wavelengths [µm], shape (m,).
         to_lights: Unit vectors ωi above the horizon, shape (n, 3); required for a source, which is foreshortened.

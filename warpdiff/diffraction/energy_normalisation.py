@@ -226,7 +226,7 @@ class AchromaticFactors:
     spread: float
 
     def between(self, lights: NDArray[np.float64], views: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return a(ωi) a(ωr) for n pairs of unit vectors above the horizon, (n, 3) both, shape (n,)."""
+        """Return products of energy factors a(ωi) a(ωr) for n pairs of unit vectors above the horizon, shape (n,)."""
         factors = []
         for directions in (lights, views):
             nodes, weights = grid_weights(directions)
@@ -477,7 +477,7 @@ def between(
     views: NDArray[np.float64],
     wavelengths_nm: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return a(ωi) a(ωr) for n pairs of directions above the horizon, (n, 3) both, and m wavelengths [nm], (n, m).
+    """Return the products a(ωi) a(ωr) of energy factors for n pairs of directions and m wavelengths [nm], shape (n, m).
 
     For at most ``_MOST_LIGHTS`` different lights, a(ωi) makes the sum over all orders exactly 1. For more lights, a(ωi)
     is interpolated on the grid.

@@ -128,7 +128,7 @@ def series_coefficients(
     taper: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None, threads: int = 1,
     dtype: DTypeLike = np.complex128,
 ) -> NDArray[np.complexfloating]:  # fmt: skip
-    """Return the coefficients F_n[s, r] of the formula in this module's docstring, transformed in float64.
+    """Return the coefficients F_n[s, r] of the series of Fourier coefficients, transformed in float64.
 
     Args:
         heightfield: Height field to transform.

@@ -328,7 +328,7 @@ def index_at(material: Material, wavelengths_nm: NDArray[np.float64]) -> NDArray
 def _fresnel(
     first: _Complex, second: _Complex, cosine: _Complex, next_cosine: _Complex, polarisation: Polarisation
 ) -> _Complex:
-    """Return Fresnel's amplitude reflectance at the boundary of two media, from their indices and cosines."""
+    """Return Fresnel's amplitude reflectance at a boundary, from index and cosine of the angle in both media."""
     a, b = (first * cosine, second * next_cosine) if polarisation == "s" else (second * cosine, first * next_cosine)
     total = a + b
     # The divisor is 0 only for grazing incidence on the boundary between media with equal indices. It is then replaced
@@ -350,7 +350,7 @@ def _metals() -> dict[str, Material]:
 
 @dataclass(frozen=True)
 class IlluminatedMaterial:
-    """An illuminant and the material that it illuminates. Tables and sums over wavelengths have colours per such pair.
+    """An illuminant and the material that it illuminates. Colours are computed for each such pair separately.
 
     Attributes:
         illuminant: Name or spectrum of the illuminant.

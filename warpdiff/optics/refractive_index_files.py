@@ -166,9 +166,9 @@ def _range_text(counts: range) -> str:
 def _pair_sum(
     c: NDArray[np.float64], first: int, term: Callable[[float, float], NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Return the sum of ``term(a, b)`` over pairs (a, b) of consecutive coefficients, from the index ``first`` on.
+    """Return the sum of ``term(a, b)`` over pairs (a, b) of consecutive coefficients of a dispersion formula.
 
-    Pairs with a = 0 contribute nothing.
+    The pairs begin at the index ``first``. Pairs with a = 0 contribute nothing.
     """
     return np.asarray(sum(term(a, b) for a, b in zip(c[first::2], c[first + 1 :: 2], strict=True) if a != 0.0))
 

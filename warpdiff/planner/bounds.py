@@ -74,7 +74,7 @@ _QUINTIC_ORDER, _CUBIC_ORDER = 6.0, 4.0
 _TYPICAL_SHARE = 0.05
 # While λ runs over the visible range, diffraction orders pass a direction. This number of wavelength samples per order
 # resolves the power of one patch of a replicated surface. The number is for a tolerance of 1. It increases for smaller
-# tolerances, to 25 at 1e-2. It was fitted for random patches of gratings with nano-fingers (``gratings.fingers``) under
+# tolerances, to 25 at 1e-2. It was fitted for random patches of ``gratings.fingers`` (a synthetic snake skin) under
 # illuminants from D65 to HP1. If it was halved, the error would be 16 times as large.
 _SAMPLES_PER_ORDER = 8.0
 # Largest number of wavelengths that are sampled to compute a colour. The value is limited by computing time, which is

@@ -44,8 +44,8 @@ _PATCH_IN_SIGMAS = 20.0
 # to it.
 _MOST_SAMPLES = 2_000_000
 # The directions of a call may exceed the range of a plan that the caller passes by this relative amount without a
-# warning. Such an excess is harmless, because coefficients are computed for a range that exceeds the range of the plan
-# by more than this amount.
+# warning. Such an excess is harmless, because Fourier coefficients are computed for a range that exceeds the range of
+# the plan by more than this amount.
 _RANGE_MARGIN = 0.03
 _LESS_COHERENT = {
     "averaged": f"a smaller {ref('sigma_um')}",

@@ -52,11 +52,12 @@ if TYPE_CHECKING:
     from warpdiff.optics.spectra import Spectrum
     from warpdiff.request.keywords import PlanKeywords
 
-# Typical cost of the upper-bound plan, divided by the cost of the plan that a search finds, for each kind of coherence.
-# The numbers were fitted: they are medians of 32 random calls (docs/decisions/plans_and_tolerance.md).
+# Typical cost of evaluating directions by an upper-bound plan, divided by the cost by the cheaper plan that a search
+# finds, for each kind of coherence. The numbers were fitted: they are medians of 32 random calls
+# (docs/decisions/plans_and_tolerance.md).
 _SAVINGS = {"averaged": 2.6, "centred": 3.0, "source": 2.2, "replicas": 4.0}
-# Cost of a search, expressed as a number of directions. In the time of a search, the plan that it finds could evaluate
-# this number of directions. The number was fitted to 32 random calls.
+# Cost of a search for a cheap plan, expressed as a number of directions. In the time of a search, the plan that it
+# finds could evaluate this number of directions. The number was fitted to 32 random calls.
 _SEARCH_DIRECTIONS = 16_000
 # If the caller selects a method that adds powers, a trial (an evaluation of sampled directions) measures the rounding
 # error of this method in float32. The trial is made only for calls with at least this number of directions. The number

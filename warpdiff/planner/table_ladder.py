@@ -28,14 +28,15 @@ if TYPE_CHECKING:
     from warpdiff.request.plan import Plan
 
 
-# A search first tries the smallest table whose expected error is at most this share of the tolerance. The share was
-# fitted to the planning times of 32 calls (docs/decisions/plans_and_tolerance.md). If the share was doubled, the first
-# table would miss the tolerance in half of the calls, and another table would have to be computed.
+# A search for the smallest sufficient colour table first tries the smallest one whose expected error is at most this
+# share of the tolerance. The share was fitted to the planning times of 32 calls
+# (docs/decisions/plans_and_tolerance.md). If the share was doubled, the first table would miss the tolerance in half of
+# the calls, and another table would have to be computed.
 _FIRST_SHARE = 0.35
-# A search tries a larger table only if the present table has reduced the error enough: to at most this number times the
-# least error of the tables before. In addition, the present error must be at most twice the error that the order of
-# convergence predicts. The number must exceed 0.6, because the smallest step of the table size, to 1.3 times as many
-# rings, reduces the error to 0.6 times its value.
+# A search for a colour table tries a larger one only if the present table has reduced the error enough: to at most this
+# number times the least error of the tables before. In addition, the present error must be at most twice the error that
+# the order of convergence predicts. The number must exceed 0.6, because the smallest step of the table size, to 1.3
+# times as many rings, reduces the error to 0.6 times its value.
 _HELPS = 0.7
 
 
