@@ -39,9 +39,10 @@ def changes_for(adjoints, rng):
 
 
 def check_transpose(linearised, rng):
-    """Check ⟨y, J x⟩ = ⟨Jᵀ y, x⟩ for random x and y, where jvp gives J x and vjp gives Jᵀ y.
+    """Check ⟨y, J x⟩ = ⟨Jᵀ y, x⟩ for random x and y.
 
-    The check is made for each variable alone, and for all variables together.
+    J is the matrix of derivatives: jvp gives J x, and vjp gives Jᵀ y. The check is made for each variable alone, and
+    for all variables together.
     """
     y = rng.normal(size=linearised.value.shape)
     adjoints = linearised.vjp(y)
@@ -334,12 +335,12 @@ def test_kinks_give_one_warning_with_their_number():
     with pytest.warns(wd.WarpdiffWarning, match="1 of 3 pairs of directions are at the kink"):
         wd.adjoint.spectral_reflectance(FIELD, (0.9, 0.1e-12, 0.4), views, 500.0, wrt=("to_view",))
     period = 1.0
-    # At normal incidence, the first order propagates along the horizon if the wavelength λ equals the period.
+    # At normal incidence, the first diffraction order leaves along the surface if the wavelength λ equals the period.
     grating = wd.gratings.sinusoidal(period, 0.1)
     for side in (-1e-8, 1e-8):
         with pytest.warns(wd.WarpdiffWarning, match="1 of 2 sets of orders have an order at the horizon"):
             wd.adjoint.order_efficiencies(grating, (0, 0, 1), [1e3 * period * (1.0 + side), 600.0], wrt=("pitch_um",))
-    # With respect to heights, efficiencies are smooth even if an order is at the horizon, so that no warning is
+    # Order efficiencies are smooth functions of the heights even if an order is at the horizon, so that no warning is
     # expected.
     wd.adjoint.order_efficiencies(grating, (0, 0, 1), [1e3 * period * (1.0 - 1e-8), 600.0])
     aluminium = wd.Material.metal("Al")

@@ -74,7 +74,7 @@ def with_indices(p, wavelength_nm):
 
 
 def error_of(result, exact, scale):
-    """Return the largest error, relative to the largest exact derivative, or to 1e-4 of ``scale`` if this is larger.
+    """Return the largest error of derivatives, relative to the largest exact one, or to 1e-4 of ``scale`` if larger.
 
     ``scale`` is the size of the terms whose sum is the derivative.
     """
@@ -133,7 +133,8 @@ def test_spectral_derivatives(kind, seed):
     adjoints = vjp(weights)
     for name in names:
         # If only the mirror order contributes to a direction, the derivative with respect to a pitch may be far below
-        # value / pitch. The error of this derivative is then compared with the size of the terms that cancel in it.
+        # the reflectance divided by the pitch. The error of this derivative is then compared with the size of the terms
+        # that cancel in it.
         result, expected, scale = [], [], np.abs(weights * value).max() if name == "pitch_um" else 0.0
         key = REFERENCE_NAMES.get(name, name)
         for index in indices_of(name, heightfield, rng):

@@ -142,7 +142,7 @@ def test_tangents_are_those_of_pictures(name, body, view, rng):
 
 
 def test_a_pixel_has_the_derivative_of_an_explicit_sum(body, view):
-    """The derivative of a pixel must equal that of an explicit sum by complex steps, wavelength by wavelength."""
+    """The derivative of a pixel must equal that of an explicit sum over wavelengths, computed by complex steps."""
     surface = wd.HeightField.of_known_scale(np.random.default_rng(3).normal(0.0, 0.05, (6, 8)), (0.09, 0.08))
     renderer = renderer_of(body, view, surface=surface)
     result = wd.adjoint.pixels(renderer, surface, LIGHT, tolerance=1e-4)
@@ -359,7 +359,7 @@ def test_pixels_in_the_mirror_direction(square, rng):
 
 
 def test_several_lights_pigment_and_materials_by_part(body, view, rng):
-    """Colours under several lights must add up. Changes of heights must not change the light of the pigment."""
+    """Colours under several lights must add up. The light that the pigment reflects must not depend on heights."""
     pigmented = body.copy()
     material = PBRMaterial(baseColorFactor=[200, 120, 50, 255])
     pigmented.visual = TextureVisuals(uv=body.visual.uv, material=material)

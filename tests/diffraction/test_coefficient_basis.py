@@ -36,7 +36,7 @@ def build(heightfield, method, kappas, *, adds_powers, terms=40):
 
 
 def basis_at(coefficients, kappas):
-    """Return the basis functions of a series at values of κ = w/λ, by the cubic interpolation that kernels use."""
+    """Return the basis functions of Fourier coefficients at values of κ = w/λ, by cubic interpolation as in kernels."""
     steps = (kappas - coefficients.kappa_low) / coefficients.step
     entry = np.minimum(steps.astype(int), len(coefficients.basis) - 4)
     t = (steps - entry)[:, None]

@@ -128,7 +128,8 @@ def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
 
 @pytest.fixture(scope="module")
 def scan_crops(scan):
-    """Return a large crop of the scan for coherence windows, and a small crop for the kinds "source" and "replicas".
+    """Return a large crop of the measured scan for coherence windows, and a small one for kinds "source" and
+    "replicas".
 
     The small crop saves time, because direct sums for these two kinds are slow.
     """
@@ -207,7 +208,7 @@ COLOURED = {
 
 @pytest.mark.parametrize("kind", ["averaged", slow("centred"), "source", "replicas"])
 def test_colours_meet_the_tolerance(kind, rng):
-    """The 99th percentile of the errors in the tested directions must be within the tolerance of the call."""
+    """The 99th percentile of the colour errors in the tested directions must be within the tolerance of the call."""
     coherence, size_um, count = COLOURED[kind]
     heightfield = wd.gratings.fingers(size_um=size_um, pitch_um=0.09, seed=2)
     lowest = 0.2 if kind == "source" else 0.05

@@ -185,8 +185,8 @@ def test_every_order_shows_the_radiance_of_the_source(small, theta, rng):
             expected = abs(coefficient) ** 2 * math.exp(-(place @ place) / 2.0)
             worst = max(worst, abs(power / expected - 1.0))
         errors.append(worst)
-    # The test projects the sky onto a plane. The error of this projection is of first order in spread · tan θi. At
-    # normal incidence it is of second order.
+    # The test projects the sky onto a plane. Its error is proportional to the spread of the source times tan θi, and at
+    # normal incidence to the square of the spread.
     slant = max(math.tan(math.radians(theta)), 0.1)
     assert errors[0] <= 30.0 * slant * Coherence("source", angular_diameter_deg=0.02).spread
     assert errors[1] <= 0.15 * errors[0]

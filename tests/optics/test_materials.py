@@ -146,7 +146,7 @@ def test_files_without_a_material_are_refused(text, tmp_path):
 
 
 def test_a_row_that_is_no_row_is_refused_with_its_line(tmp_path):
-    """Each invalid row of a YAML table must be refused with its line.
+    """Each invalid row of a YAML table of refractive indices must be refused with its line.
 
     Each tested row has one fault: a stray letter, a missing or extra number, or a decimal comma.
     """

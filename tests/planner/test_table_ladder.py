@@ -30,7 +30,7 @@ def plan(fingers):
 
 
 class Tables:
-    """Stand-in for a trial of tables. The error is a closed form, by default of second order in the ring spacing.
+    """Stand-in for a trial of colour tables. The error is a closed form, by default of second order in ring spacing.
 
     Tables with at least ``sufficient`` rings per octave meet the target. For plans without a table, the function
     ``sampled`` returns the error as a function of the number of basis terms, by which a plan expands Fourier
@@ -117,7 +117,7 @@ def test_tables_that_cost_too_much_are_not_made(fingers, plan):
     assert trial.smallest(affordable=0.99 * least) is None
     assert not trial.tried
     assert trial.smallest(affordable=0.99 * more) is None
-    # A call that needs a table must get the largest table whose cost is at most ``affordable``.
+    # A call that needs a colour table must get the largest one whose cost is at most ``affordable``.
     assert trial.smallest(affordable=0.99 * least, needed=True).rings_per_octave == 32
     assert trial.smallest(affordable=0.99 * more, needed=True).rings_per_octave == FIRST
     assert trial.smallest(affordable=0.99 * cost(trial, 12)[0], needed=True).rings_per_octave == 8
@@ -166,7 +166,7 @@ def test_the_last_table_is_tried_with_more_functions_of_w(fingers, plan):
 
 
 def test_the_fewest_terms_whose_expected_error_is_within_half_of_the_target_are_used(fingers, plan):
-    """The table must have the smallest number of basis terms whose expected error is at most half of the target.
+    """The colour table must have the smallest number of basis terms whose expected error is at most half of the target.
 
     The terms are those of the functions that expand Fourier coefficients.
 

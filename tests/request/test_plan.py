@@ -86,8 +86,8 @@ def test_a_smaller_tolerance_never_reduces_the_numbers_of_a_plan(rough, kind):
             values = [getattr(plan, name) for plan in plans]
             assert values == sorted(values)
             assert values[0] < values[-1]
-        # After a search, errors are measured. They are not compared, because the plan for the larger tolerance may by
-        # chance have the smaller error.
+        # If a search selects a plan, the errors of the plan are measured. They are not compared, because the plan for
+        # the larger tolerance may by chance have the smaller error.
         names = ("least_weight",) if plans[0].is_measured else ("least_weight", "quadrature", "neighbourhood", "error")
         for name in names:
             values = [getattr(plan, name) for plan in plans]

@@ -32,8 +32,8 @@ def deep(height_um: float) -> wd.HeightField:
 
 @pytest.mark.parametrize(
     ("directions", "how"),
-    # The second case has no directions, so that the plan is for the whole hemisphere. It requires a search, which is
-    # slow because it compiles a kernel for each number of terms.
+    # The second tested call has no directions, so that the plan is for the whole hemisphere. It requires a search,
+    # which is slow because it compiles a kernel for each number of terms.
     [((UP, hemisphere(np.random.default_rng(2), 20)), "by its bound"), slow((), "measured on")],
     ids=["few", "all"],
 )
@@ -50,7 +50,7 @@ def test_a_height_range_beyond_float32_is_refused_and_computed_with_strict_false
                 result = call(heightfield, *given, method=method, strict=False)
         assert np.all(np.isfinite(result))
         assert result.min() >= 0.0
-    # The direct sum uses no series, so any height range can be computed.
+    # The direct sum uses no series of exp(2πiκh), so any height range can be computed.
     assert np.all(np.isfinite(wd.spectral_reflectance(heightfield, UP, UP, 500.0, method="direct")))
 
 

@@ -46,7 +46,7 @@ class CoefficientRows:
     """
 
     def __init__(self, count: int, kappas: tuple[float, float], terms: int, *, powers: bool, together: int) -> None:
-        """Set the size of the series; ``fill`` computes the series.
+        """Set the size of the Chebyshev series; ``fill`` computes them.
 
         Args:
             count: Number of sites p. Each site has two series: that of its frequency and that of the opposite one.

@@ -77,7 +77,7 @@ class CoefficientSeries:
 
     @single_threaded_blas()
     def powers(self) -> NDArray[np.float64]:
-        """Compute and return the Chebyshev series of the powers of p sites and their opposites, shape (2 p, k)."""
+        """Compute and return Chebyshev series of the powers at p frequencies and their opposites, shape (2 p, k)."""
         self.rows.fill(self.terms)
         return self.rows.rows[0]
 

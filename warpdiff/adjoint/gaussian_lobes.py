@@ -29,15 +29,15 @@ if TYPE_CHECKING:
 
     from warpdiff.adjoint.coefficient_rows import CoefficientRows
 
-# Weights below e^−x are neglected. This number is added to the x that the truncation error requires, so that
-# derivatives also meet this error. It was derived from the second derivatives of a lobe at its edge, which are larger
-# than the lobe itself by a factor of about x².
+# Fourier coefficients with Gaussian weights (lobes) below e^−x are neglected. This number is added to the x that the
+# truncation error requires, so that derivatives also meet this error. It was derived from the second derivatives of a
+# lobe at its edge, which are larger than the lobe itself by a factor of about x².
 _FURTHER = 5.0
 # Number of cells (orders) for which a thread sums adjoints in one launch of the kernel. Smaller numbers would waste
 # time: a launch takes as long as the sums of hundreds of cells, because most cells are near few pairs only.
 _CELLS_OF_SLICE = 16_384
-# Largest distance of a lobe's centre from the middle of its cell, along an axis [cells]: one half, and a margin for
-# rounding errors.
+# Largest distance of the centre of a lobe (Gaussian weight) from the middle of its cell (the place of one order), along
+# an axis [cells]: one half, and a margin for rounding errors.
 _HALF_CELL = 0.5 + 1e-9
 # Index of the column, in the result of `derivatives`, with the derivative of a sum with respect to the argument of the
 # Chebyshev polynomials. The method `GaussianLobes.derivatives` converts it to the derivative with respect to |κ|.
@@ -51,7 +51,7 @@ def exponent_of(truncation: float) -> float:
 
 @dataclass(frozen=True)
 class Pairs:
-    """Pairs of a direction and a wavelength.
+    """Pairs of a direction and a wavelength, for sums of Fourier coefficients with Gaussian weights.
 
     Attributes:
         centres: Frequencies q = (u, v)/λ at which the Gaussian weights have their maxima [1/µm], shape (p, 2).
@@ -96,7 +96,7 @@ class GaussianLobes:
         self, rows: CoefficientRows, block: Block, places: NDArray[np.int32], size_um: tuple[float, float],
         exponent: float,
     ) -> None:  # fmt: skip
-        """Set the coefficients and orders of the sums.
+        """Set the Fourier coefficients and the orders of the sums.
 
         Args:
             rows: Chebyshev series of the Fourier coefficients.
@@ -120,7 +120,7 @@ class GaussianLobes:
         return self._rows
 
     def table(self, coefficients: NDArray[np.float64]) -> lobe_sums.LobeTable:
-        """Return the struct that passes coefficients to the kernels; it shares the memory of ``coefficients``.
+        """Return the struct that passes Fourier coefficients to the kernels; it shares the memory of ``coefficients``.
 
         Each row of ``coefficients`` is the series of one coefficient.
         """
@@ -128,7 +128,7 @@ class GaussianLobes:
         return self._table
 
     def sums(self, pairs: Pairs, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sum of each of p pairs (a direction and a wavelength), shape (p,).
+        """Return the weighted sum of coefficients for each of p pairs (a direction and a wavelength), shape (p,).
 
         Each row of ``coefficients`` is the series of one coefficient.
         """

@@ -26,12 +26,13 @@ if TYPE_CHECKING:
 
     from warpdiff.adjoint.coefficient_series import CoefficientSeries
 
-# Smallest standard deviation of a lobe that a level may compute, in distances between neighbouring nodes of the level.
-# With 2, the weight of a coefficient has an error of up to 1/(12 · 2²) = 2 %, because the variance of its position
-# differs by up to 1/6 from the mean variance. Errors of single coefficients cancel in the sum.
+# Smallest standard deviation of a lobe (Gaussian weight) that a level of the pyramid may compute, in distances between
+# neighbouring nodes of the level. With 2, the weight of a coefficient has an error of up to 1/(12 · 2²) = 2 %, because
+# the variance of its position differs by up to 1/6 from the mean variance. Errors of single coefficients cancel in the
+# sum.
 _LEAST_DEVIATION = 2.0
-# Highest level of the pyramid. A lobe at this level has a standard deviation of at least 2 · 2¹⁰ orders, so that it
-# covers all orders of a large block.
+# Highest level of the pyramid, in which a node of level n is the sum of 2ⁿ × 2ⁿ orders. A lobe (Gaussian weight) at
+# this level has a standard deviation of at least 2 · 2¹⁰ orders, so that it covers all orders of a large block.
 _MOST_LEVEL = 10
 
 

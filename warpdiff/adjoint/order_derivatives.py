@@ -92,7 +92,7 @@ class _OrderCall:
         self._places = dict(zip(self._models, np.split(sites.places, ends), strict=True))
 
     def value(self) -> NDArray[np.float64]:
-        """Return the efficiencies, shape (lights, wavelengths, orders); 0 where an order does not propagate."""
+        """Return the order efficiencies, shape (lights, wavelengths, orders); 0 where an order does not propagate."""
         result = np.zeros(self._lives.shape)
         for place, model in self._models.items():
             rows = self._rows.rows[0][self._places[place]]
@@ -123,7 +123,7 @@ class _OrderCall:
 
     @single_threaded_blas()
     def tangent(self, changes: Derivatives) -> NDArray[np.float64]:
-        """Return the changes of the efficiencies, to first order, for changes of variables by their names."""
+        """Return the changes of the order efficiencies, to first order, for changes of variables by their names."""
         result = np.zeros(self._lives.shape)
         names = tuple(changes)
         rows = None
@@ -175,7 +175,7 @@ class _OrderCall:
                 yield name, index, slopes[name][None]
 
     def _check_count(self, *, normalised: bool) -> None:
-        """Raise an error if normalised orders are too many, or if the matrices require more memory than is free."""
+        """Raise an error for too many normalised orders, or if efficiency matrices require more memory than is free."""
         most = int(self._lives.sum(axis=-1).max())
         if normalised and most > energy_normalisation.MOST_EXACT:
             raise ArgumentValueError(

@@ -51,7 +51,7 @@ class OrderModel:
         size_um: tuple[float, float], is_constant: tuple[bool, bool], *, normalised: bool, ior: float,
         material: Material | None,
     ) -> None:  # fmt: skip
-        """Set the orders and compute their geometry.
+        """Set the diffraction orders, and compute their geometry factors and |κ|.
 
         Args:
             light: Unit vector to the light, shape (3,).

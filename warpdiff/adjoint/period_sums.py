@@ -94,7 +94,7 @@ class PeriodSums:
         return result
 
     def tangent(self, change: NDArray[np.float64]) -> TangentSums:
-        """Return a function of pairs that computes the changes of |P|² for one change of the heights [µm]."""
+        """Return a function of pairs that computes the changes of the power |P|² for one change of the heights [µm]."""
 
         @single_threaded_blas()
         def changes(pairs: Pairs) -> NDArray[np.float64]:

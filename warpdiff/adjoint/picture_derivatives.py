@@ -61,7 +61,7 @@ class _PictureCall:
         return self._pigment + self._of_pixels(self._model.values)
 
     def adjoint(self, adjoints: NDArray[np.float64]) -> Derivatives:
-        """Return the adjoints of the requested variables from the adjoint of the value (XYZ of the pixels)."""
+        """Return the adjoints (derivatives of a loss) of the requested variables from those of the pixels' XYZ."""
         result = {name: np.zeros(shape) for name, shape in self.shapes.items()}
         if self._model is None:
             return result

@@ -41,7 +41,7 @@ _SIZES = (RingSizes(24, 1.3), RingSizes(32, 1.6), RingSizes(48, 2.0), RingSizes(
 # The error of a polar grid is measured on `_CHECKED` bright samples and the same number of random samples of each group
 # (one illuminant and material). For at least the fraction `_SHARE` of these samples, it must be within the tolerance.
 _CHECKED, _SHARE = 64, 0.95
-# Relative size of the truncated terms of series and sums, divided by the tolerance.
+# Permitted error by the truncation of series and sums, divided by the tolerance of the colours.
 _TRUNCATION_SHARE = 1e-2
 # Memory of a call [bytes]: per height sample; per pair of a direction and a wavelength that is computed at once; and
 # per reflectance of a material, which is stored for each direction at each ring (wavelength).

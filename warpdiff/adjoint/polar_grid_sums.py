@@ -34,17 +34,18 @@ if TYPE_CHECKING:
     from warpdiff.adjoint.gaussian_lobes import GaussianLobes
     from warpdiff.render.picture_samples import LitPixels
 
-# Distance of the samples of the spectrum along the radius, in standard deviations of its lobes. Each lobe is the
+# Distance of the samples of the power spectrum along the radius, in standard deviations of its lobes. Each lobe is the
 # Gaussian peak of one coefficient. At this distance, a sum of equal Gaussians varies by only 2 exp(−2π²/1.5²) = 3e-4.
 _SAMPLE_SPACING_SIGMAS = 1.5
-# Radius around the origin of the frequency plane within which the spectrum counts as constant, in standard deviations
-# of its lobes (Gaussian peaks). A Gaussian changes by at most 0.02²/2 = 2e-4 within this radius of its centre.
+# Radius around the origin of the frequency plane within which the power spectrum counts as constant, in standard
+# deviations of its lobes (Gaussian peaks). A Gaussian changes by at most 0.02²/2 = 2e-4 within this radius of its
+# centre.
 _FLAT_WITHIN_SIGMAS = 0.02
 # Smallest number of azimuth samples of a ring. With this number, the four samples between which a value is interpolated
 # are different.
 _FEWEST_AZIMUTHS = 16
-# The spectrum is sampled at the azimuths that directions use, and at this number of azimuths on both sides of them. At
-# this distance, a value changes the coefficient of a cubic spline by only 0.27^16 = 8e-10 of itself.
+# The power spectrum is sampled at the azimuths that directions use, and at this number of azimuths on both sides of
+# them. At this distance, a value changes the coefficient of a cubic spline by only 0.27^16 = 8e-10 of itself.
 _NEIGHBOURS = 16
 # Number of cosines of angles at which the reflectance of a material is tabulated, for each whole nanometre. For metals,
 # the error of linear interpolation is at most 1e-5. If the error is larger, the comparison of colours in `PictureModel`
@@ -102,8 +103,8 @@ class RingGrid:
         self.sizes, self._falloff, self._sigma = sizes, falloff, 1.0 / math.sqrt(2.0 * falloff)
         step = sizes.step
         radii = [self.radii_of(group) for group in groups]
-        # The rings of a colour extend from two rings before its longest wavelength to two rings beyond its shortest
-        # wavelength.
+        # The rings that contribute to a colour extend from two rings before its longest wavelength to two rings beyond
+        # its shortest wavelength.
         low = min(float(part.min()) for part in radii) / _RED_UM * math.exp(-3.0 * step)
         high = max(float(part.max()) for part in radii) / _BLUE_UM * math.exp(4.0 * step)
         self._blocks: int = math.ceil(math.log(high / low) / (BLOCK_RINGS * step))
@@ -131,7 +132,7 @@ class RingGrid:
         return np.asarray((np.log(radii / _RED_UM) - self.log_first) / self.sizes.step)
 
     def _mark(self, group: LitPixels, places: NDArray[np.float64]) -> None:
-        """Mark the azimuths that the directions of a group use, and the neighbours that the splines require."""
+        """Mark the azimuth samples that the directions of a group use, and the neighbours that the splines require."""
         first = np.ceil(places).astype(np.int64) - 2
         turns, count = turns_of(group), ring_count(self.sizes.rings_per_octave)
         for block, azimuths in enumerate(self.azimuths.tolist()):
@@ -151,7 +152,7 @@ class RingGrid:
         return int(self._blocks * BLOCK_RINGS // TOGETHER)
 
     def _radii(self, block: int) -> NDArray[np.float64]:
-        """Return the frequencies at which the spectrum is sampled in a block of rings [1/µm]."""
+        """Return the frequencies at which the power spectrum is sampled in a block of consecutive rings [1/µm]."""
         count = int(self._divisions[block])
         places = (np.arange((BLOCK_RINGS + 2) * count) + 0.5) / count - 1.5
         return np.asarray(np.exp(self._log_firsts[block] + self.sizes.step * places))

@@ -42,7 +42,7 @@ class TangentSums(Protocol):
     """Function that computes the changes of ⟨|P|²⟩ of pairs (direction, wavelength), for one change of the surface."""
 
     def __call__(self, pairs: Pairs) -> NDArray[np.float64]:
-        """Return the change of ⟨|P|²⟩ of each of the p pairs, shape (p,)."""
+        """Return the change of the power ⟨|P|²⟩ of each of the p pairs (a direction and a wavelength), shape (p,)."""
         ...
 
 

@@ -68,7 +68,8 @@ class Sites:
         self.count = len(flat)
         self.places = (index + self.count * is_opposite).astype(np.int32)
         self.are_distinct = bool(np.bincount(self.places, minlength=1).max() <= 1)
-        # Only the columns from 0 to the largest column of a site are transformed along y, to save time.
+        # Only the columns of the transform from 0 to the largest column of a site (frequency) are transformed along y,
+        # to save time.
         self._columns = int(column.max()) + 1
         self._flat = flat
 

@@ -101,7 +101,7 @@ class SpectralCall:
         return {name: shapes.get(name, ()) for name in self._names}
 
     def sampling(self, illuminant: str | Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the m wavelengths [nm] at which colours are sampled, shape (m,), and their weights, shape (m, 3)."""
+        """Return the m wavelengths [nm] at which colours are sampled, shape (m,), and their weights in XYZ, (m, 3)."""
         return colour_sampling.sampling(
             self._lights[self._above], self._views[self._above], self._relief.scale_um, self._relief.size_um,
             self._coherence, self._material, illuminant, self._truncation,

@@ -79,7 +79,7 @@ class Illumination:
         return np.full(len(self.wavelengths_nm), factor * (math.pi * (self.coherence.sigma_um or 1.0)) ** 2)
 
     def shapes(self, part: slice) -> NDArray[np.float64]:
-        """Return the elements Q_xx, Q_xy and Q_yy of the matrix Q of the weights for each direction, shape (n, 3).
+        """Return the elements Q_xx, Q_xy, Q_yy of the matrix Q of the Gaussian weights per direction, shape (n, 3).
 
         For a light source of finite size, its foreshortening on the surface determines Q. For a coherence window, Q is
         the unit matrix.

@@ -73,8 +73,8 @@ class WavelengthSums:
                 counts = np.maximum(counts, least)
             undersampled += int(np.count_nonzero(counts > MOST_WAVELENGTHS))
             counts = np.minimum(counts, MOST_WAVELENGTHS)
-            # Numbers of wavelengths are rounded up to powers of √2, so that more directions use the same
-            # wavelengths.
+            # The number of wavelengths of a direction is rounded up to a power of √2, so that more directions use the
+            # same wavelengths.
             octaves = np.ceil(2.0 * np.log2(counts / LEAST_WAVELENGTHS)).astype(np.int64)
             self._classes.append([])
             for k in np.unique(octaves).tolist():

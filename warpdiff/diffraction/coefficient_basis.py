@@ -61,12 +61,13 @@ _SAMPLED_ROWS = 20_000
 # Percentile of the truncation errors of coefficients that is reported; 0.1 % of the coefficients may have larger
 # errors.
 _PERCENTILE = 99.9
-# A fit minimises the errors of coefficients relative to the size of each coefficient. This number is the power of the
-# rounding errors of the Fourier transforms, relative to the power of a mirror. A coefficient with a smaller power
-# counts as if it had this power.
+# A fit of basis functions minimises the errors of coefficients relative to the size of each coefficient. This number is
+# the power of the rounding errors of the Fourier transforms, relative to the power of a mirror. A coefficient with a
+# smaller power counts as if it had this power.
 _NOISE_POWER = 1e-26
-# In a fit, errors are divided by |κ| = |w|/λ, because all coefficients except the specular one vanish at κ = 0. The
-# divisor is at least this share of the largest |κ|. With a smaller share, the specular coefficient would lose digits.
+# In a fit of basis functions to Fourier coefficients, errors are divided by |κ| = |w|/λ, because all of them except the
+# specular one vanish at κ = 0. The divisor is at least this share of the largest |κ|. With a smaller share, the
+# specular coefficient would lose digits.
 _SMALL_KAPPA = 0.1
 # Number of coefficients that a fit processes at once. The value is limited by memory, which is proportional to it.
 _CHUNK = 65_536
@@ -88,7 +89,7 @@ class Coefficients:
         step: Difference in |κ| of neighbouring entries of ``basis`` [1/µm].
         truncation_errors: Error of a fitted basis with the first n terms, n = 0 … terms: the 99.9th percentile over the
             coefficients. The error of one coefficient is its largest error at any κ in the range, relative to its
-            largest value in the range. Before, errors and values are divided by |κ|, or by κ² for powers. The array is
+            largest value in the range. Errors and values are first divided by |κ|, or by κ² for powers. The array is
             empty for a series, whose error has a known bound.
     """
 
@@ -275,7 +276,7 @@ def _principal_functions(
 def _truncation_errors(
     sample: NDArray[np.float64], principal: NDArray[np.float64], back: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the truncation error of a basis with 0, 1, 2, … terms.
+    """Return the truncation error of an expansion of Fourier coefficients in the first 0, 1, 2, … basis functions.
 
     The error of a coefficient is its largest error over all κ = w/λ. The truncation error is the percentile
     ``_PERCENTILE`` of the errors of the sampled coefficients.

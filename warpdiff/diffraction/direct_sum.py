@@ -90,9 +90,9 @@ def _coefficient_sum(
     if to_light is not None:
         tangential, cos_light = (float(to_light[0]), float(to_light[1])), float(to_light[2])
     falloff, cutoff = _falloff(coherence, wavelength), _cutoff(coherence, wavelength)
-    # Largest distances from q, along x and along y, of the coefficients that are summed. For a light source of finite
-    # size, let t be the component of the direction to the light along an axis; otherwise t is 0. The Gaussian weight is
-    # narrower along this axis by the factor √(1 − t²), and so is the largest distance.
+    # Largest distances along x and y of the summed Fourier coefficients from the frequency q of a direction. For a
+    # light source of finite size, let t be the component of the direction to the light along an axis; otherwise t is 0.
+    # The Gaussian weight is narrower along this axis by the factor √(1 − t²), and so is the largest distance.
     cutoff_x, cutoff_y = (cutoff * math.sqrt(1.0 - t**2) for t in tangential)
     ny, nx = heightfield.shape
     length_y, length_x = heightfield.size_um

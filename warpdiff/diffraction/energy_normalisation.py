@@ -57,19 +57,19 @@ _SWEEPS = 20
 # Largest number of steps of Newton's method. If the method has not converged after this number of steps, it never
 # converges: too many elements of the matrix are 0, so that no factors give the prescribed sums.
 _MOST_STEPS = 60
-# The factors count as converged if no sum over orders deviates from its prescribed value by more than this number,
-# relative to the value. The number is about the rounding error of a sum over `MOST_EXACT` orders.
+# The energy factors count as converged if no sum over orders deviates from its prescribed value by more than this
+# number, relative to the value. The number is about the rounding error of a sum over `MOST_EXACT` orders.
 _CONVERGED = 2e-13
-# Largest change of the logarithm of a factor in one step of Newton's method. The value was chosen because the linear
-# equations of a step are not a good approximation for larger changes.
+# Largest change of the logarithm of an energy factor in one step of Newton's method. The value was chosen because the
+# linear equations of a step are not a good approximation for larger changes.
 _LONGEST_STEP = 1.0
 # Number that is added to the diagonal of Newton's equations, relative to the largest element of the diagonal. Without
 # it, the equations would have no unique solution: in each group of orders that exchange no power with other orders, all
 # factors may be multiplied by one number. The value was derived from the rounding error of float64.
 _RIDGE = 1e-15
-# The factors on the grid of directions are balanced by sweeps. `_MOST_GRID_SWEEPS` is the largest number of sweeps.
-# Sweeps end earlier if no factor changes by more than `_GRID_CONVERGED`, relative to the factor. If the factors have
-# not converged, Newton's method continues.
+# The energy factors on the grid of directions are balanced by sweeps. `_MOST_GRID_SWEEPS` is the largest number of
+# sweeps. Sweeps end earlier if no factor changes by more than `_GRID_CONVERGED`, relative to the factor. If the factors
+# have not converged, Newton's method continues.
 _MOST_GRID_SWEEPS, _GRID_CONVERGED = 200, 1e-10
 # The power of a bin of orders is tabulated over |κ|. This number is the number of entries per radian of π|κ| · (height
 # range). The fastest oscillation of a power has twice this phase. Parabolas interpolate between entries.
@@ -99,8 +99,8 @@ _MOST_LIGHTS = 64
 # perfect mirrors, compared with rigorous solutions (bench/reproduce/theory_verdict.py). If the value is doubled, the
 # mean error is 3 % larger.
 RISEN = 0.1
-# Smallest sum over orders that is used as a divisor. A sum is smaller only if the power of all propagating orders is
-# zero.
+# Smallest sum of efficiencies over orders that is used as a divisor. A sum is smaller only if the power of all
+# propagating orders is zero.
 _LEAST_SUM = 1e-12
 
 
@@ -112,7 +112,7 @@ class Powers:
     """
 
     def __init__(self, heightfield: HeightField, highest_kappa: float, bin_um: float) -> None:
-        """Compute the powers of all bins.
+        """Compute the powers of all bins of neighbouring orders.
 
         Args:
             heightfield: Height field, one period.
@@ -256,8 +256,8 @@ def achromatic_factors(heightfield: HeightField) -> AchromaticFactors:
             np.column_stack([matrix[:, :_AZIMUTHS].sum(axis=1), matrix[:, _AZIMUTHS:]])
             for matrix in (entering, _distributed(powers, lights, wavelengths_um))
         )
-        # The weight of a light in the balance is its power on the surface: cos θ times its solid angle. The solid angle
-        # is proportional to sin θ, because the lights are uniform in the polar angle θ.
+        # The weight of a light in the energy balance is its power on the surface: cos θ times its solid angle. The
+        # solid angle is proportional to sin θ, because the lights are uniform in the polar angle θ.
         flux = lights[:, 2] * np.sqrt(1.0 - lights[:, 2] ** 2)
         incoming = entering * flux[:, None]
         exchanged = incoming.T @ leaving

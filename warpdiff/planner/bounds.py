@@ -165,7 +165,7 @@ def bandwidth_um(heightfield: HeightField, coherence: Coherence, tolerance: floa
 
 
 def _with_wavelengths(plan: Plan) -> Plan:
-    """Return the plan with the number of wavelengths that its ``bandwidth_um`` requires.
+    """Return the plan with the number of wavelengths that its bandwidth (samples per unit of 1/λ) requires.
 
     For a source (light of finite size) near the horizon, the number is limited, and the plan is valid only up to a
     smaller order rate.

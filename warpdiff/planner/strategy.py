@@ -283,7 +283,7 @@ def _with_basis(plan: Plan, request: Evaluation, direction_range: DirectionRange
 def _measured(
     request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, upper: Plan, affordable: float
 ) -> Plan:
-    """Return the plan of a search, with or without a colour table, or the upper-bound plan if all directions are dark.
+    """Search a plan, with or without a colour table; return the upper-bound plan if all directions are dark.
 
     ``affordable`` is the largest cost of a table [multiply-adds]; 0 excludes tables.
     """

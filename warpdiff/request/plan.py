@@ -225,7 +225,7 @@ class Plan:
 
     @property
     def table_seconds(self) -> float:
-        """Estimated time to make the table [s] on one CPU core, once for all calls; 0 without a table."""
+        """Estimated time to make the colour table [s] on one CPU core, once for all calls; 0 without a table."""
         return self.table_multiply_adds / _SUMMED_PER_SECOND
 
     @property
@@ -426,7 +426,7 @@ def _is_legal(method: str, integration: str, coherence: Coherence) -> bool:
 
 
 def has_table(expansion: str, coherence: Coherence) -> bool:
-    """Whether colour tables can be computed from an expansion under a coherence.
+    """Whether colour tables can be computed from an expansion of exp(2πiκh) under a coherence of the light.
 
     Tables exist if the coefficients that the expansion provides are added in the way that the coherence requires:
     powers for averaged windows and light sources, amplitudes for centred windows. Replicated periods have no table.
