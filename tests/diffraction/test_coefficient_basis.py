@@ -198,7 +198,7 @@ def test_the_transform_of_the_interpolation_kernel_equals_a_numerical_integral()
 
 @pytest.mark.parametrize("method", ["low-rank", "power"])
 def test_higher_orders_of_a_shallow_surface_are_accurate(method):
-    """The power of order n is proportional to κ²ⁿ and very small, but must have a small relative error."""
+    """The power of order n of a shallow surface is tiny, proportional to κ²ⁿ, but must have a small relative error."""
     x = np.arange(64) / 64.0
     heightfield = wd.HeightField(5e-3 * np.sin(2.0 * np.pi * x)[None, :], 0.05)
     coefficients, block = build(heightfield, method, (1.28, 2.63), adds_powers=True, terms=20)

@@ -16,7 +16,7 @@ WAVELENGTHS_UM = np.array([0.39, 0.46, 0.53, 0.61, 0.7, 0.77])
 
 
 def windowed_sum(heightfield, sigma_um, scattering_vector, wavelength, centre):
-    """Return |Σ g e^{ik(wh + ux + vy)} / Σ g|² for a Gaussian window g at ``centre``, (y, x) in µm.
+    """Return |Σ g e^{ik(wh + ux + vy)} / Σ g|² for a Gaussian coherence window g at ``centre``, (y, x) in µm.
 
     The sum covers all samples of the repeated patch within 8σ of the centre.
     """
@@ -128,8 +128,7 @@ def agreement(heightfield, coherence, count, method, device, *, in_plane=False):
 
 @pytest.fixture(scope="module")
 def scan_crops(scan):
-    """Return a large crop of the measured scan for coherence windows, and a small one for kinds "source" and
-    "replicas".
+    """Return a large crop of the measured scan for coherence windows, and a small one for "source" and "replicas".
 
     The small crop saves time, because direct sums for these two kinds are slow.
     """

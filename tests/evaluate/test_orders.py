@@ -41,7 +41,7 @@ PROFILES = {
 
 
 def test_coefficients_of_a_tall_surface_equal_a_separate_transform_at_each_kappa(rng):
-    """Coefficients that are interpolated over κ must equal Fourier transforms at each κ.
+    """Fourier coefficients that are interpolated over κ must equal Fourier transforms at each κ.
 
     If the interpolation had too few terms or covered only half of the range of κ, errors would be about 1.
     """
@@ -217,7 +217,7 @@ def test_normalised_orders_of_a_mirror_reflect_all_light(angle, azimuth):
 
 
 def test_normalised_orders_are_reciprocal():
-    """Normalised efficiencies must be reciprocal. A division by the sum of the orders would violate reciprocity."""
+    """Normalised efficiencies must be reciprocal. A division by their sum over orders would violate reciprocity."""
     heightfield, light = wd.gratings.blazed(1.7, 0.2), at_angle(35.0)
     result = wd.order_efficiencies(heightfield, light, 600.0, ior=math.inf)
     over_sums = []

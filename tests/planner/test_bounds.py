@@ -154,7 +154,8 @@ def test_bounds_of_a_grazing_source_limit_the_order_rate_to_what_the_most_wavele
     plan = upper_bound(fingers, grazing, coherence=source)
     assert plan.wavelengths == 16_384
     assert 1.9 < plan.max_order_rate < 1e4
-    # ``wavelength_count`` adds 1 to the number of intervals, so its result exceeds the limit of 16,384 by 1.
+    # ``wavelength_count`` adds 1 to the number of intervals between wavelengths, so its result exceeds the limit of
+    # 16,384 by 1.
     assert cost_model.wavelength_count(plan, plan.max_order_rate, 1.2) == pytest.approx(16_385, rel=1e-9)
 
 

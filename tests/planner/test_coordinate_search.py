@@ -30,7 +30,8 @@ STEP, REGISTER = 2.0 ** (1 / 4), 8
 def start(fingers):
     """Return a plan (numbers of a computation) from which searches start.
 
-    It has 32 terms of the series, and more neighbouring Fourier coefficients and wavelengths than are required.
+    It has 32 terms of the series of a Fourier coefficient, and more neighbouring Fourier coefficients and wavelengths
+    than are required.
     """
     plan = wd.plan(fingers, [0.0, 0.0, 1.0], [0.6, 0.0, 0.8], method="low-rank", tolerance=TOLERANCE)
     return dataclasses.replace(plan, terms=32, least_weight=math.exp(-20.0))
@@ -53,7 +54,7 @@ class ClosedForm:
         self.tried = []
 
     def parts(self, plan):
-        """Return the three errors that the number of terms, the neighbourhood and the bandwidth cause."""
+        """Return the three errors that a plan's numbers of terms, of neighbours and of wavelengths cause."""
         of_rate, of_rest = (self._start.bandwidth_um[k] / plan.bandwidth_um[k] for k in (0, 2))
         quadrature = 2e-6 * (of_rate**6 + 0.1 * of_rest**6)
         return self._scale * np.array([math.exp(-0.7 * plan.terms), 0.1 * math.sqrt(plan.least_weight), quadrature])

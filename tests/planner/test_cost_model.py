@@ -63,10 +63,10 @@ def table_plan(heightfield, coherence, method="low-rank"):
 
 
 def test_samples_of_a_spectrum_cost_in_proportion_to_their_terms_and_neighbours(fingers):
-    """A sample of the spectrum must cost in proportion to its numbers of terms and of neighbouring coefficients.
+    """A sample of the power spectrum for a table must cost in proportion to its terms and neighbouring coefficients.
 
-    Neighbours lie in the circle of q in which their weight exp(−4π²σ²q²) is at least ``least_weight``. Their number is
-    the area of this circle times the area of the patch.
+    Neighbours lie in the circle of frequencies q in which their weight exp(−4π²σ²q²) is at least ``least_weight``.
+    Their number is the area of this circle times the area of the patch.
     """
     plan = table_plan(fingers, wd.Coherence(sigma_um=3.25))
     costs = [

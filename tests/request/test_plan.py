@@ -276,7 +276,7 @@ def test_plans_are_compared_by_value_and_cannot_be_changed(rough):
 
 
 def test_one_row_is_constant_along_y():
-    """A field of one row must have no orders outside of the plane y = 0 and no aliasing, whatever its pitch along y."""
+    """A height field of one row must have no orders outside the plane y = 0 and no aliasing, at any pitch along y."""
     row = wd.gratings.sinusoidal(16.0, 0.1, samples=512)
     coarse = wd.HeightField(row.heights_um, (0.5, row.pitch_um[1]))
     views = np.array([[0.0, 0.8, 0.6], [0.1, 0.0, 1.0], [0.05, 0.0001, 1.0]])

@@ -83,14 +83,15 @@ class CoefficientSeries:
 
     @single_threaded_blas()
     def tangent(self, change: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the change of the series of the powers, to first order, for a change of the heights or vertices."""
+        """Return the first-order change of the series of the powers |H|² for a change of the heights or vertices."""
         return self.rows.tangent(self.terms, self.terms.tangent(change))[0]
 
     @single_threaded_blas()
     def adjoint(self, of_block: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the adjoint of the surface (the derivative of a loss by its heights or vertices).
 
-        ``of_block`` has the adjoints of the series of the powers, one row per order of the block, shape (size, k).
+        ``of_block`` has the adjoints of the Chebyshev series of the powers |H|², one row per order of the block, shape
+        (size, k).
         """
         rows: Rows = self.rows.empty(zero=True)
         add_rows(self.sites.places, of_block, rows[0], are_distinct=self.sites.are_distinct)

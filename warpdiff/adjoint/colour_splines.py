@@ -21,9 +21,9 @@ from warpdiff.tables.colour_curves import spline
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Number of intervals into which the distance of two neighbouring rings is divided. The weights of the rings in a colour
-# depend on the position of the longest wavelength between two rings. They are tabulated at the ends of the intervals
-# and interpolated linearly. The error is 1/(8 · 64²) = 3e-5 of the second difference of the weights.
+# Number of intervals into which the distance of two neighbouring rings of the polar grid is divided. The weights of the
+# rings in a colour depend on the position of the longest wavelength between two rings. They are tabulated at the ends
+# of the intervals and interpolated linearly. The error is 1/(8 · 64²) = 3e-5 of the second difference of the weights.
 _INTERVALS = 64
 # Number of samples of the colour curves in each of the `_INTERVALS` parts of the distance of two rings.
 _SAMPLES = 4
@@ -42,14 +42,14 @@ def curve_weights(illuminant: colorimetry.Illuminant, rings_per_octave: int) -> 
     """Return the coefficients of quadratic splines over ln λ that are fitted to the colour curves by least squares.
 
     Args:
-        illuminant: Illuminant of the curves.
+        illuminant: Illuminant. A colour curve is the product of illuminant and colour-matching function.
         rings_per_octave: Number of rings per octave, which are the knots of the splines.
 
     Returns:
-        Weights of the values at consecutive rings in X, Y and Z, shape (intervals + 1, rings, 3). The first axis is the
-        position f of the rings relative to the longest visible wavelength, from 0 to 1: ring m is m + f − 2 rings
-        beyond this wavelength. The value at a ring is the integral over ln λ of the spectrum times the spline of this
-        ring.
+        Weights of the values at consecutive rings of the polar grid in X, Y and Z, shape (intervals + 1, rings, 3). The
+        first axis is the position f of the rings relative to the longest visible wavelength, from 0 to 1: ring m is m +
+        f − 2 rings beyond this wavelength. The value at a ring is the integral over ln λ of the spectrum times the
+        spline of this ring.
     """
     step, count = math.log(2.0) / rings_per_octave, ring_count(rings_per_octave)
     per_ring = _INTERVALS * _SAMPLES

@@ -45,7 +45,7 @@ X = 5
 
 
 def exponent_of(truncation: float) -> float:
-    """Return the number x for which coefficients with weights below e^−x are negligible at a truncation error."""
+    """Return the x for which Fourier coefficients with weights below e^−x are negligible at a truncation error."""
     return -math.log(truncation) + _FURTHER
 
 
@@ -122,7 +122,7 @@ class GaussianLobes:
     def table(self, coefficients: NDArray[np.float64]) -> lobe_sums.LobeTable:
         """Return the struct that passes Fourier coefficients to the kernels; it shares the memory of ``coefficients``.
 
-        Each row of ``coefficients`` is the series of one coefficient.
+        Each row of ``coefficients`` is the Chebyshev series of one Fourier coefficient.
         """
         self._table.coefficients = wp.array(coefficients.ravel(), dtype=wp.float64, device="cpu", copy=False)
         return self._table
@@ -130,7 +130,7 @@ class GaussianLobes:
     def sums(self, pairs: Pairs, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the weighted sum of coefficients for each of p pairs (a direction and a wavelength), shape (p,).
 
-        Each row of ``coefficients`` is the series of one coefficient.
+        Each row of ``coefficients`` is the Chebyshev series of one Fourier coefficient.
         """
         result = np.empty(len(pairs))
         self._launch(lobe_sums.sum_lobes, len(pairs), coefficients, self._of(pairs), result)

@@ -94,7 +94,7 @@ class PictureModel:
         self.values = self._colours.sums(self._coefficients)
 
     def adjoint(self, adjoints: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return the adjoint of the heights from the adjoints of XYZ of the samples of each group, shape (n, 3)."""
+        """Return the adjoint (derivative of a loss) of the heights from those of XYZ of the samples of each group."""
         rows = np.zeros((self._series.block.size, self._series.rows.terms))
         self._colours.spread(adjoints, rows)
         return self._series.adjoint(rows)
@@ -207,7 +207,7 @@ class _OnLobes:
 
 
 class _WithZeroth:
-    """Colours as sums over rings, to which the zeroth order is added at the samples near the mirror direction."""
+    """Colours as sums over rings of a polar grid, plus the zeroth order at the samples near the mirror direction."""
 
     def __init__(
         self, rings: PolarGridSums, sums: WavelengthSums, lobes: GaussianLobes, near: list[NDArray[np.int64]],

@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 # itself.
 Q_X, Q_Y, M_XX, M_XY, M_YY, KAPPA, L_X, L_Y, VALUE = range(9)
 
-# Index of the column with the sum itself in the result of ``GaussianLobes.derivatives``.
+# Index of the column with the weighted sum of Fourier coefficients itself in the result of
+# ``GaussianLobes.derivatives``.
 _SUM = lobe_sums.DERIVATIVES - 1
 
 

@@ -58,7 +58,7 @@ class Sites:
     """
 
     def __init__(self, shape: tuple[int, int], s: NDArray[np.int64], r: NDArray[np.int64]) -> None:
-        """Find the sites (frequencies of distinct coefficients) of n orders (s, r), for arrays of a shape."""
+        """Find the sites (distinct frequencies) of n orders (s, r) for arrays of the shape ``shape``, (ny, nx)."""
         self._shape = ny, nx = shape
         column = r % nx
         is_opposite = column > nx // 2

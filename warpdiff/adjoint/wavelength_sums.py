@@ -92,7 +92,7 @@ class WavelengthSums:
 
     @property
     def pair_count(self) -> int:
-        """Number of pairs of a direction and a wavelength."""
+        """Number of all pairs of a direction and a wavelength that the colours require."""
         return sum(len(chosen) * count for classes in self._classes for chosen, count in classes)
 
     def parts(self) -> Iterator[tuple[int, NDArray[np.int64], Pairs, NDArray[np.float64], NDArray[np.float64]]]:

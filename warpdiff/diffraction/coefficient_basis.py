@@ -69,10 +69,11 @@ _NOISE_POWER = 1e-26
 # specular one vanish at κ = 0. The divisor is at least this share of the largest |κ|. With a smaller share, the
 # specular coefficient would lose digits.
 _SMALL_KAPPA = 0.1
-# Number of coefficients that a fit processes at once. The value is limited by memory, which is proportional to it.
+# Number of Fourier coefficients that a fit of basis functions processes at once. The value is limited by memory, which
+# is proportional to it.
 _CHUNK = 65_536
-# Largest magnitude of the values of a Taylor basis, which is within the range of float32. If |κ| = |w|/λ is too large
-# for the series to converge in float32, larger values occur. They are clipped to this magnitude.
+# Largest magnitude of the basis functions of a Taylor series, which is within the range of float32. If |κ| = |w|/λ is
+# too large for the series to converge in float32, larger values occur. They are clipped to this magnitude.
 _LARGEST = 1e30
 
 
@@ -101,7 +102,7 @@ class Coefficients:
 
     @property
     def terms(self) -> int:
-        """Number of basis functions."""
+        """Number of basis functions of κ = w/λ."""
         return int(self.rows.shape[-1])
 
     def basis_at(self, kappas: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -142,7 +143,8 @@ def holds_powers(method: str, *, adds_powers: bool) -> bool:
 
 
 def series_terms(heightfield: HeightField, kappas: tuple[float, float]) -> int:
-    """Return the number of terms of the Jacobi-Anger series to which a basis is fitted, for a range of |w|/λ."""
+    """Return the number of terms of the Jacobi-Anger series to which basis functions are fitted, for a range of |w|/λ.
+    """
     series = EXPANSIONS["jacobi-anger"]
     argument = 2.0 * math.pi * _entries(heightfield, kappas)[-1] * series.offset_and_scale(heightfield)[1]
     return series.term_count(argument, _SERIES_TOLERANCE)
@@ -153,7 +155,7 @@ def of_series(
     heightfield: HeightField, method: str, grid: Grid, block: Block, kappas: tuple[float, float], *, terms: int,
     threads: int,
 ) -> Coefficients:  # fmt: skip
-    """Return the coefficients of a block of frequencies, expanded in one of the series ``EXPANSIONS``.
+    """Return the Fourier coefficients of a block of frequencies, expanded in one of the series ``EXPANSIONS``.
 
     ``kappas`` is the range of |κ| = |w|/λ [1/µm] for which the basis functions are tabulated. ``threads`` is the number
     of Fourier transforms that run in parallel.

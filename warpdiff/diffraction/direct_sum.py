@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 # Distance from the frequency q of a direction up to which the sum includes Fourier coefficients, in standard deviations
 # of the Gaussian weight of a coefficient. The weight at this distance is e^−32.
 _WIDTHS = 8.0
-# Peak memory of the sum [bytes], per height sample and per Fourier coefficient. It was derived by adding the sizes of
-# the arrays in the code.
+# Peak memory of the direct sum [bytes], per height sample and per Fourier coefficient. It was derived by adding the
+# sizes of the arrays in the code.
 _BYTES_PER_NUMBER = 64.0
 
 
@@ -139,7 +139,7 @@ def _cutoff(coherence: Coherence, wavelength: float) -> float:
 
 
 def _check_orders(heightfield: HeightField, cutoff: float) -> None:
-    """Raise ``MemoryError`` if the sum requires more memory than is free.
+    """Raise ``MemoryError`` if the direct sum requires more memory than is free.
 
     ``cutoff`` is the distance in frequency [1/µm] from a direction up to which Fourier coefficients are summed.
     """

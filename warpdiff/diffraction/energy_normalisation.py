@@ -144,14 +144,15 @@ class Powers:
             for first, n, length in zip(starts, counts, heightfield.size_um, strict=True)
         ]
         v, u = np.meshgrid(*places, indexing="ij")
-        # Bins beyond the largest |κ| = 2/λ are dropped. Their orders never propagate, because |(u, v)| is at most 2.
+        # Bins of orders beyond the largest |κ| = 2/λ are dropped. Their orders never propagate, because |(u, v)| is at
+        # most 2.
         reachable = np.flatnonzero(np.hypot(u, v).ravel() <= highest_kappa)
         self.frequencies = np.stack([u.ravel()[reachable], v.ravel()[reachable]], axis=1)
         cardinals = chebyshev.cardinals(np.linspace(0.0, highest_kappa, dense), 0.0, highest_kappa, count)
         self._values = np.maximum(cardinals @ np.stack(sums)[:, reachable], 0.0).astype(np.float32)
 
     def at(self, places: NDArray[np.int64], kappas: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the powers of some bins by their indices ``places``, each at its own |κ| [1/µm] from ``kappas``."""
+        """Return the powers of the bins (of orders) ``places``, each at its own |κ| [1/µm] from ``kappas``."""
         steps = kappas * self._per_kappa
         middle = np.clip(np.rint(steps).astype(np.int64), 1, len(self._values) - 2)
         t = steps - middle
@@ -169,7 +170,7 @@ def _block_starts(n: int, block: int) -> NDArray[np.int64]:
 
 
 def rise(cosines: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the prescribed sum over orders by the cosine of a direction: 0 at the horizon, 1 from `RISEN` on."""
+    """Return the prescribed sum of efficiencies by the cosine of a direction: 0 at the horizon, 1 from `RISEN` on."""
     share = np.minimum(cosines / RISEN, 1.0)
     return np.asarray(share * share * (3.0 - 2.0 * share))
 
@@ -179,7 +180,7 @@ def stam(
 ) -> NDArray[np.float64]:
     """Return K/|H|² = (1 + ωi·ωr)² / (cos θi cos θr w²), the geometry factor of Stam's efficiencies.
 
-    ``tangential`` is ωi·ωr minus the product of the cosines.
+    w is −(cos θi + cos θr). ``tangential`` is ωi·ωr minus the product of the cosines.
     """
     w = cos_light + cos_view
     return np.asarray((1.0 + cos_light * cos_view + tangential) ** 2 / (cos_light * cos_view * w**2))
@@ -250,8 +251,8 @@ def achromatic_factors(heightfield: HeightField) -> AchromaticFactors:
         nodes, weights = grid_weights(lights)
         entering = np.zeros((len(lights), _ELEVATIONS * _AZIMUTHS))
         np.put_along_axis(entering, nodes, weights, axis=1)
-        # All nodes in the first row of the grid have the same direction, the normal. Their columns of the matrix are
-        # therefore added to one column.
+        # All nodes in the first row of the grid of directions have the same direction, the normal. Their columns of the
+        # matrix are therefore added to one column.
         entering, leaving = (
             np.column_stack([matrix[:, :_AZIMUTHS].sum(axis=1), matrix[:, _AZIMUTHS:]])
             for matrix in (entering, _distributed(powers, lights, wavelengths_um))
@@ -295,7 +296,7 @@ def _sample_lights() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def grid_weights(directions: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the four grid nodes around unit vectors (n, 3), and their bilinear weights, both of shape (n, 4).
+    """Return the four nodes of the direction grid around unit vectors (n, 3), and their bilinear weights, (n, 4).
 
     The rows of the grid are equally spaced in √(1 − cos θ), which is nearly proportional to θ. In each quadrant, the
     columns are equally spaced in y/(|x| + |y|).
@@ -316,8 +317,8 @@ def _grid() -> NDArray[np.float64]:
     """Return the directions of the grid nodes, shape (n, 3), which include the mirror direction of every node."""
     z = 1.0 - (1.0 - LOWEST) * (np.arange(_ELEVATIONS)[:, None] / (_ELEVATIONS - 1.0)) ** 2
     turn = 4.0 * np.arange(_AZIMUTHS) / _AZIMUTHS
-    # For each column of the grid, x and y are a point on the square |x| + |y| = 1. This inverts the formula of
-    # ``grid_weights``, where the columns are equally spaced in y/(|x| + |y|).
+    # For each column of the grid of directions, x and y are a point on the square |x| + |y| = 1. This inverts the
+    # formula of ``grid_weights``, where the columns are equally spaced in y/(|x| + |y|).
     y = 1.0 - np.abs((turn + 1.0) % 4.0 - 2.0)
     x = 1.0 - np.abs((turn + 2.0) % 4.0 - 2.0)
     level = np.sqrt(1.0 - z**2) / np.hypot(x, y)
@@ -362,7 +363,7 @@ _achromatic_cache: LruCache[AchromaticFactors] = LruCache(_CACHED)
 def _distributed(
     powers: Powers, lights: NDArray[np.float64], wavelengths_um: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the efficiencies K of n lights into the m nodes of the grid, shape (n, m).
+    """Return the efficiencies K of n lights into the m nodes of the grid of directions, shape (n, m).
 
     The efficiency of each order is distributed to the four nodes around its direction.
     """

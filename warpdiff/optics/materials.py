@@ -309,7 +309,7 @@ def reflectances(
 
 
 def check_covers(material: Material, low_nm: float, high_nm: float, name: str = "material") -> None:
-    """Raise ``ValueError`` if the table of a material, or of its film, does not cover a range of wavelengths."""
+    """Raise ``ValueError`` if the index table of a material, or of its film, does not cover a range of wavelengths."""
     for part in (material, material.film):
         table = np.zeros(1) if part is None else np.asarray(part.wavelengths_nm)
         if part is not None and len(table) > 1 and (low_nm < table[0] or high_nm > table[-1]):

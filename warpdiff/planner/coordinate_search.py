@@ -163,7 +163,7 @@ def _cost(plan: Plan, trial: Trial) -> float:
 
 
 def more_terms(plan: Plan, trial: Trial, registers: int) -> Plan:
-    """Return the plan with more terms: as many as fill ``registers`` further SIMD registers, or all that exist.
+    """Return the plan with more series terms: as many as fill ``registers`` further SIMD registers, or all that exist.
 
     With a negative ``registers``, the plan gets fewer terms.
     """

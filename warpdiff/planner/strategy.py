@@ -209,7 +209,7 @@ def _method(request: Evaluation) -> str:
 
 
 def _has_footprint_table(request: Evaluation) -> bool:
-    """Whether pixels show means over footprints (ranges of (u, v)) that a table with mip levels can compute."""
+    """Whether pixels show means over footprints (ranges of (u, v)) that a colour table with mip levels can compute."""
     return request.footprint and request.coherence.adds_powers and _method(request) == "auto"
 
 
@@ -235,7 +235,7 @@ def _affordable_table_cost(request: Evaluation, unmeasured: Callable[[], Plan], 
 
 
 def _pays_to_search(request: Evaluation, upper: Plan, direction_range: DirectionRange, count: float) -> bool:
-    """Whether a search saves more time than it requires, or is necessary because the upper-bound plan fails."""
+    """Whether a search for a plan saves more time than it requires, or is necessary as the upper-bound plan fails."""
     # For a source near the horizon, the number of wavelengths of the upper-bound plan is limited. With too few
     # wavelengths, the plan misses orders, and a search must find another plan.
     if upper.max_order_rate < direction_range.max_order_rate:
@@ -248,7 +248,7 @@ def _pays_to_search(request: Evaluation, upper: Plan, direction_range: Direction
 
 
 def _unmeasured(request: Evaluation, direction_range: DirectionRange, sample: DirectionSample, upper: Plan) -> Plan:
-    """Return the upper-bound plan with its number of terms, its aliasing and its mean cost, without measured errors."""
+    """Return the upper-bound plan with its number of terms, aliased power and mean cost, without measured errors."""
     if _method(request) == "auto":
         # Without a trial, a method that adds amplitudes is selected, because series of powers may lose their digits in
         # float32. Trials are omitted only if a call has few directions. For few directions, methods that add amplitudes

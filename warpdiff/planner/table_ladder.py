@@ -41,7 +41,7 @@ _HELPS = 0.7
 
 
 def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, affordable: float) -> Plan | None:
-    """Return a plan with the smallest table whose validation error is within the target, or with the best table.
+    """Return a plan with the smallest colour table whose validation error meets the target, or with the best table.
 
     The target is the tolerance divided by ``SEARCH_SAFETY``. The search computes a table of each size that it tries.
     These tables stay in the cache, and the call that follows uses the last one. The result is None if no table was
@@ -76,8 +76,8 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
         if mip_layout.megabytes(candidate) > polar_grid.MOST_MEGABYTES or table_cost > affordable:
             if not needed or best is not None or size == 0:
                 break
-            # If the caller requests a table and the first size is too large or too costly, the search tries the next
-            # smaller size.
+            # If the caller requests a colour table and the first size is too large or too costly, the search tries the
+            # next smaller size.
             size -= 1
             continue
         if best is None:
@@ -127,7 +127,7 @@ def _first_size(plan: Plan, trial: Trial, *, needed: bool) -> int | None:
 
 
 def _measured(plan: Plan, trial: Trial, error: float, truncation: float, table_cost: float, *, footprint: bool) -> Plan:
-    """Return the plan of a table with the errors and costs that are predicted for this table.
+    """Return the plan of a colour table with the errors and costs that are predicted for this table.
 
     The errors are predicted from ``error``, which a trial has measured on the validation set. ``table_cost`` is the
     cost of computing the table [multiply-adds].

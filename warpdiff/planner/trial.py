@@ -256,10 +256,10 @@ class Trial:
         return np.asarray(group.exact)
 
     def run(self, plan: Plan, group: Group) -> NDArray[np.float64]:
-        """Compute the values of a group of directions by a plan.
+        """Compute the colours or spectra of a group of directions by a plan.
 
-        Return colours XYZ, shape (illuminants, n, 3), or for spectra reflectances ρ at m wavelengths, shape
-        (1, n·m, 1).
+        Return colours XYZ, shape (illuminants, n, 3), or for spectra reflectances ρ at m wavelengths, shape (1, n·m,
+        1).
         """
         arrays = group.scattering_vectors, group.to_lights, group.gains
         # The directions are divided into two slices per thread, so that all threads end at about the same time.
@@ -368,9 +368,9 @@ def _percentile(values: NDArray[np.float64], weights: NDArray[np.float64], share
 def worst_percentile(errors: NDArray[np.float64], group: Group, included: NDArray[np.bool_] | None = None) -> float:
     """Return the larger of the 99.5th percentiles of the errors of bright and of dim directions.
 
-    A direction is bright if its luminance is at least the floor of relative errors, and otherwise dim.
-    ``errors`` has the shape (rows, n), with one row for each pair of illuminant and floor of relative errors. The
-    result is the largest percentile of all rows. Only the directions in the mask ``included`` count.
+    A direction is bright if its luminance is at least the floor (the smallest divisor of relative errors), and
+    otherwise dim. ``errors`` has the shape (rows, n), with one row for each pair of illuminant and floor of relative
+    errors. The result is the largest percentile of all rows. Only the directions in the mask ``included`` count.
     """
     included = np.ones(errors.shape[1], dtype=bool) if included is None else included
     # The tolerance limits the 99th percentile of the errors of all directions of a call. Percentiles of a small sample
