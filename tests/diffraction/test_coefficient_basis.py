@@ -75,7 +75,7 @@ def test_rows_times_basis_equal_the_coefficients(method, adds_powers, height_ran
         values, exact = values[..., 0], np.abs(exact) ** 2
     else:
         values = values[..., 0] + 1j * values[..., 1]
-    # The method "low-rank" fits a basis of powers |H|² to the powers divided by about κ² (``_SMALL_KAPPA`` in
+    # The method "low-rank" fits basis functions to the powers |H|² divided by about κ² (``_SMALL_KAPPA`` in
     # coefficient_basis.py). The power of the zeroth order is 1 at κ = 0, and the division makes it less accurate by up
     # to two digits. Absolute errors of these powers are therefore allowed to be larger.
     largest = np.abs(exact).max(axis=0)

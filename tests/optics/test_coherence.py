@@ -222,8 +222,9 @@ def test_the_solid_angle_is_the_integral_of_a_mirrors_lobe(coherence):
     """
     flat, wavelength, to_light = HeightField(np.zeros((4, 5)), (0.12, 0.1)), 0.5, inclined(60.0)
     area = math.prod(flat.size_um)
-    # For a few periods (kind "replicas"), the lobe is wide. The integral therefore covers one whole period of the power
-    # spectrum along u and v. The power spectrum is periodic because the surface is sampled.
+    # For a few periods (kind "replicas"), the maximum of the diffracted power is wide. The integral therefore covers
+    # one whole period of the power spectrum along u and v. The power spectrum is periodic because the surface is
+    # sampled.
     ends = (wavelength / 0.1, wavelength / 0.12) if coherence.kind == "replicas" else (0.5, 0.5)
     count = 60
     u, v = (end * ((np.arange(count) + 0.5) / count - 0.5) for end in ends)

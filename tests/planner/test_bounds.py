@@ -89,7 +89,7 @@ def test_the_tail_of_the_lobe_around_a_mirrored_sun_meets_the_tolerance(rng, tol
 def test_maps_under_illuminants_with_narrow_lines_meet_the_tolerance(illuminant):
     """The errors of reflectance maps must be within the tolerance under illuminants with narrow spectral lines.
 
-    In most directions of a map, a diffraction order has a wavelength between two lines.
+    In most directions of a map, the wavelength of a diffraction order is between two lines of the illuminant.
     """
     heightfield = wd.gratings.fingers(size_um=12.8, pitch_um=0.08, seed=4)
     rng = np.random.default_rng(3)

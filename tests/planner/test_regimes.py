@@ -250,10 +250,10 @@ def test_pitches_beyond_the_nyquist_limit_cause_a_warning():
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("seed", [0, 1, 4])
 def test_a_window_between_samples_close_to_the_nyquist_limit_is_accurate_or_refused(seed, side):
-    """Close to the Nyquist limit, windows centred between samples must be accurate, or warn, or be refused.
+    """Close to the Nyquist limit, calls with a window between height samples must be accurate, or warn, or be refused.
 
-    There a direction requires Fourier coefficients beyond the limit, which are copies of coefficients below it. For a
-    coherence window centred between height samples, the copies have wrong phases.
+    Close to the limit, a direction requires Fourier coefficients beyond the limit, which are copies of coefficients
+    below it. For a coherence window centred between height samples, the copies have wrong phases.
     """
     heightfield = wd.HeightField(np.random.default_rng(seed).uniform(-0.15, 0.15, (1, 12)), 0.1353)
     window = wd.Coherence("centred", 1.0, centre_um=(0.0, side * 0.4 * heightfield.size_um[1]))

@@ -18,7 +18,7 @@ from warpdiff.tables import mip_layout, polar_grid
 
 TOLERANCE, TARGET = 1e-2, 1e-2 / 1.6
 SIZES = dict(polar_grid.TABLE_SIZES)
-# Table size that the search tries first at ``TOLERANCE``: number of rings per factor of two in |(u, v)|.
+# Size of the colour table that the search tries first at ``TOLERANCE``: number of rings per factor of two in |(u, v)|.
 FIRST = 48
 
 

@@ -143,7 +143,7 @@ def test_the_judged_error_detects_errors_of_two_per_cent_of_all_or_of_the_bright
 def test_a_plan_of_the_fewest_wavelengths_is_repaired(fingers):
     """A call must get more than the smallest set of wavelengths if its error is too large.
 
-    For this call, the error with the smallest set is three times the tolerance.
+    For the tested call, the error with the smallest set is three times the tolerance.
     """
     plan = wd.plan(fingers, coherence=wd.Coherence(sigma_um=1.5), method="low-rank", tolerance=1e-2)
     assert 16 < plan.wavelengths < 32

@@ -33,8 +33,9 @@ if TYPE_CHECKING:
 # truncation error requires, so that derivatives also meet this error. It was derived from the second derivatives of a
 # lobe at its edge, which are larger than the lobe itself by a factor of about x².
 _FURTHER = 5.0
-# Number of cells (orders) for which a thread sums adjoints in one launch of the kernel. Smaller numbers would waste
-# time: a launch takes as long as the sums of hundreds of cells, because most cells are near few pairs only.
+# Number of cells (orders) for which a thread sums adjoints (derivatives of a loss) in one launch of the kernel. Smaller
+# numbers would waste time: a launch takes as long as the sums of hundreds of cells, because most cells are near few
+# pairs (a direction and a wavelength) only.
 _CELLS_OF_SLICE = 16_384
 # Largest distance of the centre of a lobe (Gaussian weight) from the middle of its cell (the place of one order), along
 # an axis [cells]: one half, and a margin for rounding errors.

@@ -49,9 +49,9 @@ _TRUNCATION = 1e-13
 # within 0.06° of the horizon, and the user is warned. Efficiencies are proportional to 1/cos θ there, and their
 # derivatives to 1/cos³ θ, so that derivatives are valid for tiny changes only.
 _AT_HORIZON = 1e-3
-# Names of the variables whose change moves orders across the horizon.
+# Names of the variables of derivatives whose change moves diffraction orders across the horizon.
 _MOVING = ("pitch_um", "period_um", "to_light", "wavelengths_nm")
-# Names of the variables that have one element per wavelength.
+# Names of the variables of derivatives that have one element per wavelength.
 _PER_WAVELENGTH = ("wavelengths_nm", "n", "k")
 # Memory of a call [bytes]: per height sample, and per element of the matrices of efficiencies. A matrix has one row per
 # direction to the light and one column per order.

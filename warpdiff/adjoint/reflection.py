@@ -22,9 +22,11 @@ if TYPE_CHECKING:
 
     from warpdiff.optics.materials import Material
 
-# Names of the variables of a material's reflectance, in the order of the partial derivatives; "cosine" is cos θd.
+# Names of the variables of a material's reflectance, in the order of the partial derivatives; "cosine" is that of half
+# of the angle between light and view.
 MATERIAL_VARIABLES = ("cosine", "n", "k", "film_nm", "wavelengths_nm")
-# Names of the variables of Schlick's reflectance, in the order of the partial derivatives; "cosine" is cos θd.
+# Names of the variables of Schlick's reflectance, in the order of the partial derivatives; "cosine" is that of half of
+# the angle between light and view.
 IOR_VARIABLES = ("cosine", "ior")
 
 # Difference between the cosines of light and viewer, or between the masking factor and 1, below which both numbers
@@ -144,8 +146,8 @@ def _dispersion(material: Material, wavelength: Jet) -> Jet:
     if len(table) == 1:
         slope = np.zeros(wavelength.value.shape, dtype=np.complex128)
     else:
-        # At the last entry of a table, the derivative is that towards shorter wavelengths, because n + ik is not known
-        # at longer wavelengths.
+        # At the last entry of a table of refractive indices, the derivative is that towards shorter wavelengths,
+        # because n + ik is not known at longer wavelengths.
         place = np.clip(np.searchsorted(table, wavelength.value, side="right") - 1, 0, len(table) - 2)
         inside = (wavelength.value >= table[0]) & (wavelength.value <= table[-1])
         slope = np.where(inside, (np.diff(index) / np.diff(table))[place], 0.0)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Block:
-    """Rectangular block of orders (s, r).
+    """Rectangular block of diffraction orders (s, r).
 
     Attributes:
         first: Lowest order along (y, x).

@@ -264,7 +264,7 @@ class SpectralModel:
         return reflection.IOR_VARIABLES if material is None else reflection.MATERIAL_VARIABLES
 
     def _along(self, slopes: NDArray[np.float64], shapes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the change of ρ, (n, m), for a change ``shapes`` of the matrix Q of the Gaussian weights, (n, 3)."""
+        """Return the change of the reflectance ρ, (n, m), for a change of the matrix Q of the weights, (n, 3)."""
         by_form = slopes[[M_XX, M_XY, M_YY]]
         return np.asarray(np.einsum("pnm,np->nm", by_form, shapes) * self._illumination.falloffs)
 

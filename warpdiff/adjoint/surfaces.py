@@ -78,7 +78,7 @@ class Relief:
 
     @property
     def variable_shape(self) -> tuple[int, ...]:
-        """Shape of the variable that is the surface itself."""
+        """Shape of the variable that is the surface itself: the heights, or the vertices."""
         return (len(self.surface.heights_um), 2) if self.is_outline else self.shape
 
     @property

@@ -40,7 +40,7 @@ LOW, HIGH = 1e3 / colorimetry.LAMBDA_MAX_NM, 1e3 / colorimetry.LAMBDA_MIN_NM
 
 
 class WavelengthSums:
-    """Colours of directions as sums over sampled wavelengths, with Gaussian weights (lobes) of coefficients.
+    """Colours of directions as sums over sampled wavelengths, with Gaussian weights (lobes) of Fourier coefficients.
 
     Footprints widen the lobes; a footprint is the change of (u, v) over a pixel. The truncation error determines the
     number of wavelengths; directions with similar numbers use the same wavelengths. For a light less than 2° above the
@@ -131,9 +131,9 @@ class WavelengthSums:
     def _variances(self, group: LitPixels, lowest: float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the elements xx, xy and yy of two covariance matrices for each direction, shape (n, 3) each.
 
-        The first matrix is the covariance that a coherence window causes in q. The second matrix is the covariance that
-        a light source and the pixel's footprint cause in (u, v). A direction to a light with a z component below
-        ``lowest`` counts as having this z component.
+        The first matrix is the covariance that a coherence window causes in the frequency q = (u, v)/λ. The second
+        matrix is the covariance that a light source and the pixel's footprint cause in (u, v). A direction to a light
+        with a z component below ``lowest`` counts as having this z component.
         """
         count = len(group.gains)
         of_q, of_uv = np.zeros((count, 3)), np.zeros((count, 3))

@@ -56,7 +56,7 @@ _LEAST_TRUNCATION_ERROR = 1e-7
 # their total weight equals that of all coefficients together. Without this weight, the specular reflection, which is
 # only one of a million coefficients, would hardly affect the fit.
 _STRONGEST_ROWS = 64
-# Number of Fourier coefficients of a height field on which the truncation error of a fitted basis is measured.
+# Number of Fourier coefficients of a height field on which the truncation error of fitted basis functions is measured.
 _SAMPLED_ROWS = 20_000
 # Percentile of the truncation errors of coefficients that is reported; 0.1 % of the coefficients may have larger
 # errors.
@@ -143,8 +143,7 @@ def holds_powers(method: str, *, adds_powers: bool) -> bool:
 
 
 def series_terms(heightfield: HeightField, kappas: tuple[float, float]) -> int:
-    """Return the number of terms of the Jacobi-Anger series to which basis functions are fitted, for a range of |w|/λ.
-    """
+    """Return the number of terms of the Jacobi-Anger series to which basis functions are fitted, for a |w|/λ range."""
     series = EXPANSIONS["jacobi-anger"]
     argument = 2.0 * math.pi * _entries(heightfield, kappas)[-1] * series.offset_and_scale(heightfield)[1]
     return series.term_count(argument, _SERIES_TOLERANCE)
@@ -184,8 +183,8 @@ def fitted(
     """
     high = kappas[1]
     step, table_kappas = _table_kappas(heightfield, kappas)
-    # The coefficients are evaluated at Chebyshev nodes over all |κ| = |w|/λ of the table of the basis. This table and
-    # the nodes extend slightly beyond the required range of |κ|, because extrapolation would be inaccurate.
+    # The coefficients are evaluated at Chebyshev nodes over all |κ| = |w|/λ of the table of basis functions. This table
+    # and the nodes extend slightly beyond the required range of |κ|, because extrapolation would be inaccurate.
     first, last = float(table_kappas[0]), float(table_kappas[-1])
     powers = holds_powers(method, adds_powers=adds_powers)
     bandwidth = (last - first) / 2.0 * _radians_per_kappa(heightfield) * (1.0 if powers else 0.5)

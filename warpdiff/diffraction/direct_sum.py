@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from warpdiff.heightfield.field import HeightField
     from warpdiff.optics.coherence import Coherence
 
-# Distance from the frequency q of a direction up to which the sum includes Fourier coefficients, in standard deviations
-# of the Gaussian weight of a coefficient. The weight at this distance is e^−32.
+# Distance from the frequency q of a direction up to which the direct sum includes Fourier coefficients, in standard
+# deviations of the Gaussian weight of a coefficient. The weight at this distance is e^−32.
 _WIDTHS = 8.0
 # Peak memory of the direct sum [bytes], per height sample and per Fourier coefficient. It was derived by adding the
 # sizes of the arrays in the code.

@@ -55,7 +55,7 @@ _BIN = 0.08
 # order. If the number was doubled, only computing time would be lost.
 _SWEEPS = 20
 # Largest number of steps of Newton's method. If the method has not converged after this number of steps, it never
-# converges: too many elements of the matrix are 0, so that no factors give the prescribed sums.
+# converges: too many elements of the matrix of efficiencies are 0, so that no factors give the prescribed sums.
 _MOST_STEPS = 60
 # The energy factors count as converged if no sum over orders deviates from its prescribed value by more than this
 # number, relative to the value. The number is about the rounding error of a sum over `MOST_EXACT` orders.
@@ -188,7 +188,7 @@ def stam(
 
 @dataclass(frozen=True)
 class EnergyFactors:
-    """Energy factor a, by which efficiencies are multiplied, as a function of direction and wavelength, on a grid.
+    """Energy factor a, by which efficiencies are multiplied, as a function of direction (on a grid) and wavelength.
 
     Attributes:
         wavelengths_nm: Wavelengths [nm], increasing, shape (k,).
@@ -283,8 +283,8 @@ def _sample_lights() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
     Directions and wavelengths follow the additive recurrence of Roberts (2018) in three dimensions. The density of the
     wavelengths is proportional to the sum of the colour-matching functions under D65. Each direction is accompanied by
-    its mirror direction. If one order reflects nearly all light, the balance determines only the product of the factors
-    of the incident and the outgoing direction. With mirror directions, these two factors become similar.
+    its mirror direction. If one order reflects nearly all light, the energy balance determines only the product of the
+    factors of the incident and the outgoing direction. With mirror directions, these two factors become similar.
     """
     places = (0.5 + np.outer(np.arange(_LIGHTS // 2), _PLASTIC ** -np.arange(1.0, 4.0))) % 1.0
     polar, around = places[:, 0] * math.pi / 2.0, places[:, 1] * 2.0 * math.pi

@@ -36,7 +36,7 @@ _VALUES_TOGETHER = 1 << 20
 
 
 class SpectralSum:
-    """Sum over the Fourier coefficients or over the samples of a height field, at the wavelengths of a spectrum.
+    """Reflectance spectra as sums over Fourier coefficients, or over the samples, of a height field.
 
     Attributes:
         wavelengths_nm: Wavelengths [nm], shape (m,).

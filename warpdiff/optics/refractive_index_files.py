@@ -280,7 +280,6 @@ def _rows(lines: Lines, columns: list[str]) -> NDArray[np.float64]:
 
 
 def _ordered(um: NDArray[np.float64], values: NDArray[np.float64]) -> Table:
-    """Return an index table sorted by wavelength. Rows with equal wavelengths are replaced by one row with their mean.
-    """
+    """Return an index table sorted by wavelength. Rows of equal wavelengths are replaced by one row, their mean."""
     wavelengths, place, count = np.unique(um, return_inverse=True, return_counts=True)
     return wavelengths, np.asarray(np.bincount(place, values) / count)

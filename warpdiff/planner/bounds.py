@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from warpdiff.request.directions import DirectionRange
     from warpdiff.request.evaluation import Evaluation
 
-# Largest error that the truncation of the series may cause in the amplitude of a Fourier coefficient, as a share of the
+# Largest error that the truncation of a series may cause in the amplitude of a Fourier coefficient, as a share of the
 # tolerance. The number was derived as the product of two factors of 0.03. First, errors of luminance are relative to at
 # least 1e-3 of a picture's luminance (FLOOR), which is a factor of 0.03 in amplitude. Second, the amplitudes of all
 # diffraction orders may be only 0.03 of the amplitude of the mirror reflection. If the number was doubled, surfaces

@@ -214,7 +214,7 @@ def _has_footprint_table(request: Evaluation) -> bool:
 
 
 def _affordable_table_cost(request: Evaluation, unmeasured: Callable[[], Plan], count: float) -> float:
-    """Return the largest cost [multiply-adds] at which a table saves time for ``count`` directions; 0 for no table.
+    """Return the largest cost [multiply-adds] at which a colour table saves time for ``count`` directions; 0 for none.
 
     A colour table saves time if it costs less than the evaluation of the directions by the plan of a search. The result
     is infinite if the caller requests a table, or means over the ranges of (u, v) of pixels, which a table computes.

@@ -57,9 +57,9 @@ def smallest_table(plan: Plan, trial: Trial, *, footprint: bool, needed: bool, a
     """
     target = plan.tolerance / SEARCH_SAFETY
     if plan.coherence.kind == "source":
-        # The table of a light source of finite size excludes directions near the mirror direction. These directions are
-        # computed by sampled wavelengths. For them, the plan needs the same least weight of Fourier coefficients as the
-        # reference plan.
+        # The colour table of a light source of finite size excludes directions near the mirror direction. These
+        # directions are computed by sampled wavelengths. For them, the plan needs the same least weight of Fourier
+        # coefficients as the reference plan.
         plan = replace(plan, least_weight=trial.reference.least_weight)
     plan, truncation = _few_terms(plan, trial, target / 2.0)
     sizes = polar_grid.table_sizes(plan.coherence)

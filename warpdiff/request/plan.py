@@ -36,8 +36,8 @@ LABELS = {
     **{name: f"{expansion.label} series" for name, expansion in EXPANSIONS.items()},
 }
 # Measured speeds of one CPU core [multiply-adds per second]. The first speed is for sums over wavelengths and for the
-# computation of tables. The second speed is for table look-ups, which the memory slows down. The speeds convert
-# predicted costs to the times that a plan reports.
+# computation of colour tables. The second speed is for look-ups in them, which the memory slows down. The speeds
+# convert predicted costs to the times that a plan reports.
 _SUMMED_PER_SECOND, _LOOKED_UP_PER_SECOND = 9e9, 2.7e9
 # Smallest and largest number of rings of a colour table per octave of |(u, v)|. A ring is a circle of samples around
 # (u, v) = 0, and an octave is a factor of 2.
