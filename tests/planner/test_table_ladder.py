@@ -170,8 +170,8 @@ def test_the_fewest_terms_whose_expected_error_is_within_half_of_the_target_are_
 
     The terms are those of the functions that expand Fourier coefficients.
 
-    With 8 terms, the measured error equals the target. The residuals of the fit of the basis predict that 10 terms
-    reduce this error by a factor of 3.2.
+    With 8 terms, the measured error equals the target. The residuals of the fit of the basis functions predict that 10
+    terms reduce this error by a factor of 3.2.
     """
     several = dataclasses.replace(plan, terms=24)
     trial = Tables(fingers, several, law=lambda _table: 0.5 * TARGET, sampled=lambda _terms: TARGET)
@@ -184,7 +184,7 @@ def test_the_fewest_terms_whose_expected_error_is_within_half_of_the_target_are_
 
 @pytest.mark.parametrize(("sampled", "terms", "rings"), [(0.8, 14, FIRST), (0.6, 14, 64), (0.4, 10, 64)])
 def test_terms_are_added_once_if_sampling_with_them_misses_its_half_of_the_target(fingers, plan, sampled, terms, rings):
-    """If the first table fails because it has too few basis terms, the next table must have more terms.
+    """If the first colour table fails because it has too few basis terms, the next table must have more terms.
 
     The first table has 10 terms, by an estimate. If it fails, a plan with 10 terms but without a table is tried. If the
     error of that plan exceeds half of the target, terms are added. If it also exceeds half of the error of the first

@@ -295,7 +295,8 @@ def order_efficiencies(
 
 def _warn_of_table(material: Material, wavelengths_nm: NDArray[np.float64]) -> None:
     """Warn of wavelengths at table entries of the index of refraction, where the interpolated index has a kink."""
-    # The first and the last entry of a table are no kinks, because the index is not known beyond them.
+    # The first and the last entry of a table of refractive indices are no kinks, because the index is not known beyond
+    # them.
     tables = [np.asarray(part.wavelengths_nm)[1:-1] for part in (material, material.film) if part is not None]
     count = int(np.isin(wavelengths_nm, np.concatenate(tables)).sum())
     if count:

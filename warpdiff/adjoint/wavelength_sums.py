@@ -174,8 +174,8 @@ class WavelengthSums:
         forms = 0.5 * np.stack([yy, -xy, xx], axis=-1) / determinants[..., None]
         factors = np.repeat(group.gains[:, None], len(wavenumbers), axis=1)
         if group.footprints is not None:
-            # A footprint widens the lobe of a coefficient. The maximum of the lobe becomes lower, so that its integral
-            # is unchanged.
+            # A footprint widens the lobe (Gaussian weight) of a Fourier coefficient. The maximum of the lobe becomes
+            # lower, so that its integral is unchanged.
             own = of_q[:, None] + (of_uv - group.footprints)[:, None] * wavenumbers[:, None] ** 2
             factors *= np.sqrt((own[..., 0] * own[..., 2] - own[..., 1] ** 2) / determinants)
         if group.illuminated.material is not None:

@@ -38,16 +38,16 @@ if TYPE_CHECKING:
 METHODS = ("low-rank", "power", *EXPANSIONS)
 POWER_METHODS = ("power",)
 
-# Number n of entries in the table of a basis over κ = w/λ, per radian of the phase 2πκ · (height range). A power
-# oscillates at most as fast as this phase. With n entries, the error of cubic interpolation is 3/(128 n⁴), which is
-# 4e-7. Amplitudes oscillate half as fast if heights are measured from the middle of the height range. For amplitudes,
-# the error is therefore 2e-8.
+# Number n of entries in the table of basis functions over κ = w/λ, per radian of the phase 2πκ · (height range). A
+# power oscillates at most as fast as this phase. With n entries, the error of cubic interpolation is 3/(128 n⁴), which
+# is 4e-7. Amplitudes oscillate half as fast if heights are measured from the middle of the height range. For
+# amplitudes, the error is therefore 2e-8.
 _STEPS_PER_RADIAN = 16
-# Smallest number of steps in the table of a basis (the shared functions of κ = w/λ). Only shallow surfaces would need
-# fewer steps. Their powers do not oscillate over κ, but grow in proportion to κ², κ⁴ or a higher power of κ.
+# Smallest number of steps in the table of the basis functions of κ = w/λ. Only shallow surfaces would need fewer steps.
+# Their powers do not oscillate over κ, but grow in proportion to κ², κ⁴ or a higher power of κ.
 _FEWEST_STEPS = 64
-# Largest truncation error of the Jacobi-Anger series to which other bases are fitted. The value was chosen as about the
-# rounding error of float32.
+# Largest truncation error of the Jacobi-Anger series to which other basis functions are fitted. The value was chosen as
+# about the rounding error of float32.
 _SERIES_TOLERANCE = 1e-7
 # Truncation error below which no further functions are added to a fitted basis (the functions of κ = w/λ that all
 # coefficients share). The value was chosen as about the rounding error of float32.

@@ -134,7 +134,7 @@ def _falloff(coherence: Coherence, wavelength: float) -> float:
 
 def _cutoff(coherence: Coherence, wavelength: float) -> float:
     """Return up to which distance in frequency [1/µm] from q = (u, v)/λ the sum includes Fourier coefficients."""
-    # The standard deviation of the weight exp(−a d²) is 1/√(2a).
+    # The standard deviation of the Gaussian weight exp(−a d²) is 1/√(2a).
     return _WIDTHS / math.sqrt(2.0 * _falloff(coherence, wavelength))
 
 

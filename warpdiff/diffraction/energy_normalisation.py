@@ -239,9 +239,9 @@ class AchromaticFactors:
 def achromatic_factors(heightfield: HeightField) -> AchromaticFactors:
     """Return the energy factors of a height field for colours, from the cache if possible.
 
-    For a single incident direction, the sum over orders jumps when an order passes the horizon. The factors therefore
-    balance averages over many incident directions and wavelengths. The power of each incident light and of each order
-    is distributed to the nearest nodes of the grid.
+    For a single incident direction, the sum of efficiencies over orders jumps when an order passes the horizon. The
+    factors therefore balance averages over many incident directions and wavelengths. The power of each incident light
+    and of each order is distributed to the nearest nodes of the grid of directions.
     """
     check_cycles(heightfield, 2e3 / _VISIBLE_RANGE_NM[0])
 
@@ -481,7 +481,7 @@ def between(
     """Return the products a(ωi) a(ωr) of energy factors for n pairs of directions and m wavelengths [nm], shape (n, m).
 
     For at most ``_MOST_LIGHTS`` different lights, a(ωi) makes the sum over all orders exactly 1. For more lights, a(ωi)
-    is interpolated on the grid.
+    is interpolated on the grid of directions.
     """
     distinct, which = np.unique(lights, axis=0, return_inverse=True)
     powers = Powers(heightfield, 2e3 / float(wavelengths_nm.min()), 0.0) if len(distinct) <= _MOST_LIGHTS else None

@@ -108,7 +108,7 @@ def table_multiply_adds(heightfield: HeightField, plan: Plan) -> float:
     else:
         neighbours = math.pi * area * -math.log(plan.least_weight) / coefficient_table.falloff_um2(plan.coherence)
         sampling = layout.samples * parts * (_COST_OF_SAMPLE + neighbours * lanes)
-    # A row of the sampled spectrum has about one number per basis function (term). If amplitudes of Fourier
+    # A row of the sampled power spectrum has about one number per basis function (term). If amplitudes of Fourier
     # coefficients add, it has two numbers per term. A table needs about as many functions of w (the normal component of
     # the scattering vector) as such a row has numbers, and stores X, Y and Z for each function.
     powers = parts * plan.terms

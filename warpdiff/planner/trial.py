@@ -58,8 +58,8 @@ NEGLIGIBLE_SHARE = 1e-2
 # coefficients in a series. In float32, amplitudes are accurate even for coefficients that vanish like a high power of κ
 # = w/λ. Series of powers are not accurate there.
 REFERENCE_METHOD = "jacobi-anger"
-# Largest number of wavelengths at which a trial evaluates a spectrum. The value is limited by time, which is
-# proportional to it.
+# Largest number of wavelengths at which a trial (a test of plans) evaluates a spectrum. The value is limited by time,
+# which is proportional to it.
 _SPECTRAL_SAMPLES = 64
 
 
